@@ -1,0 +1,77 @@
+"""The cascade controller: position P, velocity PI with anti-windup, torque limit and lag.
+
+    velocity_command = feed_forward * velocity_demand + position_gain * (demand - actual)
+    torque           = gain * e + integral + inertia * acceleration_demand + torque_offset
+
+The position loop runs once a position cycle, the velocity loop once a velocity cycle. The
+integrator is updated with the torque that was really possible (back-calculation), so it never
+winds up behind a limit. The current loop is a first-order lag, sampled exactly.
+"""
+
+from enum import IntEnum
+
+from .jit import block
+from .words import Limit, State
+
+
+class Control(IntEnum):
+    """Which loop the demand feeds."""
+
+    POSITION = 0
+    VELOCITY = 1
+    TORQUE = 2
+
+
+@block
+def energised(axis):
+    """Whether the state feeds the motor: operation enabled, quick stop, fault reaction."""
+    return (
+        axis.state == State.OPERATION_ENABLED
+        or axis.state == State.QUICK_STOP_ACTIVE
+        or axis.state == State.FAULT_REACTION_ACTIVE
+    )
+
+
+@block
+def position_loop(axis):
+    """Turn the demand of this position cycle into the velocity controller's command."""
+    axis.velocity_correction = 0.0
+    command = axis.velocity_demand
+    if axis.control == Control.POSITION:
+        axis.velocity_correction = axis.position_gain * (axis.position_demand - axis.position)
+        command = axis.velocity_feed_forward * axis.velocity_demand + axis.velocity_correction
+    axis.velocity_command = min(max(command, -axis.max_speed), axis.max_speed)
+    if axis.velocity_command != command:
+        axis.limits |= Limit.SPEED
+
+
+@block
+def velocity_loop(axis):
+    """One velocity cycle: command and measured speed in (rad/s), shaft torque out (Nm)."""
+    if not energised(axis):
+        axis.velocity_integral = 0.0
+        axis.torque_command = 0.0
+        axis.torque = 0.0
+        return
+    wanted = axis.torque_demand
+    error = axis.velocity_command - axis.velocity
+    if axis.control != Control.TORQUE:
+        wanted = (
+            axis.velocity_gain * error
+            + axis.velocity_integral
+            + axis.inertia_feed_forward * axis.acceleration_demand
+            + axis.torque_offset
+        )
+    possible = min(max(wanted, -axis.torque_limit_negative), axis.torque_limit_positive)
+    if possible != wanted:
+        axis.limits |= Limit.TORQUE
+    if axis.control == Control.TORQUE:
+        axis.velocity_integral = possible
+    elif axis.velocity_gain > 0:
+        axis.velocity_integral += (
+            axis.velocity_period
+            * axis.velocity_integral_gain
+            * (error + (possible - wanted) / axis.velocity_gain)
+        )
+    axis.torque_command = possible
+    axis.torque += axis.torque_filter * (possible - axis.torque)

@@ -1,0 +1,50 @@
+"""One control cycle: the block diagram of a servo drive, in the order the signals take.
+
+Every velocity cycle: sample feedback, [position cycle], velocity controller, torque.
+Every position cycle: device control, mode of operation, position controller, monitoring, publish.
+"""
+
+from . import cascade, device_control, encoder, factors, modes, monitor
+from .jit import block, entry
+
+
+@block
+def velocity_cycle(axis):
+    """One velocity-controller cycle: `shaft_angle` and switches in, `torque` out."""
+    if axis.velocity_cycle == 0 and axis.parameters_changed:
+        factors.receive(axis)
+    encoder.sample(axis)
+    if axis.velocity_cycle == 0:
+        position_cycle(axis)
+    cascade.velocity_loop(axis)
+    axis.velocity_cycle += 1
+    if axis.velocity_cycle == axis.velocity_cycles:
+        axis.velocity_cycle = 0
+
+
+@block
+def position_cycle(axis):
+    """One position-controller cycle on the latest sample."""
+    device_control.run(axis)
+    axis.warnings &= axis.faults_present
+    axis.faults_present = 0
+    modes.demand(axis)
+    cascade.position_loop(axis)
+    monitor.run(axis)
+    modes.status(axis)
+    factors.publish(axis)
+    axis.cycle_count += 1
+
+
+@entry
+def run(axes, index, angle, speed):
+    """One position cycle of ``axes[index]`` on a shaft at `angle` (rad) moving at `speed` (rad/s).
+
+    The shaft keeps its speed within the cycle. Returns the torque (Nm) of the last velocity cycle.
+    """
+    axis = axes[index]
+    for _ in range(axis.velocity_cycles):
+        axis.shaft_angle = angle
+        velocity_cycle(axis)
+        angle += speed * axis.velocity_period
+    return axis.torque

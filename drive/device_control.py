@@ -1,0 +1,210 @@
+"""Device control: the CiA 402 state machine as a table, and the one writer of the state.
+
+Source of every row: CiA 402-2 / IEC 61800-7-201, device control, transitions 0-16. A pair of state
+and event that is not in TRANSITIONS is ignored; the state stays and the command is noted as
+refused. Commands act by level, each cycle; only the fault reset needs a rising edge.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from . import stop
+from .cascade import energised
+from .faults import Cause, Reaction
+from .jit import block
+from .stop import OPTION_STAYS, OPTION_STOP, Stop
+from .words import COMMANDS, Command, Controlword, State
+
+
+class Event(IntEnum):
+    """Commands of the master, then what happens inside the drive."""
+
+    NONE = Command.NONE
+    SHUTDOWN = Command.SHUTDOWN
+    SWITCH_ON = Command.SWITCH_ON  # disable operation, where operation is enabled
+    ENABLE_OPERATION = Command.ENABLE_OPERATION
+    DISABLE_VOLTAGE = Command.DISABLE_VOLTAGE
+    QUICK_STOP = Command.QUICK_STOP
+    FAULT_RESET = Command.FAULT_RESET
+    SELF_TEST_PASSED = 7
+    FAULT = 8
+    STOPPED = 9  # the ramp of a quick stop or of a fault reaction has ended
+
+
+_S, _E = State, Event
+# number, source, event, target. Transition 0 is power-on itself: reset makes NOT_READY.
+TRANSITIONS = (
+    (1, _S.NOT_READY_TO_SWITCH_ON, _E.SELF_TEST_PASSED, _S.SWITCH_ON_DISABLED),
+    (2, _S.SWITCH_ON_DISABLED, _E.SHUTDOWN, _S.READY_TO_SWITCH_ON),
+    (3, _S.READY_TO_SWITCH_ON, _E.SWITCH_ON, _S.SWITCHED_ON),
+    (3, _S.READY_TO_SWITCH_ON, _E.ENABLE_OPERATION, _S.SWITCHED_ON),  # 4 follows next cycle
+    (4, _S.SWITCHED_ON, _E.ENABLE_OPERATION, _S.OPERATION_ENABLED),
+    (5, _S.OPERATION_ENABLED, _E.SWITCH_ON, _S.SWITCHED_ON),  # option code 605Ch
+    (6, _S.SWITCHED_ON, _E.SHUTDOWN, _S.READY_TO_SWITCH_ON),
+    (7, _S.READY_TO_SWITCH_ON, _E.DISABLE_VOLTAGE, _S.SWITCH_ON_DISABLED),
+    (7, _S.READY_TO_SWITCH_ON, _E.QUICK_STOP, _S.SWITCH_ON_DISABLED),
+    (8, _S.OPERATION_ENABLED, _E.SHUTDOWN, _S.READY_TO_SWITCH_ON),  # option code 605Bh
+    (9, _S.OPERATION_ENABLED, _E.DISABLE_VOLTAGE, _S.SWITCH_ON_DISABLED),
+    (10, _S.SWITCHED_ON, _E.DISABLE_VOLTAGE, _S.SWITCH_ON_DISABLED),
+    (10, _S.SWITCHED_ON, _E.QUICK_STOP, _S.SWITCH_ON_DISABLED),
+    (11, _S.OPERATION_ENABLED, _E.QUICK_STOP, _S.QUICK_STOP_ACTIVE),  # option code 605Ah
+    (12, _S.QUICK_STOP_ACTIVE, _E.DISABLE_VOLTAGE, _S.SWITCH_ON_DISABLED),
+    (12, _S.QUICK_STOP_ACTIVE, _E.STOPPED, _S.SWITCH_ON_DISABLED),  # codes 0-4 of 605Ah
+    (13, _S.NOT_READY_TO_SWITCH_ON, _E.FAULT, _S.FAULT_REACTION_ACTIVE),
+    (13, _S.SWITCH_ON_DISABLED, _E.FAULT, _S.FAULT_REACTION_ACTIVE),
+    (13, _S.READY_TO_SWITCH_ON, _E.FAULT, _S.FAULT_REACTION_ACTIVE),
+    (13, _S.SWITCHED_ON, _E.FAULT, _S.FAULT_REACTION_ACTIVE),
+    (13, _S.OPERATION_ENABLED, _E.FAULT, _S.FAULT_REACTION_ACTIVE),
+    (13, _S.QUICK_STOP_ACTIVE, _E.FAULT, _S.FAULT_REACTION_ACTIVE),
+    (14, _S.FAULT_REACTION_ACTIVE, _E.STOPPED, _S.FAULT),
+    (15, _S.FAULT, _E.FAULT_RESET, _S.SWITCH_ON_DISABLED),  # only if the cause is gone
+    (16, _S.QUICK_STOP_ACTIVE, _E.ENABLE_OPERATION, _S.OPERATION_ENABLED),  # codes 5-8 of 605Ah
+)
+
+# Not refused although they are no row: the command that led here is still standing.
+STANDING = (
+    (_S.READY_TO_SWITCH_ON, _E.SHUTDOWN),
+    (_S.SWITCHED_ON, _E.SWITCH_ON),
+    (_S.OPERATION_ENABLED, _E.ENABLE_OPERATION),
+    (_S.QUICK_STOP_ACTIVE, _E.QUICK_STOP),
+    (_S.SWITCH_ON_DISABLED, _E.DISABLE_VOLTAGE),
+    (_S.SWITCH_ON_DISABLED, _E.QUICK_STOP),
+)
+
+NUMBER = np.full((len(State), len(Event)), -1, np.int64)  # [state, event] -> transition, -1 none
+TARGET = np.zeros((len(State), len(Event)), np.int64)
+for _number, _source, _event, _target in TRANSITIONS:
+    NUMBER[_source, _event] = _number
+    TARGET[_source, _event] = _target
+for _source, _event in STANDING:
+    NUMBER[_source, _event] = 0
+
+
+@block
+def run(axis):
+    """Let the state follow faults, the end of ramps and the controlword, in this order."""
+    controlword = int(axis.od.controlword)
+    reset = 1 if controlword & Controlword.FAULT_RESET else 0
+    reset_edge = reset and not axis.reset_bit
+    axis.reset_bit = reset
+    if axis.fault_raised != Cause.NONE:
+        _take_fault(axis)
+    elif axis.state == State.NOT_READY_TO_SWITCH_ON:
+        _apply(axis, Event.SELF_TEST_PASSED)
+    elif axis.pending_transition != 0 and stop.finished(axis):
+        _finish(axis)
+    if axis.state == State.FAULT_REACTION_ACTIVE or axis.state == State.FAULT:
+        if reset_edge:
+            _reset_fault(axis)
+        return
+    _command(axis, COMMANDS[controlword & 0x0F])
+
+
+@block
+def _apply(axis, event):
+    """Take the row of (state, event); nothing else writes the state."""
+    axis.transition = NUMBER[axis.state, event]
+    axis.state = TARGET[axis.state, event]
+    axis.pending_transition = 0
+
+
+@block
+def _command(axis, command):
+    number = NUMBER[axis.state, command]
+    if number < 0:
+        axis.refused_command = command
+        axis.refused_state = axis.state
+    elif number == 0:  # standing; a shutdown or disable ramp that was under way is called off
+        if axis.state == State.OPERATION_ENABLED and axis.pending_transition != 0:
+            _resume(axis)
+    elif number == 5:
+        _ramp_then(axis, command, int(axis.od.disable_operation_option_code))
+    elif number == 8:
+        _ramp_then(axis, command, int(axis.od.shutdown_option_code))
+    elif number == 11:
+        _apply(axis, command)
+        code = int(axis.od.quick_stop_option_code)
+        _stop_then(axis, 12, code)
+    elif number == 16:
+        if OPTION_STAYS[int(axis.od.quick_stop_option_code)]:
+            _apply(axis, command)
+            _resume(axis)
+        else:
+            axis.refused_command = command
+            axis.refused_state = axis.state
+    else:
+        _apply(axis, command)
+        if not energised(axis):
+            stop.begin(axis, Stop.NONE)
+
+
+@block
+def _ramp_then(axis, command, code):
+    """Transitions 5 and 8: at once, or after the slow down ramp."""
+    if OPTION_STOP[code] == Stop.NONE:
+        _apply(axis, command)
+        stop.begin(axis, Stop.NONE)
+        return
+    if axis.pending_transition == 0:
+        stop.begin(axis, OPTION_STOP[code])
+    axis.pending_transition = NUMBER[axis.state, command]
+
+
+@block
+def _stop_then(axis, number, code):
+    """Brake by option code, then transition `number`; at once where there is nothing to brake."""
+    axis.pending_transition = number
+    stop.begin(axis, OPTION_STOP[code])
+    if OPTION_STOP[code] == Stop.NONE:
+        _finish(axis)
+
+
+@block
+def _finish(axis):
+    """The ramp has ended: take the transition that waited for it."""
+    number = axis.pending_transition
+    if number == 5:
+        _apply(axis, Event.SWITCH_ON)
+    elif number == 8:
+        _apply(axis, Event.SHUTDOWN)
+    elif number == 12 and OPTION_STAYS[int(axis.od.quick_stop_option_code)]:
+        return  # stays in QUICK_STOP_ACTIVE until transition 12 or 16 is commanded
+    else:
+        _apply(axis, Event.STOPPED)
+    stop.begin(axis, Stop.NONE)
+
+
+@block
+def _take_fault(axis):
+    cause = axis.fault_raised
+    axis.fault_raised = Cause.NONE
+    if NUMBER[axis.state, Event.FAULT] < 0:
+        return  # a fault is already being dealt with
+    axis.fault = cause
+    was_energised = energised(axis)
+    _apply(axis, Event.FAULT)
+    code = int(axis.od.fault_reaction_option_code)
+    if not was_energised or axis.fault_reaction[cause] == Reaction.DISABLE:
+        code = 0
+    _stop_then(axis, 14, code)
+
+
+@block
+def _reset_fault(axis):
+    """Transition 15, refused while a cause that stops the drive is still present."""
+    if axis.state != State.FAULT or axis.faults_present != 0:
+        axis.refused_command = Command.FAULT_RESET
+        axis.refused_state = axis.state
+        return
+    _apply(axis, Event.FAULT_RESET)
+    axis.fault = Cause.NONE
+    axis.od.error_register = 0
+
+
+@block
+def _resume(axis):
+    """Give the demand back to the mode of operation."""
+    axis.pending_transition = 0
+    stop.begin(axis, Stop.NONE)
+    axis.mode_started = 0

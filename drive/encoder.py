@@ -1,0 +1,100 @@
+"""The feedback: a quantised incremental encoder with an index pulse, and the axis switches.
+
+Sampled once a velocity cycle. What the drive believes (`counts`, `position`, `velocity`) never
+touches the true `shaft_angle` again. The encoder counts from where it was powered on, so an axis
+has no reference until it is homed; its index pulse lies at every whole revolution of the shaft.
+"""
+
+import math
+from enum import IntEnum
+
+from .faults import Cause, raise_fault
+from .jit import block
+
+
+class Switch(IntEnum):
+    """Bits of `AXIS.switches`, in the places digital inputs 60FDh give them (CiA 402-2)."""
+
+    NEGATIVE_LIMIT = 0x1
+    POSITIVE_LIMIT = 0x2
+    HOME = 0x4
+
+
+class Event(IntEnum):
+    """What the position latch can wait for."""
+
+    NONE = 0
+    NEGATIVE_LIMIT_ON = 1
+    NEGATIVE_LIMIT_OFF = 2
+    POSITIVE_LIMIT_ON = 3
+    POSITIVE_LIMIT_OFF = 4
+    HOME_ON = 5
+    HOME_OFF = 6
+    INDEX = 7
+
+
+FARTHEST = 2.0**53  # increments a float64 angle still resolves one by one
+
+
+@block
+def sample(axis):
+    """Read shaft angle and switches; latch the position at the awaited event."""
+    exact = axis.shaft_angle / axis.rad_per_increment
+    if not abs(exact) < FARTHEST:  # also when it is not a number
+        raise_fault(axis, Cause.ENCODER)
+        return
+    counts = int(math.floor(exact))
+    switches = (
+        axis.negative_limit_switch * Switch.NEGATIVE_LIMIT
+        + axis.positive_limit_switch * Switch.POSITIVE_LIMIT
+        + axis.home_switch * Switch.HOME
+    )
+    if not axis.sampled:
+        axis.sampled = 1
+        axis.counts = counts
+        axis.zero_counts = counts
+        axis.switches = switches
+    before, switches_before = axis.counts, axis.switches
+    axis.counts = counts
+    axis.switches = switches
+    axis.position = (counts - axis.zero_counts) * axis.rad_per_increment
+    velocity = (counts - before) * axis.rad_per_increment / axis.velocity_period
+    axis.velocity += axis.velocity_filter * (velocity - axis.velocity)
+    if axis.latch_event != Event.NONE and not axis.latched:
+        if axis.latch_event == Event.INDEX:
+            _latch_index(axis, before, counts)
+        else:
+            _latch_switch(axis, switches_before, switches, counts)
+
+
+@block
+def _latch_switch(axis, before, now, counts):
+    bit = 1 << ((axis.latch_event - 1) >> 1)
+    wanted = bit if axis.latch_event & 1 else 0  # odd events wait for ON
+    if (before ^ now) & bit and now & bit == wanted:
+        axis.latched = 1
+        axis.latch_counts = counts
+
+
+@block
+def _latch_index(axis, before, counts):
+    od = axis.od
+    revolution = int(od.position_encoder_resolution[0]) // int(od.position_encoder_resolution[1])
+    passed = max(before, counts) // revolution
+    if passed != min(before, counts) // revolution:
+        axis.latched = 1
+        axis.latch_counts = passed * revolution
+
+
+@block
+def set_zero(axis, zero_counts):
+    """Move the axis zero to an encoder count; every position of the cycle moves with it."""
+    shift = (zero_counts - axis.zero_counts) * axis.rad_per_increment
+    axis.zero_counts = zero_counts
+    axis.position -= shift
+    axis.position_demand -= shift
+    axis.segment_position -= shift
+    axis.profile_position -= shift
+    axis.interpolation_start -= shift
+    axis.interpolation_target -= shift
+    axis.target -= shift

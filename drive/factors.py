@@ -1,0 +1,211 @@
+"""The border between drive units and SI: the only file that converts.
+
+``receive`` turns the raw objects of a record into SI parameters after any of them was written,
+``publish`` turns what the cycle found into raw objects. Factor group as in CiA 402-2 / IEC
+61800-7-201: position units = increments * (608Fh) * (6091h) * (6092h), all integers, reduced to
+one exact fraction. Positions are rounded to the nearest unit, halves upwards; an INTEGER32 position
+wraps as a counter does, every other value saturates.
+"""
+
+import math
+
+from .jit import block
+from .words import STATE_PATTERN, State, Statusword
+
+STATE_VALUE = tuple(STATE_PATTERN[state][1] for state in State)
+OFF = 0xFFFFFFFF  # a window of this size is switched off
+FRACTION_LIMIT = 1 << 31  # keeps remainder * numerator inside 63 bits
+
+
+@block
+def receive(axis):
+    """Derive every SI parameter from the raw objects (drive units) of `axis`."""
+    od = axis.od
+    axis.parameters_changed = 0
+    _units(axis)
+    position = axis.rad_per_position_unit
+    velocity = axis.rad_s_per_velocity_unit
+    acceleration = axis.rad_s2_per_acceleration_unit
+
+    axis.rated_torque = od.motor_rated_torque * 1e-3
+    per_mille = axis.rated_torque * 1e-3
+    ceiling = min(int(od.max_torque), int(od.max_current))
+    axis.torque_limit_positive = min(ceiling, int(od.positive_torque_limit)) * per_mille
+    axis.torque_limit_negative = min(ceiling, int(od.negative_torque_limit)) * per_mille
+    axis.torque_slope = od.torque_slope * per_mille
+
+    axis.target_position = od.target_position * position
+    axis.target_velocity = od.target_velocity * velocity
+    axis.target_torque = od.target_torque * per_mille
+    axis.position_offset = od.position_offset * position
+    axis.velocity_offset = od.velocity_offset * velocity
+    axis.torque_offset = od.torque_offset * per_mille
+    axis.home_offset = od.home_offset * position
+
+    first = od.software_position_limit[0] * position
+    second = od.software_position_limit[1] * position
+    axis.position_limit_min = min(first, second)
+    axis.position_limit_max = max(first, second)
+    if od.software_position_limit[0] >= od.software_position_limit[1]:
+        axis.position_limit_min = -math.inf
+        axis.position_limit_max = math.inf
+
+    axis.max_speed = od.max_motor_speed * (2 * math.pi / 60)
+    axis.max_profile_speed = min(od.max_profile_velocity * abs(velocity), axis.max_speed)
+    axis.profile_speed = min(od.profile_velocity * abs(velocity), axis.max_profile_speed)
+    axis.end_speed = min(od.end_velocity * abs(velocity), axis.profile_speed)
+    axis.acceleration = min(int(od.profile_acceleration), int(od.max_acceleration)) * acceleration
+    axis.deceleration = min(int(od.profile_deceleration), int(od.max_deceleration)) * acceleration
+    axis.quick_stop_deceleration = od.quick_stop_deceleration * acceleration
+    axis.jerk = od.profile_jerk * acceleration if od.motion_profile_type == 3 else 0.0
+    axis.homing_speed_switch = od.homing_speeds[0] * abs(velocity)
+    axis.homing_speed_zero = od.homing_speeds[1] * abs(velocity)
+    axis.homing_acceleration = od.homing_acceleration * acceleration
+    period = od.interpolation_time_units * 10.0 ** int(od.interpolation_time_index)
+    axis.interpolation_cycles = max(1, int(math.floor(period / axis.position_period + 0.5)))
+
+    axis.following_error_window = _window(int(od.following_error_window), abs(position))
+    axis.following_error_cycles = _cycles(axis, int(od.following_error_time_out))
+    axis.position_window = _window(int(od.position_window), abs(position))
+    axis.position_window_cycles = _cycles(axis, int(od.position_window_time))
+    axis.velocity_window = od.velocity_window * abs(velocity)
+    axis.velocity_window_cycles = _cycles(axis, int(od.velocity_window_time))
+    axis.velocity_threshold = od.velocity_threshold * abs(velocity)
+    axis.velocity_threshold_cycles = _cycles(axis, int(od.velocity_threshold_time))
+
+    axis.position_gain = od.position_control_gain * 1e-3
+    axis.velocity_gain = od.velocity_control_gain * 1e-6
+    time = od.velocity_control_time * 1e-6
+    axis.velocity_integral_gain = axis.velocity_gain / time if time > 0 else 0.0
+    axis.velocity_filter = _share(axis, od.velocity_filter_time * 1e-6)
+    axis.torque_filter = _share(axis, axis.torque_time_constant)
+    axis.velocity_feed_forward = od.velocity_feed_forward * 1e-3
+    axis.inertia_feed_forward = od.acceleration_feed_forward * 1e-9
+
+
+@block
+def _units(axis):
+    od = axis.od
+    numerator, denominator = 1, 1
+    numerator, denominator = _multiply(
+        numerator,
+        denominator,
+        int(od.position_encoder_resolution[1]),
+        int(od.position_encoder_resolution[0]),
+    )
+    numerator, denominator = _multiply(
+        numerator, denominator, int(od.gear_ratio[1]), int(od.gear_ratio[0])
+    )
+    numerator, denominator = _multiply(
+        numerator, denominator, int(od.feed_constant[0]), int(od.feed_constant[1])
+    )
+    axis.position_numerator = numerator
+    axis.position_denominator = denominator
+    resolution = od.position_encoder_resolution[0] / od.position_encoder_resolution[1]
+    axis.rad_per_increment = 2 * math.pi / resolution
+    unit = axis.rad_per_increment * denominator / numerator
+    axis.rad_per_position_unit = -unit if od.polarity & 0x80 else unit
+    speed = unit * od.velocity_factor[0] / od.velocity_factor[1]
+    axis.rad_s_per_velocity_unit = -speed if od.polarity & 0x40 else speed
+    axis.rad_s2_per_acceleration_unit = unit * od.acceleration_factor[0] / od.acceleration_factor[1]
+
+
+@block
+def _multiply(numerator, denominator, by, over):
+    """The reduced product of two fractions; halved until both parts fit FRACTION_LIMIT."""
+    first = math.gcd(numerator, over)
+    second = math.gcd(by, denominator)
+    by, over = by // second, over // first
+    common = math.gcd(by, over)
+    numerator = numerator // first * (by // common)
+    denominator = denominator // second * (over // common)
+    while numerator > FRACTION_LIMIT or denominator > FRACTION_LIMIT:
+        numerator = max(numerator >> 1, 1)
+        denominator = max(denominator >> 1, 1)
+    return numerator, denominator
+
+
+@block
+def _window(units, size):
+    return math.inf if units == OFF else units * size
+
+
+@block
+def _cycles(axis, milliseconds):
+    return int(math.ceil(milliseconds * 1e-3 / axis.position_period - 1e-9))
+
+
+@block
+def _share(axis, time_constant):
+    """Weight of a new sample in a first-order lag sampled every velocity cycle."""
+    return 1.0 - math.exp(-axis.velocity_period / time_constant) if time_constant > 0 else 1.0
+
+
+@block
+def increments_to_units(axis, increments):
+    """Position units of an encoder count, exact, halves rounded upwards."""
+    numerator, denominator = axis.position_numerator, axis.position_denominator
+    if axis.od.polarity & 0x80:
+        increments = -increments
+    whole = increments // denominator
+    rest = increments - whole * denominator
+    return whole * numerator + (2 * rest * numerator + denominator) // (2 * denominator)
+
+
+@block
+def _integer32(value):
+    """Nearest INTEGER32, saturated."""
+    return int(math.floor(min(max(value, -2147483648.0), 2147483647.0) + 0.5))
+
+
+@block
+def _integer16(value):
+    return int(math.floor(min(max(value, -32768.0), 32767.0) + 0.5))
+
+
+@block
+def _wrapped32(value):
+    return ((value + 2147483648) & 0xFFFFFFFF) - 2147483648
+
+
+@block
+def publish(axis):
+    """Write every object a master can read of this cycle."""
+    od = axis.od
+    counts = axis.counts - axis.zero_counts
+    od.position_actual_internal_value = _wrapped32(counts)
+    od.position_actual_value = _wrapped32(increments_to_units(axis, counts))
+    per_position = 1.0 / axis.rad_per_position_unit
+    per_velocity = 1.0 / axis.rad_s_per_velocity_unit
+    od.position_demand_value = _integer32(axis.position_demand * per_position)
+    od.following_error_actual_value = _integer32(axis.following_error * per_position)
+    od.velocity_demand_value = _integer32(axis.velocity_demand * per_velocity)
+    od.velocity_actual_value = _integer32(axis.velocity * per_velocity)
+    od.control_effort = _integer32(axis.velocity_correction * per_velocity)
+    per_mille = 1e3 / axis.rated_torque
+    od.torque_demand = _integer16(axis.torque_command * per_mille)
+    torque = _integer16(axis.torque * per_mille)
+    od.torque_actual_value = torque
+    od.current_actual_value = torque  # a torque-constant motor: both are per mille of rated
+    od.modes_of_operation_display = axis.mode
+    od.active_limits = axis.limits
+    od.digital_inputs = axis.switches
+    od.statusword = statusword(axis)
+    axis.limits = 0
+
+
+@block
+def statusword(axis):
+    """Compose 6041h from state, warnings, limits and the bits of the mode."""
+    word = STATE_VALUE[axis.state] | Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
+    if axis.warnings != 0:
+        word |= Statusword.WARNING
+    if axis.limits != 0:
+        word |= Statusword.INTERNAL_LIMIT_ACTIVE
+    if axis.mode_bit10:
+        word |= Statusword.TARGET_REACHED
+    if axis.mode_bit12:
+        word |= Statusword.MODE_12
+    if axis.mode_bit13:
+        word |= Statusword.MODE_13
+    return word

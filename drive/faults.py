@@ -1,0 +1,58 @@
+"""Causes of faults, and how a cause becomes a fault, a warning or nothing.
+
+The kernel names a *cause*; its emergency error code, error register bits and reaction are data of
+the drive model (``faults.csv``), held in the record. Error codes: CiA 402-2, error codes 603Fh;
+error register and history: CiA 301, objects 1001h and 1003h.
+"""
+
+from enum import IntEnum
+
+from .jit import block
+from .record import HISTORY
+
+
+class Cause(IntEnum):
+    """What can go wrong; rows of a model's faults.csv refer to these names."""
+
+    NONE = 0
+    ENCODER = 1  # the feedback is lost or not a finite number
+    FOLLOWING_ERROR = 2
+    OVERSPEED = 3
+
+
+class Reaction(IntEnum):
+    """What a drive does about a cause."""
+
+    IGNORE = 0
+    WARNING = 1  # statusword bit 7, operation goes on
+    OPTION_CODE = 2  # fault reaction option code 605Eh
+    DISABLE = 3  # power stage off at once
+
+
+@block
+def raise_fault(axis, cause):
+    """Report that `cause` is present in this cycle; the first one that stops the drive counts."""
+    axis.faults_present |= 1 << cause
+    reaction = int(axis.fault_reaction[cause])
+    if reaction == Reaction.IGNORE:
+        return
+    if reaction == Reaction.WARNING:
+        if not axis.warnings & (1 << cause):
+            axis.warnings |= 1 << cause
+            record(axis, cause)
+        return
+    if axis.fault == Cause.NONE and axis.fault_raised == Cause.NONE:
+        axis.fault_raised = cause
+        record(axis, cause)
+
+
+@block
+def record(axis, cause):
+    """Enter `cause` in 603Fh, 1001h and, newest first, in the history 1003h."""
+    od = axis.od
+    od.error_code = axis.fault_code[cause]
+    od.error_register |= axis.fault_register[cause]
+    for i in range(HISTORY - 1, 0, -1):
+        od.error_field[i] = od.error_field[i - 1]
+    od.error_field[0] = od.error_code
+    od.error_count = min(int(od.error_count) + 1, HISTORY)

@@ -1,0 +1,53 @@
+"""Limits of the motion: software position limits 607Dh and limit switches.
+
+Software limits count from the axis zero, so they act once the axis is homed (inferred; CiA 402-2
+relates them to the zero position and leaves the unreferenced axis open). Homing ignores both: it
+needs the switches. A direction that a limit stopped stays locked until the master asks for another.
+"""
+
+from .encoder import Switch
+from .jit import block
+from .words import Limit
+
+
+@block
+def clamp_target(axis, target):
+    """The nearest allowed target (rad); notes the limit that was in the way."""
+    if axis.homed:
+        if target > axis.position_limit_max:
+            axis.limits |= Limit.SOFTWARE_POSITION_MAX
+            return axis.position_limit_max
+        if target < axis.position_limit_min:
+            axis.limits |= Limit.SOFTWARE_POSITION_MIN
+            return axis.position_limit_min
+    return target
+
+
+@block
+def at_switch(axis, direction):
+    """Whether the limit switch on the way of `direction` (any signed number) is active."""
+    if direction > 0 and axis.switches & Switch.POSITIVE_LIMIT:
+        axis.limits |= Limit.POSITIVE_LIMIT_SWITCH
+        return True
+    if direction < 0 and axis.switches & Switch.NEGATIVE_LIMIT:
+        axis.limits |= Limit.NEGATIVE_LIMIT_SWITCH
+        return True
+    return False
+
+
+@block
+def before_software_limit(axis, direction):
+    """Whether the axis must brake now to stop at the software limit ahead in `direction`."""
+    if not axis.homed:
+        return False
+    speed = max(axis.velocity_demand * (1.0 if direction > 0 else -1.0), 0.0)
+    path = speed * (speed / (2 * axis.deceleration) + 2 * axis.position_period)
+    if axis.jerk > 0.0:
+        path += speed * axis.deceleration / (2 * axis.jerk)
+    if direction > 0 and axis.position + path >= axis.position_limit_max:
+        axis.limits |= Limit.SOFTWARE_POSITION_MAX
+        return True
+    if direction < 0 and axis.position - path <= axis.position_limit_min:
+        axis.limits |= Limit.SOFTWARE_POSITION_MIN
+        return True
+    return False

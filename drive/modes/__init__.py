@@ -1,0 +1,109 @@
+"""Modes of operation: which one is active, and what it asks the cascade to do.
+
+Each mode is a file with three functions on the record: `start` takes the demand over where the last
+owner left it, `demand` makes the demand of one position cycle, `status` its statusword bits.
+"""
+
+from .. import homing, stop
+from ..cascade import energised
+from ..homing import HomingError
+from ..jit import block
+from ..ramps import rest
+from ..stop import Stop
+from ..words import Controlword, Mode, State
+from . import csp, hm, pp, pv
+
+
+@block
+def demand(axis):
+    """Select the mode, obey halt and stops, and let the mode make its demand."""
+    controlword = int(axis.od.controlword)
+    _select(axis)
+    bit4 = 1 if controlword & Controlword.NEW_SET_POINT else 0
+    if not energised(axis):
+        rest(axis)
+        homing.abandon(axis, HomingError.INTERRUPTED)
+        pp.forget(axis)
+        axis.mode_started = 0
+        axis.halted = 0
+    else:
+        _halt(axis, controlword)
+        if axis.state != State.OPERATION_ENABLED:
+            pp.forget(axis)
+        elif axis.mode == Mode.PROFILE_POSITION:
+            pp.handshake(axis, controlword, bit4)
+        if axis.stop != Stop.NONE:
+            homing.abandon(axis, HomingError.INTERRUPTED)
+            stop.demand(axis)
+        else:
+            _demand_of_mode(axis, bit4)
+    axis.bit4 = bit4
+    axis.sync = 0
+    axis.last_target_position = axis.target_position
+
+
+@block
+def _select(axis):
+    """Follow 6060h to a supported mode; anything else leaves the mode as it is."""
+    requested = int(axis.od.modes_of_operation)
+    if requested == axis.mode or requested <= 0:
+        return
+    if axis.supported_modes >> (requested - 1) & 1:
+        axis.mode = requested
+        axis.mode_started = 0
+        homing.abandon(axis, HomingError.INTERRUPTED)
+        pp.forget(axis)
+
+
+@block
+def _halt(axis, controlword):
+    """Controlword bit 8 (halt option code 605Dh), where device control has no stop of its own."""
+    halt = 1 if controlword & Controlword.HALT else 0
+    if axis.state == State.OPERATION_ENABLED and axis.pending_transition == 0:
+        if halt and axis.stop == Stop.NONE:
+            stop.begin(axis, stop.OPTION_STOP[int(axis.od.halt_option_code)])
+        elif not halt and axis.halted:
+            stop.begin(axis, Stop.NONE)
+            axis.mode_started = 0
+        axis.halted = halt
+
+
+@block
+def _demand_of_mode(axis, bit4):
+    starting = not axis.mode_started
+    axis.mode_started = 1
+    if axis.mode == Mode.PROFILE_POSITION:
+        if starting:
+            pp.start(axis)
+        pp.demand(axis)
+    elif axis.mode == Mode.PROFILE_VELOCITY:
+        if starting:
+            pv.start(axis)
+        pv.demand(axis)
+    elif axis.mode == Mode.HOMING:
+        if starting:
+            hm.start(axis)
+        hm.demand(axis, bit4)
+    elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
+        if starting:
+            csp.start(axis)
+        csp.demand(axis)
+    else:
+        axis.velocity_demand = 0.0  # no mode selected: hold
+
+
+@block
+def status(axis):
+    """Statusword bits 10, 12 and 13 of the active mode."""
+    if axis.mode == Mode.PROFILE_POSITION:
+        pp.status(axis)
+    elif axis.mode == Mode.PROFILE_VELOCITY:
+        pv.status(axis)
+    elif axis.mode == Mode.HOMING:
+        hm.status(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
+        csp.status(axis)
+    else:
+        axis.mode_bit10 = 0
+        axis.mode_bit12 = 0
+        axis.mode_bit13 = 0

@@ -1,0 +1,71 @@
+"""Cyclic synchronous position: the master's trajectory, one target a bus cycle (CiA 402-2, csp).
+
+A set-point counts as new when process data were latched or 607Ah changed. The drive interpolates
+linearly from the last demand to it over the interpolation time period 60C2h and then holds, so the
+demand velocity is the slope of the master's own trajectory. Position and velocity offsets 60B0h and
+60B1h are added; the torque offset 60B2h acts in the cascade.
+"""
+
+from .. import limits
+from ..cascade import energised
+from ..jit import block
+from ..ramps import close_position_loop
+from ..stop import Stop
+from ..words import Limit
+
+
+@block
+def start(axis):
+    """Hold where the demand is until a new set-point comes."""
+    close_position_loop(axis)
+    axis.interpolation_start = axis.position_demand
+    axis.interpolation_target = axis.position_demand
+    axis.interpolation_cycle = axis.interpolation_cycles
+    axis.interpolation_velocity = 0.0
+
+
+@block
+def demand(axis):
+    """Interpolate one position cycle further."""
+    if axis.sync or axis.target_position != axis.last_target_position:
+        _new_set_point(axis)
+    period = axis.interpolation_cycles * axis.position_period
+    if axis.interpolation_cycle < axis.interpolation_cycles:
+        axis.interpolation_cycle += 1
+        way = axis.interpolation_target - axis.interpolation_start
+        share = axis.interpolation_cycle / axis.interpolation_cycles
+        axis.position_demand = axis.interpolation_start + way * share
+        axis.velocity_demand = way / period + axis.velocity_offset
+    else:
+        axis.position_demand = axis.interpolation_target
+        axis.velocity_demand = axis.velocity_offset
+        axis.acceleration_demand = 0.0
+        axis.interpolation_velocity = 0.0
+    axis.target = axis.interpolation_target
+
+
+@block
+def _new_set_point(axis):
+    start_at = axis.position_demand
+    target = limits.clamp_target(axis, axis.target_position + axis.position_offset)
+    if limits.at_switch(axis, target - start_at):
+        target = start_at
+    period = axis.interpolation_cycles * axis.position_period
+    farthest = axis.max_speed * period
+    if abs(target - start_at) > farthest:
+        axis.limits |= Limit.SPEED
+        target = min(max(target, start_at - farthest), start_at + farthest)
+    velocity = (target - start_at) / period
+    axis.acceleration_demand = (velocity - axis.interpolation_velocity) / period
+    axis.interpolation_velocity = velocity
+    axis.interpolation_start = start_at
+    axis.interpolation_target = target
+    axis.interpolation_cycle = 0
+
+
+@block
+def status(axis):
+    """Bit 10 is reserved; drive_follows_command, following_error."""
+    axis.mode_bit10 = 0
+    axis.mode_bit12 = energised(axis) and axis.stop == Stop.NONE
+    axis.mode_bit13 = axis.following_error_exceeded

@@ -1,0 +1,52 @@
+"""Profile velocity: the target velocity 60FFh, approached on ramps (CiA 402-2, pv)."""
+
+from .. import limits, monitor
+from ..cascade import Control, energised
+from ..jit import block
+from ..ramps import advance, plan_velocity
+from ..words import Limit
+
+
+@block
+def start(axis):
+    """Take over the present demand velocity."""
+    if axis.control == Control.TORQUE:
+        axis.velocity_demand = axis.velocity
+        axis.acceleration_demand = 0.0
+    axis.control = Control.VELOCITY
+    axis.blocked = 0
+    plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, axis.jerk)
+
+
+@block
+def demand(axis):
+    """Ramp towards the target velocity, or to zero where a limit is ahead."""
+    wanted = axis.target_velocity + axis.velocity_offset
+    goal = min(max(wanted, -axis.max_profile_speed), axis.max_profile_speed)
+    if goal != wanted:
+        axis.limits |= Limit.SPEED
+    deceleration, jerk = axis.deceleration, axis.jerk
+    if goal * axis.blocked <= 0.0:
+        axis.blocked = 0
+    way = goal if goal != 0.0 else axis.velocity_demand
+    switch = limits.at_switch(axis, way)
+    if switch or limits.before_software_limit(axis, way):
+        axis.blocked = 1 if way > 0 else -1
+    if switch:
+        deceleration, jerk = axis.quick_stop_deceleration, 0.0
+    if axis.blocked != 0:
+        goal = 0.0
+    if goal != axis.profile_end_velocity:
+        plan_velocity(axis, goal, axis.acceleration, deceleration, jerk)
+    advance(axis)
+    axis.position_demand = axis.position
+
+
+@block
+def status(axis):
+    """target_reached, speed_is_zero, no slippage monitoring."""
+    deviation = axis.target_velocity - axis.velocity
+    inside = monitor.in_window(axis, deviation, axis.velocity_window, axis.velocity_window_cycles)
+    axis.mode_bit10 = axis.standstill if axis.halted else energised(axis) and inside
+    axis.mode_bit12 = axis.standstill
+    axis.mode_bit13 = 0

@@ -1,0 +1,57 @@
+"""Monitoring: following error, position and velocity windows, standstill, overspeed.
+
+Windows and times as in CiA 402-2: 6065h/6066h, 6067h/6068h, 606Dh/606Eh, 606Fh/6070h. Times are
+whole position cycles; a time of 0 acts at once.
+"""
+
+from .cascade import Control, energised
+from .faults import Cause, raise_fault
+from .jit import block
+
+OVERSPEED = 1.2  # of the maximum motor speed (inferred)
+
+
+@block
+def run(axis):
+    """Compare the demand of this cycle with what the encoder showed at its beginning."""
+    _following_error(axis)
+    _standstill(axis)
+    if abs(axis.velocity) > OVERSPEED * axis.max_speed:
+        raise_fault(axis, Cause.OVERSPEED)
+
+
+@block
+def _following_error(axis):
+    axis.following_error = axis.position_demand - axis.position
+    if not energised(axis) or axis.control != Control.POSITION:
+        axis.following_error_timer = 0
+        if energised(axis):
+            axis.following_error = 0.0
+            axis.following_error_exceeded = 0
+        return
+    if abs(axis.following_error) <= axis.following_error_window:
+        axis.following_error_timer = 0
+        axis.following_error_exceeded = 0
+        return
+    axis.following_error_timer += 1
+    if axis.following_error_timer > axis.following_error_cycles:
+        axis.following_error_exceeded = 1
+        raise_fault(axis, Cause.FOLLOWING_ERROR)
+
+
+@block
+def _standstill(axis):
+    if abs(axis.velocity) <= axis.velocity_threshold:
+        axis.standstill_timer = 0
+        axis.standstill = 1
+        return
+    axis.standstill_timer += 1
+    if axis.standstill_timer > axis.velocity_threshold_cycles:
+        axis.standstill = 0
+
+
+@block
+def in_window(axis, deviation, window, cycles):
+    """Whether `deviation` has been inside `window` for `cycles` position cycles."""
+    axis.window_timer = axis.window_timer + 1 if abs(deviation) <= window else 0
+    return axis.window_timer > cycles

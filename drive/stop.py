@@ -1,0 +1,82 @@
+"""Stops: what the option codes 605Ah-605Eh choose between, with real ramps.
+
+A stop replaces the demand of the mode until device control or the end of a halt takes it away.
+Sources: CiA 402-2, quick stop, shutdown, disable operation, halt and fault reaction option codes.
+Current limit and voltage limit differ in a real drive by what bounds the braking torque; without a
+model of the DC link both brake at the torque limit (inferred).
+"""
+
+from enum import IntEnum
+
+from .cascade import Control
+from .jit import block
+from .ramps import advance, close_position_loop, plan_velocity, rest
+from .words import Mode
+
+
+class Stop(IntEnum):
+    """How the axis is brought to rest."""
+
+    NONE = 0  # the drive function is disabled, the motor coasts
+    SLOW_DOWN_RAMP = 1  # deceleration of the mode
+    QUICK_STOP_RAMP = 2  # 6085h
+    CURRENT_LIMIT = 3
+    VOLTAGE_LIMIT = 4
+
+
+# option code -> (stop, the state is kept afterwards). 605Bh and 605Ch use codes 0-1, 605Dh 1-4,
+# 605Eh 0-4, 605Ah 0-8.
+OPTION_STOP = (0, 1, 2, 3, 4, 1, 2, 3, 4)
+OPTION_STAYS = (0, 0, 0, 0, 0, 1, 1, 1, 1)
+
+PATIENCE = 1.0  # s after the demand has stopped; then the stop counts as finished (inferred)
+
+
+@block
+def begin(axis, stop):
+    """Start to stop the axis from its present demand."""
+    axis.stop = stop
+    axis.stop_cycles = 0
+    if stop == Stop.NONE:
+        return
+    close_position_loop(axis)
+    if stop >= Stop.CURRENT_LIMIT:
+        rest(axis)
+        axis.control = Control.VELOCITY
+        return
+    rate = axis.deceleration
+    jerk = axis.jerk
+    if stop == Stop.QUICK_STOP_RAMP:
+        rate = axis.quick_stop_deceleration
+        jerk = 0.0
+    elif axis.mode == Mode.HOMING:
+        rate = axis.homing_acceleration
+    plan_velocity(axis, 0.0, rate, rate, jerk)
+
+
+@block
+def demand(axis):
+    """Demand of the stop in force; at the end the position is held."""
+    axis.stop_cycles += 1
+    if axis.control == Control.VELOCITY:
+        rest(axis)
+        axis.control = Control.VELOCITY if abs(axis.velocity) > axis.velocity_threshold else 0
+        return
+    advance(axis)
+
+
+@block
+def finished(axis):
+    """Whether demand and axis stand still."""
+    if not axis.profile_done:
+        return False
+    if abs(axis.velocity) <= axis.velocity_threshold and axis.control == Control.POSITION:
+        return True
+    return axis.stop_cycles * axis.position_period > axis_patience(axis)
+
+
+@block
+def axis_patience(axis):
+    """Longest time a stop may take (s): the ramp from full speed, and PATIENCE."""
+    slowest = min(axis.deceleration, axis.quick_stop_deceleration)
+    return axis.max_speed / slowest + PATIENCE
