@@ -3,6 +3,9 @@
     velocity_command = feed_forward * velocity_demand + position_gain * (demand - actual)
     torque           = gain * e + integral + inertia * acceleration_demand + torque_offset
 
+In a torque mode the demand goes straight to the limit; a speed limiter on the same velocity gain
+takes torque away above the maximum motor speed.
+
 The position loop runs once a position cycle, the velocity loop once a velocity cycle. The
 integrator is updated with the torque that was really possible (back-calculation), so it never
 winds up behind a limit. The current loop is a first-order lag, sampled exactly.
@@ -53,16 +56,20 @@ def velocity_loop(axis):
         axis.torque_command = 0.0
         axis.torque = 0.0
         return
-    wanted = axis.torque_demand
     error = axis.velocity_command - axis.velocity
-    if axis.control != Control.TORQUE:
+    if axis.control == Control.TORQUE:
+        wanted = _speed_limited(axis, axis.torque_demand + axis.torque_offset)
+    else:
         wanted = (
             axis.velocity_gain * error
             + axis.velocity_integral
             + axis.inertia_feed_forward * axis.acceleration_demand
             + axis.torque_offset
         )
-    possible = min(max(wanted, -axis.torque_limit_negative), axis.torque_limit_positive)
+    possible = min(
+        max(wanted, -min(axis.torque_limit_negative, axis.torque_ceiling)),
+        min(axis.torque_limit_positive, axis.torque_ceiling),
+    )
     if possible != wanted:
         axis.limits |= Limit.TORQUE
     if axis.control == Control.TORQUE:
@@ -75,3 +82,13 @@ def velocity_loop(axis):
         )
     axis.torque_command = possible
     axis.torque += axis.torque_filter * (possible - axis.torque)
+
+
+@block
+def _speed_limited(axis, torque):
+    highest = axis.velocity_gain * (axis.max_speed - axis.velocity)
+    lowest = axis.velocity_gain * (-axis.max_speed - axis.velocity)
+    allowed = min(max(torque, lowest), highest)
+    if allowed != torque:
+        axis.limits |= Limit.SPEED
+    return allowed

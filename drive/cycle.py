@@ -1,10 +1,22 @@
 """One control cycle: the block diagram of a servo drive, in the order the signals take.
 
 Every velocity cycle: sample feedback, [position cycle], velocity controller, torque.
-Every position cycle: device control, mode of operation, position controller, monitoring, publish.
+Every position cycle: power models, device control, brake, mode of operation, position controller,
+monitoring, publish.
 """
 
-from . import cascade, device_control, encoder, factors, modes, monitor
+from . import (
+    brake,
+    cascade,
+    dc_link,
+    device_control,
+    encoder,
+    factors,
+    homing,
+    modes,
+    monitor,
+    thermal,
+)
 from .jit import block, entry
 
 
@@ -25,10 +37,15 @@ def velocity_cycle(axis):
 @block
 def position_cycle(axis):
     """One position-controller cycle on the latest sample."""
+    thermal.run(axis)
+    dc_link.run(axis)
     device_control.run(axis)
+    brake.run(axis)
     axis.warnings &= axis.faults_present
     axis.faults_present = 0
     modes.demand(axis)
+    if homing.pushing(axis):
+        axis.torque_ceiling = min(axis.torque_ceiling, axis.homing_torque)
     cascade.position_loop(axis)
     monitor.run(axis)
     modes.status(axis)

@@ -9,7 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from . import stop
+from . import brake, stop
 from .cascade import energised
 from .faults import Cause, Reaction
 from .jit import block
@@ -92,13 +92,43 @@ def run(axis):
         _take_fault(axis)
     elif axis.state == State.NOT_READY_TO_SWITCH_ON:
         _apply(axis, Event.SELF_TEST_PASSED)
-    elif axis.pending_transition != 0 and stop.finished(axis):
+    elif axis.pending_transition != 0 and stop.finished(axis) and _may_finish(axis):
         _finish(axis)
     if axis.state == State.FAULT_REACTION_ACTIVE or axis.state == State.FAULT:
         if reset_edge:
             _reset_fault(axis)
         return
-    _command(axis, COMMANDS[controlword & 0x0F])
+    _command(axis, _permitted(axis, COMMANDS[controlword & 0x0F]))
+
+
+@block
+def _permitted(axis, command):
+    """The command that counts: inputs and a lost connection outrank the controlword.
+
+    Safe torque off acts as disable voltage; without the controller enable input the drive brakes
+    as with quick stop and cannot be enabled (inferred); 6007h says what a lost connection does.
+    """
+    lost = int(axis.od.abort_connection_option_code) if axis.connection_lost else 0
+    if not axis.sto_input or lost == 2:
+        return Command.DISABLE_VOLTAGE
+    if not axis.enable_input or lost == 3:
+        running = axis.state == State.OPERATION_ENABLED or axis.state == State.QUICK_STOP_ACTIVE
+        return Command.QUICK_STOP if running else Command.DISABLE_VOLTAGE
+    return command
+
+
+@block
+def _may_finish(axis):
+    """Before the power goes off after an orderly stop the brake has to hold the axis."""
+    if _quick_stop_stays(axis):
+        return True
+    return brake.gripped(axis)
+
+
+@block
+def _quick_stop_stays(axis):
+    stays = OPTION_STAYS[int(axis.od.quick_stop_option_code)]
+    return axis.pending_transition == 12 and stays and axis.enable_input
 
 
 @block
@@ -107,6 +137,7 @@ def _apply(axis, event):
     axis.transition = NUMBER[axis.state, event]
     axis.state = TARGET[axis.state, event]
     axis.pending_transition = 0
+    axis.brake_gripping = 0
 
 
 @block
@@ -168,7 +199,7 @@ def _finish(axis):
         _apply(axis, Event.SWITCH_ON)
     elif number == 8:
         _apply(axis, Event.SHUTDOWN)
-    elif number == 12 and OPTION_STAYS[int(axis.od.quick_stop_option_code)]:
+    elif _quick_stop_stays(axis):
         return  # stays in QUICK_STOP_ACTIVE until transition 12 or 16 is commanded
     else:
         _apply(axis, Event.STOPPED)
@@ -206,5 +237,6 @@ def _reset_fault(axis):
 def _resume(axis):
     """Give the demand back to the mode of operation."""
     axis.pending_transition = 0
+    axis.brake_gripping = 0
     stop.begin(axis, Stop.NONE)
     axis.mode_started = 0

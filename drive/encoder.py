@@ -8,6 +8,7 @@ has no reference until it is homed; its index pulse lies at every whole revoluti
 import math
 from enum import IntEnum
 
+from . import probe
 from .faults import Cause, raise_fault
 from .jit import block
 
@@ -31,6 +32,7 @@ class Event(IntEnum):
     HOME_ON = 5
     HOME_OFF = 6
     INDEX = 7
+    STOP = 8  # a mechanical stop; found by torque, not latched by the encoder
 
 
 FARTHEST = 2.0**53  # increments a float64 angle still resolves one by one
@@ -38,9 +40,9 @@ FARTHEST = 2.0**53  # increments a float64 angle still resolves one by one
 
 @block
 def sample(axis):
-    """Read shaft angle and switches; latch the position at the awaited event."""
+    """Read shaft angle and switches; latch positions at the awaited events."""
     exact = axis.shaft_angle / axis.rad_per_increment
-    if not abs(exact) < FARTHEST:  # also when it is not a number
+    if not abs(exact) < FARTHEST or axis.injected >> Cause.ENCODER & 1:  # also not a number
         raise_fault(axis, Cause.ENCODER)
         return
     counts = int(math.floor(exact))
@@ -48,7 +50,7 @@ def sample(axis):
         axis.negative_limit_switch * Switch.NEGATIVE_LIMIT
         + axis.positive_limit_switch * Switch.POSITIVE_LIMIT
         + axis.home_switch * Switch.HOME
-    )
+    ) ^ (int(axis.od.switch_polarity) & 7)
     if not axis.sampled:
         axis.sampled = 1
         axis.counts = counts
@@ -60,11 +62,15 @@ def sample(axis):
     axis.position = (counts - axis.zero_counts) * axis.rad_per_increment
     velocity = (counts - before) * axis.rad_per_increment / axis.velocity_period
     axis.velocity += axis.velocity_filter * (velocity - axis.velocity)
-    if axis.latch_event != Event.NONE and not axis.latched:
-        if axis.latch_event == Event.INDEX:
-            _latch_index(axis, before, counts)
-        else:
+    waiting = 0 < axis.latch_event < Event.STOP and not axis.latched
+    if waiting or axis.od.touch_probe_function != 0:
+        index_counts, index_passed = _index(axis, before, counts)
+        if waiting and axis.latch_event == Event.INDEX:
+            axis.latched = index_passed
+            axis.latch_counts = index_counts
+        elif waiting:
             _latch_switch(axis, switches_before, switches, counts)
+        probe.sample(axis, index_counts, index_passed)
 
 
 @block
@@ -77,13 +83,13 @@ def _latch_switch(axis, before, now, counts):
 
 
 @block
-def _latch_index(axis, before, counts):
+def _index(axis, before, counts):
+    """The last index pulse at or below the farther of two counts, and whether it was passed."""
     od = axis.od
     revolution = int(od.position_encoder_resolution[0]) // int(od.position_encoder_resolution[1])
-    passed = max(before, counts) // revolution
-    if passed != min(before, counts) // revolution:
-        axis.latched = 1
-        axis.latch_counts = passed * revolution
+    last = max(before, counts) // revolution
+    passed = last != min(before, counts) // revolution and not axis.index_missing
+    return last * revolution, passed
 
 
 @block

@@ -9,6 +9,7 @@ wraps as a counter does, every other value saturates.
 
 import math
 
+from . import probe
 from .jit import block
 from .words import STATE_PATTERN, State, Statusword
 
@@ -41,6 +42,7 @@ def receive(axis):
     axis.velocity_offset = od.velocity_offset * velocity
     axis.torque_offset = od.torque_offset * per_mille
     axis.home_offset = od.home_offset * position
+    axis.ip_data = od.interpolation_data_record * position
 
     first = od.software_position_limit[0] * position
     second = od.software_position_limit[1] * position
@@ -61,6 +63,13 @@ def receive(axis):
     axis.homing_speed_switch = od.homing_speeds[0] * abs(velocity)
     axis.homing_speed_zero = od.homing_speeds[1] * abs(velocity)
     axis.homing_acceleration = od.homing_acceleration * acceleration
+    axis.homing_torque = od.homing_stop_torque * per_mille
+    axis.homing_stop_cycles = _cycles(axis, int(od.homing_stop_time))
+    axis.homing_timeout_cycles = _cycles(axis, int(od.homing_timeout))
+    axis.brake_release_cycles = _cycles(axis, int(od.brake_release_time))
+    axis.brake_engage_cycles = _cycles(axis, int(od.brake_engage_time))
+    axis.max_slippage = od.max_slippage * abs(velocity)
+    _vl(axis)
     period = od.interpolation_time_units * 10.0 ** int(od.interpolation_time_index)
     axis.interpolation_cycles = max(1, int(math.floor(period / axis.position_period + 0.5)))
 
@@ -81,6 +90,38 @@ def receive(axis):
     axis.torque_filter = _share(axis, axis.torque_time_constant)
     axis.velocity_feed_forward = od.velocity_feed_forward * 1e-3
     axis.inertia_feed_forward = od.acceleration_feed_forward * 1e-9
+
+
+@block
+def _vl(axis):
+    """Velocity mode: vl units are 1/min times the dimension factor 604Ch."""
+    od = axis.od
+    if od.vl_dimension_factor[1] == 0 or od.vl_set_point_factor[1] == 0:
+        return  # a drive without this mode
+    axis.vl_rad_s = od.vl_dimension_factor[0] / od.vl_dimension_factor[1] * (2 * math.pi / 60)
+    scaled = od.vl_target_velocity * od.vl_set_point_factor[0] / od.vl_set_point_factor[1]
+    amount = min(
+        max(abs(scaled), float(od.vl_velocity_min_max_amount[0])),
+        float(od.vl_velocity_min_max_amount[1]),
+    )
+    bounded = math.copysign(amount, scaled) if scaled != 0 else 0.0
+    axis.vl_target = min(max(bounded * axis.vl_rad_s, -axis.max_speed), axis.max_speed)
+    axis.vl_acceleration = _vl_ramp(
+        axis, od.vl_acceleration_delta_speed, od.vl_acceleration_delta_time
+    )
+    axis.vl_deceleration = _vl_ramp(
+        axis, od.vl_deceleration_delta_speed, od.vl_deceleration_delta_time
+    )
+    axis.vl_quick_stop = _vl_ramp(axis, od.vl_quick_stop_delta_speed, od.vl_quick_stop_delta_time)
+
+
+@block
+def _vl_ramp(axis, speed, time):
+    """Speed over time (rad/s²); a time of 0 s is the steepest ramp: all speed in one cycle."""
+    steepest = max(axis.max_speed, 1.0) / axis.position_period
+    if time == 0:
+        return steepest
+    return min(max(speed * abs(axis.vl_rad_s) / time, 1e-3), steepest)
 
 
 @block
@@ -189,7 +230,16 @@ def publish(axis):
     od.current_actual_value = torque  # a torque-constant motor: both are per mille of rated
     od.modes_of_operation_display = axis.mode
     od.active_limits = axis.limits
-    od.digital_inputs = axis.switches
+    od.digital_inputs = axis.switches | (0 if axis.enable_input and axis.sto_input else 8)
+    od.homing_error = axis.homing_error
+    per_vl = 1.0 / axis.vl_rad_s if axis.vl_rad_s != 0.0 else 0.0
+    od.vl_velocity_demand = _integer16(axis.velocity_demand * per_vl)
+    od.vl_velocity_actual_value = _integer16(axis.velocity * per_vl)
+    if axis.probe_stored != 0 or od.touch_probe_status != 0 or od.touch_probe_function != 0:
+        probe.publish(axis)
+        for i in range(4):
+            probed = increments_to_units(axis, axis.probe_counts[i] - axis.zero_counts)
+            od.touch_probe_position[i] = _wrapped32(probed)
     od.statusword = statusword(axis)
     axis.limits = 0
 
@@ -197,7 +247,9 @@ def publish(axis):
 @block
 def statusword(axis):
     """Compose 6041h from state, warnings, limits and the bits of the mode."""
-    word = STATE_VALUE[axis.state] | Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
+    word = STATE_VALUE[axis.state] | Statusword.REMOTE
+    if axis.sto_input and axis.dc_link * 1e3 >= axis.od.undervoltage:
+        word |= Statusword.VOLTAGE_ENABLED
     if axis.warnings != 0:
         word |= Statusword.WARNING
     if axis.limits != 0:

@@ -18,6 +18,16 @@ class Cause(IntEnum):
     ENCODER = 1  # the feedback is lost or not a finite number
     FOLLOWING_ERROR = 2
     OVERSPEED = 3
+    I2T = 4  # the motor has borne its peak torque for too long
+    MOTOR_TEMPERATURE = 5
+    OVERVOLTAGE = 6  # DC link
+    UNDERVOLTAGE = 7  # DC link
+    SET_POINT_LOSS = 8  # cyclic set-points stay away
+    CONNECTION = 9  # the bus is gone and 6007h asks for a fault
+    SHORT_CIRCUIT = 10
+    DRIVE_TEMPERATURE = 11
+    EXTERNAL = 12
+    RPDO_TIMEOUT = 13  # an RPDO's event timer has run out
 
 
 class Reaction(IntEnum):

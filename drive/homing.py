@@ -1,12 +1,20 @@
-"""Homing: each method is a few legs of a table, run by one small engine.
+"""Homing: every method is a few legs of a table, run by one small engine.
 
-Source: CiA 402-2, homing methods. A leg travels in one direction until an event; the next leg
-follows. The last leg latches: the event's exact encoder count, taken in the velocity cycle in which
-it came, is the home position. Searching legs (`latch` 0) accept the event by level, so a run that
-begins on the switch goes straight on; latching legs need the edge, while moving their own way.
-Afterwards the zero position is the home position plus the home offset 607Ch (CiA 402-2).
+Source: CiA 402-2, homing methods 1-14, 17-30, 33-35, 37; methods -1, -2, -17, -18 (on a mechanical
+stop) as the Festo CMMP-AS and Metronix ARS 2000 manuals number them. A leg travels in one direction
+until an event, then the next leg follows. The last leg latches: the exact encoder count of its
+event, taken in the velocity cycle in which it came, is the home position.
+
+- Switches are searched for at the faster speed 6099h:01 and accepted by level, so a run that begins
+  on the switch goes straight on. A switch that is left, and every edge that is latched, has to
+  change while the axis moves the leg's own way.
+- The edge that counts is always met at the slower speed 6099h:02: where the standard's path meets
+  it in the direction of the search, the axis passes it and comes back (inferred).
+- A limit switch on the way either reverses the search (methods 7-14, 23-30) or ends it in error.
+- Afterwards the zero position is the home position plus the home offset 607Ch (CiA 402-2).
 """
 
+import math
 from enum import IntEnum
 
 import numpy as np
@@ -14,7 +22,7 @@ import numpy as np
 from . import encoder
 from .encoder import Event, Switch
 from .jit import block
-from .ramps import advance, close_position_loop, plan_velocity
+from .ramps import advance, close_position_loop, plan_velocity, rest
 
 
 class Progress(IntEnum):
@@ -31,33 +39,103 @@ class HomingError(IntEnum):
     """Why homing failed or ended early."""
 
     NONE = 0
-    INTERRUPTED = 1  # halt, or the start bit was taken back
-    OPPOSITE_SWITCH = 2  # the limit switch at the wrong end came first
+    INTERRUPTED = 1  # halt, quick stop, a change of mode, or the start bit was taken back
+    LIMIT_SWITCH = 2  # a limit switch that should not come on this way, or came twice
     NO_INDEX = 3  # more than two revolutions without an index pulse
+    TIMEOUT = 4  # 2012h:03
+    SPEED_ZERO = 5  # a homing speed 6099h is zero, the search could never end
 
 
-# method, direction, slow (speed for zero, not for switch), until, latch
-LEGS = (
-    (1, -1, 0, Event.NEGATIVE_LIMIT_ON, 0),
-    (1, +1, 1, Event.NEGATIVE_LIMIT_OFF, 0),
-    (1, +1, 1, Event.INDEX, 1),
-    (2, +1, 0, Event.POSITIVE_LIMIT_ON, 0),
-    (2, -1, 1, Event.POSITIVE_LIMIT_OFF, 0),
-    (2, -1, 1, Event.INDEX, 1),
-    (17, -1, 0, Event.NEGATIVE_LIMIT_ON, 0),
-    (17, +1, 1, Event.NEGATIVE_LIMIT_OFF, 1),
-    (18, +1, 0, Event.POSITIVE_LIMIT_ON, 0),
-    (18, -1, 1, Event.POSITIVE_LIMIT_OFF, 1),
-    (33, -1, 1, Event.INDEX, 1),
-    (34, +1, 1, Event.INDEX, 1),
-)
+END = -1  # next leg: home is found
+ERROR = -2  # limit switch on the way: homing fails
+FAST, SLOW = 0, 1
+_HOME_ON, _HOME_OFF = Event.HOME_ON, Event.HOME_OFF
+
+# Methods that find an edge. method: (leg where home switch is off, leg where it is on, legs)
+# leg: (direction, speed, until, next leg, leg after a limit switch on the way)
+_EDGE = {
+    17: (0, 0, [(-1, FAST, Event.NEGATIVE_LIMIT_ON, 1, ERROR),
+                (+1, SLOW, Event.NEGATIVE_LIMIT_OFF, END, ERROR)]),
+    19: (0, 2, [(+1, FAST, _HOME_ON, 1, ERROR),
+                (-1, SLOW, _HOME_OFF, END, ERROR),
+                (-1, FAST, _HOME_OFF, 0, ERROR)]),
+    20: (0, 1, [(+1, FAST, _HOME_ON, 1, ERROR),
+                (-1, FAST, _HOME_OFF, 2, ERROR),
+                (+1, SLOW, _HOME_ON, END, ERROR)]),
+    23: (0, 2, [(+1, FAST, _HOME_ON, 3, 1),
+                (-1, FAST, _HOME_ON, 2, ERROR),
+                (-1, FAST, _HOME_OFF, 0, ERROR),
+                (-1, SLOW, _HOME_OFF, END, ERROR)]),
+    24: (0, 2, [(+1, FAST, _HOME_ON, 2, 1),
+                (-1, FAST, _HOME_ON, 2, ERROR),
+                (-1, FAST, _HOME_OFF, 3, ERROR),
+                (+1, SLOW, _HOME_ON, END, ERROR)]),
+    25: (0, 2, [(+1, FAST, _HOME_ON, 2, 1),
+                (-1, FAST, _HOME_ON, 2, ERROR),
+                (+1, FAST, _HOME_OFF, 3, ERROR),
+                (-1, SLOW, _HOME_ON, END, ERROR)]),
+    26: (0, 2, [(+1, FAST, _HOME_ON, 2, 1),
+                (-1, FAST, _HOME_ON, 3, ERROR),
+                (+1, FAST, _HOME_OFF, 1, 1),
+                (+1, SLOW, _HOME_OFF, END, ERROR)]),
+}  # fmt: skip
+_MIRROR = {17: 18, 19: 21, 20: 22, 23: 27, 24: 28, 25: 29, 26: 30}
+_MIRRORED_EVENT = {
+    Event.NEGATIVE_LIMIT_ON: Event.POSITIVE_LIMIT_ON,
+    Event.NEGATIVE_LIMIT_OFF: Event.POSITIVE_LIMIT_OFF,
+}
+# Methods without a switch.
+_PLAIN = {
+    33: (0, 0, [(-1, SLOW, Event.INDEX, END, ERROR)]),
+    34: (0, 0, [(+1, SLOW, Event.INDEX, END, ERROR)]),
+    -17: (0, 0, [(-1, SLOW, Event.STOP, END, ERROR)]),
+    -18: (0, 0, [(+1, SLOW, Event.STOP, END, ERROR)]),
+    -1: (0, 0, [(-1, SLOW, Event.STOP, 1, ERROR), (+1, SLOW, Event.INDEX, END, ERROR)]),
+    -2: (0, 0, [(+1, SLOW, Event.STOP, 1, ERROR), (-1, SLOW, Event.INDEX, END, ERROR)]),
+}
 HERE = (35, 37)  # the present position is home; nothing moves
 
-METHOD, DIRECTION, SLOW, UNTIL, LATCH = np.array(LEGS, np.int64).T.copy()
-FIRST = np.full(256, -1, np.int64)  # [method & 0xFF] -> first leg
-for _row in range(len(LEGS) - 1, -1, -1):
-    FIRST[METHOD[_row] & 0xFF] = _row
-METHODS = tuple(sorted({*METHOD.tolist(), *HERE}))
+
+def _mirrored(method):
+    off, on, legs = method
+    return (
+        off,
+        on,
+        [
+            (-direction, speed, _MIRRORED_EVENT.get(until, until), following, limit)
+            for direction, speed, until, following, limit in legs
+        ],
+    )
+
+
+def _to_index(method):
+    """Methods 1-14 are 17-30 continued in the same direction to the first index pulse."""
+    off, on, legs = method
+    index = len(legs)
+    direction = next(leg[0] for leg in legs if leg[3] == END)
+    edges = [(*leg[:3], index if leg[3] == END else leg[3], leg[4]) for leg in legs]
+    return off, on, [*edges, (direction, SLOW, Event.INDEX, END, ERROR)]
+
+
+_edge = _EDGE | {_MIRROR[number]: _mirrored(method) for number, method in _EDGE.items()}
+METHODS = {
+    **{number - 16: _to_index(method) for number, method in _edge.items()},
+    **_edge,
+    **_PLAIN,
+}
+NUMBERS = tuple(sorted({*METHODS, *HERE}))
+
+# The same as arrays for the kernel: one row a leg, jumps as row numbers.
+FIRST = np.full((2, 256), END, np.int64)  # [home switch active, method & 0xFF] -> row
+_rows = []
+for _number, (_off, _on, _legs) in METHODS.items():
+    _base = len(_rows)
+    FIRST[0, _number & 0xFF] = _base + _off
+    FIRST[1, _number & 0xFF] = _base + _on
+    for _leg in _legs:
+        _jumps = [_base + jump if jump >= 0 else jump for jump in _leg[3:]]
+        _rows.append((*_leg[:3], *_jumps))
+DIRECTION, SPEED, UNTIL, NEXT, AT_LIMIT = np.array(_rows, np.int64).T.copy()
 
 INDEX_SEARCH = 2  # revolutions
 
@@ -66,15 +144,18 @@ INDEX_SEARCH = 2  # revolutions
 def start(axis):
     """Begin the method 6098h from wherever the axis is."""
     close_position_loop(axis)
-    method = int(axis.od.homing_method)
     axis.homed = 0
     axis.homing_error = HomingError.NONE
     axis.homing = Progress.SEARCHING
-    axis.homing_leg = FIRST[method & 0xFF]
-    if axis.homing_leg < 0:
+    axis.homing_cycles = 0
+    on_home = 1 if axis.switches & Switch.HOME else 0
+    row = FIRST[on_home, int(axis.od.homing_method) & 0xFF]
+    if row == END:
         _found(axis, axis.counts)
+    elif axis.homing_speed_switch <= 0.0 or axis.homing_speed_zero <= 0.0:
+        interrupt(axis, HomingError.SPEED_ZERO)
     else:
-        _begin_leg(axis)
+        _begin_leg(axis, row)
 
 
 @block
@@ -99,37 +180,45 @@ def demand(axis):
     """One position cycle of the engine."""
     advance(axis)
     if axis.homing == Progress.SEARCHING:
+        axis.homing_cycles += 1
         _search(axis)
+        if axis.homing_timeout_cycles and axis.homing_cycles > axis.homing_timeout_cycles:
+            interrupt(axis, HomingError.TIMEOUT)
     elif axis.homing == Progress.STOPPING and axis.profile_done and axis.standstill:
         axis.homing = Progress.ATTAINED
 
 
 @block
-def _begin_leg(axis):
-    leg = axis.homing_leg
-    speed = axis.homing_speed_zero if SLOW[leg] else axis.homing_speed_switch
+def pushing(axis):
+    """Whether the axis is on its way into a mechanical stop, with the torque of 2012h:01."""
+    return axis.homing == Progress.SEARCHING and UNTIL[axis.homing_leg] == Event.STOP
+
+
+@block
+def _begin_leg(axis, row):
+    axis.homing_leg = row
+    speed = axis.homing_speed_zero if SPEED[row] == SLOW else axis.homing_speed_switch
     rate = axis.homing_acceleration
-    plan_velocity(axis, DIRECTION[leg] * speed, rate, rate, axis.jerk)
+    plan_velocity(axis, DIRECTION[row] * speed, rate, rate, axis.jerk)
     axis.latched = 0
     axis.latch_event = Event.NONE
     axis.homing_start_counts = axis.counts
+    axis.stop_timer = 0
 
 
 @block
 def _search(axis):
-    leg = axis.homing_leg
-    direction, until = DIRECTION[leg], UNTIL[leg]
+    row = axis.homing_leg
+    direction, until = DIRECTION[row], UNTIL[row]
     ahead = Switch.POSITIVE_LIMIT if direction > 0 else Switch.NEGATIVE_LIMIT
     on_its_way = axis.velocity_demand * direction > 0
-    if axis.latched:
-        if LATCH[leg]:
-            _found(axis, axis.latch_counts)
+    if axis.latched or _reached(axis, row, until):
+        _next_leg(axis, row)
+    elif axis.switches & ahead and on_its_way and until != Event.STOP:
+        if AT_LIMIT[row] == ERROR:
+            interrupt(axis, HomingError.LIMIT_SWITCH)
         else:
-            _next_leg(axis)
-    elif not LATCH[leg] and _is_now(axis, until):
-        _next_leg(axis)
-    elif axis.switches & ahead and on_its_way:
-        interrupt(axis, HomingError.OPPOSITE_SWITCH)
+            _begin_leg(axis, AT_LIMIT[row])
     elif until == Event.INDEX and _too_far(axis):
         interrupt(axis, HomingError.NO_INDEX)
     elif on_its_way:
@@ -140,28 +229,44 @@ def _search(axis):
 
 
 @block
-def _is_now(axis, until):
-    if until == Event.INDEX:
+def _reached(axis, row, until):
+    """Events that need no exact count: a switch that is searched for, and a mechanical stop."""
+    if until == Event.STOP:
+        return _at_stop(axis)
+    if until == Event.INDEX or until & 1 == 0 or NEXT[row] == END:
         return False
-    active = axis.switches & (1 << ((until - 1) >> 1)) != 0
-    return active == (until & 1 == 1)
+    return axis.switches & (1 << ((until - 1) >> 1)) != 0
+
+
+@block
+def _at_stop(axis):
+    """Standing still against the torque limit of 2012h:01 for the time of 2012h:02."""
+    blocked = axis.standstill and abs(axis.torque_command) >= 0.99 * axis.homing_torque
+    axis.stop_timer = axis.stop_timer + 1 if blocked else 0
+    if axis.stop_timer <= axis.homing_stop_cycles:
+        return False
+    axis.latch_counts = axis.counts
+    rest(axis)
+    return True
 
 
 @block
 def _too_far(axis):
     travelled = abs(axis.counts - axis.homing_start_counts) * axis.rad_per_increment
-    return travelled > INDEX_SEARCH * 2 * np.pi
+    return travelled > INDEX_SEARCH * 2 * math.pi
 
 
 @block
-def _next_leg(axis):
-    axis.homing_leg += 1
-    _begin_leg(axis)
+def _next_leg(axis, row):
+    if NEXT[row] == END:
+        _found(axis, axis.latch_counts)
+    else:
+        _begin_leg(axis, NEXT[row])
 
 
 @block
 def _found(axis, counts):
-    offset = int(np.floor(axis.home_offset / axis.rad_per_increment + 0.5))
+    offset = int(math.floor(axis.home_offset / axis.rad_per_increment + 0.5))
     encoder.set_zero(axis, counts + offset)
     axis.latch_event = Event.NONE
     axis.latched = 0

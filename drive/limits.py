@@ -36,14 +36,28 @@ def at_switch(axis, direction):
 
 
 @block
-def before_software_limit(axis, direction):
+def locked(axis, goal, deceleration):
+    """Whether a velocity demand has to brake: a switch or a software limit is ahead.
+
+    `goal` is the velocity wanted (rad/s). The lock holds until another direction is asked for.
+    """
+    if goal * axis.blocked <= 0.0:
+        axis.blocked = 0
+    way = goal if goal != 0.0 else axis.velocity_demand
+    if at_switch(axis, way) or _before_software_limit(axis, way, deceleration):
+        axis.blocked = 1 if way > 0 else -1
+    return axis.blocked != 0
+
+
+@block
+def _before_software_limit(axis, direction, deceleration):
     """Whether the axis must brake now to stop at the software limit ahead in `direction`."""
     if not axis.homed:
         return False
     speed = max(axis.velocity_demand * (1.0 if direction > 0 else -1.0), 0.0)
-    path = speed * (speed / (2 * axis.deceleration) + 2 * axis.position_period)
+    path = speed * (speed / (2 * deceleration) + 2 * axis.position_period)
     if axis.jerk > 0.0:
-        path += speed * axis.deceleration / (2 * axis.jerk)
+        path += speed * deceleration / (2 * axis.jerk)
     if direction > 0 and axis.position + path >= axis.position_limit_max:
         axis.limits |= Limit.SOFTWARE_POSITION_MAX
         return True

@@ -4,9 +4,12 @@ Windows and times as in CiA 402-2: 6065h/6066h, 6067h/6068h, 606Dh/606Eh, 606Fh/
 whole position cycles; a time of 0 acts at once.
 """
 
+from . import homing
 from .cascade import Control, energised
 from .faults import Cause, raise_fault
 from .jit import block
+from .record import FAULT_CAUSES
+from .words import Mode
 
 OVERSPEED = 1.2  # of the maximum motor speed (inferred)
 
@@ -16,6 +19,11 @@ def run(axis):
     """Compare the demand of this cycle with what the encoder showed at its beginning."""
     _following_error(axis)
     _standstill(axis)
+    _set_points(axis)
+    if axis.injected != 0:
+        for cause in range(1, FAULT_CAUSES):
+            if axis.injected >> cause & 1:
+                raise_fault(axis, cause)
     if abs(axis.velocity) > OVERSPEED * axis.max_speed:
         raise_fault(axis, Cause.OVERSPEED)
 
@@ -23,7 +31,7 @@ def run(axis):
 @block
 def _following_error(axis):
     axis.following_error = axis.position_demand - axis.position
-    if not energised(axis) or axis.control != Control.POSITION:
+    if not energised(axis) or axis.control != Control.POSITION or homing.pushing(axis):
         axis.following_error_timer = 0
         if energised(axis):
             axis.following_error = 0.0
@@ -48,6 +56,16 @@ def _standstill(axis):
     axis.standstill_timer += 1
     if axis.standstill_timer > axis.velocity_threshold_cycles:
         axis.standstill = 0
+
+
+@block
+def _set_points(axis):
+    """Cyclic set-points that came with process data must not stay away (2019h)."""
+    cyclic = axis.mode >= Mode.CYCLIC_SYNC_POSITION and energised(axis)
+    axis.silence = axis.silence + 1 if cyclic and axis.synchronised else 0
+    allowed = int(axis.od.set_point_loss_limit)
+    if allowed > 0 and axis.silence > (allowed + 1) * axis.interpolation_cycles:
+        raise_fault(axis, Cause.SET_POINT_LOSS)
 
 
 @block

@@ -44,13 +44,22 @@ def begin(axis, stop):
         rest(axis)
         axis.control = Control.VELOCITY
         return
+    plan(axis, stop)
+
+
+@block
+def plan(axis, stop):
+    """Plan the ramp to standstill of a kind of stop."""
     rate = axis.deceleration
     jerk = axis.jerk
-    if stop == Stop.QUICK_STOP_RAMP:
-        rate = axis.quick_stop_deceleration
+    if stop >= Stop.QUICK_STOP_RAMP:
+        rate = axis.vl_quick_stop if axis.mode == Mode.VELOCITY else axis.quick_stop_deceleration
         jerk = 0.0
     elif axis.mode == Mode.HOMING:
         rate = axis.homing_acceleration
+    elif axis.mode == Mode.VELOCITY:
+        rate = axis.vl_deceleration
+        jerk = 0.0
     plan_velocity(axis, 0.0, rate, rate, jerk)
 
 

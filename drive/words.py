@@ -81,9 +81,9 @@ class Controlword(IntEnum):
     ENABLE_VOLTAGE = 0x0002
     QUICK_STOP = 0x0004  # 0 stops
     ENABLE_OPERATION = 0x0008
-    NEW_SET_POINT = 0x0010  # pp; start of homing in hm
-    CHANGE_SET_IMMEDIATELY = 0x0020  # pp
-    RELATIVE = 0x0040  # pp
+    NEW_SET_POINT = 0x0010  # pp; start of homing in hm, enable ip in ip, enable ramp in vl
+    CHANGE_SET_IMMEDIATELY = 0x0020  # pp; unlock ramp in vl
+    RELATIVE = 0x0040  # pp; reference ramp in vl
     FAULT_RESET = 0x0080
     HALT = 0x0100
     CHANGE_ON_SET_POINT = 0x0200  # pp
@@ -119,6 +119,8 @@ class Limit(IntEnum):
     SOFTWARE_POSITION_MAX = 0x08
     NEGATIVE_LIMIT_SWITCH = 0x10
     POSITIVE_LIMIT_SWITCH = 0x20
+    I2T = 0x40
+    VELOCITY_AMOUNT = 0x80  # vl velocity min max amount 6046h
 
 
 # statusword bits 10, 12, 13 by mode (mode chapters of CiA 402-2)
@@ -132,6 +134,14 @@ MODE_BITS = {
     Mode.CYCLIC_SYNC_POSITION: ("", "drive_follows_command", "following_error"),
     Mode.CYCLIC_SYNC_VELOCITY: ("", "drive_follows_command", ""),
     Mode.CYCLIC_SYNC_TORQUE: ("", "drive_follows_command", ""),
+}
+
+# controlword bit 4 by mode
+BIT_4 = {
+    Mode.PROFILE_POSITION: "new_set_point",
+    Mode.VELOCITY: "enable_ramp",
+    Mode.HOMING: "homing_operation_start",
+    Mode.INTERPOLATED_POSITION: "enable_ip_mode",
 }
 
 
@@ -176,11 +186,14 @@ def decode_statusword(statusword: int, mode: int = 0) -> list[str]:
 def decode_controlword(controlword: int, mode: int = 0) -> list[str]:
     """Names of what a controlword asks for: the command first, then every further set bit."""
     names = [command_of(controlword).name]
-    pp = mode == Mode.PROFILE_POSITION
+    pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
     for mask, name in (
-        (Controlword.NEW_SET_POINT, {1: "new_set_point", 6: "homing_operation_start"}.get(mode)),
-        (Controlword.CHANGE_SET_IMMEDIATELY, "change_set_immediately" if pp else None),
-        (Controlword.RELATIVE, "relative" if pp else None),
+        (Controlword.NEW_SET_POINT, BIT_4.get(mode)),  # type: ignore[call-overload]
+        (
+            Controlword.CHANGE_SET_IMMEDIATELY,
+            "change_set_immediately" if pp else "unlock_ramp" if vl else None,
+        ),
+        (Controlword.RELATIVE, "relative" if pp else "reference_ramp" if vl else None),
         (Controlword.FAULT_RESET, "fault_reset"),
         (Controlword.HALT, "halt"),
         (Controlword.CHANGE_ON_SET_POINT, "change_on_set_point" if pp else None),

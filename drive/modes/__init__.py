@@ -4,14 +4,14 @@ Each mode is a file with three functions on the record: `start` takes the demand
 owner left it, `demand` makes the demand of one position cycle, `status` its statusword bits.
 """
 
-from .. import homing, stop
+from .. import brake, homing, stop
 from ..cascade import energised
 from ..homing import HomingError
 from ..jit import block
 from ..ramps import rest
 from ..stop import Stop
 from ..words import Controlword, Mode, State
-from . import csp, hm, pp, pv
+from . import csp, cst, csv, hm, ip, pp, pv, tq, vl
 
 
 @block
@@ -25,6 +25,7 @@ def demand(axis):
         homing.abandon(axis, HomingError.INTERRUPTED)
         pp.forget(axis)
         axis.mode_started = 0
+        axis.synchronised = 0
         axis.halted = 0
     else:
         _halt(axis, controlword)
@@ -32,14 +33,20 @@ def demand(axis):
             pp.forget(axis)
         elif axis.mode == Mode.PROFILE_POSITION:
             pp.handshake(axis, controlword, bit4)
+        if axis.mode == Mode.INTERPOLATED_POSITION:
+            ip.receive(axis)
         if axis.stop != Stop.NONE:
             homing.abandon(axis, HomingError.INTERRUPTED)
             stop.demand(axis)
-        else:
+        elif not brake.waits(axis):
             _demand_of_mode(axis, bit4)
     axis.bit4 = bit4
+    if axis.sync:
+        axis.synchronised = axis.mode_started
+        axis.silence = 0
     axis.sync = 0
     axis.last_target_position = axis.target_position
+    axis.last_ip_data = axis.ip_data
 
 
 @block
@@ -88,6 +95,26 @@ def _demand_of_mode(axis, bit4):
         if starting:
             csp.start(axis)
         csp.demand(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_VELOCITY:
+        if starting:
+            csv.start(axis)
+        csv.demand(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_TORQUE:
+        if starting:
+            cst.start(axis)
+        cst.demand(axis)
+    elif axis.mode == Mode.PROFILE_TORQUE:
+        if starting:
+            tq.start(axis)
+        tq.demand(axis)
+    elif axis.mode == Mode.INTERPOLATED_POSITION:
+        if starting:
+            ip.start(axis)
+        ip.demand(axis, bit4)
+    elif axis.mode == Mode.VELOCITY:
+        if starting:
+            vl.start(axis)
+        vl.demand(axis)
     else:
         axis.velocity_demand = 0.0  # no mode selected: hold
 
@@ -103,6 +130,16 @@ def status(axis):
         hm.status(axis)
     elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
         csp.status(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_VELOCITY:
+        csv.status(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_TORQUE:
+        cst.status(axis)
+    elif axis.mode == Mode.PROFILE_TORQUE:
+        tq.status(axis)
+    elif axis.mode == Mode.INTERPOLATED_POSITION:
+        ip.status(axis)
+    elif axis.mode == Mode.VELOCITY:
+        vl.status(axis)
     else:
         axis.mode_bit10 = 0
         axis.mode_bit12 = 0

@@ -18,6 +18,12 @@ from ..words import Limit
 def start(axis):
     """Hold where the demand is until a new set-point comes."""
     close_position_loop(axis)
+    hold(axis)
+
+
+@block
+def hold(axis):
+    """End the interpolation at the present demand."""
     axis.interpolation_start = axis.position_demand
     axis.interpolation_target = axis.position_demand
     axis.interpolation_cycle = axis.interpolation_cycles
@@ -28,26 +34,14 @@ def start(axis):
 def demand(axis):
     """Interpolate one position cycle further."""
     if axis.sync or axis.target_position != axis.last_target_position:
-        _new_set_point(axis)
-    period = axis.interpolation_cycles * axis.position_period
-    if axis.interpolation_cycle < axis.interpolation_cycles:
-        axis.interpolation_cycle += 1
-        way = axis.interpolation_target - axis.interpolation_start
-        share = axis.interpolation_cycle / axis.interpolation_cycles
-        axis.position_demand = axis.interpolation_start + way * share
-        axis.velocity_demand = way / period + axis.velocity_offset
-    else:
-        axis.position_demand = axis.interpolation_target
-        axis.velocity_demand = axis.velocity_offset
-        axis.acceleration_demand = 0.0
-        axis.interpolation_velocity = 0.0
-    axis.target = axis.interpolation_target
+        aim(axis, limits.clamp_target(axis, axis.target_position + axis.position_offset))
+    travel(axis, axis.velocity_offset)
 
 
 @block
-def _new_set_point(axis):
+def aim(axis, target):
+    """Make `target` (rad) the end of a new interpolation period, as far as limits let it."""
     start_at = axis.position_demand
-    target = limits.clamp_target(axis, axis.target_position + axis.position_offset)
     if limits.at_switch(axis, target - start_at):
         target = start_at
     period = axis.interpolation_cycles * axis.position_period
@@ -61,6 +55,23 @@ def _new_set_point(axis):
     axis.interpolation_start = start_at
     axis.interpolation_target = target
     axis.interpolation_cycle = 0
+
+
+@block
+def travel(axis, offset):
+    """Move the demand along the interpolation; `offset` (rad/s) is added to its velocity."""
+    if axis.interpolation_cycle < axis.interpolation_cycles:
+        axis.interpolation_cycle += 1
+        way = axis.interpolation_target - axis.interpolation_start
+        share = axis.interpolation_cycle / axis.interpolation_cycles
+        axis.position_demand = axis.interpolation_start + way * share
+        axis.velocity_demand = axis.interpolation_velocity + offset
+    else:
+        axis.position_demand = axis.interpolation_target
+        axis.velocity_demand = offset
+        axis.acceleration_demand = 0.0
+        axis.interpolation_velocity = 0.0
+    axis.target = axis.interpolation_target
 
 
 @block

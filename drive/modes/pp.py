@@ -3,11 +3,12 @@
 A rising edge of new_set_point (bit 4) puts target and profile parameters as they are now into the
 buffer and sets set_point_acknowledge (bit 12). The bit falls when the master has taken
 new_set_point back and the buffer has room again. change_set_immediately (bit 5) throws away what is
-buffered and starts at once from the present demand; otherwise set-points queue up. A relative
-set-point (bit 6) counts from the preceding target (60F2h = 0).
+buffered and starts at once from the present demand; otherwise set-points queue up, and with
+change_on_set_point (bit 9) the axis passes the running target at its profile velocity. A relative
+set-point (bit 6) counts from what 60F2h says, by default the preceding target.
 """
 
-from .. import limits, monitor
+from .. import limits, monitor, stop
 from ..cascade import energised
 from ..jit import block
 from ..ramps import advance, close_position_loop, plan_position, plan_velocity
@@ -28,6 +29,9 @@ def handshake(axis, controlword, bit4):
     if bit4 and not axis.bit4:
         if controlword & Controlword.CHANGE_SET_IMMEDIATELY:
             axis.set_points = 0
+        elif axis.set_points == 1 and controlword & Controlword.CHANGE_ON_SET_POINT:
+            axis.set_point_end_speed[0] = axis.set_point_speed[0]
+            axis.set_point_started = 0
         if axis.set_points < SET_POINTS:
             _accept(axis, controlword)
             axis.acknowledged = 1
@@ -62,11 +66,10 @@ def start(axis):
 @block
 def demand(axis):
     """Start what waits, travel it, and go to the next set-point at its end."""
-    if limits.at_switch(axis, axis.velocity_demand):
-        if axis.set_points > 0 or axis.profile_end_velocity != 0.0:
-            forget(axis)
-            rate = axis.quick_stop_deceleration
-            plan_velocity(axis, 0.0, rate, rate, 0.0)
+    going = axis.set_points > 0 or axis.profile_end_velocity != 0.0
+    if limits.at_switch(axis, axis.velocity_demand) and going:
+        forget(axis)
+        stop.plan(axis, stop.OPTION_STOP[int(axis.od.limit_switch_reaction)])
     if axis.set_points > 0 and not axis.set_point_started:
         _begin(axis)
     advance(axis)
@@ -82,7 +85,7 @@ def demand(axis):
 def _begin(axis):
     target = axis.set_point_position[0]
     if axis.set_point_relative[0]:
-        target += axis.target
+        target += _origin(axis)
     axis.set_point_relative[0] = 0
     axis.set_point_position[0] = target
     axis.set_point_started = 1
@@ -99,6 +102,17 @@ def _begin(axis):
         axis.set_point_deceleration[0],
         axis.set_point_jerk[0],
     )
+
+
+@block
+def _origin(axis):
+    """What a relative set-point counts from: 60F2h bits 0-1."""
+    option = int(axis.od.positioning_option_code) & 3
+    if option == 1:
+        return axis.position_demand
+    if option == 2:
+        return axis.position
+    return axis.target
 
 
 @block

@@ -26,16 +26,10 @@ def demand(axis):
     if goal != wanted:
         axis.limits |= Limit.SPEED
     deceleration, jerk = axis.deceleration, axis.jerk
-    if goal * axis.blocked <= 0.0:
-        axis.blocked = 0
-    way = goal if goal != 0.0 else axis.velocity_demand
-    switch = limits.at_switch(axis, way)
-    if switch or limits.before_software_limit(axis, way):
-        axis.blocked = 1 if way > 0 else -1
-    if switch:
-        deceleration, jerk = axis.quick_stop_deceleration, 0.0
-    if axis.blocked != 0:
+    if limits.locked(axis, goal, deceleration):
         goal = 0.0
+        if limits.at_switch(axis, axis.velocity_demand):
+            deceleration, jerk = axis.quick_stop_deceleration, 0.0
     if goal != axis.profile_end_velocity:
         plan_velocity(axis, goal, axis.acceleration, deceleration, jerk)
     advance(axis)
@@ -44,9 +38,10 @@ def demand(axis):
 
 @block
 def status(axis):
-    """target_reached, speed_is_zero, no slippage monitoring."""
+    """target_reached, speed_is_zero, max_slippage_error."""
     deviation = axis.target_velocity - axis.velocity
     inside = monitor.in_window(axis, deviation, axis.velocity_window, axis.velocity_window_cycles)
     axis.mode_bit10 = axis.standstill if axis.halted else energised(axis) and inside
     axis.mode_bit12 = axis.standstill
-    axis.mode_bit13 = 0
+    slip = abs(axis.velocity_demand - axis.velocity)
+    axis.mode_bit13 = energised(axis) and 0.0 < axis.max_slippage < slip

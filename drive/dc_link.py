@@ -1,0 +1,37 @@
+"""The DC link: a capacitor behind a rectifier, drained and charged by the motor, with a chopper.
+
+The mechanical power of the shaft is taken from the link; braking feeds it back, the voltage rises,
+the brake chopper turns the surplus into heat, and above the limit the drive faults (CiA 402-2 error
+codes 3210h, 3220h). Losses in motor and power stage are neglected (inferred).
+"""
+
+import math
+
+from .faults import Cause, raise_fault
+from .jit import block
+
+
+@block
+def run(axis):
+    """One position cycle: energy balance of the capacitor (J)."""
+    od = axis.od
+    supply = od.supply_voltage * 1e-3
+    capacitance = od.link_capacitance * 1e-6
+    if capacitance <= 0.0:
+        axis.dc_link = supply
+    else:
+        energy = 0.5 * capacitance * axis.dc_link * axis.dc_link
+        energy -= axis.torque * axis.velocity * axis.position_period
+        if od.chopper_resistance > 0 and axis.dc_link * 1e3 > od.chopper_voltage:
+            heat = axis.dc_link * axis.dc_link / (od.chopper_resistance * 1e-3)
+            heat = min(heat * axis.position_period, max(energy, 0.0))
+            energy -= heat
+            axis.link_energy += heat
+        axis.dc_link = max(math.sqrt(max(2.0 * energy / capacitance, 0.0)), supply)
+    millivolt = min(axis.dc_link * 1e3, 4294967295.0)
+    od.dc_link_circuit_voltage = int(millivolt)
+    od.chopper_energy = int(min(axis.link_energy * 1e3, 4294967295.0))
+    if 0 < od.overvoltage < millivolt:
+        raise_fault(axis, Cause.OVERVOLTAGE)
+    if millivolt < od.undervoltage:
+        raise_fault(axis, Cause.UNDERVOLTAGE)

@@ -1,0 +1,34 @@
+"""Profile torque: the target torque 6071h, approached with the torque slope 6087h (CiA 402-2, tq)."""
+
+from .. import limits
+from ..cascade import Control, energised
+from ..jit import block
+
+
+@block
+def start(axis):
+    """Take over the torque that is acting."""
+    if axis.control != Control.TORQUE:
+        axis.torque_demand = axis.torque_command
+    axis.control = Control.TORQUE
+
+
+@block
+def demand(axis):
+    """Ramp the torque demand (Nm); the offset 60B2h is added behind the ramp by the cascade."""
+    goal = axis.target_torque
+    if limits.at_switch(axis, goal):
+        goal = 0.0
+    step = axis.torque_slope * axis.position_period
+    axis.torque_demand += min(max(goal - axis.torque_demand, -step), step)
+    axis.position_demand = axis.position
+    axis.velocity_demand = axis.velocity
+
+
+@block
+def status(axis):
+    """target_reached: the demand is there."""
+    reached = energised(axis) and axis.torque_demand == axis.target_torque
+    axis.mode_bit10 = axis.standstill if axis.halted else reached
+    axis.mode_bit12 = 0
+    axis.mode_bit13 = 0

@@ -1,0 +1,55 @@
+"""Velocity mode of frequency inverters: vl target velocity 6042h with ramps (CiA 402-2, vl).
+
+Acceleration and deceleration are a change of speed over a time, 6048h and 6049h. Controlword bit 4
+enable_ramp = 0 stops on the quick stop ramp 604Ah, bit 5 unlock_ramp = 0 freezes the ramp's output,
+bit 6 reference_ramp = 0 sets its input to zero. The set-point factor 604Bh multiplies the target,
+the amounts 6046h bound it from below and above, the dimension factor 604Ch makes 1/min of it.
+"""
+
+from .. import limits
+from ..cascade import Control, energised
+from ..jit import block
+from ..ramps import advance, plan_velocity
+from ..words import Controlword
+
+
+@block
+def start(axis):
+    """Take over the present demand velocity."""
+    if axis.control == Control.TORQUE:
+        axis.velocity_demand = axis.velocity
+    axis.acceleration_demand = 0.0
+    axis.control = Control.VELOCITY
+    axis.blocked = 0
+    plan_velocity(axis, 0.0, axis.vl_deceleration, axis.vl_deceleration, 0.0)
+
+
+@block
+def demand(axis):
+    """Travel the ramp towards the target, unless the controlword stops or freezes it."""
+    controlword = int(axis.od.controlword)
+    axis.position_demand = axis.position
+    goal, deceleration = axis.vl_target, axis.vl_deceleration
+    if not controlword & Controlword.NEW_SET_POINT:
+        goal, deceleration = 0.0, axis.vl_quick_stop
+    elif not controlword & Controlword.CHANGE_SET_IMMEDIATELY:
+        axis.acceleration_demand = 0.0
+        plan_velocity(axis, axis.velocity_demand, axis.vl_acceleration, deceleration, 0.0)
+        return
+    elif not controlword & Controlword.RELATIVE:
+        goal = 0.0
+    if limits.locked(axis, goal, axis.vl_quick_stop):
+        goal, deceleration = 0.0, axis.vl_quick_stop
+    if goal != axis.profile_end_velocity or deceleration != axis.ramp_rate:
+        axis.ramp_rate = deceleration
+        plan_velocity(axis, goal, axis.vl_acceleration, deceleration, 0.0)
+    advance(axis)
+    axis.position_demand = axis.position
+
+
+@block
+def status(axis):
+    """target_reached: the ramp has ended (inferred); the other bits are reserved."""
+    axis.mode_bit10 = axis.standstill if axis.halted else energised(axis) and axis.profile_done
+    axis.mode_bit12 = 0
+    axis.mode_bit13 = 0

@@ -1,0 +1,53 @@
+"""Touch probe 60B8h-60BDh: positions stored at the edges of two inputs or at the index pulse.
+
+Source: CiA 402-2, touch probe. Function 60B8h, probe 1 in bits 0-5, probe 2 in bits 8-13: enable,
+continuous (else first event only), source (00 input, 01 index pulse), -, sample at the positive
+edge, sample at the negative edge. Sampled with the encoder, once a velocity cycle; the index pulse
+is exact to the increment. Status 60B9h: enabled, positive stored, negative stored.
+"""
+
+from .jit import block
+
+
+@block
+def sample(axis, index_counts, index_passed):
+    """Latch encoder counts at the awaited edges of this velocity cycle."""
+    now = int(axis.touch_probe[0]) | int(axis.touch_probe[1]) << 1
+    changed = now ^ axis.probe_inputs
+    axis.probe_inputs = now
+    function = int(axis.od.touch_probe_function)
+    for probe in range(2):
+        bits = function >> 8 * probe
+        if not bits & 1:
+            continue
+        rising = changed >> probe & 1 and now >> probe & 1
+        falling = changed >> probe & 1 and not now >> probe & 1
+        counts = axis.counts
+        if bits >> 2 & 3 == 1:
+            rising, falling, counts = index_passed, False, index_counts
+        if rising and bits & 0x10:
+            _store(axis, 2 * probe, counts, bits & 2)
+        if falling and bits & 0x20:
+            _store(axis, 2 * probe + 1, counts, bits & 2)
+
+
+@block
+def _store(axis, place, counts, continuous):
+    stored = axis.probe_stored >> place & 1
+    if stored and not continuous:
+        return
+    axis.probe_stored |= 1 << place
+    axis.probe_counts[place] = counts
+
+
+@block
+def publish(axis):
+    """Status word of the two probes; taking the enable bit away forgets what was stored."""
+    function = int(axis.od.touch_probe_function)
+    status = 0
+    for probe in range(2):
+        if function >> 8 * probe & 1:
+            status |= (1 | (axis.probe_stored >> 2 * probe & 3) << 1) << 8 * probe
+        else:
+            axis.probe_stored &= ~(3 << 2 * probe)
+    axis.od.touch_probe_status = status
