@@ -1,0 +1,1 @@
+"""Data of the laboratory: MJCF plants and drive models."""

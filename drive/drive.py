@@ -1,0 +1,403 @@
+"""Drive: the Python face of one record.
+
+>>> drive = Drive("generic")
+>>> drive.write("controlword", 0x0006)
+>>> torque = drive.cycle(angle=0.0, speed=0.0)
+>>> drive.state.name
+'SWITCH_ON_DISABLED'
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import cycle, process_data, record, store
+from .abort import Abort, SdoAbort
+from .faults import Cause
+from .model import DriveModel, load
+from .objects import ObjectDictionary, Slot, compile_default
+from .process_data import INVALID, image_size
+from .words import Command, Mode, State, decode_statusword
+
+VERSION = 1  # of the snapshot layout
+
+# what has to be there for a command to be obeyed, by the command refused
+_NEEDED = {
+    Command.SHUTDOWN: "it is obeyed in SWITCH_ON_DISABLED, SWITCHED_ON and OPERATION_ENABLED",
+    Command.SWITCH_ON: "it is obeyed in READY_TO_SWITCH_ON: send shutdown (0006h) first",
+    Command.ENABLE_OPERATION: "it is obeyed in READY_TO_SWITCH_ON and SWITCHED_ON (and in "
+    "QUICK_STOP_ACTIVE with 605Ah = 5..8): send shutdown (0006h), then switch on (0007h) first",
+    Command.DISABLE_VOLTAGE: "the power stage is already off",
+    Command.QUICK_STOP: "there is nothing to stop",
+    Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
+}
+
+
+class Drive:
+    """One emulated drive: its record, its PDOs, and access to both as a master has it.
+
+    Args:
+        model: name of a drive model, path of a model folder, or a loaded `DriveModel`.
+        axes: records shape ``(n,)`` to live in, made by `record.make`; its own one if not given.
+        index: which of `axes`.
+        node_id: CANopen node-id 1..127, for the default identifiers of the PDOs.
+        parameter_file: where 1010h stores parameters and power-on looks for them.
+
+    Raises:
+        ValueError: unknown model, node-id out of range.
+    """
+
+    def __init__(
+        self,
+        model: str | Path | DriveModel = "generic",
+        *,
+        axes: np.recarray | None = None,
+        index: int = 0,
+        node_id: int = 1,
+        parameter_file: str | Path | None = None,
+    ):
+        self.model = load(model)
+        if not 1 <= node_id <= 127:
+            raise ValueError(f"node_id = {node_id} is out of range 1..127")
+        self.node_id = node_id
+        self.parameter_file = None if parameter_file is None else Path(parameter_file)
+        self.axes = record.make(1) if axes is None else axes
+        self.index = index
+        self.axis: Any = self.axes[index]
+        self.rpdos = process_data.make(len(self.model.rpdos))
+        self.tpdos = process_data.make(len(self.model.tpdos))
+        self._memory = process_data.memory(self.axes)
+        od_offset = record.AXIS.fields["od"][1]  # type: ignore[index]
+        self._record = memoryview(self._memory[index]).cast("B")
+        self._stored: store.Values | None = None  # parameters kept without a file
+        self.objects = ObjectDictionary(
+            self,
+            {
+                "axis": self._record[od_offset : od_offset + record.OD.itemsize],
+                "rpdo": memoryview(np.asarray(self.rpdos).view(np.uint8)),
+                "tpdo": memoryview(np.asarray(self.tpdos).view(np.uint8)),
+                "constant": None,
+            },
+        )
+        self.reset()
+
+    # ------------------------------------------------------------------ power
+
+    def reset(self, *, keep_parameters: bool = False) -> None:
+        """Power on: not ready to switch on, no reference, factory or stored parameters.
+
+        With `keep_parameters` the storable objects and the PDO mapping stay as they are now, as if
+        they had been stored before.
+        """
+        values = self._parameters() if keep_parameters else self._stored_parameters()
+        self._record[:] = bytes(len(self._record))
+        self.model.power_on(self.axis)
+        self._defaults()
+        self._restore_parameters(values)
+        for pdos, receive in ((self.rpdos, True), (self.tpdos, False)):
+            for pdo in pdos:
+                compile_default(self.objects, pdo, receive)
+        self.image_changed()
+
+    def _defaults(self) -> None:
+        generic = load("generic")
+        if self.model is not generic:  # objects a model lacks behave as the standard's defaults
+            for row in generic.objects.values():
+                if row.area == "axis" and row.format:
+                    Slot(row, self.objects.names["statusword"].view, row.offset).put(row.default)  # type: ignore[arg-type]
+        for slot in self.objects.slots.values():
+            if slot.row.area == "axis" and slot.row.format:
+                slot.put(slot.row.default)  # type: ignore[arg-type]
+        for pdos, mappings in ((self.rpdos, self.model.rpdos), (self.tpdos, self.model.tpdos)):
+            for pdo, mapping in zip(pdos, mappings, strict=True):
+                base, _, node = mapping.cob_id.partition("+")
+                pdo.cob_id = int(base, 0) + (self.node_id if node else 0)
+                pdo.transmission_type = mapping.transmission_type
+                pdo.inhibit_time = mapping.inhibit_time
+                pdo.event_timer = 0
+                pdo.sync_start = 0
+                pdo.count = len(mapping.entries)
+                pdo.mapping[:] = 0
+                pdo.mapping[: pdo.count] = [
+                    index << 16 | subindex << 8 | bits for index, subindex, bits in mapping.entries
+                ]
+
+    def _parameters(self) -> store.Values:
+        return {
+            f"{index:04X}:{subindex:02X}": slot.get()  # type: ignore[misc]
+            for (index, subindex), slot in self.objects.slots.items()
+            if slot.row.storable and slot.view is not None
+        }
+
+    def _stored_parameters(self) -> store.Values:
+        if self.parameter_file is not None:
+            return store.load(self.parameter_file, self.model.name)
+        return self._stored or {}
+
+    def _restore_parameters(self, values: store.Values) -> None:
+        for address, value in values.items():
+            index, subindex = (int(part, 16) for part in address.split(":"))
+            slot = self.objects.slots.get((index, subindex))
+            if slot is not None and slot.view is not None and slot.row.storable:
+                slot.put(value)
+
+    def store_parameters(self) -> bool:
+        """What 1010h does: keep all storable objects for the next power-on; False if it failed."""
+        values = self._parameters()
+        if self.parameter_file is None:
+            self._stored = values
+            return True
+        try:
+            store.save(self.parameter_file, self.model.name, values)
+        except OSError:
+            return False
+        return True
+
+    def forget_parameters(self) -> bool:
+        """What 1011h does: the next power-on finds factory defaults; False if it failed."""
+        self._stored = None
+        try:
+            if self.parameter_file is not None:
+                self.parameter_file.unlink(missing_ok=True)
+        except OSError:
+            return False
+        return True
+
+    # ---------------------------------------------------------------- objects
+
+    def read(self, index: int | str, subindex: int = 0) -> int | float | str:
+        """Value of an object (drive units), by address or name. Raises SdoAbort if refused."""
+        slot = self.objects.slot(index, subindex)
+        if slot.row.access == "wo":
+            raise SdoAbort(Abort.WRITE_ONLY, slot.row.index, slot.row.subindex)
+        return slot.get()
+
+    def write(self, index: int | str, *arguments: int | float) -> None:
+        """``write(index, subindex, value)`` or ``write(name, value)`` in drive units.
+
+        Raises:
+            SdoAbort: what the drive would answer on the bus, with `code`; nothing has changed.
+            TypeError: the value is not a number.
+        """
+        *subindex, value = arguments
+        slot = self.objects.slot(index, int(subindex[0]) if subindex else 0)
+        if not isinstance(value, int | float | np.integer | np.floating):
+            raise TypeError(f"{slot.row.name}: {value!r} is not a number")
+        if slot.row.format != "f":
+            if value != value or value in (float("inf"), float("-inf")) or int(value) != value:
+                raise TypeError(f"{slot.row.name}: {value!r} is not a whole number")
+            value = int(value)
+        abort = self.objects.store(slot, value)
+        if abort:
+            raise SdoAbort(abort, slot.row.index, slot.row.subindex, _range(slot))
+
+    # ----------------------------------------------------------- process data
+
+    def map_pdos(
+        self,
+        rpdos: Iterable[Iterable[str]] | None = None,
+        tpdos: Iterable[Iterable[str]] | None = None,
+    ) -> None:
+        """Map objects by name, one list a PDO, with the procedure of CiA 301; the rest goes off.
+
+        Raises SdoAbort where the drive refuses an entry, ValueError for too many PDOs.
+        """
+        for pdos, lists, communication, mapping in (
+            (self.rpdos, rpdos, 0x1400, 0x1600),
+            (self.tpdos, tpdos, 0x1800, 0x1A00),
+        ):
+            if lists is None:
+                continue
+            wanted = [list(names) for names in lists]
+            if len(wanted) > len(pdos):
+                raise ValueError(f"{len(wanted)} PDOs are wanted, the model has {len(pdos)}")
+            for i in range(len(pdos)):
+                cob_id = int(pdos[i].cob_id)
+                self.write(communication + i, 1, cob_id | INVALID)
+                self.write(mapping + i, 0, 0)
+                if i >= len(wanted):
+                    continue
+                for n, name in enumerate(wanted[i]):
+                    row = self.objects.slot(name, 0).row
+                    entry = row.index << 16 | row.subindex << 8 | row.size * 8
+                    self.write(mapping + i, n + 1, entry)
+                self.write(mapping + i, 0, len(wanted[i]))
+                self.write(communication + i, 1, cob_id & ~INVALID)
+
+    def image_changed(self) -> None:
+        """Forget what was derived from the PDO mapping."""
+        self._layout: dict[str, list[tuple[Slot, int]]] = {}
+
+    @property
+    def rpdo_size(self) -> int:
+        """Bytes of the RPDO image: all valid RPDOs, one after the other."""
+        return image_size(self.rpdos)
+
+    @property
+    def tpdo_size(self) -> int:
+        """Bytes of the TPDO image: all valid TPDOs, one after the other."""
+        return image_size(self.tpdos)
+
+    def latch(self, rpdo: bytes) -> None:
+        """Take over an RPDO image. Raises ValueError if its length does not fit the mapping."""
+        if len(rpdo) != self.rpdo_size:
+            raise ValueError(f"the RPDO image has {self.rpdo_size} bytes, {len(rpdo)} were given")
+        image = np.frombuffer(rpdo, np.uint8)
+        process_data.latch_axis(self._memory, self.axes, self.index, self.rpdos, image)
+
+    def collect(self) -> bytes:
+        """The TPDO image of the last position cycle."""
+        image = np.empty(self.tpdo_size, np.uint8)
+        process_data.collect_axis(self._memory, self.index, self.tpdos, image)
+        return image.tobytes()
+
+    def exchange(self, rpdo: bytes) -> bytes:
+        """Latch an RPDO image, return the TPDO image of the last position cycle."""
+        self.latch(rpdo)
+        return self.collect()
+
+    def pack(self, **values: int) -> bytes:
+        """An RPDO image from values by object name; objects not named keep what they have.
+
+        Raises ValueError for a name that is not mapped or a value that does not fit its type.
+        """
+        image = bytearray(self.rpdo_size)
+        layout = self._slots("rx")
+        unknown = values.keys() - {slot.row.name for slot, _ in layout}
+        if unknown:
+            raise ValueError(f"{', '.join(sorted(unknown))}: not mapped to an RPDO, see map_pdos")
+        for slot, at in layout:
+            value = values.get(slot.row.name)
+            value = slot.get() if value is None else value  # type: ignore[assignment]
+            try:
+                slot.code.pack_into(image, at, value)
+            except Exception as error:
+                raise ValueError(f"{slot.row.name} = {value!r}: {error}") from None
+        return bytes(image)
+
+    def unpack(self, tpdo: bytes) -> dict[str, int]:
+        """Values by object name of a TPDO image."""
+        if len(tpdo) != self.tpdo_size:
+            raise ValueError(f"the TPDO image has {self.tpdo_size} bytes, {len(tpdo)} were given")
+        return {s.row.name: s.code.unpack_from(tpdo, at)[0] for s, at in self._slots("tx")}
+
+    def _slots(self, direction: str) -> list[tuple[Slot, int]]:
+        """Mapped objects and where they lie in the image of that direction."""
+        pdos = self.rpdos if direction == "rx" else self.tpdos
+        key = direction + bytes(pdos.valid).hex()
+        if key not in self._layout:
+            layout, at = [], 0
+            for pdo in pdos[pdos.valid == 1]:
+                for mapping in pdo.mapping[: pdo.count].tolist():
+                    slot = self.objects.slots.get((mapping >> 16, mapping >> 8 & 0xFF))
+                    if slot is not None:
+                        layout.append((slot, at))
+                    at += (mapping & 0xFF) // 8
+            self._layout[key] = layout
+        return self._layout[key]
+
+    # ------------------------------------------------------------------ cycle
+
+    def cycle(self, angle: float, speed: float = 0.0) -> float:
+        """One position-controller cycle on a shaft at `angle` (rad), `speed` (rad/s) -> torque (Nm)."""
+        return cycle.run(self.axes, self.index, angle, speed)
+
+    @property
+    def state(self) -> State:
+        """State of the device control."""
+        return State(int(self.axis.state))
+
+    @property
+    def mode(self) -> Mode:
+        """Active mode of operation."""
+        return Mode(int(self.axis.mode))
+
+    @property
+    def energised(self) -> bool:
+        """Whether the state feeds the motor."""
+        energised = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+        return self.state in energised
+
+    @property
+    def fault(self) -> str:
+        """Code and meaning of the fault the drive is in, empty without one."""
+        for fault in self.model.faults:
+            if fault.cause == self.axis.fault:
+                return f"{fault.code:04X}h {fault.meaning}"
+        return ""
+
+    def describe(self) -> str:
+        """The statusword by name."""
+        word = int(self.axis.od.statusword)
+        return f"{word:04X}h " + " ".join(decode_statusword(word, int(self.axis.mode)))
+
+    def why(self) -> str:
+        """Why the last command was refused: command, state, and what is missing."""
+        command = Command(int(self.axis.refused_command))
+        if command is Command.NONE:
+            return "no command has been refused"
+        state = State(int(self.axis.refused_state))
+        needed = _NEEDED[command]
+        if not self.axis.sto_input or not self.axis.enable_input:
+            needed = "an enable input is missing: safe torque off or controller enable"
+        elif command is Command.FAULT_RESET and self.axis.faults_present:
+            present = [c.name for c in Cause if c and int(self.axis.faults_present) >> c & 1]
+            needed = f"still present: {', '.join(present)}"
+        return f"{command.name} was refused in {state.name}: {needed}"
+
+    def inject(self, cause: Cause | str) -> None:
+        """Make a cause of a fault present until `clear_injected`; "index_missing" hides the index.
+
+        Raises ValueError for an unknown name.
+        """
+        if cause == "index_missing":
+            self.axis.index_missing = 1
+            return
+        if isinstance(cause, str):
+            if cause.upper() not in Cause.__members__ or cause.upper() == "NONE":
+                known = [c.name.lower() for c in Cause if c] + ["index_missing"]
+                raise ValueError(f"unknown cause {cause!r}: choose one of {', '.join(known)}")
+            cause = Cause[cause.upper()]
+        self.axis.injected |= 1 << cause
+
+    def clear_injected(self) -> None:
+        """Take every injected cause away again; the fault it led to stays until it is reset."""
+        self.axis.injected = 0
+        self.axis.index_missing = 0
+
+    # --------------------------------------------------------------- snapshot
+
+    def snapshot(self) -> bytes:
+        """Everything the drive is, as bytes; `restore` continues bit by bit the same."""
+        head = f"{VERSION} {self.model.name} {record.AXIS.itemsize}\n".encode()
+        return head + bytes(self._record) + self.rpdos.tobytes() + self.tpdos.tobytes()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Become what `snapshot` was. Raises ValueError for one of another model or version."""
+        head, _, body = snapshot.partition(b"\n")
+        expected = f"{VERSION} {self.model.name} {record.AXIS.itemsize}"
+        size = len(self._record) + self.rpdos.nbytes + self.tpdos.nbytes
+        if head.decode(errors="replace") != expected or len(body) != size:
+            raise ValueError(
+                f"this snapshot is {head[:60]!r} with {len(body)} bytes; the drive needs "
+                f"{expected!r} with {size} bytes: take a new one"
+            )
+        at = 0
+        for view in (
+            self._record,
+            *(memoryview(p.view(np.uint8)) for p in (self.rpdos, self.tpdos)),
+        ):
+            view[:] = body[at : at + len(view)]
+            at += len(view)
+        self.image_changed()
+
+
+def _range(slot: Slot) -> str:
+    row = slot.row
+    if row.allowed is not None:
+        return f"{row.name} may be one of {sorted(row.allowed)}"
+    if row.format and row.access == "rw":
+        return f"{row.name} {row.data_type} {row.minimum:.0f}..{row.maximum:.0f} {row.unit}".strip()
+    return row.name

@@ -1,0 +1,256 @@
+"""Machine: a MuJoCo model whose actuators are moved by emulated drives."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from ..drive import record
+from ..drive.drive import Drive
+from ..drive.model import DriveModel
+from . import loop
+from .physics import addresses
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
+VERSION = 1  # of the snapshot layout
+
+
+class Machine:
+    """Drives attached to named actuators of a MuJoCo model, stepped in one compiled loop.
+
+    An actuator that gets a drive is a plain motor on a slide or hinge joint. Its gear is the
+    mechanics: rad of motor shaft per m or rad of joint, so the drive sees a shaft and gives a
+    torque in Nm. Its control range is lifted, because the drive has limits of its own. The MJCF
+    may wire switches and a holding brake to an actuator by name::
+
+        <custom>
+          <numeric name="x.negative_limit_switch" data="-1 -0.005 0.0003"/>  from, to, hysteresis
+          <numeric name="x.home_switch" data="0.2 0.23 0.0003"/>
+          <numeric name="z.brake_torque" data="3"/>                          Nm at the shaft
+        </custom>
+
+    Args:
+        model: the MuJoCo model; its own from now on.
+        drives: drive model (name, folder or `DriveModel`) by actuator name.
+
+    Raises:
+        ValueError: names what does not fit and how to mend it, before the first cycle.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, drives: Mapping[str, str | Path | DriveModel]
+    ) -> None:
+        if not drives:
+            raise ValueError(f"drives is empty: name at least one actuator of {_actuators(model)}")
+        self.model = model
+        # A state that is not finite must reach the drive as a dead encoder, not vanish in a reset.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.data = mujoco.MjData(model)
+        self.axes = record.make(len(drives))
+        self.drives = {
+            name: Drive(drive, axes=self.axes, index=i, node_id=i + 1)
+            for i, (name, drive) in enumerate(drives.items())
+        }
+        self.couplings = np.zeros(len(drives), loop.COUPLING).view(np.recarray)
+        for (name, drive), coupling in zip(self.drives.items(), self.couplings, strict=True):
+            _couple(model, name, drive, coupling)
+        self.cycle_time, self.physics_steps = _rates(model, self.drives)
+        self._addresses = addresses(model, self.data)
+        self._views = self.data.qpos, self.data.ctrl, model.dof_frictionloss
+        self._tick = 0
+        self.reset()
+
+    @classmethod
+    def from_mjcf(
+        cls, mjcf: str | Path, drives: Mapping[str, str | Path | DriveModel]
+    ) -> "Machine":
+        """A machine from an MJCF file, or from MJCF text (anything that begins with ``<``)."""
+        text = str(mjcf)
+        try:
+            if text.lstrip().startswith("<"):
+                return cls(mujoco.MjModel.from_xml_string(text), drives)
+            if not Path(text).is_file():
+                raise ValueError(f"there is no MJCF file {text}")
+            return cls(mujoco.MjModel.from_xml_path(text), drives)
+        except ValueError as error:
+            raise ValueError(f"{text if len(text) < 200 else 'MJCF'}: {error}") from None
+
+    @property
+    def time(self) -> float:
+        """Time since the reset (s)."""
+        return self._tick * self.model.opt.timestep
+
+    def step(self, cycles: int = 1) -> None:
+        """Run `cycles` position-controller cycles of the slowest drive."""
+        ticks = cycles * self.physics_steps
+        loop.run(self.axes, self.couplings, *self._addresses, *self._views, self._tick, ticks)
+        self._tick += ticks
+
+    def reset(self, positions: Mapping[str, float] | None = None) -> None:
+        """Power off and on again, at rest, the joints of the named drives at `positions`.
+
+        The drives keep their parameters and PDO mapping; they are disabled and not referenced.
+
+        Args:
+            positions: joint position by drive name (m or rad); the model's own if not named.
+
+        Raises:
+            ValueError: a name without a drive, a position that is not finite or out of the range.
+        """
+        places = {}
+        for name, position in (positions or {}).items():
+            if name not in self.drives:
+                raise ValueError(f"positions: there is no drive {name!r}, only {[*self.drives]}")
+            coupling = self.couplings[list(self.drives).index(name)]
+            joint = self.model.dof_jntid[coupling.dof]
+            low, high = self.model.jnt_range[joint]
+            if not self.model.jnt_limited[joint]:
+                low, high = -math.inf, math.inf
+            if not math.isfinite(position) or not low <= position <= high:
+                raise ValueError(
+                    f"positions[{name!r}] = {position} is out of the joint's range "
+                    f"{low:g}..{high:g} {_unit(self.model, joint)}"
+                )
+            places[int(coupling.qpos)] = float(position)
+        mujoco.mj_resetData(self.model, self.data)
+        for address, position in places.items():
+            self.data.qpos[address] = position
+        for drive in self.drives.values():
+            drive.reset(keep_parameters=True)
+        for coupling in self.couplings:
+            self.model.dof_frictionloss[coupling.dof] = coupling.friction + coupling.brake_friction
+        loop.sense_all(self.axes, self.couplings, self.data.qpos)
+        mujoco.mj_forward(self.model, self.data)
+        self._tick = 0
+
+    def snapshot(self) -> bytes:
+        """Everything the machine is, as bytes; `restore` continues bit by bit the same."""
+        state = np.empty(mujoco.mj_stateSize(self.model, STATE))
+        mujoco.mj_getState(self.model, self.data, state, STATE)
+        parts = [drive.snapshot() for drive in self.drives.values()]
+        parts += [self.couplings.tobytes(), self.model.dof_frictionloss.tobytes(), state.tobytes()]
+        head = [VERSION, self._tick, *(len(part) for part in parts)]
+        return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Become what `snapshot` was. Raises ValueError for one of another machine."""
+        head, _, body = snapshot.partition(b"\n")
+        own, *_ = self.snapshot().partition(b"\n")
+        numbers, expected = head.split(), own.split()
+        if len(numbers) < 2 or numbers[0] != expected[0] or numbers[2:] != expected[2:]:
+            raise ValueError(
+                f"this snapshot is of another machine or version ({head[:80]!r}), this machine "
+                f"takes {own!r}: take a new one"
+            )
+        parts, at = [], 0
+        for size in map(int, numbers[2:]):
+            parts.append(body[at : at + size])
+            at += size
+        if at != len(body):
+            raise ValueError(f"this snapshot has {len(body)} bytes, {at} were expected")
+        for drive, part in zip(self.drives.values(), parts, strict=False):
+            drive.restore(part)
+        couplings, friction, state = parts[len(self.drives) :]
+        self.couplings[:] = np.frombuffer(couplings, loop.COUPLING)
+        self.model.dof_frictionloss[:] = np.frombuffer(friction)
+        mujoco.mj_setState(self.model, self.data, np.frombuffer(state), STATE)
+        self._tick = int(numbers[1])
+
+
+def _actuators(model: mujoco.MjModel) -> list[str]:
+    return [model.actuator(i).name for i in range(model.nu)]
+
+
+def _unit(model: mujoco.MjModel, joint: int) -> str:
+    return "m" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
+
+
+def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
+    """Fill the coupling of the drive on actuator `name`."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+    if number < 0:
+        raise ValueError(f"there is no actuator {name!r}: the model has {_actuators(model)}")
+    joint = model.actuator_trnid[number, 0]
+    on_joint = model.actuator_trntype[number] == int(mujoco.mjtTrn.mjTRN_JOINT)
+    sliding = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+    if not on_joint or model.jnt_type[joint] not in sliding:
+        raise ValueError(
+            f"actuator {name!r} does not act on a slide or hinge joint: "
+            f'a drive needs <motor name="{name}" joint="..." gear="..."/>'
+        )
+    gear = float(model.actuator_gear[number, 0])
+    if not math.isfinite(gear) or gear == 0.0:
+        raise ValueError(
+            f"actuator {name!r}: gear = {gear} rad/{_unit(model, joint)} must be finite and not 0; "
+            "it is the motor's angle per unit of joint travel"
+        )
+    plain = (
+        model.actuator_gaintype[number] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and model.actuator_gainprm[number, 0] == 1.0
+        and model.actuator_biastype[number] == int(mujoco.mjtBias.mjBIAS_NONE)
+        and model.actuator_dyntype[number] == int(mujoco.mjtDyn.mjDYN_NONE)
+    )
+    if not plain:
+        raise ValueError(
+            f"actuator {name!r} is not a plain motor (gain 1, no bias, no dynamics): "
+            "the drive is the controller, so use <motor> with the mechanics as its gear"
+        )
+    model.actuator_ctrllimited[number] = 0
+    coupling.qpos = model.jnt_qposadr[joint]
+    coupling.dof = model.jnt_dofadr[joint]
+    coupling.ctrl = number
+    coupling.gear = gear
+    coupling.friction = model.dof_frictionloss[coupling.dof]
+    velocity_cycle = drive.model.cycle_time["velocity"]
+    coupling.velocity_steps = _whole(
+        velocity_cycle, model.opt.timestep, f"velocity cycle of drive {name!r}", "physics step"
+    )
+    for i, switch in enumerate(SWITCHES):
+        span = _numeric(model, f"{name}.{switch}", 3)
+        coupling.switch_from[i], coupling.switch_to[i] = span[:2] if span else (1.0, -1.0)
+        coupling.switch_hysteresis[i] = span[2] if span else 0.0
+    brake = _numeric(model, f"{name}.brake_torque", 1)
+    if brake:
+        coupling.brake_friction = brake[0] * abs(gear)
+        drive.write("brake_fitted", 1)
+
+
+def _numeric(model: mujoco.MjModel, name: str, size: int) -> list[float]:
+    """Data of a custom numeric, empty where there is none."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if number < 0:
+        return []
+    start = model.numeric_adr[number]
+    data = model.numeric_data[start : start + model.numeric_size[number]].tolist()
+    if len(data) != size or not all(map(math.isfinite, data)):
+        raise ValueError(f"numeric {name!r} needs {size} finite numbers, it has {data}")
+    return data
+
+
+def _whole(slow: float, fast: float, slow_name: str, fast_name: str) -> int:
+    """How many times `fast` (s) fits into `slow` (s)."""
+    ratio = round(slow / fast)
+    if ratio < 1 or abs(ratio * fast - slow) > 1e-9 * slow:
+        raise ValueError(
+            f"{slow_name} = {slow * 1e6:g} µs is not a whole multiple of the {fast_name} = "
+            f"{fast * 1e6:g} µs: choose another {fast_name}"
+        )
+    return ratio
+
+
+def _rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, int]:
+    """The machine's cycle (s), which is the longest position cycle, and its physics steps."""
+    cycles = {name: drive.model.cycle_time["position"] for name, drive in drives.items()}
+    longest = max(cycles, key=lambda name: cycles[name])
+    for name, cycle in cycles.items():
+        _whole(
+            cycles[longest],
+            cycle,
+            f"position cycle of drive {longest!r}",
+            f"position cycle of drive {name!r}",
+        )
+    steps = _whole(cycles[longest], model.opt.timestep, "machine cycle", "physics step")
+    return cycles[longest], steps

@@ -1,0 +1,37 @@
+"""Controller gains for a known inertia: symmetrical optimum for speed, a safe ratio for position.
+
+The delays of the velocity loop add up to T = 1.5 velocity cycles (sampling and hold) + the torque
+time constant + the velocity filter. Symmetrical optimum with a = 3 (Leonhard, Control of Electrical
+Drives, speed control): crossover w = 1 / (a T), integral action time a² T. The position loop stays a
+factor 4 below the crossover of the speed loop.
+"""
+
+import mujoco
+import numpy as np
+
+from ..drive.drive import Drive
+
+A = 3.0  # larger is softer and better damped
+SEPARATION = 4.0  # velocity crossover over position gain
+
+
+def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear: float) -> float:
+    """Inertia the motor shaft feels (kg·m²): the joint's diagonal of the mass matrix / gear²."""
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    return float(mass[dof, dof]) / gear**2
+
+
+def gains(drive: Drive, inertia: float) -> dict[str, int]:
+    """Objects 60F9h, 60FBh and 2010h of a drive on `inertia` (kg·m² at the shaft), in drive units."""
+    filter_time = float(drive.read("velocity_filter_time")) * 1e-6
+    delay = (
+        1.5 * drive.model.cycle_time["velocity"] + drive.model.torque_time_constant + filter_time
+    )
+    crossover = 1.0 / (A * delay)
+    return {
+        "velocity_control_gain": round(inertia * crossover * 1e6),
+        "velocity_control_time": round(A * A * delay * 1e6),
+        "position_control_gain": round(crossover / SEPARATION * 1e3),
+        "acceleration_feed_forward": round(inertia * 1e9),
+    }
