@@ -209,5 +209,6 @@ def close_position_loop(axis):
     if axis.control == Control.TORQUE:
         axis.velocity_demand = axis.velocity
         axis.acceleration_demand = 0.0
-    axis.position_demand = axis.position
+    # this cycle's demand comes one step later, so begin one step behind
+    axis.position_demand = axis.position - axis.velocity_demand * axis.position_period
     axis.control = Control.POSITION

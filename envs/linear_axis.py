@@ -47,7 +47,9 @@ class LinearAxisParameters:
             except (TypeError, ValueError):
                 inside = False
             if not inside:
-                raise ValueError(f"{field.name} = {value!r} is out of range {low:g}..{high:g} {unit}")
+                raise ValueError(
+                    f"{field.name} = {value!r} is out of range {low:g}..{high:g} {unit}"
+                )
 
 
 def linear_axis(
@@ -110,7 +112,7 @@ def _commission(machine: Machine, p: LinearAxisParameters) -> None:
         "feed_shaft_revolutions": 1,
         "min_position_limit": 0,
         "max_position_limit": 0.5 * micro,
-        "following_error_window": 5_000,
+        "following_error_window": 1_000,
         "following_error_time_out": 10,
         "position_window": 20,
         "position_window_time": 5,

@@ -13,6 +13,8 @@ from ..ramps import close_position_loop
 from ..stop import Stop
 from ..words import Limit
 
+SMOOTHING = 0.25  # of the acceleration fed forward, per set-point: whole units make it coarse
+
 
 @block
 def start(axis):
@@ -50,7 +52,8 @@ def aim(axis, target):
         axis.limits |= Limit.SPEED
         target = min(max(target, start_at - farthest), start_at + farthest)
     velocity = (target - start_at) / period
-    axis.acceleration_demand = (velocity - axis.interpolation_velocity) / period
+    acceleration = (velocity - axis.interpolation_velocity) / period
+    axis.acceleration_demand += SMOOTHING * (acceleration - axis.acceleration_demand)
     axis.interpolation_velocity = velocity
     axis.interpolation_start = start_at
     axis.interpolation_target = target

@@ -1,0 +1,160 @@
+"""Oscilloscope: channels of a drive by object name or record field, one sample a position cycle.
+
+>>> trace = Trace(drive, ["position_actual_value", "axis.torque"])     # doctest: +SKIP
+>>> trace = Trace(drive, ["statusword"], trigger=Trigger("statusword", Edge.CHANGE), before=100)
+
+A channel is an object by name (drive units), or ``axis.`` and a field of the record (SI units).
+Without a trigger every sample is kept, or the last `depth`. With one, `before` samples ahead of the
+event and `depth` in all are kept; then `done` is True and further samples are ignored.
+"""
+
+import csv
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from .drive import Drive
+from .record import UNITS
+
+
+class Edge(IntEnum):
+    """What a trigger waits for."""
+
+    RISING = 0  # from below the level to the level or above
+    FALLING = 1
+    ABOVE = 2  # the level or above
+    CHANGE = 3  # any change of value, as of a state
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """An event on a channel; `level` in the channel's unit."""
+
+    channel: str
+    edge: Edge
+    level: float = 0.0
+
+
+class Trace:
+    """Samples of channels of one drive. Raises ValueError for an unknown channel."""
+
+    def __init__(
+        self,
+        drive: Drive,
+        channels: Iterable[str],
+        *,
+        depth: int | None = None,
+        trigger: Trigger | None = None,
+        before: int = 0,
+    ):
+        self.channels = tuple(channels)
+        self._readers = [_reader(drive, name) for name in self.channels]
+        self.units = {"time": "s"} | {name: _unit(drive, name) for name in self.channels}
+        self._trigger = trigger
+        self._watch = _reader(drive, trigger.channel) if trigger else None
+        if depth is not None and depth < 1:
+            raise ValueError(f"depth = {depth} samples is out of range 1..")
+        if trigger is not None and (depth is None or not 0 <= before < depth):
+            raise ValueError(f"a trigger needs depth > before >= 0, not {depth} and {before}")
+        self._depth = depth
+        self._before = before
+        self._rows: deque[tuple] = deque(maxlen=before if trigger else depth)
+        self._last: float | None = None
+        self.triggered = trigger is None
+        self.done = False
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def sample(self, time: float) -> None:
+        """Take one sample at `time` (s)."""
+        if self.done:
+            return
+        if self._watch is not None and not self.triggered and self._event(self._watch()):
+            self.triggered = True
+            self._rows = deque(self._rows)
+        self._rows.append((time, *[read() for read in self._readers]))
+        if self._trigger is not None and self.triggered and len(self._rows) >= (self._depth or 0):
+            self.done = True
+
+    def _event(self, value: float) -> bool:
+        assert self._trigger is not None
+        last, self._last = self._last, value
+        level = self._trigger.level
+        if self._trigger.edge == Edge.ABOVE:
+            return value >= level
+        if last is None:
+            return False
+        if self._trigger.edge == Edge.RISING:
+            return last < level <= value
+        if self._trigger.edge == Edge.FALLING:
+            return last > level >= value
+        return value != last
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Columns by name, ``time`` first, each of shape ``(samples,)``."""
+        columns = zip(*self._rows, strict=True) if self._rows else [()] * (len(self.channels) + 1)
+        return {
+            name: np.array(column)
+            for name, column in zip(("time", *self.channels), columns, strict=True)
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the samples; the suffix chooses the format: .csv, .npz or .parquet.
+
+        Raises:
+            ValueError: another suffix.
+            ImportError: .parquet without the package pyarrow.
+        """
+        path = Path(path)
+        if path.suffix not in _WRITERS:
+            raise ValueError(f"{path}: use one of the suffixes {', '.join(_WRITERS)}")
+        _WRITERS[path.suffix](path, self)
+
+
+def _reader(drive: Drive, name: str) -> Callable[[], float]:
+    if name.startswith("axis."):
+        field = name.removeprefix("axis.")
+        fields = drive.axes.dtype.fields
+        if field in fields and field != "od" and not fields[field][0].shape:
+            view = np.asarray(drive.axes)[field]
+            return lambda: view[drive.index].item()
+    elif name in drive.objects.names:
+        return drive.objects.names[name].get  # type: ignore[return-value]
+    raise ValueError(
+        f"there is no channel {name!r}: name an object such as position_actual_value, "
+        "or a field of the record such as axis.torque"
+    )
+
+
+def _unit(drive: Drive, name: str) -> str:
+    if name.startswith("axis."):
+        return UNITS[name.removeprefix("axis.")]
+    return drive.objects.names[name].row.unit
+
+
+def _write_csv(path: Path, trace: Trace) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{n} ({u})" if u else n for n, u in trace.units.items()])
+        writer.writerows(trace._rows)
+
+
+def _write_npz(path: Path, trace: Trace) -> None:
+    np.savez_compressed(path, **trace.arrays())  # type: ignore[arg-type]
+
+
+def _write_parquet(path: Path, trace: Trace) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ImportError("parquet needs pyarrow: pip install pyarrow") from None
+    pyarrow.parquet.write_table(pyarrow.table(trace.arrays()), path)
+
+
+_WRITERS = {".csv": _write_csv, ".npz": _write_npz, ".parquet": _write_parquet}

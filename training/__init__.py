@@ -1,0 +1,1 @@
+"""The command line, the demo, pictures, benchmarks; later policies and training."""

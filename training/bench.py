@@ -1,0 +1,165 @@
+"""`servogym bench`: what the drive costs beside the physics, measured interleaved in one run.
+
+The drive runs a motion once and its torques are recorded. Then blocks alternate: physics alone with
+those torques replayed, and drive and physics together, both from the same snapshot, both inside a
+compiled loop. So both see the same states and the same constraints, and a machine that grows slower
+meanwhile slows both.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ..drive.jit import entry
+from ..drive.words import Mode
+from ..envs import loop
+from ..envs.linear_axis import linear_axis
+from ..envs.physics import mj_step
+from ..envs.supervisor import Supervisor
+
+CYCLES = 600  # position cycles a block
+
+
+@entry
+def physics_alone(model, data, ctrl, torques):
+    """`mj_step` once for each of the recorded torques (Nm)."""
+    for i in range(len(torques)):
+        ctrl[0] = torques[i]
+        mj_step(model, data)
+
+
+@entry
+def drive_and_physics(axes, couplings, model, data, qpos, ctrl, frictionloss, torques):
+    """The loop of a machine; records the torque of every physics step."""
+    for i in range(len(torques)):
+        loop.run(axes, couplings, model, data, qpos, ctrl, frictionloss, i, 1)
+        torques[i] = ctrl[0]
+
+
+def _moving_machine(drive: str, everything_each_step: bool):
+    machine = linear_axis(drive)
+    if everything_each_step:
+        for axis in machine.axes:
+            axis.velocity_cycles = 1
+            axis.position_period = axis.velocity_period
+            axis.parameters_changed = 1
+    machine.reset(positions={"x": 0.1})
+    if everything_each_step:
+        for axis in machine.axes:
+            axis.velocity_cycles = 1
+            axis.position_period = axis.velocity_period
+    supervisor = Supervisor(machine, "x")
+    supervisor.enable()
+    supervisor.mode(Mode.PROFILE_VELOCITY)
+    machine.drives["x"].write("target_velocity", 200_000)
+    machine.step(100)
+    return machine
+
+
+def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, Any]:
+    """Nanoseconds per physics step with and without the drive, and their ratio, per block."""
+    machine = _moving_machine(drive, everything_each_step)
+    snapshot = machine.snapshot()
+    steps = CYCLES * (1 if everything_each_step else machine.physics_steps)
+    torques = np.zeros(steps)
+    model, data = machine._addresses
+    arguments = (machine.axes, machine.couplings, model, data, *machine._views)
+
+    def with_drive() -> float:
+        machine.restore(snapshot)
+        begin = time.perf_counter()
+        loop.run(*arguments, 0, steps)
+        return (time.perf_counter() - begin) / steps * 1e9
+
+    def alone() -> float:
+        machine.restore(snapshot)
+        begin = time.perf_counter()
+        physics_alone(model, data, machine.data.ctrl, torques)
+        return (time.perf_counter() - begin) / steps * 1e9
+
+    machine.restore(snapshot)
+    drive_and_physics(*arguments, torques)
+    after = machine.data.qpos.copy()
+    alone()
+    if not np.array_equal(machine.data.qpos, after):
+        raise RuntimeError("the replay of the torques does not reproduce the motion")
+    with_drive()
+    pairs = np.array([(with_drive(), alone()) for _ in range(repeat)])
+    ratios = pairs[:, 0] / pairs[:, 1]
+    return {
+        "mj_step_ns": float(np.median(pairs[:, 1])),
+        "drive_and_mj_step_ns": float(np.median(pairs[:, 0])),
+        "ratio": float(np.median(ratios)),
+        "ratio_quartiles": [float(q) for q in np.percentile(ratios, (25, 75))],
+        "steps_per_block": steps,
+        "blocks": repeat,
+    }
+
+
+_START = """
+import time; begin = time.perf_counter()
+from servogym.envs import linear_axis
+machine = linear_axis(); machine.step()
+print(time.perf_counter() - begin)
+"""
+
+
+def start_times() -> dict[str, float]:
+    """Seconds from the start of Python to the first cycle, compiling (cold) and not (warm)."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"SERVOGYM_CACHE_DIR": cache}
+        times = []
+        for _ in range(2):
+            result = subprocess.run(
+                [sys.executable, "-c", _START],
+                env=environment, capture_output=True, text=True, check=True,
+            )  # fmt: skip
+            times.append(float(result.stdout))
+    return {"cold_start_s": times[0], "warm_start_s": times[1]}
+
+
+def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
+    """Measure and print; -> exit status."""
+    with console.status("measuring ..."):
+        results = {
+            "drive": drive,
+            "python": platform.python_version(),
+            "mujoco": mujoco.__version__,
+            "rates_of_the_model": measure(drive, repeat, False),
+            "position_cycle_every_step": measure(drive, repeat, True),
+            **start_times(),
+        }
+    if as_json:
+        console.file.write(json.dumps(results, indent=1) + "\n")
+        return 0
+    table = Table(
+        title=f"drive {drive}, one axis with friction, moving; MuJoCo {mujoco.__version__}"
+    )
+    for column in ("", "mj_step\n(ns)", "drive + mj_step\n(ns)", "ratio\n(median)", "quartiles"):
+        table.add_column(column, justify="right" if column else "left")
+    for key, name in (
+        ("rates_of_the_model", "rates of the model"),
+        ("position_cycle_every_step", "position cycle every step"),
+    ):
+        r: Any = results[key]
+        low, high = r["ratio_quartiles"]
+        table.add_row(
+            name, f"{r['mj_step_ns']:.0f}", f"{r['drive_and_mj_step_ns']:.0f}",
+            f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
+        )  # fmt: skip
+    console.print(table)
+    console.print(
+        f"start to first cycle: cold {results['cold_start_s']:.1f} s (compiling), "
+        f"warm {results['warm_start_s']:.1f} s"
+    )
+    return 0

@@ -1,0 +1,115 @@
+"""The command line ``servogym``."""
+
+import argparse
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="servogym",
+        description="A laboratory for motion control: MuJoCo axes moved by an emulated CiA 402 drive.",
+    )
+    parser.add_argument("--version", action="version", version=f"servogym {version('servogym')}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+
+    demo = commands.add_parser("demo", help="enable, home, move, follow ruckig, quick stop")
+    demo.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    demo.add_argument("--out", type=Path, default=Path("out"), help="folder for scope.png")
+    demo.add_argument("--payload", type=float, default=5.0, help="kg on the carriage (5)")
+    demo.set_defaults(run=_demo)
+
+    bench = commands.add_parser("bench", help="cost of the drive beside mj_step, start times")
+    bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    bench.add_argument("--repeat", type=int, default=200, help="pairs of blocks (200)")
+    bench.add_argument("--json", action="store_true", help="machine-readable")
+    bench.set_defaults(run=_bench)
+
+    drives = commands.add_parser("drives", help="list the drive models, or tell about one")
+    drives.add_argument("model", nargs="?", help="name or folder of a model")
+    drives.set_defaults(run=_drives)
+
+    homing = commands.add_parser("homing", help="draw the homing methods from real runs")
+    homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
+    homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
+    homing.add_argument("--format", choices=("svg", "png"), default="svg")
+    homing.set_defaults(run=_homing)
+    return parser
+
+
+def _demo(options: argparse.Namespace, console: Console) -> int:
+    from . import demo
+
+    return demo.run(options.drive, options.out, options.payload, console)
+
+
+def _bench(options: argparse.Namespace, console: Console) -> int:
+    if options.repeat < 1:
+        raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
+    from . import bench
+
+    return bench.run(options.drive, options.repeat, options.json, console)
+
+
+def _homing(options: argparse.Namespace, console: Console) -> int:
+    from . import homing_gallery
+
+    return homing_gallery.run(options.gallery, options.method, options.format, console)
+
+
+def _drives(options: argparse.Namespace, console: Console) -> int:
+    from ..drive.model import load, model_names
+
+    if options.model is None:
+        table = Table("model", "title", "modes", "position cycle (µs)")
+        for name in model_names():
+            model = load(name)
+            table.add_row(
+                name, model.title, _modes(model), f"{model.cycle_time['position'] * 1e6:g}"
+            )
+        console.print(table)
+        return 0
+    model = load(options.model)
+    table = Table(show_header=False, title=model.title)
+    for key, value in (
+        ("model", model.name),
+        ("standard", model.standard),
+        ("modes", _modes(model)),
+        ("homing methods", " ".join(map(str, model.homing_methods))),
+        *((f"{n} cycle", f"{t * 1e6:g} µs") for n, t in model.cycle_time.items()),
+        ("objects", str(len(model.objects))),
+        ("PDOs", f"{len(model.rpdos)} receive, {len(model.tpdos)} transmit"),
+        ("faults", "\n".join(f"{f.code:04X}h {f.meaning}" for f in model.faults)),
+        ("quirks", "\n".join(f"{n} = {q.value} ({q.source})" for n, q in model.quirks.items())),
+    ):
+        table.add_row(key, value or "none")
+    console.print(table)
+    return 0
+
+
+def _modes(model) -> str:
+    from ..drive.words import MODE_ABBREVIATION
+
+    return " ".join(MODE_ABBREVIATION[mode] for mode in model.modes)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; what a user got wrong is one line on stderr and exit status 2."""
+    options = _parser().parse_args(arguments)
+    console = Console()
+    try:
+        return options.run(options, console)
+    except (ValueError, OSError, TimeoutError, RuntimeError, ImportError) as error:
+        print(f"servogym {options.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())
