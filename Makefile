@@ -15,7 +15,9 @@ test: lint
 lint: $(VENV)/test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	rm -rf $(VENV)/typed
+	$(BIN)/python -m pip install --quiet --no-deps --target $(VENV)/typed .
+	MYPYPATH=$(VENV)/typed $(BIN)/mypy
 	$(BIN)/lint-imports
 
 format: $(VENV)/test

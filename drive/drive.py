@@ -18,7 +18,7 @@ from .abort import Abort, SdoAbort
 from .faults import Cause
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
-from .process_data import INVALID, image_size
+from .process_data import INVALID
 from .words import Command, Mode, State, decode_statusword
 
 VERSION = 1  # of the snapshot layout
@@ -53,7 +53,7 @@ class Drive:
         self,
         model: str | Path | DriveModel = "generic",
         *,
-        axes: np.recarray | None = None,
+        axes: np.ndarray | None = None,
         index: int = 0,
         node_id: int = 1,
         parameter_file: str | Path | None = None,
@@ -70,14 +70,14 @@ class Drive:
         self.tpdos = process_data.make(len(self.model.tpdos))
         self._memory = process_data.memory(self.axes)
         od_offset = record.AXIS.fields["od"][1]  # type: ignore[index]
-        self._record = memoryview(self._memory[index]).cast("B")
+        self._record = process_data.raw(self._memory[index])
         self._stored: store.Values | None = None  # parameters kept without a file
         self.objects = ObjectDictionary(
             self,
             {
                 "axis": self._record[od_offset : od_offset + record.OD.itemsize],
-                "rpdo": memoryview(np.asarray(self.rpdos).view(np.uint8)),
-                "tpdo": memoryview(np.asarray(self.tpdos).view(np.uint8)),
+                "rpdo": process_data.raw(self.rpdos),
+                "tpdo": process_data.raw(self.tpdos),
                 "constant": None,
             },
         )
@@ -167,7 +167,7 @@ class Drive:
 
     # ---------------------------------------------------------------- objects
 
-    def read(self, index: int | str, subindex: int = 0) -> int | float | str:
+    def read(self, index: int | str, subindex: int = 0) -> Any:
         """Value of an object (drive units), by address or name. Raises SdoAbort if refused."""
         slot = self.objects.slot(index, subindex)
         if slot.row.access == "wo":
@@ -228,17 +228,24 @@ class Drive:
 
     def image_changed(self) -> None:
         """Forget what was derived from the PDO mapping."""
-        self._layout: dict[str, list[tuple[Slot, int]]] = {}
+        self._layouts: dict[str, list[tuple[Slot, int]]] = {}
+        self._sizes: dict[str, int] = {}
+
+    def _size(self, direction: str) -> int:
+        if direction not in self._sizes:
+            pdos = self.rpdos if direction == "rx" else self.tpdos
+            self._sizes[direction] = int(pdos["size"][pdos["valid"] == 1].sum())
+        return self._sizes[direction]
 
     @property
     def rpdo_size(self) -> int:
         """Bytes of the RPDO image: all valid RPDOs, one after the other."""
-        return image_size(self.rpdos)
+        return self._size("rx")
 
     @property
     def tpdo_size(self) -> int:
         """Bytes of the TPDO image: all valid TPDOs, one after the other."""
-        return image_size(self.tpdos)
+        return self._size("tx")
 
     def latch(self, rpdo: bytes) -> None:
         """Take over an RPDO image. Raises ValueError if its length does not fit the mapping."""
@@ -285,23 +292,22 @@ class Drive:
 
     def _slots(self, direction: str) -> list[tuple[Slot, int]]:
         """Mapped objects and where they lie in the image of that direction."""
-        pdos = self.rpdos if direction == "rx" else self.tpdos
-        key = direction + bytes(pdos.valid).hex()
-        if key not in self._layout:
+        if direction not in self._layouts:
+            pdos = self.rpdos if direction == "rx" else self.tpdos
             layout, at = [], 0
-            for pdo in pdos[pdos.valid == 1]:
+            for pdo in pdos[pdos["valid"] == 1]:
                 for mapping in pdo.mapping[: pdo.count].tolist():
                     slot = self.objects.slots.get((mapping >> 16, mapping >> 8 & 0xFF))
                     if slot is not None:
                         layout.append((slot, at))
                     at += (mapping & 0xFF) // 8
-            self._layout[key] = layout
-        return self._layout[key]
+            self._layouts[direction] = layout
+        return self._layouts[direction]
 
     # ------------------------------------------------------------------ cycle
 
     def cycle(self, angle: float, speed: float = 0.0) -> float:
-        """One position-controller cycle on a shaft at `angle` (rad), `speed` (rad/s) -> torque (Nm)."""
+        """One position-controller cycle; shaft angle (rad), speed (rad/s) -> torque (Nm)."""
         return cycle.run(self.axes, self.index, angle, speed)
 
     @property
@@ -323,8 +329,9 @@ class Drive:
     @property
     def fault(self) -> str:
         """Code and meaning of the fault the drive is in, empty without one."""
-        for fault in self.model.faults:
-            if fault.cause == self.axis.fault:
+        cause = int(self.axis.fault)
+        for fault in self.model.faults if cause else ():
+            if fault.cause == cause:
                 return f"{fault.code:04X}h {fault.meaning}"
         return ""
 
@@ -385,10 +392,7 @@ class Drive:
                 f"{expected!r} with {size} bytes: take a new one"
             )
         at = 0
-        for view in (
-            self._record,
-            *(memoryview(p.view(np.uint8)) for p in (self.rpdos, self.tpdos)),
-        ):
+        for view in (self._record, process_data.raw(self.rpdos), process_data.raw(self.tpdos)):
             view[:] = body[at : at + len(view)]
             at += len(view)
         self.image_changed()

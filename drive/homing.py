@@ -127,7 +127,7 @@ NUMBERS = tuple(sorted({*METHODS, *HERE}))
 
 # The same as arrays for the kernel: one row a leg, jumps as row numbers.
 FIRST = np.full((2, 256), END, np.int64)  # [home switch active, method & 0xFF] -> row
-_rows = []
+_rows: list[tuple[int, ...]] = []
 for _number, (_off, _on, _legs) in METHODS.items():
     _base = len(_rows)
     FIRST[0, _number & 0xFF] = _base + _off

@@ -8,7 +8,9 @@ of another file. ``NUMBA_DISABLE_JIT=1`` runs all of it as ordinary Python.
 
 import hashlib
 import os
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numba
 from numba.core import config
@@ -18,8 +20,11 @@ KERNEL_ROOTS = (Path(__file__).parent, Path(__file__).parent.parent / "envs")
 
 def cache_directory() -> Path:
     """Where compiled entries are kept; ``SERVOGYM_CACHE_DIR`` moves it."""
-    root = os.environ.get("SERVOGYM_CACHE_DIR")
-    base = Path(root) if root else Path.home() / ".cache" / "servogym"
+    base = Path(os.environ.get("SERVOGYM_CACHE_DIR") or Path.home() / ".cache" / "servogym")
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+    except OSError:  # no home to write to
+        base = Path(tempfile.gettempdir()) / "servogym"
     digest = hashlib.sha256(numba.__version__.encode())
     for folder in KERNEL_ROOTS:
         for source in sorted(folder.rglob("*.py")):
@@ -27,8 +32,9 @@ def cache_directory() -> Path:
     return base / digest.hexdigest()[:16]
 
 
-_OPTIONS = {"error_model": "numpy", "nogil": True}
+_OPTIONS: Any = {"error_model": "numpy", "nogil": True}
 _CACHE = cache_directory()
+DISABLED = bool(config.DISABLE_JIT)  # type: ignore[attr-defined]
 
 block = numba.njit(**_OPTIONS)
 

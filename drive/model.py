@@ -67,7 +67,7 @@ class Object:
 
     @property
     def format(self) -> str:
-        """struct format of the value, empty for strings."""
+        """Format of the value for `struct`, empty for strings."""
         return FORMATS[self.data_type]
 
     @property

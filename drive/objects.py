@@ -217,6 +217,7 @@ def _communication(od: ObjectDictionary, row: Object, value: int) -> Abort:
         if valid and _reserved(value & 0x7FF):
             return Abort.INVALID_VALUE
         pdo.valid = valid
+        od.drive.image_changed()
     elif row.subindex == 2:
         only_transmit = value in (252, 253)
         if 241 <= value <= 251 or (receive and only_transmit):

@@ -11,7 +11,7 @@ was sent, and the cycle limits what it makes of it.
 import numpy as np
 
 from .jit import block, entry
-from .record import AXIS
+from .record import AXIS, accessible
 
 ENTRIES = 16  # mapped objects a PDO can have
 MAX_BITS = 64  # of a PDO on CAN; EtherCAT models allow more (drive.toml)
@@ -36,10 +36,10 @@ PDO = np.dtype(
 )
 
 
-def make(n: int) -> np.recarray:
+def make(n: int) -> np.ndarray:
     """`n` empty PDOs, all invalid, shape ``(n,)``."""
-    pdos = np.zeros(n, PDO).view(np.recarray)
-    pdos.cob_id = INVALID
+    pdos = np.zeros(n, accessible(PDO))
+    pdos["cob_id"] = INVALID
     return pdos
 
 
@@ -48,14 +48,9 @@ def memory(axes: np.ndarray) -> np.ndarray:
     return np.asarray(axes).view(np.uint8).reshape(len(axes), AXIS.itemsize)
 
 
-@block
-def image_size(pdos):
-    """Bytes in the process image of these PDOs."""
-    size = 0
-    for i in range(len(pdos)):
-        if pdos[i].valid:
-            size += pdos[i].size
-    return size
+def raw(array: np.ndarray) -> memoryview:
+    """The bytes of an array, writable."""
+    return memoryview(np.asarray(array).view(np.uint8)).cast("B")  # type: ignore[arg-type]
 
 
 @block

@@ -122,7 +122,7 @@ def plan_position(axis, target, speed, end_speed, acceleration, deceleration, je
     else:
         for _ in range(BISECTIONS):
             cruise = (low + high) / 2
-            if cruise == low or cruise == high:
+            if cruise in (low, high):
                 break
             if _plan_over(axis, cruise, end, acceleration, deceleration, jerk)[2] < distance:
                 low = cruise

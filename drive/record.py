@@ -378,6 +378,11 @@ UNITS = {f"od.{name}": unit for name, _, unit, _ in OBJECTS} | {
 }
 
 
-def make(n: int) -> np.recarray:
+def accessible(dtype: np.dtype) -> np.dtype:
+    """The same dtype, whose elements have their fields as attributes, as the kernel needs them."""
+    return np.dtype((np.record, dtype))
+
+
+def make(n: int) -> np.ndarray:
     """Records of `n` axes, all zero, shape ``(n,)``; `model.DriveModel.reset` fills them."""
-    return np.zeros(n, AXIS).view(np.recarray)
+    return np.zeros(n, accessible(AXIS))

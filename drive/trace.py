@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -119,7 +120,7 @@ class Trace:
 def _reader(drive: Drive, name: str) -> Callable[[], float]:
     if name.startswith("axis."):
         field = name.removeprefix("axis.")
-        fields = drive.axes.dtype.fields
+        fields: Any = drive.axes.dtype.fields
         if field in fields and field != "od" and not fields[field][0].shape:
             view = np.asarray(drive.axes)[field]
             return lambda: view[drive.index].item()

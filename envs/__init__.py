@@ -1,6 +1,14 @@
 """Plants, machines and Gymnasium environments."""
 
+import gymnasium
+
 from .linear_axis import LinearAxisParameters, linear_axis
 from .machine import Machine
 
 __all__ = ["LinearAxisParameters", "Machine", "linear_axis"]
+
+gymnasium.register(
+    "servogym/LinearAxis-v0",
+    entry_point="servogym.envs.axis_env:LinearAxisEnv",
+    max_episode_steps=200,
+)

@@ -61,8 +61,8 @@ def linear_axis(
 ) -> Machine:
     """A `Machine` with one linear axis, its drive called ``x``, stroke 0..0.5 m.
 
-    Position unit 1 µm, velocity unit 1 µm/s, acceleration unit 1 µm/s². Limit switches lie 5 mm, end
-    stops 20 mm outside the stroke; homing method 17 or 18 puts the zero at the left end of it.
+    Position unit 1 µm, velocity unit 1 µm/s, acceleration unit 1 µm/s². Limit switches lie 5 mm,
+    end stops 20 mm outside the stroke; homing method 17 puts the zero at its left end.
 
     Args:
         drive: drive model by name, folder or loaded.

@@ -1,8 +1,8 @@
 """The inner loop: drives and physics, compiled, without Python in it.
 
 Every physics tick: each drive whose velocity cycle begins reads its shaft and switches, runs, and
-sets the torque of its actuator; then MuJoCo takes one step. When a coordinate is no longer finite the
-physics stops, and the drive's encoder fault says so.
+sets the torque of its actuator; then MuJoCo takes one step. When a coordinate is no longer finite
+the physics stops, and the drive's encoder fault says so.
 """
 
 import numpy as np

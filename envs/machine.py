@@ -54,7 +54,7 @@ class Machine:
             name: Drive(drive, axes=self.axes, index=i, node_id=i + 1)
             for i, (name, drive) in enumerate(drives.items())
         }
-        self.couplings = np.zeros(len(drives), loop.COUPLING).view(np.recarray)
+        self.couplings = np.zeros(len(drives), record.accessible(loop.COUPLING))
         for (name, drive), coupling in zip(self.drives.items(), self.couplings, strict=True):
             _couple(model, name, drive, coupling)
         self.cycle_time, self.physics_steps = _rates(model, self.drives)

@@ -5,11 +5,13 @@ package has already loaded. Without JIT the same name is a Python function.
 """
 
 from pathlib import Path
+from typing import Any
 
 import llvmlite.binding
 import mujoco
 from numba import types
-from numba.core import config
+
+from ..drive import jit
 
 _alive: dict[int, tuple[mujoco.MjModel, mujoco.MjData]] = {}  # only without JIT
 
@@ -26,15 +28,14 @@ def _step_in_python(model_address: int, data_address: int) -> None:
     mujoco.mj_step(*_alive[data_address])
 
 
-if config.DISABLE_JIT:
-    mj_step = _step_in_python
-else:
+mj_step: Any = _step_in_python
+if not jit.DISABLED:
     llvmlite.binding.load_library_permanently(_library())
     mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 
 def addresses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, int]:
     """Addresses `mj_step` takes; the caller keeps `model` and `data` alive."""
-    if config.DISABLE_JIT:
+    if jit.DISABLED:
         _alive[data._address] = model, data
     return model._address, data._address

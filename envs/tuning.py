@@ -2,8 +2,8 @@
 
 The delays of the velocity loop add up to T = 1.5 velocity cycles (sampling and hold) + the torque
 time constant + the velocity filter. Symmetrical optimum with a = 3 (Leonhard, Control of Electrical
-Drives, speed control): crossover w = 1 / (a T), integral action time a² T. The position loop stays a
-factor 4 below the crossover of the speed loop.
+Drives, speed control): crossover w = 1 / (a T), integral action time a² T. The position loop stays
+a factor 4 below the crossover of the speed loop.
 """
 
 import mujoco
@@ -23,7 +23,7 @@ def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear:
 
 
 def gains(drive: Drive, inertia: float) -> dict[str, int]:
-    """Objects 60F9h, 60FBh and 2010h of a drive on `inertia` (kg·m² at the shaft), in drive units."""
+    """Objects 60F9h, 60FBh, 2010h for `inertia` (kg·m² at the shaft), in drive units."""
     filter_time = float(drive.read("velocity_filter_time")) * 1e-6
     delay = (
         1.5 * drive.model.cycle_time["velocity"] + drive.model.torque_time_constant + filter_time

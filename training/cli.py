@@ -12,7 +12,7 @@ from rich.table import Table
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="servogym",
-        description="A laboratory for motion control: MuJoCo axes moved by an emulated CiA 402 drive.",
+        description="A laboratory for motion control: axes in MuJoCo, moved by an emulated drive.",
     )
     parser.add_argument("--version", action="version", version=f"servogym {version('servogym')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")

@@ -1,7 +1,9 @@
 """`servogym demo`: a whole working day of a drive, measured and drawn."""
 
+import functools
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,20 +61,20 @@ class Demo:
     def run(self) -> None:
         """All phases in their order."""
         s = self.supervisor
-        for name, action in (
-            ("power on", lambda: s.step(160)),
-            ("enable", lambda: (s.enable(), s.step(160))),
-            ("home (17)", lambda: (s.home(17), s.step(40))),
-            *((f"pp {target / 1000:.0f} mm", self._move(target)) for target in TARGETS),
-            ("csp, ruckig", self.stream),
-            ("quick stop", self.stop_in_motion),
-        ):
-            start = len(self.trace)
-            action()
-            self.phases.append(Phase(name, start, len(self.trace)))
+        self._phase("power on", lambda: None, 160)
+        self._phase("enable", s.enable, 160)
+        self._phase("home (17)", lambda: s.home(17))
+        for target in TARGETS:
+            self._phase(f"pp {target / 1000:.0f} mm", functools.partial(s.move, target))
+        self._phase("csp, ruckig", self.stream)
+        self._phase("quick stop", self.stop_in_motion)
 
-    def _move(self, target: int):
-        return lambda: (self.supervisor.move(target), self.supervisor.step(40))
+    def _phase(self, name: str, action: Callable[[], None], rest: int = 40) -> None:
+        """Run a phase, and `rest` position cycles behind it."""
+        start = len(self.trace)
+        action()
+        self.supervisor.step(rest)
+        self.phases.append(Phase(name, start, len(self.trace)))
 
     def stream(self) -> None:
         """A jerk-limited trajectory, one target position a bus cycle through the RPDO."""
@@ -98,7 +100,6 @@ class Demo:
             )
             s.step(cycles)
             now.pass_to_input(wanted)
-        s.step(60)
 
     def stop_in_motion(self) -> None:
         """Profile velocity, and a quick stop in the middle of it."""
@@ -106,7 +107,6 @@ class Demo:
         self.supervisor.mode(Mode.PROFILE_VELOCITY)
         self.supervisor.step(round(0.25 / self.machine.cycle_time))
         self.supervisor.quick_stop()
-        self.supervisor.step(60)
 
     def table(self) -> Table:
         """Figures of each phase, position units being µm."""
@@ -114,7 +114,7 @@ class Demo:
         table = Table(title=f"{self.drive.model.title}, payload {self.parameters.payload:g} kg")
         table.add_column("phase", no_wrap=True)
         for column in (
-            "time\n(ms)", "following error\npeak (µm)", "\nrms (µm)", "torque\npeak (Nm)",
+            "time\n(ms)", "follow. err.\npeak (µm)", "\nrms (µm)", "torque\npeak (Nm)",
             "settling\n(ms)", "final\n(µm)",
         ):  # fmt: skip
             table.add_column(column, justify="right", no_wrap=True)

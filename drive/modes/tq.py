@@ -1,4 +1,4 @@
-"""Profile torque: the target torque 6071h, approached with the torque slope 6087h (CiA 402-2, tq)."""
+"""Profile torque: target torque 6071h, approached with the torque slope 6087h (CiA 402-2, tq)."""
 
 from .. import limits
 from ..cascade import Control, energised
