@@ -20,6 +20,8 @@ def run(axis):
     _following_error(axis)
     _standstill(axis)
     _set_points(axis)
+    if axis.connection_lost and axis.od.abort_connection_option_code == 1:
+        raise_fault(axis, Cause.CONNECTION)
     if axis.injected != 0:
         for cause in range(1, FAULT_CAUSES):
             if axis.injected >> cause & 1:

@@ -1,0 +1,91 @@
+"""A drive on an ideal shaft: an inertia without friction, moved by the torque it is given."""
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from servogym.drive.drive import Drive
+from servogym.drive.words import State
+
+settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
+settings.register_profile("long", deadline=None, max_examples=10_000)
+settings.load_profile("ci")
+
+INERTIA = 0.6e-4  # kg·m², what the generic drive's default gains are made for
+INCREMENTS = 1_048_576  # a revolution
+TURN = 2 * np.pi
+
+
+class Shaft:
+    """A drive and its shaft; positions in increments, as the generic drive has by default."""
+
+    def __init__(self, model="generic", **arguments):
+        self.drive = Drive(model, **arguments)
+        self.axis = self.drive.axis
+        self.angle = 0.0
+        self.speed = 0.0
+        self.load = 0.0  # Nm, constant
+        self.blocked = None  # angle (rad) of a mechanical stop in the positive direction
+        self.torque = 0.0
+        self.after = None  # called after every cycle
+        self.step()
+
+    def step(self, cycles=1):
+        periods = int(self.axis.velocity_cycles)
+        dt = float(self.axis.velocity_period)
+        for _ in range(cycles):
+            self.torque = self.drive.cycle(self.angle, self.speed)
+            for _ in range(periods):
+                self.speed += (self.torque + self.load) / INERTIA * dt
+                self.angle += self.speed * dt
+                if self.blocked is not None and self.angle > self.blocked:
+                    self.angle, self.speed = self.blocked, 0.0
+            if self.after:
+                self.after()
+
+    def write(self, **values):
+        for name, value in values.items():
+            self.drive.write(name, value)
+
+    def control(self, word, cycles=2):
+        self.drive.write("controlword", word)
+        self.step(cycles)
+
+    def enable(self, mode=0):
+        self.write(modes_of_operation=mode)
+        for word in (0x06, 0x07, 0x0F):
+            self.control(word)
+        assert self.drive.state == State.OPERATION_ENABLED
+        return self
+
+    def home_here(self, position=0):
+        """Reference the axis by method 37 with the actual position `position` afterwards."""
+        self.write(homing_method=37, home_offset=-position)
+        self.enable(6)
+        self.control(0x1F, 20)
+        self.control(0x0F)
+        assert self.axis.homed
+        return self
+
+    def until(self, condition, cycles=20_000):
+        for n in range(cycles):
+            if condition():
+                return n
+            self.step()
+        raise AssertionError(f"not within {cycles} cycles: {self.drive.describe()}")
+
+    def bit(self, mask):
+        return bool(int(self.axis.od.statusword) & mask)
+
+    def read(self, name):
+        return self.drive.read(name)
+
+
+@pytest.fixture
+def shaft():
+    return Shaft()
+
+
+@pytest.fixture
+def enabled():
+    return Shaft().enable()
