@@ -104,3 +104,4 @@ def set_zero(axis, zero_counts):
     axis.interpolation_start -= shift
     axis.interpolation_target -= shift
     axis.target -= shift
+    axis.target_wanted -= shift

@@ -12,15 +12,20 @@ from .words import Limit
 
 @block
 def clamp_target(axis, target):
-    """The nearest allowed target (rad); notes the limit that was in the way."""
+    """The nearest allowed target (rad)."""
+    axis.target_wanted = target
     if axis.homed:
-        if target > axis.position_limit_max:
-            axis.limits |= Limit.SOFTWARE_POSITION_MAX
-            return axis.position_limit_max
-        if target < axis.position_limit_min:
-            axis.limits |= Limit.SOFTWARE_POSITION_MIN
-            return axis.position_limit_min
+        return min(max(target, axis.position_limit_min), axis.position_limit_max)
     return target
+
+
+@block
+def show_clamped(axis):
+    """Say which software limit holds the present target back, as long as it does."""
+    if axis.homed and axis.target_wanted > axis.position_limit_max:
+        axis.limits |= Limit.SOFTWARE_POSITION_MAX
+    elif axis.homed and axis.target_wanted < axis.position_limit_min:
+        axis.limits |= Limit.SOFTWARE_POSITION_MIN
 
 
 @block

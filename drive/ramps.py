@@ -194,6 +194,7 @@ def rest(axis):
     axis.acceleration_demand = 0.0
     axis.torque_demand = 0.0
     axis.target = axis.position
+    axis.target_wanted = axis.position
     axis.segments = 0
     axis.segment = 0
     axis.segment_position = axis.position

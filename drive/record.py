@@ -308,6 +308,7 @@ FIELDS = (
     ("set_point_deceleration", ("f8", (SET_POINTS,)), "rad/s²", ""),
     ("set_point_jerk", ("f8", (SET_POINTS,)), "rad/s³", ""),
     ("target", "f8", "rad", "of the running or last set-point"),
+    ("target_wanted", "f8", "rad", "the same before the software limits"),
     ("blocked", "i8", "", "direction locked by a limit until it is left: -1, 0, +1"),
     # cyclic synchronous
     ("interpolation_cycle", "i8", "position cycle", "since the last set-point"),

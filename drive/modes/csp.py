@@ -63,6 +63,7 @@ def aim(axis, target):
 @block
 def travel(axis, offset):
     """Move the demand along the interpolation; `offset` (rad/s) is added to its velocity."""
+    limits.show_clamped(axis)
     if axis.interpolation_cycle < axis.interpolation_cycles:
         axis.interpolation_cycle += 1
         way = axis.interpolation_target - axis.interpolation_start

@@ -66,6 +66,7 @@ def start(axis):
 @block
 def demand(axis):
     """Start what waits, travel it, and go to the next set-point at its end."""
+    limits.show_clamped(axis)
     going = axis.set_points > 0 or axis.profile_end_velocity != 0.0
     if limits.at_switch(axis, axis.velocity_demand) and going:
         forget(axis)
