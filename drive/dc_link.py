@@ -22,9 +22,11 @@ def run(axis):
     else:
         energy = 0.5 * capacitance * axis.dc_link * axis.dc_link
         energy -= axis.torque * axis.velocity * axis.position_period
-        if od.chopper_resistance > 0 and axis.dc_link * 1e3 > od.chopper_voltage:
+        threshold = od.chopper_voltage * 1e-3
+        if od.chopper_resistance > 0 and axis.dc_link > threshold:
             heat = axis.dc_link * axis.dc_link / (od.chopper_resistance * 1e-3)
-            heat = min(heat * axis.position_period, max(energy, 0.0))
+            surplus = energy - 0.5 * capacitance * threshold * threshold
+            heat = min(heat * axis.position_period, max(surplus, 0.0))
             energy -= heat
             axis.link_energy += heat
         axis.dc_link = max(math.sqrt(max(2.0 * energy / capacitance, 0.0)), supply)

@@ -15,7 +15,7 @@ from .words import STATE_PATTERN, State, Statusword
 
 STATE_VALUE = tuple(STATE_PATTERN[state][1] for state in State)
 OFF = 0xFFFFFFFF  # a window of this size is switched off
-FRACTION_LIMIT = 1 << 31  # keeps remainder * numerator inside 63 bits
+FRACTION_LIMIT = 1 << 31  # of both parts of the fraction: keeps every product inside 63 bits
 
 
 @block
@@ -127,19 +127,7 @@ def _vl_ramp(axis, speed, time):
 @block
 def _units(axis):
     od = axis.od
-    numerator, denominator = 1, 1
-    numerator, denominator = _multiply(
-        numerator,
-        denominator,
-        int(od.position_encoder_resolution[1]),
-        int(od.position_encoder_resolution[0]),
-    )
-    numerator, denominator = _multiply(
-        numerator, denominator, int(od.gear_ratio[1]), int(od.gear_ratio[0])
-    )
-    numerator, denominator = _multiply(
-        numerator, denominator, int(od.feed_constant[0]), int(od.feed_constant[1])
-    )
+    numerator, denominator = fraction(od)
     axis.position_numerator = numerator
     axis.position_denominator = denominator
     resolution = od.position_encoder_resolution[0] / od.position_encoder_resolution[1]
@@ -152,18 +140,27 @@ def _units(axis):
 
 
 @block
-def _multiply(numerator, denominator, by, over):
-    """The reduced product of two fractions; halved until both parts fit FRACTION_LIMIT."""
-    first = math.gcd(numerator, over)
-    second = math.gcd(by, denominator)
-    by, over = by // second, over // first
-    common = math.gcd(by, over)
-    numerator = numerator // first * (by // common)
-    denominator = denominator // second * (over // common)
-    while numerator > FRACTION_LIMIT or denominator > FRACTION_LIMIT:
-        numerator = max(numerator >> 1, 1)
-        denominator = max(denominator >> 1, 1)
-    return numerator, denominator
+def fraction(od):
+    """Position units per increment as a reduced fraction; objects.py keeps it below 2^31."""
+    a, b = int(od.position_encoder_resolution[1]), int(od.position_encoder_resolution[0])
+    c, d = int(od.gear_ratio[1]), int(od.gear_ratio[0])
+    e, f = int(od.feed_constant[0]), int(od.feed_constant[1])
+    a, b = _reduced(a, b)
+    a, d = _reduced(a, d)
+    a, f = _reduced(a, f)
+    c, b = _reduced(c, b)
+    c, d = _reduced(c, d)
+    c, f = _reduced(c, f)
+    e, b = _reduced(e, b)
+    e, d = _reduced(e, d)
+    e, f = _reduced(e, f)
+    return a * c * e, b * d * f
+
+
+@block
+def _reduced(numerator, denominator):
+    common = math.gcd(numerator, denominator)
+    return numerator // common, denominator // common
 
 
 @block

@@ -4,11 +4,14 @@ Order of the checks: object, sub-index, access, length, range, device state, sid
 write changes nothing. What a write does beside storing its bytes is a row of `HOOKS`.
 """
 
+import math
 import struct
 from collections.abc import Callable
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from .abort import Abort, SdoAbort
+from .factors import FRACTION_LIMIT
 from .model import Object
 from .process_data import DUMMY, ENTRIES, INVALID, MAX_BITS, PDO
 
@@ -176,6 +179,20 @@ def _homing_method(od: ObjectDictionary, row: Object, value: int) -> Abort:
     return Abort.NONE if value in od.drive.model.homing_methods else Abort.INVALID_VALUE
 
 
+def _factor(od: ObjectDictionary, row: Object, value: int) -> Abort:
+    """608Fh, 6091h, 6092h: the exact fraction they make together has to stay computable."""
+    fractions = []
+    for index, upside_down in ((0x608F, True), (0x6091, True), (0x6092, False)):
+        parts = []
+        for subindex in (1, 2):
+            here = (index, subindex) == (row.index, row.subindex)
+            parts.append(value if here else int(od.slots[index, subindex].get()))
+        fractions.append(Fraction(*(reversed(parts) if upside_down else parts)))
+    product = math.prod(fractions)
+    too_long = max(product.numerator, product.denominator) > FRACTION_LIMIT
+    return Abort.INTERNAL_INCOMPATIBLE if too_long else Abort.NONE
+
+
 def _save(od: ObjectDictionary, row: Object, value: int) -> Abort:
     if value != SAVE:
         return Abort.NOT_TRANSFERABLE
@@ -279,6 +296,9 @@ HOOKS: dict[int, Hook] = {
     0x1010: _save,
     0x1011: _load,
     0x6060: _mode,
+    0x608F: _factor,
+    0x6091: _factor,
+    0x6092: _factor,
     0x6098: _homing_method,
 }
 PDO_HOOKS: dict[int, Hook] = {

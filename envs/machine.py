@@ -1,6 +1,7 @@
 """Machine: a MuJoCo model whose actuators are moved by emulated drives."""
 
 import math
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from .physics import addresses
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 VERSION = 1  # of the snapshot layout
+BRAKE_IMPEDANCE = 0.9999  # of the friction constraint of a braked joint: else it creeps under load
 
 
 class Machine:
@@ -58,6 +60,7 @@ class Machine:
         for (name, drive), coupling in zip(self.drives.items(), self.couplings, strict=True):
             _couple(model, name, drive, coupling)
         self.cycle_time, self.physics_steps = _rates(model, self.drives)
+        self._identity = _identity(model, self.drives)
         self._addresses = addresses(model, self.data)
         self._views = self.data.qpos, self.data.ctrl, model.dof_frictionloss
         self._tick = 0
@@ -132,7 +135,7 @@ class Machine:
         mujoco.mj_getState(self.model, self.data, state, STATE)
         parts = [drive.snapshot() for drive in self.drives.values()]
         parts += [self.couplings.tobytes(), self.model.dof_frictionloss.tobytes(), state.tobytes()]
-        head = [VERSION, self._tick, *(len(part) for part in parts)]
+        head = [VERSION, self._tick, self._identity, *(len(part) for part in parts)]
         return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
 
     def restore(self, snapshot: bytes) -> None:
@@ -146,7 +149,7 @@ class Machine:
                 f"takes {own!r}: take a new one"
             )
         parts, at = [], 0
-        for size in map(int, numbers[2:]):
+        for size in map(int, numbers[3:]):
             parts.append(body[at : at + size])
             at += size
         if at != len(body):
@@ -166,6 +169,14 @@ def _actuators(model: mujoco.MjModel) -> list[str]:
 
 def _unit(model: mujoco.MjModel, joint: int) -> str:
     return "m" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
+
+
+def _identity(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> int:
+    """A checksum that tells machines apart."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    names = " ".join(f"{name}={drive.model.name}" for name, drive in drives.items())
+    return zlib.crc32(names.encode(), zlib.crc32(buffer))
 
 
 def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
@@ -215,6 +226,7 @@ def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
     brake = _numeric(model, f"{name}.brake_torque", 1)
     if brake:
         coupling.brake_friction = brake[0] * abs(gear)
+        model.dof_solimp[coupling.dof, :2] = BRAKE_IMPEDANCE
         drive.write("brake_fitted", 1)
 
 

@@ -1,0 +1,141 @@
+"""servogym/LinearAxis-v0: checkers, determinism, faults, pictures."""
+
+import multiprocessing
+import os
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import servogym.envs
+from servogym.envs.axis_env import LinearAxisEnv
+
+ID = "servogym/LinearAxis-v0"
+assert servogym.envs
+
+
+@pytest.fixture
+def env():
+    env = gym.make("servogym.envs:" + ID, drive="generic")
+    yield env
+    env.close()
+
+
+def towards_goal(observation):
+    """A careful proportional policy: set-point speed from the distance to the goal."""
+    return np.clip(np.array([observation[0] * 4], np.float32), -0.1, 0.1)
+
+
+def rollout(seed, steps=40):
+    env = gym.make(ID)
+    observation, _ = env.reset(seed=seed)
+    seen = [observation]
+    for _ in range(steps):
+        observation, reward, *_ = env.step(towards_goal(observation))
+        seen.append(np.append(observation, reward))
+    return b"".join(np.asarray(s).tobytes() for s in seen)
+
+
+def test_gymnasium_checker_is_content(env):
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_stable_baselines_checker_is_content(env):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(env.unwrapped, warn=True, skip_render_check=True)
+
+
+def test_a_careful_policy_reaches_the_goal(env):
+    observation, info = env.reset(seed=3, options={"start": 0.1, "goal": 0.16})
+    assert info["goal"] == 0.16
+    for _ in range(200):
+        observation, reward, terminated, truncated, info = env.step(towards_goal(observation))
+        assert 0.0 <= reward <= 1.0
+        assert env.observation_space.contains(observation)
+    assert truncated
+    assert not terminated
+    assert info["is_success"]
+    assert reward > 0.99
+
+
+def test_a_set_point_too_steep_ends_in_the_drives_own_fault(env):
+    env.reset(seed=1, options={"start": 0.25})
+    keys = set()
+    for step in range(200):
+        direction = 1.0 if step // 5 % 2 else -1.0
+        *_, terminated, _, info = env.step(np.array([direction], np.float32))
+        keys.add(tuple(info))
+        if terminated:
+            break
+    assert terminated
+    assert len(keys) == 1
+    assert info["fault"] == "8611h following error"
+    assert info["state"] in ("FAULT", "FAULT_REACTION_ACTIVE")
+
+
+def test_one_seed_one_rollout_also_in_another_process():
+    assert rollout(7) == rollout(7)
+    assert rollout(7) != rollout(8)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(rollout, (7,)) == rollout(7)
+
+
+def test_vector_environments():
+    for kind in (gym.vector.SyncVectorEnv, gym.vector.AsyncVectorEnv):
+        envs = kind([lambda: gym.make(ID)] * 2)
+        first, _ = envs.reset(seed=5)
+        envs.step(np.zeros((2, 1), np.float32))
+        assert first.shape == (2, 6)
+        envs.close()
+
+
+def test_the_spec_can_be_pickled(env):
+    again = gym.make(pickle.loads(pickle.dumps(env.spec)))
+    assert again.reset(seed=2)[0] == pytest.approx(env.reset(seed=2)[0], abs=0)
+
+
+@pytest.mark.parametrize("action", [[2.0], [float("nan")], [0.0, 0.0], 0.0, [[0.0]]])
+def test_a_wrong_action_is_an_error_that_names_the_fix(action, env):
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="clip it"):
+        env.unwrapped.step(np.array(action))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"cycles_per_step": 2.5}, "whole number"),
+        ({"cycles_per_step": 0}, "whole number"),
+        ({"cycles_per_step": 511}, "60C2h"),
+        ({"payload": -1.0}, "payload = -1.0"),
+        ({"tolerance": float("nan")}, "tolerance"),
+        ({"render_mode": "ascii"}, "render_mode"),
+        ({"drive": "acme"}, "unknown drive model"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        LinearAxisEnv(**arguments)
+
+
+def test_wrong_options_are_named(env):
+    with pytest.raises(ValueError, match="goal"):
+        env.reset(options={"goal": 7.0})
+
+
+def test_a_picture_with_the_goal_in_it():
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    env = gym.make(ID, render_mode="rgb_array")
+    try:
+        env.reset(seed=1, options={"start": 0.1, "goal": 0.4})
+        picture = env.render()
+    except Exception as error:
+        pytest.skip(f"no GL here: {type(error).__name__}: {error}")
+    assert picture.shape == (540, 960, 3)
+    assert picture.std() > 10
+    env.reset(seed=1, options={"start": 0.1, "goal": 0.2})
+    assert (env.render() != picture).any(), "the ghost has moved"
+    env.close()
+    env.close()

@@ -1,0 +1,106 @@
+"""Drive models: folders that are loaded, or refused with file, line and reason."""
+
+import pickle
+import shutil
+
+import pytest
+
+from servogym.drive.drive import Drive
+from servogym.drive.faults import Cause
+from servogym.drive.homing import NUMBERS
+from servogym.drive.model import load, model_names
+from servogym.drive.words import Mode
+
+
+@pytest.fixture
+def folder(tmp_path):
+    copy = tmp_path / "mine"
+    shutil.copytree(load("generic").folder, copy)
+    return copy
+
+
+def change(folder, file, old, new):
+    path = folder / file
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return folder
+
+
+def test_generic_has_all_modes_and_all_homing_methods():
+    generic = load("generic")
+    assert "generic" in model_names()
+    assert set(generic.modes) == set(Mode) - {Mode.NONE}
+    assert set(generic.homing_methods) == set(NUMBERS)
+    assert {fault.cause for fault in generic.faults} == set(Cause) - {Cause.NONE}
+
+
+def test_6502h_and_60e3h_say_what_the_model_can():
+    drive = Drive()
+    modes = drive.read("supported_drive_modes")
+    assert [m for m in Mode if m and modes >> (m - 1) & 1] == sorted(drive.model.modes)
+    count = drive.read(0x60E3, 0)
+    methods = [drive.read(0x60E3, n + 1) for n in range(count)]
+    assert sorted(methods) == sorted(drive.model.homing_methods)
+
+
+def test_a_model_is_loaded_once_and_travels_by_name():
+    assert load("generic") is load("generic")
+    assert pickle.loads(pickle.dumps(load("generic"))) is load("generic")
+
+
+def test_an_unknown_model_names_the_known_ones():
+    with pytest.raises(ValueError, match=r"unknown drive model 'acme': choose one of .*generic"):
+        Drive("acme")
+
+
+def test_a_folder_of_ones_own_is_a_model_without_any_python(folder):
+    change(folder, "drive.toml", "position = 500", "position = 1000")
+    change(
+        folder,
+        "objects.csv",
+        "0x67FF,",
+        "0x5000,0x00,my_parameter,VAR,INTEGER32,rw,,mm,-5,5,3,yes,mine,,,\n0x67FF,",
+    )
+    drive = Drive(folder)
+    assert drive.model.name == "mine"
+    assert drive.axis.velocity_cycles == 4
+    assert drive.read(0x5000) == 3
+    drive.write("my_parameter", -5)
+    drive.cycle(0.0)
+    assert drive.read("my_parameter") == -5
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("objects.csv", "UNSIGNED16", "UNSIGNED17", r"objects.csv, line \d+ \(mine\): data_type"),
+        ("objects.csv", "0x605A,0x00", "0x6040,0x00", "6040h:00h occurs twice"),
+        ("objects.csv", "0,8,2,yes", "0,8,9,yes", r"default 9 is out of range \[0, 8\]"),
+        ("objects.csv", ",controlword,\n", ",control_word,\n", "no field od.control_word"),
+        ("objects.csv", ",controlword,\n", ",statusword[0],\n", "has the shape"),
+        ("objects.csv", ",controlword,\n", ",target_position,\n", "int32, not UNSIGNED16"),
+        ("objects.csv", ",rw,rx,", ",rx,rx,", "access 'rx' is unknown"),
+        ("pdo.csv", "rx,1,", "both,1,", "neither rx nor tx"),
+        ("pdo.csv", "0x6040,0x00,16", "0x6040,0x00,8", "cannot be mapped"),
+        ("pdo.csv", "rx,2,", "rx,7,", "gap"),
+        ("faults.csv", "ENCODER", "NOSE", "cause 'NOSE'"),
+        ("drive.toml", '"pp"', '"pq"', "unknown mode 'pq'"),
+        ("drive.toml", "position = 500", "position = 510", "whole multiple"),
+        ("drive.toml", "velocity = 250", "velocity = -1", "cycle_time_us.velocity"),
+        ("drive.toml", "1, 2, 3", "1, 2, 31", "unknown homing method 31"),
+        ("drive.toml", "title =", "title", "drive.toml"),
+    ],
+)
+def test_a_wrong_row_is_refused_with_file_and_reason(folder, file, old, new, message):
+    change(folder, file, old, new)
+    with pytest.raises(ValueError, match=message):
+        load(folder)
+
+
+def test_a_pdo_over_64_bits_is_refused(folder):
+    path = folder / "pdo.csv"
+    row = "rx,1,0x00000200+node_id,255,0,{},0x607A,0x00,32,,x\n"
+    path.write_text(path.read_text() + row.format(2) + row.format(3))
+    with pytest.raises(ValueError, match=r"pdo.csv, line 17 .* longer than 64 bits"):
+        load(folder)
