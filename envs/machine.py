@@ -176,7 +176,7 @@ def _identity(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> int:
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     names = " ".join(f"{name}={drive.model.name}" for name, drive in drives.items())
-    return zlib.crc32(names.encode(), zlib.crc32(buffer))
+    return zlib.crc32(names.encode(), zlib.crc32(buffer.tobytes()))
 
 
 def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:

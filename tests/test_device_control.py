@@ -1,10 +1,10 @@
 """The state machine, walked pair by pair against a table written here from the standard."""
 
 import pytest
-from conftest import TURN, Shaft
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conftest import TURN, Shaft
 from servogym.drive.drive import Drive
 from servogym.drive.faults import Cause
 from servogym.drive.words import State, state_of

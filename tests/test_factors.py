@@ -5,10 +5,10 @@ from fractions import Fraction
 
 import numba
 import pytest
-from conftest import TURN, Shaft
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conftest import TURN, Shaft
 from servogym.drive import factors, record
 from servogym.drive.abort import Abort, SdoAbort
 from servogym.drive.drive import Drive

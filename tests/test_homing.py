@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import INCREMENTS, TURN, Shaft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import INCREMENTS, TURN, Shaft
 from servogym.drive.homing import HERE, METHODS, NUMBERS, HomingError, Progress
 
 REACHED, ATTAINED, ERROR = 0x0400, 0x1000, 0x2000

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from conftest import Shaft
 
 REACHED, BIT12, BIT13 = 0x0400, 0x1000, 0x2000

@@ -4,10 +4,10 @@ import struct
 
 import numpy as np
 import pytest
-from conftest import Shaft
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conftest import Shaft
 from servogym.drive.abort import TEXT, Abort, SdoAbort
 from servogym.drive.drive import Drive
 from servogym.drive.model import load

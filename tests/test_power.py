@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import INCREMENTS, INERTIA, TURN, Shaft
 
+from conftest import INCREMENTS, INERTIA, TURN, Shaft
 from servogym.drive.faults import Cause
 
 LIMIT = 0x0800

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+
 from conftest import INCREMENTS, Shaft
 
 ACKNOWLEDGE, REACHED, FOLLOWING_ERROR, INTERNAL_LIMIT = 0x1000, 0x0400, 0x2000, 0x0800

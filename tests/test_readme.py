@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+
 from servogym.drive.model import load, model_names
 from servogym.drive.words import MODE_ABBREVIATION
 from servogym.training import cli

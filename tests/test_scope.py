@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+
 from servogym.drive.words import Mode
 from servogym.training.scope import draw, round_up, runs
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from servogym.drive.drive import Drive
 from servogym.drive.trace import Edge, Trace, Trigger
 
