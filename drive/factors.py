@@ -2,9 +2,10 @@
 
 ``receive`` turns the raw objects of a record into SI parameters after any of them was written,
 ``publish`` turns what the cycle found into raw objects. Factor group as in CiA 402-2 / IEC
-61800-7-201: position units = increments * (608Fh) * (6091h) * (6092h), all integers, reduced to
-one exact fraction. Positions are rounded to the nearest unit, halves upwards; an INTEGER32 position
-wraps as a counter does, every other value saturates.
+61800-7-201: position units = increments * (608Fh) * (6091h) * (6092h), or for models that say so
+the older one of DSP 402 V2 (6093h, 6094h, 6097h). All are integers, reduced to one exact fraction.
+Positions are rounded to the nearest unit, halves upwards; an INTEGER32 position wraps as a counter
+does, every other value saturates.
 """
 
 import math
@@ -51,6 +52,12 @@ def receive(axis):
     if od.software_position_limit[0] >= od.software_position_limit[1]:
         axis.position_limit_min = -math.inf
         axis.position_limit_max = math.inf
+
+    first = od.position_range_limit[0] * position
+    second = od.position_range_limit[1] * position
+    axis.range_min = min(first, second)
+    ordered = od.position_range_limit[0] < od.position_range_limit[1]
+    axis.range = abs(second - first) if ordered else 0.0
 
     axis.max_speed = od.max_motor_speed * (2 * math.pi / 60)
     axis.max_profile_speed = min(od.max_profile_velocity * abs(velocity), axis.max_speed)
@@ -127,16 +134,22 @@ def _vl_ramp(axis, speed, time):
 @block
 def _units(axis):
     od = axis.od
-    numerator, denominator = fraction(od)
+    numerator, denominator = older_fraction(od) if axis.older_factor_group else fraction(od)
     axis.position_numerator = numerator
     axis.position_denominator = denominator
     resolution = od.position_encoder_resolution[0] / od.position_encoder_resolution[1]
     axis.rad_per_increment = 2 * math.pi / resolution
     unit = axis.rad_per_increment * denominator / numerator
+    if axis.older_factor_group:
+        per_minute = 2 * math.pi / 60
+        speed = od.velocity_encoder_factor[0] / od.velocity_encoder_factor[1] * per_minute / 4096
+        acceleration = od.acceleration_factor[0] / od.acceleration_factor[1] * per_minute / 256
+    else:
+        speed = unit * od.velocity_factor[0] / od.velocity_factor[1]
+        acceleration = unit * od.acceleration_factor[0] / od.acceleration_factor[1]
     axis.rad_per_position_unit = -unit if od.polarity & 0x80 else unit
-    speed = unit * od.velocity_factor[0] / od.velocity_factor[1]
     axis.rad_s_per_velocity_unit = -speed if od.polarity & 0x40 else speed
-    axis.rad_s2_per_acceleration_unit = unit * od.acceleration_factor[0] / od.acceleration_factor[1]
+    axis.rad_s2_per_acceleration_unit = acceleration
 
 
 @block
@@ -155,6 +168,18 @@ def fraction(od):
     e, d = _reduced(e, d)
     e, f = _reduced(e, f)
     return a * c * e, b * d * f
+
+
+@block
+def older_fraction(od):
+    """The same from 6093h: internal positions have 65536 increments a revolution (DSP 402 V2)."""
+    a, b = 65536 * int(od.position_encoder_resolution[1]), int(od.position_encoder_resolution[0])
+    c, d = int(od.position_factor[1]), int(od.position_factor[0])
+    a, b = _reduced(a, b)
+    a, d = _reduced(a, d)
+    c, b = _reduced(c, b)
+    c, d = _reduced(c, d)
+    return a * c, b * d
 
 
 @block
@@ -207,15 +232,22 @@ def _wrapped32(value):
 
 
 @block
+def _in_range(od, units):
+    """A position as 607Bh shows it: past one limit it goes on at the other."""
+    low, high = int(od.position_range_limit[0]), int(od.position_range_limit[1])
+    return low + (units - low) % (high - low) if low < high else units
+
+
+@block
 def publish(axis):
     """Write every object a master can read of this cycle."""
     od = axis.od
     counts = axis.counts - axis.zero_counts
     od.position_actual_internal_value = _wrapped32(counts)
-    od.position_actual_value = _wrapped32(increments_to_units(axis, counts))
+    od.position_actual_value = _in_range(od, _wrapped32(increments_to_units(axis, counts)))
     per_position = 1.0 / axis.rad_per_position_unit
     per_velocity = 1.0 / axis.rad_s_per_velocity_unit
-    od.position_demand_value = _integer32(axis.position_demand * per_position)
+    od.position_demand_value = _in_range(od, _integer32(axis.position_demand * per_position))
     od.following_error_actual_value = _integer32(axis.following_error * per_position)
     od.velocity_demand_value = _integer32(axis.velocity_demand * per_velocity)
     od.velocity_actual_value = _integer32(axis.velocity * per_velocity)

@@ -5,6 +5,8 @@ relates them to the zero position and leaves the unreferenced axis open). Homing
 needs the switches. A direction that a limit stopped stays locked until the master asks for another.
 """
 
+import math
+
 from .encoder import Switch
 from .jit import block
 from .words import Limit
@@ -17,6 +19,26 @@ def clamp_target(axis, target):
     if axis.homed:
         return min(max(target, axis.position_limit_min), axis.position_limit_max)
     return target
+
+
+@block
+def nearest_turn(axis, target, option):
+    """On a rotary axis (607Bh) the place that `target` (rad) means, counted on over the turns.
+
+    `option` is 60F2h bits 6-7: 0 stay within the range, 1 only negative, 2 only positive direction,
+    3 the shortest way. A linear axis has only one such place.
+    """
+    if axis.range <= 0.0:
+        return target
+    shown = (axis.position_demand - axis.range_min) % axis.range + axis.range_min
+    way = (target - axis.range_min) % axis.range + axis.range_min - shown
+    if option == 1 and way > 0:
+        way -= axis.range
+    elif option == 2 and way < 0:
+        way += axis.range
+    elif option == 3:
+        way -= axis.range * math.floor(way / axis.range + 0.5)
+    return axis.position_demand + way
 
 
 @block

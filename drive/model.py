@@ -39,6 +39,7 @@ FORMATS = {
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
 ACCESS = ("ro", "wo", "rw", "const")
 PDO_USE = ("", "rx", "tx", "rxtx")
+QUIRKS = ("older_factor_group",)  # flags a model may raise; each is a field of the record
 MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
 
 
@@ -136,6 +137,8 @@ class DriveModel:
         axis.velocity_period = self.cycle_time["velocity"]
         axis.velocity_cycles = round(self.cycle_time["position"] / self.cycle_time["velocity"])
         axis.torque_time_constant = self.torque_time_constant
+        for name, quirk in self.quirks.items():
+            setattr(axis, name, quirk.value)
         axis.supported_modes = sum(1 << (mode - 1) for mode in self.modes)
         axis.ambient_temperature = 25.0
         axis.enable_input = 1
@@ -192,6 +195,9 @@ def _load(folder: Path) -> DriveModel:
             f"{reader.path}: cycle_time_us.position = {microseconds['position']} is not a whole "
             f"multiple of cycle_time_us.velocity = {microseconds['velocity']}"
         )
+    for name in toml.get("quirks", {}):
+        if name not in QUIRKS:
+            raise ValueError(f"{reader.path}: unknown quirk {name!r}, known: {', '.join(QUIRKS)}")
     motor = reader.numbers("motor", ("torque_time_constant_us", "rotor_inertia_kgm2"))
     capabilities = reader.table("capabilities")
     for name in capabilities.get("modes", ()):

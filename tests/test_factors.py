@@ -106,3 +106,54 @@ def test_windows_of_ffffffff_are_off():
 def test_every_field_of_the_record_has_a_unit_entry():
     names = set(record.AXIS.names) - {"od"} | {f"od.{name}" for name in record.OD.names}
     assert names == set(record.UNITS)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "units", "rad"),
+    [
+        # results printed for the Festo CMMP-AS, section 5.3: one revolution, 1 1/min, 1 (1/min)/s
+        ("position_factor", (1, 1), 65536, TURN),
+        ("position_factor", (4096, 225), 3600, TURN),  # 1/10 degree
+        ("position_factor", (16384, 25), 100, TURN),  # 1/100 revolution
+        ("position_factor", (524288, 6315), 63.15 * 10, TURN * 4 / 5),  # 1/10 mm, gear 4/5
+        ("velocity_encoder_factor", (4096, 1), 60, TURN),
+        ("velocity_encoder_factor", (1024, 15), 3600, TURN),  # 1/10 degree per s
+        ("acceleration_factor", (256, 1), 60, TURN),
+        ("acceleration_factor", (64, 15), 3600, TURN),
+    ],
+)
+def test_the_older_factor_group_gives_the_results_printed_in_a_manual(name, factor, units, rad):
+    drive = Drive()
+    axis = drive.axis
+    axis.older_factor_group = 1
+    axis.od.position_factor[:] = 1, 1
+    axis.od.velocity_encoder_factor[:] = 4096, 1
+    axis.od.acceleration_factor[:] = 256, 1
+    getattr(axis.od, name)[:] = factor
+    drive.cycle(0.0)
+    unit = {
+        "position_factor": axis.rad_per_position_unit,
+        "velocity_encoder_factor": axis.rad_s_per_velocity_unit,
+        "acceleration_factor": axis.rad_s2_per_acceleration_unit,
+    }[name]
+    assert units * unit == pytest.approx(rad, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("bits", "way"), [(0x000, -0.5), (0x040, -0.5), (0x080, 0.5), (0x0C0, -0.5)]
+)
+def test_a_rotary_axis_shows_one_turn_and_chooses_its_direction(bits, way):
+    shaft = Shaft()
+    shaft.write(min_position_range_limit=0, max_position_range_limit=1_000_000, feed=1_000_000)
+    shaft.write(following_error_window=0xFFFFFFFF, position_window=2000)
+    shaft.enable(1)
+    shaft.write(target_position=750_000)
+    shaft.control(0x1F)
+    shaft.control(0x0F, 1200)
+    assert shaft.read("position_actual_value") == pytest.approx(750_000, abs=50)
+    start = shaft.angle / TURN
+    shaft.write(positioning_option_code=bits, target_position=260_000)
+    shaft.control(0x1F)
+    shaft.control(0x0F, 1200)
+    assert shaft.read("position_actual_value") == pytest.approx(260_000, abs=50)
+    assert shaft.angle / TURN - start == pytest.approx(way + 0.01, abs=1e-3)

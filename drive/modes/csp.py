@@ -36,7 +36,8 @@ def hold(axis):
 def demand(axis):
     """Interpolate one position cycle further."""
     if axis.sync or axis.target_position != axis.last_target_position:
-        aim(axis, limits.clamp_target(axis, axis.target_position + axis.position_offset))
+        wanted = limits.nearest_turn(axis, axis.target_position + axis.position_offset, 3)
+        aim(axis, limits.clamp_target(axis, wanted))
     travel(axis, axis.velocity_offset)
 
 

@@ -55,7 +55,8 @@ def demand(axis, bit4):
         csp.hold(axis)
     axis.ip_active = bit4
     if bit4 and axis.interpolation_cycle >= axis.interpolation_cycles and axis.ip_records > 0:
-        csp.aim(axis, limits.clamp_target(axis, _take(axis)))
+        wanted = limits.nearest_turn(axis, _take(axis), 3)
+        csp.aim(axis, limits.clamp_target(axis, wanted))
     csp.travel(axis, 0.0)
 
 

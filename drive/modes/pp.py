@@ -87,6 +87,9 @@ def _begin(axis):
     target = axis.set_point_position[0]
     if axis.set_point_relative[0]:
         target += _origin(axis)
+    else:
+        option = int(axis.od.positioning_option_code) >> 6 & 3
+        target = limits.nearest_turn(axis, target, option)
     axis.set_point_relative[0] = 0
     axis.set_point_position[0] = target
     axis.set_point_started = 1
