@@ -33,13 +33,19 @@ class Supervisor:
     Args:
         machine: the machine that is stepped while waiting.
         name: the drive's name.
-        on_step: called after every position cycle, for traces and displays.
+        on_step: called after every look, for traces and displays.
+        stride: position cycles between two looks at the drive while waiting.
     """
 
     def __init__(
-        self, machine: Machine, name: str, on_step: Callable[[], None] | None = None
+        self,
+        machine: Machine,
+        name: str,
+        on_step: Callable[[], None] | None = None,
+        stride: int = 1,
     ) -> None:
         self.machine = machine
+        self.stride = stride
         self.drive = machine.drives[name]
         self.on_step = on_step
 
@@ -50,6 +56,11 @@ class Supervisor:
             return
         for _ in range(cycles):
             self.machine.step()
+            self.on_step()
+
+    def _look(self) -> None:
+        self.machine.step(self.stride)
+        if self.on_step is not None:
             self.on_step()
 
     def until(self, condition: Callable[[], bool], timeout: float, what: str) -> None:
@@ -66,7 +77,7 @@ class Supervisor:
                     f"{what}: not within {timeout:g} s; statusword {self.drive.describe()}; "
                     f"{self.drive.why()}"
                 )
-            self.step()
+            self._look()
 
     def status(self, mask: int) -> bool:
         """Whether all bits of `mask` are set in the statusword."""

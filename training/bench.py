@@ -13,10 +13,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 from rich.console import Console
 from rich.table import Table
 
@@ -106,6 +108,34 @@ def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, An
     }
 
 
+def two_threads(drive: str, repeat: int) -> dict[str, float]:
+    """Throughput of two machines on two threads over one on one; the same for mujoco.batch."""
+    steps = 20_000
+    machines = [_moving_machine(drive, False) for _ in range(2)]
+    snapshots = [machine.snapshot() for machine in machines]
+
+    def run(chosen) -> float:
+        for machine, snapshot in zip(machines, snapshots, strict=True):
+            machine.restore(snapshot)
+        begin = time.perf_counter()
+        with ThreadPoolExecutor(len(chosen)) as pool:
+            list(pool.map(lambda machine: machine.step(steps // machine.physics_steps), chosen))
+        return time.perf_counter() - begin
+
+    batches = {n: Batch(machines[0].model, nsim=2, nthread=n) for n in (1, 2)}
+
+    def batch(threads: int) -> float:
+        begin = time.perf_counter()
+        batches[threads].step(nstep=steps)
+        return time.perf_counter() - begin
+
+    run(machines)
+    ours = [2 * run(machines[:1]) / run(machines) for _ in range(repeat)]
+    batch(2)
+    theirs = [batch(1) / batch(2) for _ in range(repeat)]
+    return {"machines": float(np.median(ours)), "mujoco_batch": float(np.median(theirs))}
+
+
 _START = """
 import time; begin = time.perf_counter()
 from servogym.envs import linear_axis
@@ -137,6 +167,7 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
             "mujoco": mujoco.__version__,
             "rates_of_the_model": measure(drive, repeat, False),
             "position_cycle_every_step": measure(drive, repeat, True),
+            "two_threads_over_one": two_threads(drive, max(repeat // 20, 3)),
             **start_times(),
         }
     if as_json:
@@ -158,6 +189,11 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
             f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
         )  # fmt: skip
     console.print(table)
+    threads: Any = results["two_threads_over_one"]
+    console.print(
+        f"two machines on two threads over one: {threads['machines']:.2f} times the steps "
+        f"(mujoco.batch in the same run: {threads['mujoco_batch']:.2f})"
+    )
     console.print(
         f"start to first cycle: cold {results['cold_start_s']:.1f} s (compiling), "
         f"warm {results['warm_start_s']:.1f} s"

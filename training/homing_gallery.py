@@ -65,7 +65,7 @@ def home(machine: Machine, start: float, name: str = "") -> Run:
         times.append(machine.time)
         positions.append(float(machine.data.qpos[0]))
 
-    supervisor = Supervisor(machine, "x", note)
+    supervisor = Supervisor(machine, "x", note, stride=10)
     supervisor.enable()
     found = None
     try:
