@@ -216,7 +216,7 @@ def _take_fault(axis):
     was_energised = energised(axis)
     _apply(axis, Event.FAULT)
     code = int(axis.od.fault_reaction_option_code)
-    if not was_energised or axis.fault_reaction[cause] == Reaction.DISABLE:
+    if not was_energised or axis.od.fault_reaction[cause] == Reaction.DISABLE:
         code = 0
     _stop_then(axis, 14, code)
 

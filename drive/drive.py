@@ -93,6 +93,8 @@ class Drive:
         """
         values = self._parameters() if keep_parameters else self._stored_parameters()
         self._record[:] = bytes(len(self._record))
+        if self.model.name != "generic":
+            self._standard_defaults()
         self.model.power_on(self.axis)
         self._defaults()
         self._restore_parameters(values)
@@ -101,12 +103,14 @@ class Drive:
                 compile_default(self.objects, pdo, receive)
         self.image_changed()
 
+    def _standard_defaults(self) -> None:
+        """Objects a model lacks behave as the defaults of the standard's own drive."""
+        od = self.objects.names["statusword"].view
+        for row in load("generic").objects.values():
+            if row.area == "axis" and row.format:
+                Slot(row, od, row.offset).put(row.default)  # type: ignore[arg-type]
+
     def _defaults(self) -> None:
-        generic = load("generic")
-        if self.model is not generic:  # objects a model lacks behave as the standard's defaults
-            for row in generic.objects.values():
-                if row.area == "axis" and row.format:
-                    Slot(row, self.objects.names["statusword"].view, row.offset).put(row.default)  # type: ignore[arg-type]
         for slot in self.objects.slots.values():
             if slot.row.area == "axis" and slot.row.format:
                 slot.put(slot.row.default)  # type: ignore[arg-type]

@@ -43,7 +43,7 @@ class Reaction(IntEnum):
 def raise_fault(axis, cause):
     """Report that `cause` is present in this cycle; the first one that stops the drive counts."""
     axis.faults_present |= 1 << cause
-    reaction = int(axis.fault_reaction[cause])
+    reaction = int(axis.od.fault_reaction[cause])
     if reaction == Reaction.IGNORE:
         return
     if reaction == Reaction.WARNING:

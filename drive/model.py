@@ -146,7 +146,7 @@ class DriveModel:
         for fault in self.faults:
             axis.fault_code[fault.cause] = fault.code
             axis.fault_register[fault.cause] = 1 | 1 << fault.register
-            axis.fault_reaction[fault.cause] = fault.reaction
+            axis.od.fault_reaction[fault.cause] = fault.reaction
         axis.parameters_changed = 1
 
 

@@ -158,6 +158,7 @@ OBJECTS = (
     ("chopper_resistance", "<u4", "mOhm", "2018h:05; 0 = none fitted"),
     ("chopper_energy", "<u4", "mJ", "2018h:06, turned into heat since power-on"),
     ("supply_voltage", "<u4", "mV", "2018h:07, rectified"),
+    ("fault_reaction", ("u1", (FAULT_CAUSES,)), "", "2020h, `faults.Reaction` of each cause"),
     ("set_point_loss_limit", "u1", "", "2019h, missing set-points that raise a fault; 0 = off"),
     ("digital_inputs", "<u4", "", "60FDh"),
     ("digital_outputs", ("<u4", (2,)), "", "60FEh, physical outputs and bit mask"),
@@ -178,7 +179,6 @@ FIELDS = (
     ("positive_homing", "i8", "", "bit n set: homing method n"),
     ("fault_code", ("<u2", (FAULT_CAUSES,)), "", "emergency error code of each cause"),
     ("fault_register", ("u1", (FAULT_CAUSES,)), "", "error register bits of each cause"),
-    ("fault_reaction", ("u1", (FAULT_CAUSES,)), "", "`faults.Reaction` of each cause"),
     # parameters in SI, made by factors.receive
     ("rad_per_increment", "f8", "rad", "encoder resolution"),
     ("rad_per_position_unit", "f8", "rad", "signed by polarity"),

@@ -71,6 +71,18 @@ def test_a_folder_of_ones_own_is_a_model_without_any_python(folder):
     assert drive.read("my_parameter") == -5
 
 
+def test_what_a_model_does_not_have_behaves_as_the_standard_says(folder):
+    path = folder / "objects.csv"
+    rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    gone = ("0x2020,", "0x60C2,", "0x605D,")
+    path.write_text("".join(row for row in rows if not row.startswith(gone)), encoding="utf-8")
+    change(folder, "faults.csv", "FOLLOWING_ERROR,OPTION_CODE", "FOLLOWING_ERROR,WARNING")
+    axis = Drive(folder).axis
+    assert axis.od.fault_reaction[Cause.FOLLOWING_ERROR] == 1, "from faults.csv"
+    assert axis.od.halt_option_code == 1
+    assert axis.od.interpolation_time_units == 1
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from conftest import INCREMENTS, INERTIA, TURN, Shaft
+from servogym.drive.abort import Abort, SdoAbort
 from servogym.drive.faults import Cause
 
 LIMIT = 0x0800
@@ -208,6 +209,28 @@ def test_every_cause_can_be_injected_and_is_what_the_model_says(cause, enabled):
         assert enabled.drive.state.name == "FAULT"
         assert f"{fault.code:04X}h" in enabled.drive.fault
     enabled.drive.clear_injected()
+
+
+@pytest.mark.parametrize(
+    ("reaction", "state", "warning"),
+    [(0, "OPERATION_ENABLED", False), (1, "OPERATION_ENABLED", True), (2, "FAULT", False)],
+)
+def test_a_following_error_is_a_fault_a_warning_or_only_bit_13(reaction, state, warning, enabled):
+    enabled.write(reaction_to_following_error=reaction, following_error_window=100)
+    enabled.write(modes_of_operation=8)
+    enabled.load = 0.5
+    enabled.until(lambda: enabled.axis.following_error_exceeded, 400)
+    assert enabled.bit(0x2000)
+    enabled.load = 0.0
+    assert enabled.bit(0x80) == warning
+    enabled.step(1)
+    enabled.until(lambda: enabled.drive.state.name == state, 3000)
+
+
+def test_a_severe_cause_cannot_be_made_harmless(shaft):
+    with pytest.raises(SdoAbort) as error:
+        shaft.write(reaction_to_overvoltage=1)
+    assert error.value.code == Abort.VALUE_TOO_LOW
 
 
 def test_an_unknown_cause_names_the_known_ones(shaft):
