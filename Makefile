@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo test lint format bench coverage slow clean
+.PHONY: demo test lint types format bench coverage slow clean
 
 demo: $(VENV)/run
 	$(BIN)/servogym demo --out $(OUT)
@@ -15,10 +15,13 @@ test: lint
 lint: $(VENV)/test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	rm -rf $(VENV)/typed
+	$(MAKE) --no-print-directory types
+	$(BIN)/lint-imports
+
+types: $(VENV)/test # the package as it is installed
+	rm -rf $(VENV)/typed build
 	$(BIN)/python -m pip install --quiet --no-deps --target $(VENV)/typed .
 	MYPYPATH=$(VENV)/typed $(BIN)/mypy
-	$(BIN)/lint-imports
 
 format: $(VENV)/test
 	$(BIN)/ruff format .
@@ -38,11 +41,11 @@ $(VENV)/bin/python:
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
 $(VENV)/run: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --quiet --editable .
 	touch $@
 
 $(VENV)/test: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".[dev,train]"
+	$(BIN)/python -m pip install --quiet --quiet --editable ".[dev,train]"
 	touch $@ $(VENV)/run
 
 clean:
