@@ -68,9 +68,9 @@ class Drive:
         self.axis: Any = self.axes[index]
         self.rpdos = process_data.make(len(self.model.rpdos))
         self.tpdos = process_data.make(len(self.model.tpdos))
-        self._memory = process_data.memory(self.axes)
+        self.memory = process_data.memory(self.axes)
         od_offset = record.AXIS.fields["od"][1]  # type: ignore[index]
-        self._record = process_data.raw(self._memory[index])
+        self._record = process_data.raw(self.memory[index])
         self._stored: store.Values | None = None  # parameters kept without a file
         self.objects = ObjectDictionary(
             self,
@@ -98,6 +98,9 @@ class Drive:
         self.model.power_on(self.axis)
         self._defaults()
         self._restore_parameters(values)
+        self._compile_pdos()
+
+    def _compile_pdos(self) -> None:
         for pdos, receive in ((self.rpdos, True), (self.tpdos, False)):
             for pdo in pdos:
                 compile_default(self.objects, pdo, receive)
@@ -113,7 +116,15 @@ class Drive:
     def _defaults(self) -> None:
         for slot in self.objects.slots.values():
             if slot.row.area == "axis" and slot.row.format:
-                slot.put(slot.row.default)  # type: ignore[arg-type]
+                slot.put(self._default(slot))
+        self._default_pdos()
+
+    def _default(self, slot: Slot) -> Any:
+        """Factory default; some identifiers count from the node-id."""
+        default: Any = slot.row.default
+        return default + self.node_id if slot.row.per_node else default
+
+    def _default_pdos(self) -> None:
         for pdos, mappings in ((self.rpdos, self.model.rpdos), (self.tpdos, self.model.tpdos)):
             for pdo, mapping in zip(pdos, mappings, strict=True):
                 base, _, node = mapping.cob_id.partition("+")
@@ -146,6 +157,16 @@ class Drive:
             slot = self.objects.slots.get((index, subindex))
             if slot is not None and slot.view is not None and slot.row.storable:
                 slot.put(value)
+
+    def reset_communication(self) -> None:
+        """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""
+        stored = self._stored_parameters()
+        for (index, _), slot in self.objects.slots.items():
+            if index < 0x2000 and slot.row.area == "axis" and slot.row.storable:
+                slot.put(self._default(slot))
+        self._default_pdos()
+        self._restore_parameters({a: v for a, v in stored.items() if int(a[:4], 16) < 0x2000})
+        self._compile_pdos()
 
     def store_parameters(self) -> bool:
         """What 1010h does: keep all storable objects for the next power-on; False if it failed."""
@@ -238,7 +259,7 @@ class Drive:
     def _size(self, direction: str) -> int:
         if direction not in self._sizes:
             pdos = self.rpdos if direction == "rx" else self.tpdos
-            self._sizes[direction] = int(pdos["size"][pdos["valid"] == 1].sum())
+            self._sizes[direction] = int(pdos["width"][pdos["valid"] == 1].sum())
         return self._sizes[direction]
 
     @property
@@ -256,12 +277,12 @@ class Drive:
         if len(rpdo) != self.rpdo_size:
             raise ValueError(f"the RPDO image has {self.rpdo_size} bytes, {len(rpdo)} were given")
         image = np.frombuffer(rpdo, np.uint8)
-        process_data.latch_axis(self._memory, self.axes, self.index, self.rpdos, image)
+        process_data.latch_axis(self.memory, self.axes, self.index, self.rpdos, image)
 
     def collect(self) -> bytes:
         """The TPDO image of the last position cycle."""
         image = np.empty(self.tpdo_size, np.uint8)
-        process_data.collect_axis(self._memory, self.index, self.tpdos, image)
+        process_data.collect_axis(self.memory, self.index, self.tpdos, image)
         return image.tobytes()
 
     def exchange(self, rpdo: bytes) -> bytes:

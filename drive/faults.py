@@ -60,6 +60,7 @@ def raise_fault(axis, cause):
 def record(axis, cause):
     """Enter `cause` in 603Fh, 1001h and, newest first, in the history 1003h."""
     od = axis.od
+    axis.error_events += 1
     od.error_code = axis.fault_code[cause]
     od.error_register |= axis.fault_register[cause]
     for i in range(HISTORY - 1, 0, -1):

@@ -65,6 +65,7 @@ class Object:
     area: str  # "axis", "rpdo", "tpdo" or "constant"
     offset: int
     when: str
+    per_node: bool = False  # the node-id is added to the default
 
     @property
     def format(self) -> str:
@@ -299,7 +300,8 @@ def _read_objects(path: Path) -> dict[tuple[int, int], Object]:
 
 def _object(row, where, index, subindex, area, offset) -> Object:
     code = FORMATS[row["data_type"]]
-    allowed, default = None, row["default"]
+    allowed = None
+    default, plus, _ = row["default"].partition("+node_id")
     low, high = _type_range(code)
     if row["min"].startswith("{"):
         allowed = frozenset(_integer(v, where, "min") for v in row["min"].strip("{}").split(";"))
@@ -316,7 +318,7 @@ def _object(row, where, index, subindex, area, offset) -> Object:
     return Object(
         index, subindex, row["name"], row["object_type"], row["data_type"], row["access"],
         row["pdo"], row["unit"], low, high, allowed, default, row["storable"] == "yes",
-        row["section"], row["note"], area, offset, row["when"],
+        row["section"], row["note"], area, offset, row["when"], bool(plus),
     )  # fmt: skip
 
 
@@ -348,15 +350,10 @@ def _read_pdos(path: Path, objects) -> tuple[tuple[Mapping, ...], tuple[Mapping,
         if direction not in found:
             raise ValueError(f"{where}: direction {row['direction']!r} is neither rx nor tx")
         number = _integer(row["number"], where, "number")
-        entry = tuple(_integer(row[key], where, key) for key in ("index", "subindex", "bits"))
-        target = objects.get(entry[:2])
-        if target is None or direction not in target.pdo or target.size * 8 != entry[2]:
-            raise ValueError(
-                f"{where}: {entry[0]:04X}h:{entry[1]:02X}h with {entry[2]} bits cannot be mapped "
-                f"to a {direction} PDO"
-            )
         before = found[direction].get(number)
-        entries = (*(before.entries if before else ()), entry)
+        entries = before.entries if before else ()
+        if row["index"]:  # a row without one is a PDO that is free for mapping
+            entries = (*entries, _pdo_entry(row, where, direction, objects))
         if sum(bits for _, _, bits in entries) > MAX_BITS or len(entries) > ENTRIES:
             raise ValueError(f"{where}: PDO {number} is longer than {MAX_BITS} bits")
         cob_id = row["cob_id"].replace(" ", "")
@@ -367,12 +364,25 @@ def _read_pdos(path: Path, objects) -> tuple[tuple[Mapping, ...], tuple[Mapping,
             cob_id,
             _integer(row["transmission_type"], where, "transmission_type"),
             _integer(row["inhibit_time"] or "0", where, "inhibit_time"),
-            entries,  # type: ignore[arg-type]
+            entries,
         )
     for pdos in found.values():
         if sorted(pdos) != list(range(1, len(pdos) + 1)):
             raise ValueError(f"{path.name} ({path.parent.name}): PDO numbers have a gap")
     return tuple(tuple(pdos[n] for n in sorted(pdos)) for pdos in found.values())  # type: ignore
+
+
+def _pdo_entry(row, where, direction, objects) -> tuple[int, int, int]:
+    index, subindex, bits = (
+        _integer(row[key], where, key) for key in ("index", "subindex", "bits")
+    )
+    target = objects.get((index, subindex))
+    if target is None or direction not in target.pdo or target.size * 8 != bits:
+        raise ValueError(
+            f"{where}: {index:04X}h:{subindex:02X}h with {bits} bits cannot be mapped to a "
+            f"{direction} PDO"
+        )
+    return index, subindex, bits
 
 
 def _read_faults(path: Path) -> tuple[Fault, ...]:

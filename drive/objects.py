@@ -286,7 +286,7 @@ def _compile(od: ObjectDictionary, pdo, receive: bool, count: int) -> Abort:
         return Abort.PDO_LENGTH
     pdo.offset[:count] = offsets
     pdo.length[:count] = lengths
-    pdo.size = sum(lengths)
+    pdo.width = sum(lengths)
     od.drive.image_changed()
     return Abort.NONE
 

@@ -30,7 +30,7 @@ PDO = np.dtype(
         ("valid", "u1"),
         ("offset", "<i4", (ENTRIES,)),  # in the AXIS record (byte)
         ("length", "<i4", (ENTRIES,)),  # (byte)
-        ("size", "<i4"),  # of the PDO (byte)
+        ("width", "<i4"),  # of the PDO (byte)
     ],
     align=True,
 )

@@ -371,6 +371,7 @@ FIELDS = (
     ("fault_raised", "i8", "", "a cause device control has not yet seen; 0 = none"),
     ("faults_present", "i8", "", "bit n: cause n is still present"),
     ("warnings", "i8", "", "bit n: cause n is shown as a warning"),
+    ("error_events", "i8", "", "entries made in the history since power-on"),
 )
 
 

@@ -114,5 +114,5 @@ def test_a_pdo_over_64_bits_is_refused(folder):
     path = folder / "pdo.csv"
     row = "rx,1,0x00000200+node_id,255,0,{},0x607A,0x00,32,,x\n"
     path.write_text(path.read_text() + row.format(2) + row.format(3))
-    with pytest.raises(ValueError, match=r"pdo.csv, line 17 .* longer than 64 bits"):
+    with pytest.raises(ValueError, match=r"pdo.csv, line \d+ .* longer than 64 bits"):
         load(folder)

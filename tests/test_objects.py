@@ -39,7 +39,8 @@ def test_every_row_reads_its_default_with_its_length(row):
     if row.format:
         assert len(data) == row.size
         if row.area in ("axis", "constant"):
-            assert struct.unpack("<" + row.format, data)[0] == row.default
+            node_id = 1 if row.per_node else 0
+            assert struct.unpack("<" + row.format, data)[0] == row.default + node_id
     else:
         assert data.decode() == row.default
 
@@ -85,7 +86,8 @@ def test_every_row_keeps_its_access_length_and_range(row):
         ((0x1400, 2, 245), 0x06090030),
         ((0x1400, 2, 252), 0x06090030),
         ((0x1600, 0, 0), 0x08000022),
-        ((0x1601, 1, 0x60410010), 0x08000022),
+        ((0x1600, 1, 0x60410010), 0x08000022),
+        ((0x1601, 1, 0x60410010), 0x06040041),
         ((0x1601, 0, 17), 0x06040042),
         ((0x1800, 3, 5), 0x08000022),
     ],

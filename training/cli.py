@@ -33,6 +33,15 @@ def _parser() -> argparse.ArgumentParser:
     drives.add_argument("model", nargs="?", help="name or folder of a model")
     drives.set_defaults(run=_drives)
 
+    node = commands.add_parser("node", help="serve drives as CANopen nodes on a bus, in real time")
+    node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
+    node.add_argument("-i", "--interface", default="udp_multicast", help="of python-can")
+    node.add_argument("-c", "--channel", default="239.74.163.2", help="of python-can")
+    node.add_argument("-b", "--bitrate", type=int, default=1_000_000, help="bit/s (1000000)")
+    node.add_argument("--log", help="file for all frames; .log candump, .asc, .blf ...")
+    node.set_defaults(run=_node)
+
     homing = commands.add_parser("homing", help="draw the homing methods from real runs")
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
     homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
@@ -53,6 +62,15 @@ def _bench(options: argparse.Namespace, console: Console) -> int:
     from . import bench
 
     return bench.run(options.drive, options.repeat, options.json, console)
+
+
+def _node(options: argparse.Namespace, console: Console) -> int:
+    from . import node
+
+    return node.run(
+        options.drive, options.node_id or [1], options.interface, options.channel,
+        options.bitrate, options.log, console,
+    )  # fmt: skip
 
 
 def _homing(options: argparse.Namespace, console: Console) -> int:

@@ -1,0 +1,35 @@
+"""A CAN frame, and the identifiers of the predefined connection set (CiA 301)."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+
+class Frame(NamedTuple):
+    """A classical CAN frame; `id` has 11 bits, or 29 where `extended`."""
+
+    id: int
+    data: bytes = b""
+    remote: bool = False
+    extended: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.id:03X}#{'R' if self.remote else self.data.hex().upper()}"
+
+
+class Base(IntEnum):
+    """First identifier of each service; the node-id is added."""
+
+    NMT = 0x000
+    SYNC = 0x080
+    EMCY = 0x080
+    SDO_RESPONSE = 0x580
+    SDO_REQUEST = 0x600
+    ERROR_CONTROL = 0x700
+
+
+def parse(text: str) -> Frame:
+    """A frame from candump's short form, as ``601#4041600000000000`` or ``701#R``."""
+    identifier, _, data = text.strip().partition("#")
+    if data.upper().startswith("R"):
+        return Frame(int(identifier, 16), remote=True)
+    return Frame(int(identifier, 16), bytes.fromhex(data), extended=len(identifier) > 3)

@@ -1,0 +1,258 @@
+"""SDO server: expedited, segmented and block transfer (CiA 301, SDO protocol).
+
+One transfer at a time. A request is answered or aborted, an abort of the client ends the transfer,
+and a client that stays silent for the time-out finds the server aborting.
+"""
+
+import binascii
+import struct
+from collections.abc import Callable
+
+from ..abort import Abort
+from ..objects import ObjectDictionary
+
+TIME_OUT = 1_000_000  # µs between two frames of a transfer
+BLOCK_SIZE = 127  # segments a block
+LIMIT = 4096  # bytes a client may send for one object
+_HEAD = struct.Struct("<BHB")
+
+
+class SdoServer:
+    """The default SDO server of a node; `send` takes the eight bytes of each response."""
+
+    def __init__(self, objects: ObjectDictionary, send: Callable[[bytes], None]):
+        self._objects = objects
+        self._send = send
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget a transfer in progress."""
+        self._handler: Callable[[bytes], None] | None = None  # of the running transfer
+        self._index = self._subindex = 0
+        self._data = b""
+        self._at = 0
+        self._toggle = 0
+        self._size: int | None = None
+        self._sequence = 0
+        self._block = 0
+        self._crc = False
+        self._last = 0
+
+    def request(self, data: bytes, time: int) -> None:
+        """Take the eight bytes of a request at `time` (µs)."""
+        self._last = time
+        if self._handler == self._download_block and data[0] != 0x80:
+            self._download_block(data)
+            return
+        service = _SERVICES.get(data[0] >> 5)
+        if service is None:
+            self._abort(Abort.COMMAND_SPECIFIER, data)
+        else:
+            service(self, data)
+
+    def poll(self, time: int) -> None:
+        """Abort a transfer whose client has fallen silent."""
+        if self._handler is not None and time - self._last > TIME_OUT:
+            self._abort(Abort.TIME_OUT)
+
+    def _abort(self, code: Abort, request: bytes = b"") -> None:
+        if request and self._handler is None:
+            _, self._index, self._subindex = _HEAD.unpack_from(request)
+        self._answer(0x80, self._index, self._subindex, struct.pack("<I", code))
+        self._handler = None
+
+    def _answer(self, command: int, index: int, subindex: int, data: bytes = b"") -> None:
+        self._send(_HEAD.pack(command, index, subindex) + data.ljust(4, b"\0"))
+
+    def _aborted(self, data: bytes) -> None:
+        self._handler = None
+
+    # ------------------------------------------------------------- download
+
+    def _initiate_download(self, data: bytes) -> None:
+        command, self._index, self._subindex = _HEAD.unpack_from(data)
+        self._handler = None
+        if command & 0x02:  # expedited
+            length = 4 - (command >> 2 & 3) if command & 0x01 else self._own_length()
+            self._store(data[4 : 4 + length], 0x60)
+            return
+        abort = self._writable()
+        self._size = struct.unpack_from("<I", data, 4)[0] if command & 0x01 else None
+        if not abort and (self._size or 0) > LIMIT:
+            abort = Abort.LENGTH_TOO_HIGH
+        if abort:
+            self._abort(abort)
+            return
+        self._begin(self._download_segment)
+        self._answer(0x60, self._index, self._subindex)
+
+    def _begin(self, handler: Callable[[bytes], None]) -> None:
+        self._handler = handler
+        self._data, self._at, self._toggle = b"", 0, 0
+
+    def _own_length(self) -> int:
+        slot, _ = self._objects.find(self._index, self._subindex)
+        return min(slot.row.size, 4) if slot else 4
+
+    def _writable(self) -> Abort:
+        slot, abort = self._objects.find(self._index, self._subindex)
+        if slot is not None and slot.row.access in ("ro", "const"):
+            return Abort.READ_ONLY
+        return abort
+
+    def _store(self, data: bytes, command: int, index: int | None = None) -> None:
+        abort = self._objects.write(self._index, self._subindex, data)
+        self._handler = None
+        if abort:
+            self._abort(abort)
+        elif index is None:
+            self._answer(command, self._index, self._subindex)
+        else:
+            self._answer(command, 0, 0)
+
+    def _download_segment(self, data: bytes) -> None:
+        if self._handler != self._download_segment:
+            self._abort(Abort.COMMAND_SPECIFIER, data)
+        elif data[0] >> 4 & 1 != self._toggle:
+            self._abort(Abort.TOGGLE_BIT)
+        else:
+            self._data += data[1 : 8 - (data[0] >> 1 & 7)]
+            answer = 0x20 | self._toggle << 4
+            self._toggle ^= 1
+            if len(self._data) > LIMIT:
+                self._abort(Abort.LENGTH_TOO_HIGH)
+            elif not data[0] & 1:
+                self._send(bytes([answer]) + bytes(7))
+            elif self._size not in (None, len(self._data)):
+                self._abort(Abort.LENGTH)
+            else:
+                self._store(self._data, answer, index=0)
+
+    # --------------------------------------------------------------- upload
+
+    def _initiate_upload(self, data: bytes) -> None:
+        _, self._index, self._subindex = _HEAD.unpack_from(data)
+        self._handler = None
+        value, abort = self._objects.read(self._index, self._subindex)
+        if abort:
+            self._abort(abort)
+        elif 1 <= len(value) <= 4:
+            self._answer(0x43 | 4 - len(value) << 2, self._index, self._subindex, value)
+        else:
+            self._begin(self._upload_segment)
+            self._data = value
+            self._answer(0x41, self._index, self._subindex, struct.pack("<I", len(value)))
+
+    def _upload_segment(self, data: bytes) -> None:
+        if self._handler != self._upload_segment:
+            self._abort(Abort.COMMAND_SPECIFIER, data)
+        elif data[0] >> 4 & 1 != self._toggle:
+            self._abort(Abort.TOGGLE_BIT)
+        else:
+            part = self._data[self._at : self._at + 7]
+            self._at += 7
+            last = self._at >= len(self._data)
+            command = self._toggle << 4 | (7 - len(part)) << 1 | last
+            self._toggle ^= 1
+            self._send(bytes([command]) + part.ljust(7, b"\0"))
+            if last:
+                self._handler = None
+
+    # ---------------------------------------------------------------- block
+
+    def _block_download(self, data: bytes) -> None:
+        command = data[0]
+        if command & 1:  # end of the transfer
+            self._end_block_download(data)
+            return
+        _, self._index, self._subindex = _HEAD.unpack_from(data)
+        abort = self._writable()
+        self._size = struct.unpack_from("<I", data, 4)[0] if command & 2 else None
+        if not abort and (self._size or 0) > LIMIT:
+            abort = Abort.LENGTH_TOO_HIGH
+        if abort:
+            self._handler = None
+            self._abort(abort)
+            return
+        self._begin(self._download_block)
+        self._crc = bool(command & 4)
+        self._sequence = 0
+        self._answer(0xA4, self._index, self._subindex, bytes([BLOCK_SIZE]))
+
+    def _download_block(self, data: bytes) -> None:
+        number, last = data[0] & 0x7F, data[0] & 0x80
+        if number == self._sequence + 1:
+            self._sequence = number
+            self._data += data[1:]
+        if len(self._data) > LIMIT + 7:
+            self._abort(Abort.LENGTH_TOO_HIGH)
+        elif last or number >= BLOCK_SIZE:
+            if last and number == self._sequence:
+                self._handler = self._end_block_download
+            self._send(bytes([0xA2, self._sequence, BLOCK_SIZE]) + bytes(5))
+            self._sequence = 0
+
+    def _end_block_download(self, data: bytes) -> None:
+        if self._handler != self._end_block_download:
+            self._abort(Abort.COMMAND_SPECIFIER, data)
+            return
+        content = self._data[: len(self._data) - (data[0] >> 2 & 7)]
+        if self._crc and binascii.crc_hqx(content, 0) != struct.unpack_from("<H", data, 1)[0]:
+            self._abort(Abort.CRC)
+        elif self._size not in (None, len(content)):
+            self._abort(Abort.LENGTH)
+        else:
+            self._store(content, 0xA1, index=0)
+
+    def _block_upload(self, data: bytes) -> None:
+        kind = data[0] & 3
+        if kind == 0:
+            self._initiate_block_upload(data)
+        elif self._handler != self._block_upload:
+            self._abort(Abort.COMMAND_SPECIFIER, data)
+        elif kind == 3:  # start
+            self._send_block()
+        elif kind == 2:  # what the client has received of the block
+            self._at += min(data[1], self._sequence) * 7
+            self._block = data[2]
+            if not 1 <= self._block <= 127:
+                self._abort(Abort.BLOCK_SIZE)
+            elif self._at < len(self._data):
+                self._send_block()
+            else:
+                unused = -len(self._data) % 7 if self._data else 7
+                crc = binascii.crc_hqx(self._data, 0)
+                self._send(struct.pack("<BH5x", 0xC1 | unused << 2, crc))
+        else:
+            self._handler = None
+
+    def _initiate_block_upload(self, data: bytes) -> None:
+        _, self._index, self._subindex = _HEAD.unpack_from(data)
+        self._handler = None
+        value, abort = self._objects.read(self._index, self._subindex)
+        if not abort and not 1 <= data[4] <= 127:
+            abort = Abort.BLOCK_SIZE
+        if abort:
+            self._abort(abort)
+            return
+        self._begin(self._block_upload)
+        self._data, self._block = value, data[4]
+        self._answer(0xC6, self._index, self._subindex, struct.pack("<I", len(value)))
+
+    def _send_block(self) -> None:
+        parts = [self._data[at : at + 7] for at in range(self._at, len(self._data), 7)] or [b""]
+        self._sequence = min(len(parts), self._block)
+        for number, part in enumerate(parts[: self._block], 1):
+            last = 0x80 if number == len(parts) else 0
+            self._send(bytes([last | number]) + part.ljust(7, b"\0"))
+
+
+_SERVICES: dict[int, Callable[[SdoServer, bytes], None]] = {
+    0: SdoServer._download_segment,
+    1: SdoServer._initiate_download,
+    2: SdoServer._initiate_upload,
+    3: SdoServer._upload_segment,
+    4: SdoServer._aborted,
+    5: SdoServer._block_upload,
+    6: SdoServer._block_download,
+}

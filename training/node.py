@@ -1,0 +1,160 @@
+"""`servogym node`: drives as CANopen nodes on a bus of python-can, in real time."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import can
+from rich.console import Console
+
+from ..drive.canopen.frame import Frame
+from ..drive.canopen.node import Node
+from ..envs.linear_axis import linear_axis
+from ..envs.machine import Machine
+
+
+def to_message(frame: Frame) -> can.Message:
+    """The frame as python-can sends it."""
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+    )
+
+
+def to_frame(message: can.Message) -> Frame | None:
+    """A classical data or remote frame; None for error frames and CAN FD."""
+    if message.is_error_frame or message.is_fd:
+        return None
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_remote_frame,
+        message.is_extended_id,
+    )
+
+
+@dataclass
+class Statistics:
+    """What a real-time server has done."""
+
+    received: int = 0
+    sent: int = 0
+    cycles: int = 0
+    missed: int = 0  # times the machine fell behind by more than `Server.TOLERANCE`
+
+
+class Server:
+    """Serves machines with one drive each as nodes on one bus.
+
+    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it.
+    """
+
+    TOLERANCE = 0.05  # s
+
+    def __init__(
+        self, bus: can.BusABC, machines: Sequence[Machine], log: can.Listener | None = None
+    ) -> None:
+        self.bus = bus
+        self.log = log
+        self.machines = list(machines)
+        self.nodes = [Node(d) for machine in machines for d in machine.drives.values()]
+        self.statistics = Statistics()
+        self._begin = time.monotonic()
+        self._stopped = False
+
+    def stop(self) -> None:
+        """Let `run` return; may be called from another thread."""
+        self._stopped = True
+
+    def run(self) -> None:
+        """Serve until `stop`."""
+        while not self._stopped:
+            self.serve(self.bus.recv(timeout=0.001))
+
+    def serve(self, message: can.Message | None) -> None:
+        """Handle a received message, let the due cycles pass, send what there is to send."""
+        self._advance()
+        now = int((time.monotonic() - self._begin) * 1e6)
+        frame = to_frame(message) if message else None
+        if message and frame:
+            self.statistics.received += 1
+            if self.log:
+                self.log(message)
+            for node in self.nodes:
+                node.receive(frame, now)
+        for node in self.nodes:
+            for answer in node.poll(now):
+                self._send(to_message(answer))
+
+    def _send(self, message: can.Message) -> None:
+        self.bus.send(message)
+        self.statistics.sent += 1
+        if self.log:
+            message.timestamp = time.time()
+            self.log(message)
+
+    def close(self) -> None:
+        """Close log and bus."""
+        if self.log:
+            self.log.stop()
+        self.bus.shutdown()
+
+    def _advance(self) -> None:
+        for machine in self.machines:
+            behind = time.monotonic() - self._begin - machine.time
+            if behind > self.TOLERANCE:
+                self.statistics.missed += 1
+                self._begin += behind - self.TOLERANCE
+                behind = self.TOLERANCE
+            cycles = int(behind / machine.cycle_time)
+            if cycles > 0:
+                machine.step(cycles)
+                self.statistics.cycles += cycles
+
+
+def axis_for(drive: str, node_id: int) -> Machine:
+    """A linear axis whose drive has the given node-id."""
+    if not 1 <= node_id <= 127:
+        raise ValueError(f"--node-id = {node_id} is out of range 1..127")
+    machine = linear_axis(drive)
+    for x in machine.drives.values():
+        x.node_id = node_id
+        x.reset_communication()
+    machine.reset(positions={"x": 0.12})
+    machine.step()
+    machine.reset(positions={"x": 0.12})
+    return machine
+
+
+def run(
+    drive: str, node_ids: Sequence[int], interface: str, channel: str, bitrate: int,
+    log: str | None, console: Console,
+) -> int:  # fmt: skip
+    """Serve until Ctrl-C; -> exit status."""
+    if len(set(node_ids)) != len(node_ids):
+        raise ValueError(f"--node-id {node_ids}: each node needs a node-id of its own")
+    with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
+        machines = [axis_for(drive, node_id) for node_id in node_ids]
+    try:
+        bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+    except (can.CanError, OSError, ValueError, ImportError, NotImplementedError) as error:
+        raise ValueError(
+            f"no bus on -i {interface} -c {channel}: {error}; "
+            "without hardware use -i udp_multicast -c 239.74.163.2"
+        ) from None
+    server = Server(bus, machines, can.Logger(log) if log else None)
+    console.print(f"{drive} as node {', '.join(map(str, node_ids))} on {interface} {channel}")
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()
+    s = server.statistics
+    console.print(
+        f"{s.received} frames received, {s.sent} sent, {s.cycles} position cycles, "
+        f"{s.missed} deadlines missed"
+    )
+    return 0
