@@ -44,6 +44,7 @@ class HomingError(IntEnum):
     NO_INDEX = 3  # more than two revolutions without an index pulse
     TIMEOUT = 4  # 2012h:03
     SPEED_ZERO = 5  # a homing speed 6099h is zero, the search could never end
+    UNKNOWN_METHOD = 6
 
 
 END = -1  # next leg: home is found
@@ -126,7 +127,8 @@ METHODS = {
 NUMBERS = tuple(sorted({*METHODS, *HERE}))
 
 # The same as arrays for the kernel: one row a leg, jumps as row numbers.
-FIRST = np.full((2, 256), END, np.int64)  # [home switch active, method & 0xFF] -> row
+FIRST = np.full((2, 256), ERROR, np.int64)  # [home switch active, method & 0xFF] -> row
+FIRST[:, HERE] = END
 _rows: list[tuple[int, ...]] = []
 for _number, (_off, _on, _legs) in METHODS.items():
     _base = len(_rows)
@@ -152,6 +154,8 @@ def start(axis):
     row = FIRST[on_home, int(axis.od.homing_method) & 0xFF]
     if row == END:
         _found(axis, axis.counts)
+    elif row == ERROR:
+        interrupt(axis, HomingError.UNKNOWN_METHOD)
     elif axis.homing_speed_switch <= 0.0 or axis.homing_speed_zero <= 0.0:
         interrupt(axis, HomingError.SPEED_ZERO)
     else:

@@ -81,11 +81,11 @@ def finished(axis):
         return False
     if abs(axis.velocity) <= axis.velocity_threshold and axis.control == Control.POSITION:
         return True
-    return axis.stop_cycles * axis.position_period > axis_patience(axis)
+    return axis.stop_cycles * axis.position_period > _patience(axis)
 
 
 @block
-def axis_patience(axis):
+def _patience(axis):
     """Longest time a stop may take (s): the ramp from full speed, and PATIENCE."""
     slowest = min(axis.deceleration, axis.quick_stop_deceleration)
     return axis.max_speed / slowest + PATIENCE

@@ -75,6 +75,20 @@ def test_a_set_point_too_steep_ends_in_the_drives_own_fault(env):
     assert info["state"] in ("FAULT", "FAULT_REACTION_ACTIVE")
 
 
+def test_physics_that_fails_ends_the_episode_with_a_named_fault(env):
+    env.reset(seed=1)
+    env.unwrapped.machine.data.qvel[0] = float("nan")
+    observation, reward, terminated, _, info = env.step(np.zeros(1, np.float32))
+    assert terminated
+    assert info["fault"].startswith("7305h")
+    assert np.isfinite(observation).all()
+    assert np.isfinite(reward)
+    env.reset(seed=1)
+    *_, terminated, _, info = env.step(np.zeros(1, np.float32))
+    assert not terminated
+    assert info["fault"] == ""
+
+
 def test_one_seed_one_rollout_also_in_another_process():
     assert rollout(7) == rollout(7)
     assert rollout(7) != rollout(8)

@@ -179,6 +179,14 @@ def test_timeout_is_an_error():
     assert shaft.read("homing_error") == HomingError.TIMEOUT
 
 
+def test_a_method_the_drive_does_not_know_is_an_error():
+    shaft = axis_with_switches(37, 0.0)
+    shaft.axis.od.homing_method = 15
+    shaft.axis.parameters_changed = 1
+    home(shaft, 40)
+    assert shaft.read("homing_error") == HomingError.UNKNOWN_METHOD
+
+
 def test_speed_zero_is_an_error_not_a_wait():
     shaft = axis_with_switches(17, 0.0)
     shaft.write(speed_during_search_for_zero=0)

@@ -250,6 +250,34 @@ def test_ip_fifo_refuses_and_ring_overwrites_when_full(free, ring, kept):
     assert seen[-1] == kept[-1]
 
 
+def test_ip_sub_mode_minus_2_takes_the_newest_record_at_once(free):
+    free.write(interpolation_sub_mode_select=-2, buffer_clear=1)
+    free.write(interpolation_time_period_value=10, interpolation_time_index=-3)
+    free.enable(7)
+    free.control(0x1F, 2)
+    free.write(interpolation_data=2000)
+    free.step(10)
+    assert free.read("position_demand_value") == 1000, "half of the way"
+    free.write(interpolation_data=0)
+    free.step(20)
+    assert free.read("position_demand_value") == 0, "the old record was dropped"
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3, 4, 7, 8, 9, 10])
+def test_halt_brings_every_mode_to_rest(mode, free):
+    free.write(target_velocity=3_000_000, vl_target_velocity=200, target_torque=50)
+    free.write(buffer_clear=1)
+    free.enable(mode)
+    free.write(target_position=4_000_000, interpolation_data=3_000)
+    free.control(0x7F, 120)
+    free.control(0x17F, 1500)
+    assert free.drive.state.name == "OPERATION_ENABLED"
+    assert abs(free.speed) < 0.15
+    place = free.angle
+    free.step(200)
+    assert abs(free.angle - place) < 0.02
+
+
 def test_ip_buffer_clear_locks_the_buffer(free):
     free.write(buffer_clear=0)
     free.enable(7)

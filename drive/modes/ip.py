@@ -3,7 +3,8 @@
 Every latched process image, and every change of 60C1h:01, puts a record into the buffer 60C4h while
 60C4h:06 gives access. With enable_ip_mode (controlword bit 4) the drive takes one record a period
 and moves linearly to it. A FIFO refuses records when it is full, a ring overwrites the oldest. When
-the buffer runs empty the drive holds the last position.
+the buffer runs empty the drive holds the last position. Sub mode -2 (60C0h, as Festo CMMP-AS and
+Metronix ARS 2000 have it) is linear interpolation without a buffer: the newest record acts at once.
 """
 
 from .. import limits
@@ -14,6 +15,7 @@ from ..record import IP_RECORDS
 from . import csp
 
 RING = 1
+UNBUFFERED = -2
 
 
 @block
@@ -32,6 +34,8 @@ def receive(axis):
     if not od.interpolation_buffer_clear:
         axis.ip_records = 0
     elif axis.sync or axis.ip_data != axis.last_ip_data:
+        if od.interpolation_sub_mode_select == UNBUFFERED:
+            axis.ip_records = 0
         if axis.ip_records >= size and od.interpolation_buffer_organization == RING:
             _take(axis)
         if axis.ip_records < size:
@@ -54,7 +58,9 @@ def demand(axis, bit4):
     if not bit4 and axis.ip_active:
         csp.hold(axis)
     axis.ip_active = bit4
-    if bit4 and axis.interpolation_cycle >= axis.interpolation_cycles and axis.ip_records > 0:
+    at_once = axis.od.interpolation_sub_mode_select == UNBUFFERED
+    ready = at_once or axis.interpolation_cycle >= axis.interpolation_cycles
+    if bit4 and ready and axis.ip_records > 0:
         wanted = limits.nearest_turn(axis, _take(axis), 3)
         csp.aim(axis, limits.clamp_target(axis, wanted))
     csp.travel(axis, 0.0)
