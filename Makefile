@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out
+# without JIT these take long and show nothing about drive/ that the others do not
+NOT_THE_DRIVE := test_cli.py test_readme.py test_scope.py test_homing_gallery.py test_machine.py \
+	test_linear_axis.py test_axis_env.py canopen/test_interop.py
 
 .PHONY: demo test lint types format bench coverage slow clean
 
@@ -31,7 +34,7 @@ bench: $(VENV)/run
 	$(BIN)/servogym bench
 
 coverage: $(VENV)/test
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term-missing:skip-covered $(addprefix --ignore=tests/,$(NOT_THE_DRIVE))
 
 slow: $(VENV)/test
 	$(BIN)/python -m pytest -m slow
