@@ -12,6 +12,8 @@ from ..drive.canopen.node import Node
 from ..envs.linear_axis import linear_axis
 from ..envs.machine import Machine
 
+SDO_REQUESTS = range(0x601, 0x680)
+
 
 def to_message(frame: Frame) -> can.Message:
     """The frame as python-can sends it."""
@@ -63,6 +65,7 @@ class Server:
         self.statistics = Statistics()
         self._begin = time.monotonic()
         self._stopped = False
+        self._cycles_at_request = -1
 
     def stop(self) -> None:
         """Let `run` return; may be called from another thread."""
@@ -78,6 +81,8 @@ class Server:
         self._advance()
         now = int((time.monotonic() - self._begin) * 1e6)
         frame = to_frame(message) if message else None
+        if frame and SDO_REQUESTS.start <= frame.id < SDO_REQUESTS.stop:
+            self._pass_a_cycle()
         if message and frame:
             self.statistics.received += 1
             if self.log:
@@ -94,6 +99,13 @@ class Server:
         if self.log:
             message.timestamp = time.time()
             self.log(message)
+
+    def _pass_a_cycle(self) -> None:
+        """Let the drives see what one SDO request wrote before the next one is answered."""
+        while self.statistics.cycles == self._cycles_at_request:
+            time.sleep(1e-4)
+            self._advance()
+        self._cycles_at_request = self.statistics.cycles
 
     def close(self) -> None:
         """Close log and bus."""

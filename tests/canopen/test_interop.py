@@ -52,6 +52,8 @@ def node(request):
     node = BaseNode402(5, object_dictionary())
     network.add_node(node)
     node.sdo.RESPONSE_TIMEOUT = 2.0
+    for limit in ("STATE_FINAL", "STATE_SINGLE", "OP_MODE"):
+        setattr(node, f"TIMEOUT_SWITCH_{limit}", 5.0)  # a loaded test machine is no slow drive
     try:
         yield node
     finally:
