@@ -22,6 +22,7 @@ from .process_data import INVALID
 from .words import Command, Mode, State, decode_statusword
 
 VERSION = 1  # of the snapshot layout
+INJECTABLE = (*(cause.name.lower() for cause in Cause if cause), "index_missing")
 
 # what has to be there for a command to be obeyed, by the command refused
 _NEEDED = {
@@ -382,17 +383,14 @@ class Drive:
     def inject(self, cause: Cause | str) -> None:
         """Make a cause of a fault present until `clear_injected`; "index_missing" hides the index.
 
-        Raises ValueError for an unknown name.
+        Raises ValueError for an unknown name, see `INJECTABLE`.
         """
+        if isinstance(cause, str) and cause.lower() not in INJECTABLE:
+            raise ValueError(f"unknown cause {cause!r}: choose one of {', '.join(INJECTABLE)}")
         if cause == "index_missing":
             self.axis.index_missing = 1
-            return
-        if isinstance(cause, str):
-            if cause.upper() not in Cause.__members__ or cause.upper() == "NONE":
-                known = [c.name.lower() for c in Cause if c] + ["index_missing"]
-                raise ValueError(f"unknown cause {cause!r}: choose one of {', '.join(known)}")
-            cause = Cause[cause.upper()]
-        self.axis.injected |= 1 << cause
+        else:
+            self.axis.injected |= 1 << (Cause[cause.upper()] if isinstance(cause, str) else cause)
 
     def clear_injected(self) -> None:
         """Take every injected cause away again; the fault it led to stays until it is reset."""

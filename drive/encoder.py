@@ -42,8 +42,8 @@ FARTHEST = 2.0**53  # increments a float64 angle still resolves one by one
 def sample(axis):
     """Read shaft angle and switches; latch positions at the awaited events."""
     exact = axis.shaft_angle / axis.rad_per_increment
-    if not abs(exact) < FARTHEST or axis.injected >> Cause.ENCODER & 1:  # also not a number
-        raise_fault(axis, Cause.ENCODER)
+    if not abs(exact) < FARTHEST or axis.injected >> Cause.ENCODER_LOSS & 1:  # also not a number
+        raise_fault(axis, Cause.ENCODER_LOSS)
         return
     counts = int(math.floor(exact))
     switches = (

@@ -66,7 +66,10 @@ def receive(axis):
     axis.acceleration = min(int(od.profile_acceleration), int(od.max_acceleration)) * acceleration
     axis.deceleration = min(int(od.profile_deceleration), int(od.max_deceleration)) * acceleration
     axis.quick_stop_deceleration = od.quick_stop_deceleration * acceleration
-    axis.jerk = od.profile_jerk * acceleration if od.motion_profile_type == 3 else 0.0
+    jerks = max(int(od.profile_jerk_use), 1)  # 1: for all, 2: acceleration and deceleration, 4
+    limited = od.motion_profile_type == 3
+    for i in range(4):
+        axis.jerk[i] = od.profile_jerk[i % jerks] * acceleration if limited else 0.0
     axis.homing_speed_switch = od.homing_speeds[0] * abs(velocity)
     axis.homing_speed_zero = od.homing_speeds[1] * abs(velocity)
     axis.homing_acceleration = od.homing_acceleration * acceleration

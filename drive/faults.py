@@ -15,7 +15,7 @@ class Cause(IntEnum):
     """What can go wrong; rows of a model's faults.csv refer to these names."""
 
     NONE = 0
-    ENCODER = 1  # the feedback is lost or not a finite number
+    ENCODER_LOSS = 1  # the feedback is lost or not a finite number
     FOLLOWING_ERROR = 2
     OVERSPEED = 3
     I2T = 4  # the motor has borne its peak torque for too long

@@ -22,7 +22,7 @@ import numpy as np
 from . import encoder
 from .encoder import Event, Switch
 from .jit import block
-from .ramps import advance, close_position_loop, plan_velocity, rest
+from .ramps import advance, close_position_loop, plan_velocity, profile_jerk, rest
 
 
 class Progress(IntEnum):
@@ -176,7 +176,7 @@ def abandon(axis, error):
 def interrupt(axis, error):
     """Abandon homing and come to rest with the homing acceleration."""
     abandon(axis, error)
-    plan_velocity(axis, 0.0, axis.homing_acceleration, axis.homing_acceleration, axis.jerk)
+    plan_velocity(axis, 0.0, axis.homing_acceleration, axis.homing_acceleration, profile_jerk(axis))
 
 
 @block
@@ -203,7 +203,7 @@ def _begin_leg(axis, row):
     axis.homing_leg = row
     speed = axis.homing_speed_zero if SPEED[row] == SLOW else axis.homing_speed_switch
     rate = axis.homing_acceleration
-    plan_velocity(axis, DIRECTION[row] * speed, rate, rate, axis.jerk)
+    plan_velocity(axis, DIRECTION[row] * speed, rate, rate, profile_jerk(axis))
     axis.latched = 0
     axis.latch_event = Event.NONE
     axis.homing_start_counts = axis.counts
@@ -277,4 +277,4 @@ def _found(axis, counts):
     axis.homed = 1
     axis.homing = Progress.STOPPING
     rate = axis.homing_acceleration
-    plan_velocity(axis, 0.0, rate, rate, axis.jerk)
+    plan_velocity(axis, 0.0, rate, rate, profile_jerk(axis))

@@ -83,8 +83,8 @@ def _before_software_limit(axis, direction, deceleration):
         return False
     speed = max(axis.velocity_demand * (1.0 if direction > 0 else -1.0), 0.0)
     path = speed * (speed / (2 * deceleration) + 2 * axis.position_period)
-    if axis.jerk > 0.0:
-        path += speed * deceleration / (2 * axis.jerk)
+    if axis.jerk[0] > 0.0:
+        path += speed * deceleration / (2 * min(axis.jerk[1], axis.jerk[3]))
     if direction > 0 and axis.position + path >= axis.position_limit_max:
         axis.limits |= Limit.SOFTWARE_POSITION_MAX
         return True

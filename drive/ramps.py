@@ -14,6 +14,15 @@ from .cascade import Control
 from .jit import block
 
 BISECTIONS = 200  # ends earlier, when the interval no longer shrinks
+# begin of acceleration, begin of deceleration, end of acceleration, end of deceleration: the order
+# of 60A4h
+NO_JERK_LIMIT = (0.0, 0.0, 0.0, 0.0)
+
+
+@block
+def profile_jerk(axis):
+    """The jerk limits of the profile (rad/s³), all 0 for a trapezoid."""
+    return axis.jerk[0], axis.jerk[1], axis.jerk[2], axis.jerk[3]
 
 
 @block
@@ -27,21 +36,25 @@ def _append(axis, n, duration, acceleration, jerk):
 
 
 @block
-def _s_ramp(axis, n, v0, a0, v1, rate, jerk):
-    """Up to three segments from (v0, a0) to (v1, 0) within `rate` and `jerk`; -> (n, distance)."""
-    release = v0 + a0 * abs(a0) / (2 * jerk)  # velocity where a0 would be gone
+def _s_ramp(axis, n, v0, a0, v1, rate, begin, end):
+    """Up to three segments from (v0, a0) to (v1, 0); -> (n, distance).
+
+    `rate` limits the acceleration, the jerks `begin` its growth and `end` its decay; the two are
+    the same where a0 is not 0.
+    """
+    release = v0 + a0 * abs(a0) / (2 * end)  # velocity where a0 would be gone
     sign = 1.0 if v1 >= release else -1.0
     change, b0 = sign * (v1 - v0), sign * a0
-    peak = min(math.sqrt(max(jerk * change + b0 * b0 / 2, 0.0)), rate)
-    t1 = abs(peak - b0) / jerk
-    t3 = peak / jerk
+    peak = min(math.sqrt(max((2 * begin * change + b0 * b0) * end / (begin + end), 0.0)), rate)
+    t1 = abs(peak - b0) / begin
+    t3 = peak / end
     rest = change - (peak + b0) / 2 * t1 - peak / 2 * t3
     t2 = rest / peak if rest > 0 and peak > 0 else 0.0
-    j1 = sign * jerk if peak >= b0 else -sign * jerk
+    j1 = sign * begin if peak >= b0 else -sign * begin
     top = sign * peak
     n = _append(axis, n, t1, a0, j1)
     n = _append(axis, n, t2, top, 0.0)
-    n = _append(axis, n, t3, top, -sign * jerk)
+    n = _append(axis, n, t3, top, -sign * end)
     distance = v0 * t1 + a0 * t1 * t1 / 2 + j1 * t1 * t1 * t1 / 6
     v = v0 + (a0 + top) / 2 * t1
     distance += v * t2 + top * t2 * t2 / 2
@@ -53,10 +66,12 @@ def _s_ramp(axis, n, v0, a0, v1, rate, jerk):
 @block
 def _ramp_same_sign(axis, n, v0, a0, v1, acceleration, deceleration, jerk):
     rate = acceleration if abs(v1) > abs(v0) else deceleration
-    if jerk > 0.0:
-        if a0 != 0.0:
-            rate = min(acceleration, deceleration)  # keeps the distance continuous in v1
-        return _s_ramp(axis, n, v0, a0, v1, rate, jerk)
+    if jerk[0] > 0.0:
+        begin, end = (jerk[0], jerk[2]) if abs(v1) > abs(v0) else (jerk[1], jerk[3])
+        if a0 != 0.0:  # the gentlest of all: keeps the distance continuous in v1
+            rate = min(acceleration, deceleration)
+            begin = end = min(jerk)
+        return _s_ramp(axis, n, v0, a0, v1, rate, begin, end)
     duration = abs(v1 - v0) / rate
     n = _append(axis, n, duration, rate if v1 > v0 else -rate, 0.0)
     return n, (v0 + v1) / 2 * duration
@@ -88,8 +103,8 @@ def _begin(axis, n, end_velocity):
 
 @block
 def plan_velocity(axis, velocity, acceleration, deceleration, jerk):
-    """Plan a change of the demand velocity to `velocity` (rad/s)."""
-    a0 = axis.acceleration_demand if jerk > 0.0 else 0.0
+    """Plan a change of the demand velocity to `velocity` (rad/s); `jerk`: as `profile_jerk`."""
+    a0 = axis.acceleration_demand if jerk[0] > 0.0 else 0.0
     n, _ = _ramp(axis, 0, axis.velocity_demand, a0, velocity, acceleration, deceleration, jerk)
     axis.profile_to_position = 0
     _begin(axis, n, velocity)
@@ -98,7 +113,7 @@ def plan_velocity(axis, velocity, acceleration, deceleration, jerk):
 @block
 def _plan_over(axis, cruise, end, acceleration, deceleration, jerk):
     """Ramps to `cruise` and on to `end`; -> (segments of the first, of both, distance of both)."""
-    a0 = axis.acceleration_demand if jerk > 0.0 else 0.0
+    a0 = axis.acceleration_demand if jerk[0] > 0.0 else 0.0
     first, before = _ramp(
         axis, 0, axis.velocity_demand, a0, cruise, acceleration, deceleration, jerk
     )
@@ -110,7 +125,8 @@ def _plan_over(axis, cruise, end, acceleration, deceleration, jerk):
 def plan_position(axis, target, speed, end_speed, acceleration, deceleration, jerk):
     """Plan a move of the demand to `target` (rad) at up to `speed` (rad/s).
 
-    The target is passed at `end_speed` in the direction of the move. All limits are magnitudes.
+    The target is passed at `end_speed` in the direction of the move. All limits are magnitudes,
+    `jerk` is four of them as `profile_jerk` gives.
     """
     distance = target - axis.position_demand
     end = math.copysign(min(end_speed, speed), distance)

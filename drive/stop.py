@@ -10,7 +10,7 @@ from enum import IntEnum
 
 from .cascade import Control
 from .jit import block
-from .ramps import advance, close_position_loop, plan_velocity, rest
+from .ramps import NO_JERK_LIMIT, advance, close_position_loop, plan_velocity, profile_jerk, rest
 from .words import Mode
 
 
@@ -51,15 +51,15 @@ def begin(axis, stop):
 def plan(axis, stop):
     """Plan the ramp to standstill of a kind of stop."""
     rate = axis.deceleration
-    jerk = axis.jerk
+    jerk = profile_jerk(axis)
     if stop >= Stop.QUICK_STOP_RAMP:
         rate = axis.vl_quick_stop if axis.mode == Mode.VELOCITY else axis.quick_stop_deceleration
-        jerk = 0.0
+        jerk = NO_JERK_LIMIT
     elif axis.mode == Mode.HOMING:
         rate = axis.homing_acceleration
     elif axis.mode == Mode.VELOCITY:
         rate = axis.vl_deceleration
-        jerk = 0.0
+        jerk = NO_JERK_LIMIT
     plan_velocity(axis, 0.0, rate, rate, jerk)
 
 

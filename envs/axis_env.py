@@ -1,6 +1,7 @@
 """servogym/LinearAxis-v0: position a linear axis through the process data of its drive."""
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
+from ..drive.drive import INJECTABLE
 from ..drive.model import DriveModel, load
 from ..drive.words import Mode, State
 from .linear_axis import LinearAxisParameters, linear_axis
@@ -63,6 +65,8 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
     `drive`: drive model by name, folder or loaded; it needs the modes csp and hm. `payload` (kg).
     `cycles_per_step`: position-controller cycles a step, a whole number. `tolerance` (m).
     `following_error_window` (m). `parameters`: `LinearAxisParameters` instead of `payload`.
+    `faults`: probability per step of causes of faults to be injected, such as
+    ``{"encoder_loss": 1e-4}``; what happened is in ``info["injected"]``.
     `render_mode`: None, "rgb_array" or "human".
 
     ## Version history
@@ -80,6 +84,7 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
         cycles_per_step: int = 10,
         tolerance: float = 50e-6,
         following_error_window: float = 0.02,
+        faults: Mapping[str, float] | None = None,
         render_mode: str | None = None,
     ):
         model = load(drive)
@@ -101,6 +106,12 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
                 raise ValueError(f"{name} = {value!r} is out of range 1e-06..{high} m")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
+        self._faults = dict(faults or {})
+        for cause, probability in self._faults.items():
+            if cause not in INJECTABLE:
+                raise ValueError(f"faults: unknown cause {cause!r}, use of {', '.join(INJECTABLE)}")
+            if not 0.0 <= probability <= 1.0:
+                raise ValueError(f"faults[{cause!r}] = {probability!r} is out of range 0..1")
         self.render_mode = render_mode
         self.tolerance = tolerance
         self.cycles_per_step = int(cycles_per_step)
@@ -114,6 +125,7 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (6,), np.float32)
         self.goal = 0.0
         self._target = 0.0
+        self._injected: list[str] = []
         self._renderer: mujoco.Renderer | None = None
         self._viewer: Any = None
 
@@ -147,6 +159,7 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
         self.goal = self._place("goal", options.get("goal", goal))
         self.machine.reset(positions={"x": start})
         self.drive.write("home_offset", -round(start * METRE))
+        self._injected = []
         supervisor = Supervisor(self.machine, "x")
         supervisor.enable()
         supervisor.home()
@@ -183,6 +196,10 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
             )
         way = float(action[0]) * self._speed * self.step_time
         self._target = min(max(self._target + way, 0.0), STROKE)
+        for cause, probability in self._faults.items():
+            if self.np_random.random() < probability:
+                self.drive.inject(cause)
+                self._injected.append(cause)
         self._exchange()
         observation, near, settled = self._observe()
         self._render_human()
@@ -215,6 +232,7 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
     def _info(self) -> dict[str, Any]:
         return {
             "fault": self.drive.fault,
+            "injected": tuple(self._injected),
             "state": State(int(self.drive.axis.state)).name,
             "distance": self.goal - self._position,
             "goal": self.goal,

@@ -47,6 +47,27 @@ def test_stable_baselines_checker_is_content(env):
     checker.check_env(env.unwrapped, warn=True, skip_render_check=True)
 
 
+def test_a_declared_fault_is_injected_from_the_seed_and_told():
+    def episode(seed):
+        env = LinearAxisEnv(faults={"encoder_loss": 0.05, "short_circuit": 0.0})
+        env.reset(seed=seed)
+        for step in range(200):
+            *_, terminated, _, info = env.step(np.zeros(1))
+            if terminated:
+                return step, info["injected"], info["fault"]
+        return None
+
+    step, injected, fault = episode(5)
+    assert injected == ("encoder_loss",)
+    assert fault.startswith("7305h")
+    assert episode(5)[0] == step
+    assert episode(6)[0] != step
+    with pytest.raises(ValueError, match="encoder_loss"):
+        LinearAxisEnv(faults={"gremlin": 0.1})
+    with pytest.raises(ValueError, match=r"range 0..1"):
+        LinearAxisEnv(faults={"encoder_loss": 2})
+
+
 def test_a_careful_policy_reaches_the_goal(env):
     observation, info = env.reset(seed=3, options={"start": 0.1, "goal": 0.16})
     assert info["goal"] == 0.16

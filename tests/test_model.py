@@ -96,7 +96,7 @@ def test_what_a_model_does_not_have_behaves_as_the_standard_says(folder):
         ("pdo.csv", "rx,1,", "both,1,", "neither rx nor tx"),
         ("pdo.csv", "0x6040,0x00,16", "0x6040,0x00,8", "cannot be mapped"),
         ("pdo.csv", "rx,2,", "rx,7,", "gap"),
-        ("faults.csv", "ENCODER", "NOSE", "cause 'NOSE'"),
+        ("faults.csv", "ENCODER_LOSS", "NOSE", "cause 'NOSE'"),
         ("drive.toml", '"pp"', '"pq"', "unknown mode 'pq'"),
         ("drive.toml", "position = 500", "position = 510", "whole multiple"),
         ("drive.toml", "velocity = 250", "velocity = -1", "cycle_time_us.velocity"),

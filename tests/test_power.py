@@ -234,7 +234,7 @@ def test_a_severe_cause_cannot_be_made_harmless(shaft):
 
 
 def test_an_unknown_cause_names_the_known_ones(shaft):
-    with pytest.raises(ValueError, match="encoder, following_error"):
+    with pytest.raises(ValueError, match="encoder_loss, following_error"):
         shaft.drive.inject("gremlins")
 
 

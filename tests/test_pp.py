@@ -137,6 +137,17 @@ def test_end_velocity_without_a_successor_ends_in_rest_behind_the_target(pp):
     assert pp.read("position_demand_value") == pytest.approx(4e6 + 5e6**2 / 2 / 100e6, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("use", "expected"), [(1, [1, 1, 1, 1]), (2, [1, 2, 1, 2]), (4, [1, 2, 3, 4])]
+)
+def test_jerk_use_says_which_jerk_limits_which_phase(pp, use, expected):
+    jerks = {f"profile_jerk_{n}": n * 1_000_000 for n in (1, 2, 3, 4)}
+    pp.write(motion_profile_type=3, profile_jerk_use=use, **jerks)
+    pp.step()
+    unit = pp.axis.rad_s2_per_acceleration_unit
+    assert (pp.axis.jerk / unit / 1e6).tolist() == pytest.approx(expected)
+
+
 def test_jerk_limited_profile_is_gentler(pp):
     pp.write(motion_profile_type=3, profile_jerk_1=4_000_000_000)
     bends = []

@@ -15,15 +15,25 @@ PERIOD = 5e-4
 
 
 @numba.njit
-def plan(axis, target, speed, end, acceleration, deceleration, jerk):
+def _plan(axis, target, speed, end, acceleration, deceleration, jerk):
     ramps.plan_position(axis, target, speed, end, acceleration, deceleration, jerk)
     return ramps.duration(axis)
 
 
 @numba.njit
-def plan_speed(axis, velocity, acceleration, deceleration, jerk):
+def _plan_speed(axis, velocity, acceleration, deceleration, jerk):
     ramps.plan_velocity(axis, velocity, acceleration, deceleration, jerk)
     return ramps.duration(axis)
+
+
+def plan(*arguments):
+    *others, jerk = arguments
+    return _plan(*others, jerk if isinstance(jerk, tuple) else (jerk,) * 4)
+
+
+def plan_speed(*arguments):
+    *others, jerk = arguments
+    return _plan_speed(*others, (jerk,) * 4)
 
 
 @numba.njit
@@ -131,15 +141,15 @@ def check_limits(v0, a0, target, speed, end, up, down, jerk):
     assert time >= 0
     out = travelled(axis, min(time, 50.0))
     position, velocity, acceleration = out.T
-    forced = a0 * a0 / (2 * jerk) if jerk else 0.0
+    forced = a0 * a0 / (2 * min(jerk)) if jerk[0] else 0.0
     assert np.abs(velocity).max() <= max(speed, abs(v0) + forced) + 1e-6
-    top = max(up, down, abs(a0) if jerk else 0.0)
+    top = max(up, down, abs(a0) if jerk[0] else 0.0)
     assert np.abs(acceleration).max() <= top * (1 + 1e-9) + 1e-6
     steps = np.diff(np.concatenate(([v0], velocity)))
     assert np.abs(steps).max() <= top * PERIOD + 1e-6
-    if jerk:
+    if jerk[0]:
         bends = np.diff(np.concatenate(([a0], acceleration)))
-        assert np.abs(bends).max() <= jerk * PERIOD * (1 + 1e-9) + 1e-6
+        assert np.abs(bends).max() <= max(jerk) * PERIOD * (1 + 1e-9) + 1e-6
     moves = np.diff(np.concatenate(([0.0], position)))
     assert np.abs(moves).max() <= max(speed, abs(v0) + forced) * PERIOD + 1e-6
     if time <= 50.0:
@@ -157,13 +167,15 @@ CASES = {
     "end": st.just(0.0) | st.floats(0, 20),
     "up": st.floats(5, 1000),
     "down": st.floats(5, 1000),
-    "jerk": st.just(0.0) | st.floats(100, 1e5),
+    "jerk": st.just((0.0,) * 4) | st.tuples(*[st.floats(100, 1e5)] * 4),
 }
 
 
 @given(**CASES)
-@example(v0=0.0, a0=0.0, target=0.0, speed=1.0, end=0.0, up=5.0, down=5.0, jerk=0.0)
-@example(v0=50.0, a0=-500.0, target=0.0, speed=0.5, end=20.0, up=5.0, down=1000.0, jerk=100.0)
+@example(v0=0.0, a0=0.0, target=0.0, speed=1.0, end=0.0, up=5.0, down=5.0, jerk=(0.0,) * 4)
+@example(
+    v0=50.0, a0=-500.0, target=0.0, speed=0.5, end=20.0, up=5.0, down=1000.0, jerk=(100.0,) * 4
+)
 def test_limits_hold_from_any_state_and_the_target_is_hit(**case):
     check_limits(**case)
 
@@ -182,6 +194,18 @@ def test_velocity_ramp_ends_at_its_velocity_without_a_jump(v0, a0, v1, jerk):
     assert out[-1, 2] == 0.0
     assert np.abs(np.diff(out[:, 1])).max() <= max(400.0, abs(a0)) * PERIOD + 1e-9
     assert np.abs(np.diff(np.concatenate(([a0], out[:, 2])))).max() <= jerk * PERIOD + 1e-6
+
+
+def test_each_phase_of_a_move_has_a_jerk_of_its_own():
+    jerk = (1000.0, 2000.0, 3000.0, 4000.0)  # begin of acceleration and deceleration, end of them
+    axis = axis_at()
+    time = plan(axis, 100.0, 20.0, 0.0, 100.0, 200.0, jerk)
+    assert axis.segment_jerk[: axis.segments].tolist() == [1000, 0, -3000, 0, -2000, 0, 4000]
+    expected = [0.1, 20 / 100 - (0.1 + 1 / 30) / 2, 1 / 30]
+    expected += [0.1, 20 / 200 - (0.1 + 0.05) / 2, 0.05]
+    got = axis.segment_duration[: axis.segments].tolist()
+    assert got[:3] + got[4:] == pytest.approx(expected)
+    assert travelled(axis, time)[-1].tolist() == [100.0, 0.0, 0.0]
 
 
 def test_speed_and_slowing_down_have_rates_of_their_own():

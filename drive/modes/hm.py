@@ -7,7 +7,7 @@ attained but still moving, 011 done, 100 error and moving, 101 error and at rest
 from .. import homing
 from ..homing import HomingError, Progress
 from ..jit import block
-from ..ramps import close_position_loop, plan_velocity
+from ..ramps import close_position_loop, plan_velocity, profile_jerk
 
 
 @block
@@ -15,7 +15,7 @@ def start(axis):
     """Come to rest and wait for the start bit."""
     close_position_loop(axis)
     rate = axis.homing_acceleration
-    plan_velocity(axis, 0.0, rate, rate, axis.jerk)
+    plan_velocity(axis, 0.0, rate, rate, profile_jerk(axis))
 
 
 @block

@@ -11,7 +11,7 @@ set-point (bit 6) counts from what 60F2h says, by default the preceding target.
 from .. import limits, monitor, stop
 from ..cascade import energised
 from ..jit import block
-from ..ramps import advance, close_position_loop, plan_position, plan_velocity
+from ..ramps import advance, close_position_loop, plan_position, plan_velocity, profile_jerk
 from ..record import SET_POINTS
 from ..words import Controlword
 
@@ -48,7 +48,8 @@ def _accept(axis, controlword):
     axis.set_point_end_speed[i] = axis.end_speed
     axis.set_point_acceleration[i] = axis.acceleration
     axis.set_point_deceleration[i] = axis.deceleration
-    axis.set_point_jerk[i] = axis.jerk
+    for j in range(len(axis.jerk)):
+        axis.set_point_jerk[i, j] = axis.jerk[j]
     axis.set_points = i + 1
     if i == 0:
         axis.set_point_started = 0
@@ -60,7 +61,7 @@ def start(axis):
     """Take over: go on with the set-point in hand, or come to rest."""
     close_position_loop(axis)
     axis.set_point_started = 0
-    plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, axis.jerk)
+    plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, profile_jerk(axis))
 
 
 @block
@@ -79,7 +80,7 @@ def demand(axis):
         if axis.set_points > 0:
             _begin(axis)
         elif axis.velocity_demand != 0.0:  # passed at the end velocity, and nothing follows
-            plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, axis.jerk)
+            plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, profile_jerk(axis))
 
 
 @block
@@ -104,7 +105,12 @@ def _begin(axis):
         axis.set_point_end_speed[0],
         axis.set_point_acceleration[0],
         axis.set_point_deceleration[0],
-        axis.set_point_jerk[0],
+        (
+            axis.set_point_jerk[0, 0],
+            axis.set_point_jerk[0, 1],
+            axis.set_point_jerk[0, 2],
+            axis.set_point_jerk[0, 3],
+        ),
     )
 
 
@@ -131,7 +137,8 @@ def _drop_first(axis):
         axis.set_point_end_speed[i] = axis.set_point_end_speed[i + 1]
         axis.set_point_acceleration[i] = axis.set_point_acceleration[i + 1]
         axis.set_point_deceleration[i] = axis.set_point_deceleration[i + 1]
-        axis.set_point_jerk[i] = axis.set_point_jerk[i + 1]
+        for j in range(len(axis.jerk)):
+            axis.set_point_jerk[i, j] = axis.set_point_jerk[i + 1, j]
 
 
 @block

@@ -3,7 +3,7 @@
 from .. import limits, monitor
 from ..cascade import Control, energised
 from ..jit import block
-from ..ramps import advance, plan_velocity
+from ..ramps import NO_JERK_LIMIT, advance, plan_velocity, profile_jerk
 from ..words import Limit
 
 
@@ -15,7 +15,7 @@ def start(axis):
         axis.acceleration_demand = 0.0
     axis.control = Control.VELOCITY
     axis.blocked = 0
-    plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, axis.jerk)
+    plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, profile_jerk(axis))
 
 
 @block
@@ -25,11 +25,11 @@ def demand(axis):
     goal = min(max(wanted, -axis.max_profile_speed), axis.max_profile_speed)
     if goal != wanted:
         axis.limits |= Limit.SPEED
-    deceleration, jerk = axis.deceleration, axis.jerk
+    deceleration, jerk = axis.deceleration, profile_jerk(axis)
     if limits.locked(axis, goal, deceleration):
         goal = 0.0
         if limits.at_switch(axis, axis.velocity_demand):
-            deceleration, jerk = axis.quick_stop_deceleration, 0.0
+            deceleration, jerk = axis.quick_stop_deceleration, NO_JERK_LIMIT
     if goal != axis.profile_end_velocity:
         plan_velocity(axis, goal, axis.acceleration, deceleration, jerk)
     advance(axis)

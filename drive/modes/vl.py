@@ -9,7 +9,7 @@ the amounts 6046h bound it from below and above, the dimension factor 604Ch make
 from .. import limits
 from ..cascade import Control, energised
 from ..jit import block
-from ..ramps import advance, plan_velocity
+from ..ramps import NO_JERK_LIMIT, advance, plan_velocity
 from ..words import Controlword
 
 
@@ -21,7 +21,7 @@ def start(axis):
     axis.acceleration_demand = 0.0
     axis.control = Control.VELOCITY
     axis.blocked = 0
-    plan_velocity(axis, 0.0, axis.vl_deceleration, axis.vl_deceleration, 0.0)
+    plan_velocity(axis, 0.0, axis.vl_deceleration, axis.vl_deceleration, NO_JERK_LIMIT)
 
 
 @block
@@ -34,7 +34,7 @@ def demand(axis):
         goal, deceleration = 0.0, axis.vl_quick_stop
     elif not controlword & Controlword.CHANGE_SET_IMMEDIATELY:
         axis.acceleration_demand = 0.0
-        plan_velocity(axis, axis.velocity_demand, axis.vl_acceleration, deceleration, 0.0)
+        plan_velocity(axis, axis.velocity_demand, axis.vl_acceleration, deceleration, NO_JERK_LIMIT)
         return
     elif not controlword & Controlword.RELATIVE:
         goal = 0.0
@@ -42,7 +42,7 @@ def demand(axis):
         goal, deceleration = 0.0, axis.vl_quick_stop
     if goal != axis.profile_end_velocity or deceleration != axis.ramp_rate:
         axis.ramp_rate = deceleration
-        plan_velocity(axis, goal, axis.vl_acceleration, deceleration, 0.0)
+        plan_velocity(axis, goal, axis.vl_acceleration, deceleration, NO_JERK_LIMIT)
     advance(axis)
     axis.position_demand = axis.position
 
