@@ -41,7 +41,11 @@ def position_loop(axis):
     axis.velocity_correction = 0.0
     command = axis.velocity_demand
     if axis.control == Control.POSITION:
-        axis.velocity_correction = axis.position_gain * (axis.position_demand - axis.position)
+        error = axis.position_demand - axis.position
+        if abs(error) > axis.dead_band:
+            correction = axis.position_gain * error
+            bound = axis.correction_limit
+            axis.velocity_correction = min(max(correction, -bound), bound)
         command = axis.velocity_feed_forward * axis.velocity_demand + axis.velocity_correction
     axis.velocity_command = min(max(command, -axis.max_speed), axis.max_speed)
     if axis.velocity_command != command:

@@ -12,9 +12,11 @@ from . import (
     device_control,
     encoder,
     factors,
+    faults,
     homing,
     modes,
     monitor,
+    sync,
     thermal,
 )
 from .jit import block, entry
@@ -37,11 +39,14 @@ def velocity_cycle(axis):
 @block
 def position_cycle(axis):
     """One position-controller cycle on the latest sample."""
+    if axis.set_position_wanted:
+        factors.set_position(axis)
+    sync.run(axis)
     thermal.run(axis)
     dc_link.run(axis)
     device_control.run(axis)
     brake.run(axis)
-    axis.warnings &= axis.faults_present
+    faults.expire_warnings(axis)
     axis.faults_present = 0
     modes.demand(axis)
     if homing.pushing(axis):

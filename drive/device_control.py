@@ -9,12 +9,12 @@ from enum import IntEnum
 
 import numpy as np
 
-from . import brake, stop
+from . import brake, statusword, stop
 from .cascade import energised
 from .faults import Cause, Reaction
 from .jit import block
 from .stop import OPTION_STAYS, OPTION_STOP, Stop
-from .words import COMMANDS, Command, Controlword, State
+from .words import COMMANDS, Command, Controlword, Mode, State
 
 
 class Event(IntEnum):
@@ -60,6 +60,12 @@ TRANSITIONS = (
     (14, _S.FAULT_REACTION_ACTIVE, _E.STOPPED, _S.FAULT),
     (15, _S.FAULT, _E.FAULT_RESET, _S.SWITCH_ON_DISABLED),  # only if the cause is gone
     (16, _S.QUICK_STOP_ACTIVE, _E.ENABLE_OPERATION, _S.OPERATION_ENABLED),  # codes 5-8 of 605Ah
+)
+
+# Reaction to a fault -> option code of the stop, -1: the one in 605Eh.
+REACTION_CODE = tuple(
+    {Reaction.DISABLE: 0, Reaction.QUICK_STOP: 2, Reaction.CURRENT_LIMIT: 3}.get(reaction, -1)
+    for reaction in Reaction
 )
 
 # Not refused although they are no row: the command that led here is still standing.
@@ -111,7 +117,11 @@ def _permitted(axis, command):
     lost = int(axis.od.abort_connection_option_code) if axis.connection_lost else 0
     if not axis.sto_input or lost == 2:
         return Command.DISABLE_VOLTAGE
+    if axis.remote_bit and axis.od.enable_logic != statusword.BUS_ENABLES:
+        return Command.DISABLE_VOLTAGE
     if not axis.enable_input or lost == 3:
+        if axis.torque_mode_coasts and axis.mode == Mode.PROFILE_TORQUE:
+            return Command.DISABLE_VOLTAGE
         running = axis.state == State.OPERATION_ENABLED or axis.state == State.QUICK_STOP_ACTIVE
         return Command.QUICK_STOP if running else Command.DISABLE_VOLTAGE
     return command
@@ -172,13 +182,14 @@ def _command(axis, command):
 
 @block
 def _ramp_then(axis, command, code):
-    """Transitions 5 and 8: at once, or after the slow down ramp."""
-    if OPTION_STOP[code] == Stop.NONE:
+    """Transitions 5 and 8: at once, or after a ramp; -1 is the quick stop ramp of some models."""
+    kind = Stop.QUICK_STOP_RAMP if code < 0 else OPTION_STOP[code]
+    if kind == Stop.NONE:
         _apply(axis, command)
         stop.begin(axis, Stop.NONE)
         return
     if axis.pending_transition == 0:
-        stop.begin(axis, OPTION_STOP[code])
+        stop.begin(axis, kind)
     axis.pending_transition = NUMBER[axis.state, command]
 
 
@@ -215,8 +226,10 @@ def _take_fault(axis):
     axis.fault = cause
     was_energised = energised(axis)
     _apply(axis, Event.FAULT)
-    code = int(axis.od.fault_reaction_option_code)
-    if not was_energised or axis.od.fault_reaction[cause] == Reaction.DISABLE:
+    code = REACTION_CODE[int(axis.od.fault_reaction[cause])]
+    if code < 0:
+        code = int(axis.od.fault_reaction_option_code)
+    if not was_energised:
         code = 0
     _stop_then(axis, 14, code)
 
@@ -224,7 +237,7 @@ def _take_fault(axis):
 @block
 def _reset_fault(axis):
     """Transition 15, refused while a cause that stops the drive is still present."""
-    if axis.state != State.FAULT or axis.faults_present != 0:
+    if axis.state != State.FAULT or axis.faults_present & ~axis.warnings:
         axis.refused_command = Command.FAULT_RESET
         axis.refused_state = axis.state
         return

@@ -7,7 +7,7 @@
 'SWITCH_ON_DISABLED'
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,13 @@ import numpy as np
 from . import cycle, process_data, record, store
 from .abort import Abort, SdoAbort
 from .faults import Cause
+from .hooks_ars import REACTIONS, default_reactions
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
 from .words import Command, Mode, State, decode_statusword
 
 VERSION = 1  # of the snapshot layout
-INJECTABLE = (*(cause.name.lower() for cause in Cause if cause), "index_missing")
 
 # what has to be there for a command to be obeyed, by the command refused
 _NEEDED = {
@@ -72,6 +72,7 @@ class Drive:
         self.memory = process_data.memory(self.axes)
         od_offset = record.AXIS.fields["od"][1]  # type: ignore[index]
         self._record = process_data.raw(self.memory[index])
+        self._commissioned: dict[str, int] = {}
         self._stored: store.Values | None = None  # parameters kept without a file
         self.objects = ObjectDictionary(
             self,
@@ -97,6 +98,9 @@ class Drive:
         if self.model.name != "generic":
             self._standard_defaults()
         self.model.power_on(self.axis)
+        default_reactions(self)
+        for name, value in self._commissioned.items():
+            setattr(self.axis.od, name, value)
         self._defaults()
         self._restore_parameters(values)
         self._compile_pdos()
@@ -110,8 +114,9 @@ class Drive:
     def _standard_defaults(self) -> None:
         """Objects a model lacks behave as the defaults of the standard's own drive."""
         od = self.objects.names["statusword"].view
+        own = {row.offset for row in self.model.objects.values() if row.area == "axis"}
         for row in load("generic").objects.values():
-            if row.area == "axis" and row.format:
+            if row.area == "axis" and row.format and row.offset not in own:
                 Slot(row, od, row.offset).put(row.default)  # type: ignore[arg-type]
 
     def _defaults(self) -> None:
@@ -181,6 +186,31 @@ class Drive:
             return False
         return True
 
+    def load_defaults(self) -> None:
+        """What 1011h does in models where it acts at once: factory defaults, PDOs stay."""
+        for slot in self.objects.slots.values():
+            if slot.row.index >= 0x2000 and slot.row.area == "axis" and slot.row.storable:
+                slot.put(self._default(slot))
+        default_reactions(self)
+        self.axis.parameters_changed = 1
+
+    def commission(self, values: Mapping[str, float]) -> None:
+        """Set parameters by name: objects where the model has them, else fields of `AXIS.od`.
+
+        The latter stand for what a manufacturer's own tool sets, such as the inertia for the
+        feed-forward; they are kept over resets. A name that is neither is left out, so one list may
+        serve models with different units. Values are rounded.
+
+        Raises SdoAbort where the drive refuses a value.
+        """
+        for name, value in values.items():
+            if name in self.objects.names:
+                self.write(name, round(value))
+            elif name in record.OD.names:  # type: ignore[operator]
+                self._commissioned[name] = round(value)
+                setattr(self.axis.od, name, round(value))
+        self.axis.parameters_changed = 1
+
     def forget_parameters(self) -> bool:
         """What 1011h does: the next power-on finds factory defaults; False if it failed."""
         self._stored = None
@@ -198,7 +228,7 @@ class Drive:
         slot = self.objects.slot(index, subindex)
         if slot.row.access == "wo":
             raise SdoAbort(Abort.WRITE_ONLY, slot.row.index, slot.row.subindex)
-        return slot.get()
+        return self.objects.value(slot)
 
     def write(self, index: int | str, *arguments: int | float) -> None:
         """``write(index, subindex, value)`` or ``write(name, value)`` in drive units.
@@ -356,8 +386,10 @@ class Drive:
     def fault(self) -> str:
         """Code and meaning of the fault the drive is in, empty without one."""
         cause = int(self.axis.fault)
+        code = int(self.axis.fault_code[cause])
         for fault in self.model.faults if cause else ():
-            if fault.cause == cause:
+            external = cause == Cause.EXTERNAL and fault.code == code
+            if fault.cause == cause or external:
                 return f"{fault.code:04X}h {fault.meaning}"
         return ""
 
@@ -376,21 +408,54 @@ class Drive:
         if not self.axis.sto_input or not self.axis.enable_input:
             needed = "an enable input is missing: safe torque off or controller enable"
         elif command is Command.FAULT_RESET and self.axis.faults_present:
-            present = [c.name for c in Cause if c and int(self.axis.faults_present) >> c & 1]
+            present = [
+                c.name
+                for c in Cause
+                if c and int(self.axis.faults_present & ~self.axis.warnings) >> c & 1
+            ]
             needed = f"still present: {', '.join(present)}"
         return f"{command.name} was refused in {state.name}: {needed}"
 
-    def inject(self, cause: Cause | str) -> None:
-        """Make a cause of a fault present until `clear_injected`; "index_missing" hides the index.
+    @property
+    def injectable(self) -> tuple[str, ...]:
+        """What `inject` takes: causes, "index_missing", and the manufacturer's fault numbers."""
+        causes = dict.fromkeys(
+            fault.cause.name.lower() for fault in self.model.faults if fault.cause
+        )
+        numbers = dict.fromkeys(fault.name for fault in self.model.faults if fault.name)
+        return (*causes, "index_missing", *numbers)
 
-        Raises ValueError for an unknown name, see `INJECTABLE`.
+    def inject(self, cause: Cause | str) -> None:
+        """Make the cause of a fault present until `clear_injected`.
+
+        Args:
+            cause: of `injectable`, as "encoder_loss" or, with a model that numbers its faults,
+                "17-0"; "index_missing" hides the index pulse.
+
+        Raises:
+            ValueError: the model has no such cause.
         """
-        if isinstance(cause, str) and cause.lower() not in INJECTABLE:
-            raise ValueError(f"unknown cause {cause!r}: choose one of {', '.join(INJECTABLE)}")
-        if cause == "index_missing":
+        name = cause.name.lower() if isinstance(cause, Cause) else cause.lower()
+        if name not in self.injectable:
+            raise ValueError(f"unknown cause {cause!r}: choose one of {', '.join(self.injectable)}")
+        if name == "index_missing":
             self.axis.index_missing = 1
+        elif name.upper() in Cause.__members__:
+            self.axis.injected |= 1 << Cause[name.upper()]
         else:
-            self.axis.injected |= 1 << (Cause[cause.upper()] if isinstance(cause, str) else cause)
+            self._inject_number(name)
+
+    def _inject_number(self, number: str) -> None:
+        """A fault the emulator has no cause for comes as an external one, with its own code."""
+        fault = next(fault for fault in self.model.faults if fault.name == number)
+        cause = fault.cause or Cause.EXTERNAL
+        if not fault.cause:
+            assert fault.main is not None
+            self.axis.fault_code[cause] = fault.code
+            self.axis.fault_register[cause] = 1 | 1 << fault.register
+            reaction = REACTIONS[int(self.axis.od.reaction_code[fault.main])]
+            self.axis.od.fault_reaction[cause] = reaction
+        self.axis.injected |= 1 << cause
 
     def clear_injected(self) -> None:
         """Take every injected cause away again; the fault it led to stays until it is reset."""

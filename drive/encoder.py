@@ -50,7 +50,9 @@ def sample(axis):
         axis.negative_limit_switch * Switch.NEGATIVE_LIMIT
         + axis.positive_limit_switch * Switch.POSITIVE_LIMIT
         + axis.home_switch * Switch.HOME
-    ) ^ (int(axis.od.switch_polarity) & 7)
+    ) ^ axis.switch_inversion
+    if axis.od.limit_switch_selector:
+        switches = switches & Switch.HOME | (switches & 1) << 1 | (switches & 2) >> 1
     if not axis.sampled:
         axis.sampled = 1
         axis.counts = counts

@@ -10,12 +10,12 @@ does, every other value saturates.
 
 import math
 
-from . import probe
+from . import encoder, probe, statusword, sync
 from .jit import block
-from .words import STATE_PATTERN, State, Statusword
+from .words import Mode
 
-STATE_VALUE = tuple(STATE_PATTERN[state][1] for state in State)
 OFF = 0xFFFFFFFF  # a window of this size is switched off
+TURN_OPTION = (0, 3, 3, 0, 2, 1)  # position range mode -> `limits.nearest_turn`
 FRACTION_LIMIT = 1 << 31  # of both parts of the fraction: keeps every product inside 63 bits
 
 
@@ -58,6 +58,11 @@ def receive(axis):
     axis.range_min = min(first, second)
     ordered = od.position_range_limit[0] < od.position_range_limit[1]
     axis.range = abs(second - first) if ordered else 0.0
+    axis.turn_option = int(od.positioning_option_code) >> 6 & 3
+    if axis.range_needs_mode:
+        axis.turn_option = TURN_OPTION[min(int(od.position_range_mode), 5)]
+        if od.position_range_mode == 0:
+            axis.range = 0.0
 
     axis.max_speed = od.max_motor_speed * (2 * math.pi / 60)
     axis.max_profile_speed = min(od.max_profile_velocity * abs(velocity), axis.max_speed)
@@ -67,7 +72,7 @@ def receive(axis):
     axis.deceleration = min(int(od.profile_deceleration), int(od.max_deceleration)) * acceleration
     axis.quick_stop_deceleration = od.quick_stop_deceleration * acceleration
     jerks = max(int(od.profile_jerk_use), 1)  # 1: for all, 2: acceleration and deceleration, 4
-    limited = od.motion_profile_type == 3
+    limited = od.motion_profile_type >= 2  # jerk-free and jerk-limited ramps
     for i in range(4):
         axis.jerk[i] = od.profile_jerk[i % jerks] * acceleration if limited else 0.0
     axis.homing_speed_switch = od.homing_speeds[0] * abs(velocity)
@@ -77,11 +82,13 @@ def receive(axis):
     axis.homing_stop_cycles = _cycles(axis, int(od.homing_stop_time))
     axis.homing_timeout_cycles = _cycles(axis, int(od.homing_timeout))
     axis.brake_release_cycles = _cycles(axis, int(od.brake_release_time))
-    axis.brake_engage_cycles = _cycles(axis, int(od.brake_engage_time))
+    engage = od.brake_release_time if axis.single_brake_delay else od.brake_engage_time
+    axis.brake_engage_cycles = _cycles(axis, int(engage))
     axis.max_slippage = od.max_slippage * abs(velocity)
     _vl(axis)
-    period = od.interpolation_time_units * 10.0 ** int(od.interpolation_time_index)
-    axis.interpolation_cycles = max(1, int(math.floor(period / axis.position_period + 0.5)))
+    if axis.cycle_count == 0 or not axis.period_at_reset:
+        period = od.interpolation_time_units * 10.0 ** int(od.interpolation_time_index)
+        axis.interpolation_cycles = max(1, int(math.floor(period / axis.position_period + 0.5)))
 
     axis.following_error_window = _window(int(od.following_error_window), abs(position))
     axis.following_error_cycles = _cycles(axis, int(od.following_error_time_out))
@@ -92,14 +99,33 @@ def receive(axis):
     axis.velocity_threshold = od.velocity_threshold * abs(velocity)
     axis.velocity_threshold_cycles = _cycles(axis, int(od.velocity_threshold_time))
 
-    axis.position_gain = od.position_control_gain * 1e-3
-    axis.velocity_gain = od.velocity_control_gain * 1e-6
+    _limits_of_some_models(axis)
+    axis.position_gain = od.position_control_gain * axis.position_gain_unit
+    axis.velocity_gain = od.velocity_control_gain * axis.velocity_gain_unit
     time = od.velocity_control_time * 1e-6
     axis.velocity_integral_gain = axis.velocity_gain / time if time > 0 else 0.0
     axis.velocity_filter = _share(axis, od.velocity_filter_time * 1e-6)
     axis.torque_filter = _share(axis, axis.torque_time_constant)
     axis.velocity_feed_forward = od.velocity_feed_forward * 1e-3
     axis.inertia_feed_forward = od.acceleration_feed_forward * 1e-9
+
+
+@block
+def _limits_of_some_models(axis):
+    od = axis.od
+    position, velocity = abs(axis.rad_per_position_unit), abs(axis.rad_s_per_velocity_unit)
+    limit = od.position_error_limit * position
+    axis.position_error_limit = limit if limit > 0.0 else math.inf
+    limit = od.position_control_v_max * velocity
+    axis.correction_limit = limit if limit > 0.0 else math.inf
+    axis.dead_band = od.position_error_tolerance * position
+    axis.limit_deceleration = od.limit_switch_deceleration * axis.rad_s2_per_acceleration_unit
+    time = od.velocity_display_filter_time * 1e-6
+    axis.display_filter = 1.0 - math.exp(-axis.position_period / time) if time > 0 else 1.0
+    axis.switch_inversion = int(od.switch_polarity) & 7
+    if axis.switch_types:
+        limit_inverted = 0 if od.limit_switch_polarity else 3
+        axis.switch_inversion = limit_inverted | (0 if od.homing_switch_polarity else 4)
 
 
 @block
@@ -161,15 +187,15 @@ def fraction(od):
     a, b = int(od.position_encoder_resolution[1]), int(od.position_encoder_resolution[0])
     c, d = int(od.gear_ratio[1]), int(od.gear_ratio[0])
     e, f = int(od.feed_constant[0]), int(od.feed_constant[1])
-    a, b = _reduced(a, b)
-    a, d = _reduced(a, d)
-    a, f = _reduced(a, f)
-    c, b = _reduced(c, b)
-    c, d = _reduced(c, d)
-    c, f = _reduced(c, f)
-    e, b = _reduced(e, b)
-    e, d = _reduced(e, d)
-    e, f = _reduced(e, f)
+    a, b = reduced(a, b)
+    a, d = reduced(a, d)
+    a, f = reduced(a, f)
+    c, b = reduced(c, b)
+    c, d = reduced(c, d)
+    c, f = reduced(c, f)
+    e, b = reduced(e, b)
+    e, d = reduced(e, d)
+    e, f = reduced(e, f)
     return a * c * e, b * d * f
 
 
@@ -178,15 +204,16 @@ def older_fraction(od):
     """The same from 6093h: internal positions have 65536 increments a revolution (DSP 402 V2)."""
     a, b = 65536 * int(od.position_encoder_resolution[1]), int(od.position_encoder_resolution[0])
     c, d = int(od.position_factor[1]), int(od.position_factor[0])
-    a, b = _reduced(a, b)
-    a, d = _reduced(a, d)
-    c, b = _reduced(c, b)
-    c, d = _reduced(c, d)
+    a, b = reduced(a, b)
+    a, d = reduced(a, d)
+    c, b = reduced(c, b)
+    c, d = reduced(c, d)
     return a * c, b * d
 
 
 @block
-def _reduced(numerator, denominator):
+def reduced(numerator, denominator):
+    """The same fraction in lowest terms."""
     common = math.gcd(numerator, denominator)
     return numerator // common, denominator // common
 
@@ -219,6 +246,16 @@ def increments_to_units(axis, increments):
 
 
 @block
+def set_position(axis):
+    """2030h of some models: the present position gets a value; nothing moves."""
+    axis.set_position_wanted = 0
+    wanted = axis.od.set_position * axis.rad_per_position_unit
+    increments = int(math.floor(wanted / axis.rad_per_increment + 0.5))
+    encoder.set_zero(axis, axis.counts - increments)
+    axis.homed = 1
+
+
+@block
 def _integer32(value):
     """Nearest INTEGER32, saturated."""
     return int(math.floor(min(max(value, -2147483648.0), 2147483647.0) + 0.5))
@@ -247,6 +284,7 @@ def publish(axis):
     od = axis.od
     counts = axis.counts - axis.zero_counts
     od.position_actual_internal_value = _wrapped32(counts)
+    od.position_demand_internal_value = _integer32(axis.position_demand / axis.rad_per_increment)
     od.position_actual_value = _in_range(od, _wrapped32(increments_to_units(axis, counts)))
     per_position = 1.0 / axis.rad_per_position_unit
     per_velocity = 1.0 / axis.rad_s_per_velocity_unit
@@ -254,15 +292,19 @@ def publish(axis):
     od.following_error_actual_value = _integer32(axis.following_error * per_position)
     od.velocity_demand_value = _integer32(axis.velocity_demand * per_velocity)
     od.velocity_actual_value = _integer32(axis.velocity * per_velocity)
+    axis.velocity_shown += axis.display_filter * (axis.velocity - axis.velocity_shown)
+    od.velocity_actual_value_filtered = _integer32(axis.velocity_shown * per_velocity)
+    od.velocity_sensor_actual_value = _integer32(axis.velocity * (60 / (2 * math.pi) * 4096))
     od.control_effort = _integer32(axis.velocity_correction * per_velocity)
     per_mille = 1e3 / axis.rated_torque
     od.torque_demand = _integer16(axis.torque_command * per_mille)
     torque = _integer16(axis.torque * per_mille)
     od.torque_actual_value = torque
     od.current_actual_value = torque  # a torque-constant motor: both are per mille of rated
-    od.modes_of_operation_display = axis.mode
+    waiting = axis.mode == Mode.INTERPOLATED_POSITION and not sync.locked(axis)
+    od.modes_of_operation_display = -1 if waiting else axis.mode
     od.active_limits = axis.limits
-    od.digital_inputs = axis.switches | (0 if axis.enable_input and axis.sto_input else 8)
+    od.digital_inputs = statusword.digital_inputs(axis)
     od.homing_error = axis.homing_error
     per_vl = 1.0 / axis.vl_rad_s if axis.vl_rad_s != 0.0 else 0.0
     od.vl_velocity_demand = _integer16(axis.velocity_demand * per_vl)
@@ -272,24 +314,5 @@ def publish(axis):
         for i in range(4):
             probed = increments_to_units(axis, axis.probe_counts[i] - axis.zero_counts)
             od.touch_probe_position[i] = _wrapped32(probed)
-    od.statusword = statusword(axis)
+    od.statusword = statusword.compose(axis)
     axis.limits = 0
-
-
-@block
-def statusword(axis):
-    """Compose 6041h from state, warnings, limits and the bits of the mode."""
-    word = STATE_VALUE[axis.state] | Statusword.REMOTE
-    if axis.sto_input and axis.dc_link * 1e3 >= axis.od.undervoltage:
-        word |= Statusword.VOLTAGE_ENABLED
-    if axis.warnings != 0:
-        word |= Statusword.WARNING
-    if axis.limits != 0:
-        word |= Statusword.INTERNAL_LIMIT_ACTIVE
-    if axis.mode_bit10:
-        word |= Statusword.TARGET_REACHED
-    if axis.mode_bit12:
-        word |= Statusword.MODE_12
-    if axis.mode_bit13:
-        word |= Statusword.MODE_13
-    return word

@@ -10,6 +10,8 @@ from enum import IntEnum
 from .jit import block
 from .record import HISTORY
 
+WARNING_ACTIVE = 0x8000  # bit of the last warning code
+
 
 class Cause(IntEnum):
     """What can go wrong; rows of a model's faults.csv refer to these names."""
@@ -28,6 +30,16 @@ class Cause(IntEnum):
     DRIVE_TEMPERATURE = 11
     EXTERNAL = 12
     RPDO_TIMEOUT = 13  # an RPDO's event timer has run out
+    POSITION_ERROR = 14  # the switch-off limit of the following error
+    HOMING_INTERRUPTED = 15
+    HOMING_SWITCH = 16
+    HOMING_INDEX = 17
+    HOMING_TIMEOUT = 18
+    NEGATIVE_BLOCKED = 19  # a limit switch blocks negative set-points
+    POSITIVE_BLOCKED = 20
+    SYNC_LOST = 21
+    GUARDING = 22  # the master's node guarding stays away
+    RPDO_TOO_SHORT = 23
 
 
 class Reaction(IntEnum):
@@ -37,18 +49,21 @@ class Reaction(IntEnum):
     WARNING = 1  # statusword bit 7, operation goes on
     OPTION_CODE = 2  # fault reaction option code 605Eh
     DISABLE = 3  # power stage off at once
+    QUICK_STOP = 4  # as quick stop option code 2, whatever 605Eh says
+    CURRENT_LIMIT = 5  # as quick stop option code 3
 
 
 @block
 def raise_fault(axis, cause):
     """Report that `cause` is present in this cycle; the first one that stops the drive counts."""
-    axis.faults_present |= 1 << cause
     reaction = int(axis.od.fault_reaction[cause])
     if reaction == Reaction.IGNORE:
         return
+    axis.faults_present |= 1 << cause
     if reaction == Reaction.WARNING:
         if not axis.warnings & (1 << cause):
             axis.warnings |= 1 << cause
+            axis.od.last_warning_code = axis.fault_number[cause] | WARNING_ACTIVE
             record(axis, cause)
         return
     if axis.fault == Cause.NONE and axis.fault_raised == Cause.NONE:
@@ -66,4 +81,13 @@ def record(axis, cause):
     for i in range(HISTORY - 1, 0, -1):
         od.error_field[i] = od.error_field[i - 1]
     od.error_field[0] = od.error_code
-    od.error_count = min(int(od.error_count) + 1, HISTORY)
+    depth = int(axis.history_depth) if axis.history_depth else HISTORY
+    od.error_count = min(int(od.error_count) + 1, depth)
+
+
+@block
+def expire_warnings(axis):
+    """Take back the warnings whose cause has not come again since the last position cycle."""
+    axis.warnings &= axis.faults_present
+    if axis.warnings == 0:
+        axis.od.last_warning_code &= WARNING_ACTIVE - 1

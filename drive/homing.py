@@ -21,8 +21,17 @@ import numpy as np
 
 from . import encoder
 from .encoder import Event, Switch
+from .faults import Cause, raise_fault
 from .jit import block
-from .ramps import advance, close_position_loop, plan_velocity, profile_jerk, rest
+from .ramps import (
+    advance,
+    close_position_loop,
+    plan_position,
+    plan_velocity,
+    profile_jerk,
+    rest,
+)
+from .words import Compatibility
 
 
 class Progress(IntEnum):
@@ -33,6 +42,7 @@ class Progress(IntEnum):
     STOPPING = 2  # home is found, the axis comes to rest
     ATTAINED = 3
     FAILED = 4
+    TO_ZERO = 5  # home is found, the axis travels to the zero position (some models)
 
 
 class HomingError(IntEnum):
@@ -45,6 +55,22 @@ class HomingError(IntEnum):
     TIMEOUT = 4  # 2012h:03
     SPEED_ZERO = 5  # a homing speed 6099h is zero, the search could never end
     UNKNOWN_METHOD = 6
+    HALTED = 7  # only of models where halt ends homing in error
+
+
+# what a model may make a fault of, by HomingError
+CAUSE = np.array(
+    [
+        {
+            HomingError.INTERRUPTED: int(Cause.HOMING_INTERRUPTED),
+            HomingError.LIMIT_SWITCH: int(Cause.HOMING_SWITCH),
+            HomingError.NO_INDEX: int(Cause.HOMING_INDEX),
+            HomingError.TIMEOUT: int(Cause.HOMING_TIMEOUT),
+            HomingError.HALTED: int(Cause.HOMING_INTERRUPTED),
+        }.get(error, 0)
+        for error in HomingError
+    ]
+)
 
 
 END = -1  # next leg: home is found
@@ -151,7 +177,7 @@ def start(axis):
     axis.homing = Progress.SEARCHING
     axis.homing_cycles = 0
     on_home = 1 if axis.switches & Switch.HOME else 0
-    row = FIRST[on_home, int(axis.od.homing_method) & 0xFF]
+    row = FIRST[on_home, _method(axis) & 0xFF]
     if row == END:
         _found(axis, axis.counts)
     elif row == ERROR:
@@ -163,11 +189,24 @@ def start(axis):
 
 
 @block
+def _method(axis):
+    """6098h; some models number 33-35 one lower until compatibility_control says otherwise."""
+    method = int(axis.od.homing_method)
+    standard = axis.od.compatibility_control & Compatibility.HOMING_METHOD_SCHEME
+    if axis.old_homing_numbers and not standard and 32 <= method <= 34:
+        return method + 1
+    return method
+
+
+@block
 def abandon(axis, error):
     """Note that a running homing ends without a result; who calls it stops the axis."""
-    if axis.homing == Progress.SEARCHING or axis.homing == Progress.STOPPING:
-        axis.homing = Progress.IDLE if error == HomingError.INTERRUPTED else Progress.FAILED
+    if busy(axis):
         axis.homing_error = error
+        cause = CAUSE[axis.homing_error]
+        if cause != Cause.NONE:
+            raise_fault(axis, cause)
+        axis.homing = Progress.IDLE if error == HomingError.INTERRUPTED else Progress.FAILED
         axis.latch_event = Event.NONE
         axis.homed = 0
 
@@ -189,7 +228,25 @@ def demand(axis):
         if axis.homing_timeout_cycles and axis.homing_cycles > axis.homing_timeout_cycles:
             interrupt(axis, HomingError.TIMEOUT)
     elif axis.homing == Progress.STOPPING and axis.profile_done and axis.standstill:
+        if axis.od.compatibility_control & Compatibility.HOMING_TO_ZERO:
+            axis.homing = Progress.TO_ZERO
+            rate = axis.homing_acceleration
+            speed = axis.homing_speed_switch
+            plan_position(axis, 0.0, speed, 0.0, rate, rate, profile_jerk(axis))
+        else:
+            axis.homing = Progress.ATTAINED
+    elif axis.homing == Progress.TO_ZERO and axis.profile_done and axis.standstill:
         axis.homing = Progress.ATTAINED
+
+
+@block
+def busy(axis):
+    """Whether a homing has been started and has not ended yet."""
+    return (
+        axis.homing == Progress.SEARCHING
+        or axis.homing == Progress.STOPPING
+        or axis.homing == Progress.TO_ZERO
+    )
 
 
 @block

@@ -8,6 +8,7 @@ needs the switches. A direction that a limit stopped stays locked until the mast
 import math
 
 from .encoder import Switch
+from .faults import Cause, raise_fault
 from .jit import block
 from .words import Limit
 
@@ -55,9 +56,11 @@ def at_switch(axis, direction):
     """Whether the limit switch on the way of `direction` (any signed number) is active."""
     if direction > 0 and axis.switches & Switch.POSITIVE_LIMIT:
         axis.limits |= Limit.POSITIVE_LIMIT_SWITCH
+        raise_fault(axis, Cause.POSITIVE_BLOCKED)
         return True
     if direction < 0 and axis.switches & Switch.NEGATIVE_LIMIT:
         axis.limits |= Limit.NEGATIVE_LIMIT_SWITCH
+        raise_fault(axis, Cause.NEGATIVE_BLOCKED)
         return True
     return False
 

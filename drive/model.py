@@ -4,101 +4,34 @@ The folder is all there is to a model; the kernel reads its numbers and flags fr
 that cannot be right is refused when the model is loaded, with file, line and reason.
 """
 
-import csv
 import functools
-import re
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from .faults import Cause, Reaction
 from .homing import NUMBERS
-from .process_data import ENTRIES, MAX_BITS
-from .record import OD, VENDOR_BYTES
+from .record import FIELDS, OD
+from .rows import Fault, Mapping, Object, read_faults, read_objects, read_pdos
 from .words import MODE_ABBREVIATION, Mode
 
-# data type of CiA 301 -> struct format; strings have none
-FORMATS = {
-    "BOOLEAN": "B",
-    "INTEGER8": "b",
-    "INTEGER16": "h",
-    "INTEGER32": "i",
-    "INTEGER64": "q",
-    "UNSIGNED8": "B",
-    "UNSIGNED16": "H",
-    "UNSIGNED32": "I",
-    "UNSIGNED64": "Q",
-    "REAL32": "f",
-    "VISIBLE_STRING": "",
-}
-SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
-ACCESS = ("ro", "wo", "rw", "const")
-PDO_USE = ("", "rx", "tx", "rxtx")
-QUIRKS = ("older_factor_group",)  # flags a model may raise; each is a field of the record
+# Departures from the standard a model may declare: fields of the record that the kernel reads, and
+# flags of the Python around it.
+_FIRST = [name for name, *_ in FIELDS].index("older_factor_group")
+_LAST = [name for name, *_ in FIELDS].index("history_depth")
+KERNEL_QUIRKS = tuple(name for name, *_ in FIELDS[_FIRST : _LAST + 1])
+QUIRKS = (
+    *KERNEL_QUIRKS,
+    "load_at_once",  # 1011h acts at once and needs the power stage off
+    "pdo_needs_stop",  # PDO parameters may only change outside NMT operational
+    "cyclic_event",  # transmission type 254 sends with the inhibit time as period
+    "transmit_masks",  # 2014h-2017h choose the bits whose change sends a TPDO
+    "identifier_needs_valid_bit",  # bit 30 of PDO identifiers always reads 1
+)
+# [units] of drive.toml: field of the record, value without an entry
+UNITS = {"position_gain": 1e-3, "velocity_gain": 1e-6, "temperature": 0.1}
 MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
-
-
-@dataclass(frozen=True)
-class Object:
-    """One row of the object dictionary; its bytes lie `offset` into the `area` of the drive."""
-
-    index: int
-    subindex: int
-    name: str
-    object_type: str
-    data_type: str
-    access: str
-    pdo: str
-    unit: str
-    minimum: float
-    maximum: float
-    allowed: frozenset[int] | None
-    default: int | float | str
-    storable: bool
-    section: str
-    note: str
-    area: str  # "axis", "rpdo", "tpdo" or "constant"
-    offset: int
-    when: str
-    per_node: bool = False  # the node-id is added to the default
-
-    @property
-    def format(self) -> str:
-        """Format of the value for `struct`, empty for strings."""
-        return FORMATS[self.data_type]
-
-    @property
-    def size(self) -> int:
-        """Bytes of the value, 0 for strings."""
-        return SIZES[self.format]
-
-
-@dataclass(frozen=True)
-class Mapping:
-    """A PDO of pdo.csv: default communication parameters and mapped objects."""
-
-    number: int
-    cob_id: str
-    transmission_type: int
-    inhibit_time: int
-    entries: tuple[tuple[int, int, int], ...]  # index, subindex, bits
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A row of faults.csv."""
-
-    code: int
-    meaning: str
-    register: int
-    cause: Cause
-    reaction: Reaction
-    section: str
 
 
 @dataclass(frozen=True)
@@ -123,6 +56,9 @@ class DriveModel:
     modes: tuple[Mode, ...]
     homing_methods: tuple[int, ...]
     quirks: dict[str, Quirk]
+    units: dict[str, float]
+    fixed: dict[str, Any]  # values of `od` fields that the model has no object for
+    axes: int  # drives in one housing, with consecutive node-ids
     objects: dict[tuple[int, int], Object]
     names: dict[str, Object]
     rpdos: tuple[Mapping, ...]
@@ -138,17 +74,29 @@ class DriveModel:
         axis.velocity_period = self.cycle_time["velocity"]
         axis.velocity_cycles = round(self.cycle_time["position"] / self.cycle_time["velocity"])
         axis.torque_time_constant = self.torque_time_constant
-        for name, quirk in self.quirks.items():
-            setattr(axis, name, quirk.value)
+        for name, value in self.units.items():
+            setattr(axis, f"{name}_unit", value)
+        for name in KERNEL_QUIRKS:
+            setattr(axis, name, self.quirk(name))
         axis.supported_modes = sum(1 << (mode - 1) for mode in self.modes)
         axis.ambient_temperature = 25.0
         axis.enable_input = 1
         axis.sto_input = 1
-        for fault in self.faults:
+        for fault in reversed(self.faults):  # of two rows with one cause the first counts
             axis.fault_code[fault.cause] = fault.code
+            axis.fault_number[fault.cause] = (fault.main or 0) << 4 | (fault.sub or 0)
             axis.fault_register[fault.cause] = 1 | 1 << fault.register
             axis.od.fault_reaction[fault.cause] = fault.reaction
+        for name, value in self.fixed.items():
+            if isinstance(value, list):
+                getattr(axis.od, name)[: len(value)] = value
+            else:
+                setattr(axis.od, name, value)
         axis.parameters_changed = 1
+
+    def quirk(self, name: str) -> int:
+        """Value of a departure from the standard, 0 where the model has none."""
+        return self.quirks[name].value if name in self.quirks else 0
 
 
 def _builtin() -> Path:
@@ -181,32 +129,29 @@ def load(model: "str | Path | DriveModel") -> DriveModel:
 
 @functools.cache
 def _load(folder: Path) -> DriveModel:
-    try:
-        toml = tomllib.loads((folder / "drive.toml").read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{folder / 'drive.toml'}: {error}") from None
+    toml = _read_toml(folder / "drive.toml")
+    files = [folder]
+    if "based_on" in toml:  # another model, with what this one says instead
+        base = load(toml["based_on"]).folder
+        files.append(base)
+        toml = _merged(_read_toml(base / "drive.toml"), toml)
+    file = {
+        name: next((f / name for f in files if (f / name).is_file()), folder / name)
+        for name in ("objects.csv", "pdo.csv", "faults.csv")
+    }
     reader = _Toml(folder / "drive.toml", toml)
-    objects = _read_objects(folder / "objects.csv")
-    names = {row.name: row for row in objects.values()}
-    rpdos, tpdos = _read_pdos(folder / "pdo.csv", objects)
-    microseconds = reader.numbers("cycle_time_us", ("current", "velocity", "position"))
-    ratio = microseconds["position"] / microseconds["velocity"]
-    if ratio < 1 or ratio != int(ratio):
-        raise ValueError(
-            f"{reader.path}: cycle_time_us.position = {microseconds['position']} is not a whole "
-            f"multiple of cycle_time_us.velocity = {microseconds['velocity']}"
-        )
-    for name in toml.get("quirks", {}):
-        if name not in QUIRKS:
-            raise ValueError(f"{reader.path}: unknown quirk {name!r}, known: {', '.join(QUIRKS)}")
+    objects = _changed(read_objects(file["objects.csv"]), toml, reader.path)
+    rpdos, tpdos = read_pdos(file["pdo.csv"], objects)
+    microseconds = reader.cycle_times()
     motor = reader.numbers("motor", ("torque_time_constant_us", "rotor_inertia_kgm2"))
     capabilities = reader.table("capabilities")
-    for name in capabilities.get("modes", ()):
-        if name not in MODES:
-            raise ValueError(f"{reader.path}: unknown mode {name!r}, known: {', '.join(MODES)}")
-    for method in capabilities.get("homing_methods", ()):
-        if method not in NUMBERS:
-            raise ValueError(f"{reader.path}: unknown homing method {method}, known: {NUMBERS}")
+    reader.known("quirks", QUIRKS)
+    reader.known("fixed", OD.names or ())
+    reader.known("units", UNITS)
+    for kind, known in (("modes", MODES), ("homing_methods", NUMBERS)):
+        for name in capabilities.get(kind, ()):
+            if name not in known:
+                raise ValueError(f"{reader.path}: unknown {kind} {name!r}, known: {[*known]}")
     return DriveModel(
         name=folder.name,
         folder=folder,
@@ -218,12 +163,41 @@ def _load(folder: Path) -> DriveModel:
         modes=tuple(MODES[name] for name in capabilities.get("modes", ())),
         homing_methods=tuple(capabilities.get("homing_methods", ())),
         quirks={k: Quirk(int(v["value"]), v["source"]) for k, v in toml.get("quirks", {}).items()},
+        units=UNITS | toml.get("units", {}),
+        fixed=toml.get("fixed", {}),
+        axes=int(toml.get("axes", 1)),
         objects=objects,
-        names=names,
+        names={row.name: row for row in objects.values()},
         rpdos=rpdos,
         tpdos=tpdos,
-        faults=_read_faults(folder / "faults.csv"),
+        faults=read_faults(file["faults.csv"]),
     )
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Tables of `base` with the entries of `own` in place of theirs."""
+    return base | {
+        key: base.get(key, {}) | value if isinstance(value, dict) else value
+        for key, value in own.items()
+    }
+
+
+def _changed(objects: dict[tuple[int, int], Object], toml: dict[str, Any], path: Path):
+    """The objects without those of `without`, with the values of `defaults` (by name)."""
+    left = {a: row for a, row in objects.items() if f"{a[0]:04X}h" not in toml.get("without", ())}
+    names = {row.name: address for address, row in left.items()}
+    for name, value in toml.get("defaults", {}).items():
+        if name not in names:
+            raise ValueError(f"{path}: defaults.{name}: there is no such object")
+        left[names[name]] = replace(left[names[name]], default=value)
+    return left
 
 
 @dataclass
@@ -236,6 +210,23 @@ class _Toml:
             raise ValueError(f"{self.path}: the table [{name}] is missing")
         return self.data[name]
 
+    def known(self, name: str, known) -> None:
+        """Refuse a key of a table that means nothing."""
+        for key in self.data.get(name, {}):
+            if key not in known:
+                raise ValueError(f"{self.path}: {name}.{key} is unknown, use of {', '.join(known)}")
+
+    def cycle_times(self) -> dict[str, float]:
+        """Cycle times (µs); the position cycle is a multiple of the velocity cycle."""
+        times = self.numbers("cycle_time_us", ("current", "velocity", "position"))
+        ratio = times["position"] / times["velocity"] if times["velocity"] else 0.0
+        if ratio < 1 or ratio != int(ratio):
+            raise ValueError(
+                f"{self.path}: cycle_time_us.position = {times['position']} is not a whole "
+                f"multiple of cycle_time_us.velocity = {times['velocity']}"
+            )
+        return times
+
     def numbers(self, name: str, keys: tuple[str, ...]) -> dict[str, float]:
         table = self.table(name)
         for key in keys:
@@ -243,162 +234,3 @@ class _Toml:
             if not isinstance(value, int | float) or not 0 <= value < 1e9:
                 raise ValueError(f"{self.path}: {name}.{key} = {value!r} is not a number >= 0")
         return {key: float(table[key]) for key in keys}
-
-
-def _rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
-    """Rows of a CSV file, each with the words "file, line n" for error messages."""
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        for row in reader:
-            where = f"{path.name}, line {reader.line_num} ({path.parent.name})"
-            if None in row or None in row.values():
-                raise ValueError(f"{where}: {len(reader.fieldnames or ())} columns expected")
-            yield {key: value.strip() for key, value in row.items()}, where
-
-
-def _integer(text: str, where: str, what: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise ValueError(f"{where}: {what} = {text!r} is not an integer") from None
-
-
-def _read_objects(path: Path) -> dict[tuple[int, int], Object]:
-    objects: dict[tuple[int, int], Object] = {}
-    names: set[str] = set()
-    free = OD.fields["vendor"][1]  # type: ignore[index]
-    end = free + VENDOR_BYTES
-    for row, where in _rows(path):
-        index = _integer(row["index"], where, "index")
-        subindex = _integer(row["subindex"], where, "subindex")
-        if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
-            raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h is no object address")
-        if (index, subindex) in objects:
-            raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h occurs twice")
-        if row["name"] in names:
-            raise ValueError(f"{where}: the name {row['name']!r} occurs twice")
-        for column, known in (("data_type", FORMATS), ("access", ACCESS), ("pdo", PDO_USE)):
-            if row[column] not in known:
-                raise ValueError(
-                    f"{where}: {column} {row[column]!r} is unknown, use one of {', '.join(known)}"
-                )
-        size = SIZES[FORMATS[row["data_type"]]]
-        area, offset = "axis", 0
-        if row["field"]:
-            offset = _field_offset(row["field"], row["data_type"], where)
-        elif row["data_type"] == "VISIBLE_STRING" or row["access"] == "const":
-            area = "constant"
-        else:
-            free += -free % max(size, 1)
-            offset, free = free, free + size
-            if free > end:
-                raise ValueError(f"{where}: more than {VENDOR_BYTES} bytes of objects of its own")
-        objects[index, subindex] = _object(row, where, index, subindex, area, offset)
-        names.add(row["name"])
-    return objects
-
-
-def _object(row, where, index, subindex, area, offset) -> Object:
-    code = FORMATS[row["data_type"]]
-    allowed = None
-    default, plus, _ = row["default"].partition("+node_id")
-    low, high = _type_range(code)
-    if row["min"].startswith("{"):
-        allowed = frozenset(_integer(v, where, "min") for v in row["min"].strip("{}").split(";"))
-    elif row["min"]:
-        low = max(low, float(_integer(row["min"], where, "min")))
-    if row["max"]:
-        high = min(high, float(_integer(row["max"], where, "max")))
-    if code:
-        default = float(default or 0) if code == "f" else _integer(default or "0", where, "default")
-        if not low <= default <= high or (allowed is not None and default not in allowed):
-            raise ValueError(f"{where}: default {default} is out of range [{low:.0f}, {high:.0f}]")
-        if area == "constant" and row["pdo"]:
-            raise ValueError(f"{where}: a constant cannot be mapped to a PDO")
-    return Object(
-        index, subindex, row["name"], row["object_type"], row["data_type"], row["access"],
-        row["pdo"], row["unit"], low, high, allowed, default, row["storable"] == "yes",
-        row["section"], row["note"], area, offset, row["when"], bool(plus),
-    )  # fmt: skip
-
-
-def _type_range(code: str) -> tuple[float, float]:
-    if not code or code == "f":
-        return -np.inf, np.inf
-    info = np.iinfo(np.dtype("<" + code))
-    return float(info.min), float(info.max)
-
-
-def _field_offset(field: str, data_type: str, where: str) -> int:
-    """Byte offset of `name` or `name[i]` in the `od` half of the record."""
-    match = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", field)
-    if not match or match[1] not in OD.fields:  # type: ignore[operator]
-        raise ValueError(f"{where}: the record has no field od.{field}")
-    kind, offset = OD.fields[match[1]][:2]  # type: ignore[index]
-    base, shape = kind.base, kind.shape
-    if bool(shape) != bool(match[2]) or (shape and int(match[2]) >= shape[0]):
-        raise ValueError(f"{where}: od.{match[1]} has the shape {shape}, not {field!r}")
-    if base != np.dtype("<" + FORMATS[data_type]):
-        raise ValueError(f"{where}: od.{match[1]} is {base.name}, not {data_type}")
-    return offset + int(match[2] or 0) * base.itemsize
-
-
-def _read_pdos(path: Path, objects) -> tuple[tuple[Mapping, ...], tuple[Mapping, ...]]:
-    found: dict[str, dict[int, Mapping]] = {"rx": {}, "tx": {}}
-    for row, where in _rows(path):
-        direction = row["direction"].lower()
-        if direction not in found:
-            raise ValueError(f"{where}: direction {row['direction']!r} is neither rx nor tx")
-        number = _integer(row["number"], where, "number")
-        before = found[direction].get(number)
-        entries = before.entries if before else ()
-        if row["index"]:  # a row without one is a PDO that is free for mapping
-            entries = (*entries, _pdo_entry(row, where, direction, objects))
-        if sum(bits for _, _, bits in entries) > MAX_BITS or len(entries) > ENTRIES:
-            raise ValueError(f"{where}: PDO {number} is longer than {MAX_BITS} bits")
-        cob_id = row["cob_id"].replace(" ", "")
-        if not re.fullmatch(r"0x[0-9A-Fa-f]+(\+node_id)?", cob_id):
-            raise ValueError(f"{where}: cob_id {cob_id!r} is not like 0x200+node_id")
-        found[direction][number] = Mapping(
-            number,
-            cob_id,
-            _integer(row["transmission_type"], where, "transmission_type"),
-            _integer(row["inhibit_time"] or "0", where, "inhibit_time"),
-            entries,
-        )
-    for pdos in found.values():
-        if sorted(pdos) != list(range(1, len(pdos) + 1)):
-            raise ValueError(f"{path.name} ({path.parent.name}): PDO numbers have a gap")
-    return tuple(tuple(pdos[n] for n in sorted(pdos)) for pdos in found.values())  # type: ignore
-
-
-def _pdo_entry(row, where, direction, objects) -> tuple[int, int, int]:
-    index, subindex, bits = (
-        _integer(row[key], where, key) for key in ("index", "subindex", "bits")
-    )
-    target = objects.get((index, subindex))
-    if target is None or direction not in target.pdo or target.size * 8 != bits:
-        raise ValueError(
-            f"{where}: {index:04X}h:{subindex:02X}h with {bits} bits cannot be mapped to a "
-            f"{direction} PDO"
-        )
-    return index, subindex, bits
-
-
-def _read_faults(path: Path) -> tuple[Fault, ...]:
-    faults = []
-    for row, where in _rows(path):
-        for column, known in (("cause", Cause), ("reaction", Reaction)):
-            if row[column] not in known.__members__:
-                raise ValueError(f"{where}: {column} {row[column]!r} is none of {[*known]}")
-        faults.append(
-            Fault(
-                _integer(row["emcy_code"], where, "emcy_code"),
-                row["meaning"],
-                _integer(row["error_register_bit"] or "0", where, "error_register_bit"),
-                Cause[row["cause"]],
-                Reaction[row["reaction"]],
-                row["section"],
-            )
-        )
-    return tuple(faults)

@@ -39,6 +39,8 @@ def _following_error(axis):
             axis.following_error = 0.0
             axis.following_error_exceeded = 0
         return
+    if abs(axis.following_error) > axis.position_error_limit:
+        raise_fault(axis, Cause.POSITION_ERROR)
     if abs(axis.following_error) <= axis.following_error_window:
         axis.following_error_timer = 0
         axis.following_error_exceeded = 0

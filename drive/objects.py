@@ -4,24 +4,22 @@ Order of the checks: object, sub-index, access, length, range, device state, sid
 write changes nothing. What a write does beside storing its bytes is a row of `HOOKS`.
 """
 
-import math
 import struct
 from collections.abc import Callable
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from .abort import Abort, SdoAbort
-from .factors import FRACTION_LIMIT
-from .model import Object
-from .process_data import DUMMY, ENTRIES, INVALID, MAX_BITS, PDO
+from .hooks import HOOKS, WHEN
+from .process_data import DUMMY, ENTRIES, INVALID, MAX_BITS, parameter_place
+from .rows import Object
 
 if TYPE_CHECKING:
     from .drive import Drive
 
 DUMMY_BITS = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}  # CiA 301, dummy mapping
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
+LAST_PDO_OBJECT = 0x1BFF
 TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
-SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 
 
 class Slot:
@@ -52,24 +50,23 @@ def pdo_objects(n_rpdo: int, n_tpdo: int) -> list[Object]:
     rows = []
     for (communication, mapping), area, direction in (RECEIVE, TRANSMIT):
         parameters = [
-            (1, "cob_id", "UNSIGNED32", "cob_id", 0),
-            (2, "transmission_type", "UNSIGNED8", "transmission_type", 0),
-            (3, "inhibit_time", "UNSIGNED16", "inhibit_time", 0),
-            (5, "event_timer", "UNSIGNED16", "event_timer", 0),
+            (1, "cob_id", "UNSIGNED32"),
+            (2, "transmission_type", "UNSIGNED8"),
+            (3, "inhibit_time", "UNSIGNED16"),
+            (5, "event_timer", "UNSIGNED16"),
         ]
         if direction == "tx":
-            parameters.append((6, "sync_start_value", "UNSIGNED8", "sync_start", 0))
-        maps = [(0, "number_of_mapped_objects", "UNSIGNED8", "count", 0)]
-        maps += [
-            (n + 1, f"mapping_{n + 1}", "UNSIGNED32", "mapping", 4 * n) for n in range(ENTRIES)
-        ]
+            parameters.append((6, "sync_start_value", "UNSIGNED8"))
+        maps = [(0, "number_of_mapped_objects", "UNSIGNED8")]
+        maps += [(n, f"mapping_{n}", "UNSIGNED32") for n in range(1, ENTRIES + 1)]
         for i in range(n_rpdo if direction == "rx" else n_tpdo):
-            name, base = f"{area}{i + 1}", i * PDO.itemsize
+            name = f"{area}{i + 1}"
             rows.append(_constant(communication + i, f"{name}_entries", parameters[-1][0]))
-            for index, fields in ((communication + i, parameters), (mapping + i, maps)):
-                for subindex, label, data_type, field, more in fields:
-                    offset = base + PDO.fields[field][1] + more  # type: ignore[index]
-                    rows.append(_row(index, subindex, f"{name}_{label}", data_type, area, offset))
+            for index, names in ((communication + i, parameters), (mapping + i, maps)):
+                for subindex, label, data_type in names:
+                    place = parameter_place(index, subindex)
+                    assert place is not None
+                    rows.append(_row(index, subindex, f"{name}_{label}", data_type, *place))
     return rows
 
 
@@ -77,7 +74,7 @@ def _row(index, subindex, name, data_type, area, offset, access="rw", default=0)
     bits = int(data_type.removeprefix("UNSIGNED"))
     return Object(
         index, subindex, name, "RECORD", data_type, access, "", "", 0.0, float(2**bits - 1), None,
-        default, access == "rw", "CiA 301", "", area, offset, "",
+        default, access == "rw", "CiA 301", "", area, offset,
     )  # fmt: skip
 
 
@@ -91,7 +88,8 @@ class ObjectDictionary:
     def __init__(self, drive: "Drive", views: dict[str, memoryview | None]):
         self.drive = drive
         rows = [*drive.model.objects.values()]
-        rows += pdo_objects(len(drive.rpdos), len(drive.tpdos))
+        if not any(RECEIVE[0][0] <= row.index <= LAST_PDO_OBJECT for row in rows):
+            rows += pdo_objects(len(drive.rpdos), len(drive.tpdos))
         self.slots = {
             (row.index, row.subindex): Slot(row, views[row.area], row.offset) for row in rows
         }
@@ -112,8 +110,13 @@ class ObjectDictionary:
             return b"", abort
         if slot.row.access == "wo":
             return b"", Abort.WRITE_ONLY
-        value = slot.get()
+        value = self.value(slot)
         return value.encode() if isinstance(value, str) else slot.code.pack(value), Abort.NONE
+
+    def value(self, slot: Slot) -> int | float | str:
+        """Value of an object as a master reads it."""
+        hook = HOOKS[slot.row.hook].read if slot.row.hook else None
+        return hook(self, slot.row) if hook else slot.get()
 
     def write(self, index: int, subindex: int, data: bytes) -> Abort:
         """SDO download: store the bytes, or return the abort code and change nothing."""
@@ -137,9 +140,9 @@ class ObjectDictionary:
             return Abort.VALUE_TOO_HIGH
         if row.allowed is not None and value not in row.allowed:
             return Abort.INVALID_VALUE
-        if row.when == "disabled" and self.drive.energised:
+        if row.when and not WHEN[row.when](self.drive):
             return Abort.DEVICE_STATE
-        hook = HOOKS.get(row.index) or PDO_HOOKS.get(row.index & 0xFE00)
+        hook = HOOKS[row.hook].write if row.hook else PDO_HOOKS.get(row.index & 0xFE00)
         abort = hook(self, row, int(value)) if hook else Abort.NONE
         if abort is Abort.STORED:
             return Abort.NONE
@@ -161,48 +164,7 @@ class ObjectDictionary:
         return slot
 
 
-Hook = Callable[[ObjectDictionary, Object, int], Abort]
-
-
-def _clear_history(od: ObjectDictionary, row: Object, value: int) -> Abort:
-    if value != 0:
-        return Abort.INVALID_VALUE
-    od.drive.axis.od.error_field[:] = 0
-    return Abort.NONE
-
-
-def _mode(od: ObjectDictionary, row: Object, value: int) -> Abort:
-    return Abort.NONE if value == 0 or value in od.drive.model.modes else Abort.INVALID_VALUE
-
-
-def _homing_method(od: ObjectDictionary, row: Object, value: int) -> Abort:
-    return Abort.NONE if value in od.drive.model.homing_methods else Abort.INVALID_VALUE
-
-
-def _factor(od: ObjectDictionary, row: Object, value: int) -> Abort:
-    """608Fh, 6091h, 6092h: the exact fraction they make together has to stay computable."""
-    fractions = []
-    for index, upside_down in ((0x608F, True), (0x6091, True), (0x6092, False)):
-        parts = []
-        for subindex in (1, 2):
-            here = (index, subindex) == (row.index, row.subindex)
-            parts.append(value if here else int(od.slots[index, subindex].get()))
-        fractions.append(Fraction(*(reversed(parts) if upside_down else parts)))
-    product = math.prod(fractions)
-    too_long = max(product.numerator, product.denominator) > FRACTION_LIMIT
-    return Abort.INTERNAL_INCOMPATIBLE if too_long else Abort.NONE
-
-
-def _save(od: ObjectDictionary, row: Object, value: int) -> Abort:
-    if value != SAVE:
-        return Abort.NOT_TRANSFERABLE
-    return Abort.STORED if od.drive.store_parameters() else Abort.HARDWARE
-
-
-def _load(od: ObjectDictionary, row: Object, value: int) -> Abort:
-    if value != LOAD:
-        return Abort.NOT_TRANSFERABLE
-    return Abort.STORED if od.drive.forget_parameters() else Abort.HARDWARE
+PdoHook = Callable[[ObjectDictionary, Object, int], Abort]
 
 
 def _pdo(od: ObjectDictionary, row: Object):
@@ -291,17 +253,7 @@ def _compile(od: ObjectDictionary, pdo, receive: bool, count: int) -> Abort:
     return Abort.NONE
 
 
-HOOKS: dict[int, Hook] = {
-    0x1003: _clear_history,
-    0x1010: _save,
-    0x1011: _load,
-    0x6060: _mode,
-    0x608F: _factor,
-    0x6091: _factor,
-    0x6092: _factor,
-    0x6098: _homing_method,
-}
-PDO_HOOKS: dict[int, Hook] = {
+PDO_HOOKS: dict[int, PdoHook] = {
     0x1400: _communication,
     0x1600: _mapping,
     0x1800: _communication,

@@ -25,10 +25,11 @@ def sample(axis, index_counts, index_passed):
         counts = axis.counts
         if bits >> 2 & 3 == 1:
             rising, falling, counts = index_passed, False, index_counts
+        continuous = bits & 2 and not axis.od.sample_mode
         if rising and bits & 0x10:
-            _store(axis, 2 * probe, counts, bits & 2)
+            _store(axis, 2 * probe, counts, continuous)
         if falling and bits & 0x20:
-            _store(axis, 2 * probe + 1, counts, bits & 2)
+            _store(axis, 2 * probe + 1, counts, continuous)
 
 
 @block
@@ -51,3 +52,15 @@ def publish(axis):
         else:
             axis.probe_stored &= ~(3 << 2 * probe)
     axis.od.touch_probe_status = status
+    _sampling(axis)
+
+
+@block
+def _sampling(axis):
+    """204Ah of some models: the edges of probe 1, bit 0 falling, bit 1 rising."""
+    od = axis.od
+    clear = int(od.sample_control)
+    od.sample_control = 0
+    axis.probe_stored &= ~((clear >> 1 & 1) | (clear & 1) << 1)
+    stored = axis.probe_stored
+    od.sample_status = (stored & 1) << 1 | (stored >> 1 & 1)

@@ -36,6 +36,32 @@ PDO = np.dtype(
 )
 
 
+# objects of a PDO: first index -> area, and field of the record by sub-index
+PARAMETER_FIELDS = {1: "cob_id", 2: "transmission_type", 3: "inhibit_time", 5: "event_timer"}
+PARAMETERS = (
+    (0x1400, "rpdo", PARAMETER_FIELDS),
+    (0x1600, "rpdo", None),
+    (0x1800, "tpdo", PARAMETER_FIELDS | {6: "sync_start"}),
+    (0x1A00, "tpdo", None),
+)
+MAX_PDOS = 512
+
+
+def parameter_place(index: int, subindex: int) -> tuple[str, int] | None:
+    """Area and byte offset of a PDO parameter object (CiA 301); None for any other object."""
+    for first, area, fields in PARAMETERS:
+        if first <= index < first + MAX_PDOS:
+            base = (index - first) * PDO.itemsize
+            if fields is None:
+                field, more = ("mapping", 4 * (subindex - 1)) if subindex else ("count", 0)
+            elif subindex in fields:
+                field, more = fields[subindex], 0
+            else:
+                return "constant", 0
+            return area, base + PDO.fields[field][1] + more  # type: ignore[index]
+    return None
+
+
 def make(n: int) -> np.ndarray:
     """`n` empty PDOs, all invalid, shape ``(n,)``."""
     pdos = np.zeros(n, accessible(PDO))
@@ -62,6 +88,7 @@ def latch(bytes_of_axis, axis, rpdos, image):
             at = latch_one(bytes_of_axis, rpdos[i], image, at)
     axis.parameters_changed = 1
     axis.sync = 1
+    axis.sync_pulse = 1
 
 
 @block

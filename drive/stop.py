@@ -64,6 +64,24 @@ def plan(axis, stop):
 
 
 @block
+def limit_switch_rate(axis):
+    """Deceleration at a limit switch (rad/s²): an object of some models, else the quick stop's."""
+    if axis.limit_deceleration > 0.0:
+        return axis.limit_deceleration
+    return axis.quick_stop_deceleration
+
+
+@block
+def at_limit_switch(axis):
+    """Brake a move that has met a limit switch: own deceleration, or the stop of 2017h."""
+    if axis.limit_deceleration > 0.0:
+        rate = axis.limit_deceleration
+        plan_velocity(axis, 0.0, rate, rate, NO_JERK_LIMIT)
+    else:
+        plan(axis, OPTION_STOP[int(axis.od.limit_switch_reaction)])
+
+
+@block
 def demand(axis):
     """Demand of the stop in force; at the end the position is held."""
     axis.stop_cycles += 1

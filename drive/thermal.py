@@ -49,6 +49,7 @@ def _temperature(axis, load):
         share = axis.position_period / od.motor_thermal_time
         axis.motor_heating += (final - axis.motor_heating) * share
     temperature = axis.ambient_temperature + axis.motor_heating
-    od.motor_temperature = int(min(max(temperature * 10.0, -32768.0), 32767.0))
+    shown = temperature / axis.temperature_unit
+    od.motor_temperature = int(min(max(shown, -32768.0), 32767.0))
     if 0 < od.motor_temperature_limit < od.motor_temperature:
         raise_fault(axis, Cause.MOTOR_TEMPERATURE)

@@ -123,6 +123,23 @@ class Limit(IntEnum):
     VELOCITY_AMOUNT = 0x80  # vl velocity min max amount 6046h
 
 
+class Compatibility(IntEnum):
+    """Bits of 6510h:F0h, Festo CMMP-AS 5.2 and Metronix ARS 2000 6.2."""
+
+    HOMING_METHOD_SCHEME = 0x05  # bits 0 and 2 mirror each other
+    RESPONSE_AFTER_SAVE = 0x10
+    HOMING_TO_ZERO = 0x40
+    DEVICE_CONTROL = 0x80
+
+
+class ManufacturerStatus(IntEnum):
+    """Bits of 2000h:01, Festo CMMP-AS 6.1.5."""
+
+    IS_REFERENCED = 0x1
+    COMMUTATION_VALID = 0x2
+    READY_FOR_ENABLE = 0x4
+
+
 # statusword bits 10, 12, 13 by mode (mode chapters of CiA 402-2)
 MODE_BITS = {
     Mode.PROFILE_POSITION: ("target_reached", "set_point_acknowledge", "following_error"),

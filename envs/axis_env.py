@@ -9,7 +9,6 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
-from ..drive.drive import INJECTABLE
 from ..drive.model import DriveModel, load
 from ..drive.words import Mode, State
 from .linear_axis import LinearAxisParameters, linear_axis
@@ -108,8 +107,6 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
         self._faults = dict(faults or {})
         for cause, probability in self._faults.items():
-            if cause not in INJECTABLE:
-                raise ValueError(f"faults: unknown cause {cause!r}, use of {', '.join(INJECTABLE)}")
             if not 0.0 <= probability <= 1.0:
                 raise ValueError(f"faults[{cause!r}] = {probability!r} is out of range 0..1")
         self.render_mode = render_mode
@@ -119,6 +116,10 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
             model, parameters=parameters or LinearAxisParameters(payload=payload)
         )
         self.drive = self.machine.drives["x"]
+        for cause in self._faults:
+            if cause not in self.drive.injectable:
+                known = ", ".join(self.drive.injectable)
+                raise ValueError(f"faults: unknown cause {cause!r}, choose of {known}")
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self._configure(following_error_window)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)

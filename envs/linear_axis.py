@@ -14,6 +14,13 @@ from .tuning import gains, inertia_at_shaft
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
+# a 400 W servo motor: mA, mNm, per mille
+MOTOR = {
+    "motor_rated_current": 2500,
+    "motor_rated_torque": 1270,
+    "max_current": 3000,
+    "max_torque": 3000,
+}
 # lowest, highest, unit
 RANGES = {
     "payload": (0.0, 100.0, "kg"),
@@ -104,12 +111,12 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
 
 
 def _commission(machine: Machine, p: LinearAxisParameters) -> None:
-    """Parameters of the drive for this axis: units, limits, windows, ramps, homing, gains."""
+    """Parameters of the drive for this axis: motor, units, limits, windows, homing, gains."""
     x = machine.drives["x"]
     micro = 1e6  # drive units per m
-    for name, value in {
-        "feed": p.feed_constant * micro,
-        "feed_shaft_revolutions": 1,
+    parameters = {
+        **MOTOR,
+        **_units(x, p.feed_constant * micro),
         "min_position_limit": 0,
         "max_position_limit": 0.5 * micro,
         "following_error_window": 1_000,
@@ -130,16 +137,32 @@ def _commission(machine: Machine, p: LinearAxisParameters) -> None:
         "speed_during_search_for_zero": 0.01 * micro,
         "homing_acceleration": 1.0 * micro,
         "home_offset": 5_000,
-    }.items():
-        if name in x.objects.names:
-            x.write(name, round(value))
+        "position_control_v_max": 2 * p.max_velocity * micro,
+        "limit_switch_deceleration": 2 * p.max_acceleration * micro,
+    }
+    x.commission(parameters)
     coupling = machine.couplings[0]
     inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
     tune(x, inertia)
 
 
+def _units(drive: Drive, turn: float) -> dict[str, float]:
+    """Factor group for `turn` position units a motor revolution, and units/s, units/s².
+
+    The older one counts 65536 increments a turn, turns per 4096 min, and turns per minute in 256 s.
+    """
+    if not drive.model.quirk("older_factor_group"):
+        return {"feed": turn, "feed_shaft_revolutions": 1}
+    return {
+        "position_factor_divisor": turn,
+        "position_factor_numerator": 65536,
+        "velocity_encoder_factor_divisor": turn,
+        "velocity_encoder_factor_numerator": 60 * 4096,
+        "acceleration_factor_divisor": turn,
+        "acceleration_factor_numerator": 60 * 256,
+    }
+
+
 def tune(drive: Drive, inertia: float) -> None:
-    """Write the gains for `inertia` (kg·m² at the shaft) where the model has objects for them."""
-    for name, value in gains(drive, inertia).items():
-        if name in drive.objects.names:
-            drive.write(name, value)
+    """Set the gains for `inertia` (kg·m² at the shaft)."""
+    drive.commission(gains(drive, inertia))

@@ -227,7 +227,7 @@ def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
     if brake:
         coupling.brake_friction = brake[0] * abs(gear)
         model.dof_solimp[coupling.dof, :2] = BRAKE_IMPEDANCE
-        drive.write("brake_fitted", 1)
+        drive.commission({"brake_fitted": 1})
 
 
 def _numeric(model: mujoco.MjModel, name: str, size: int) -> list[float]:

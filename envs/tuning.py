@@ -24,14 +24,15 @@ def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear:
 
 def gains(drive: Drive, inertia: float) -> dict[str, int]:
     """Objects 60F9h, 60FBh, 2010h for `inertia` (kg·m² at the shaft), in drive units."""
-    filter_time = float(drive.read("velocity_filter_time")) * 1e-6
+    axis = drive.axis
+    filter_time = float(axis.od.velocity_filter_time) * 1e-6
     delay = (
         1.5 * drive.model.cycle_time["velocity"] + drive.model.torque_time_constant + filter_time
     )
     crossover = 1.0 / (A * delay)
     return {
-        "velocity_control_gain": round(inertia * crossover * 1e6),
+        "velocity_control_gain": round(inertia * crossover / axis.velocity_gain_unit),
         "velocity_control_time": round(A * A * delay * 1e6),
-        "position_control_gain": round(crossover / SEPARATION * 1e3),
+        "position_control_gain": round(crossover / SEPARATION / axis.position_gain_unit),
         "acceleration_feed_forward": round(inertia * 1e9),
     }

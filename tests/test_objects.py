@@ -11,7 +11,7 @@ from conftest import Shaft
 from servogym.drive.abort import TEXT, Abort, SdoAbort
 from servogym.drive.drive import Drive
 from servogym.drive.faults import Cause
-from servogym.drive.model import load
+from servogym.drive.model import load, model_names
 from servogym.drive.objects import pdo_objects
 from servogym.drive.record import OBJECTS
 
@@ -114,17 +114,18 @@ def test_errors_say_the_next_step(drive):
     assert all(abort in TEXT for abort in Abort if abort > 1)
 
 
-def test_every_field_of_the_record_is_an_object_of_generic():
-    offsets = {row.offset for row in GENERIC.objects.values() if row.area == "axis"}
+def test_every_field_of_the_record_is_an_object_of_some_model():
+    models = [load(name) for name in model_names()]
+    rows = [row for model in models for row in model.objects.values()]
+    offsets = {row.offset for row in rows if row.area == "axis"}
     from servogym.drive.record import OD
 
     for name, *_ in OBJECTS:
         kind, offset = OD.fields[name][:2]
-        older = ("position_factor", "velocity_encoder_factor")  # only for models that have it
-        if name not in ("vendor", *older):
+        if name not in ("vendor", "reaction_code"):
             places = range(kind.shape[0]) if kind.shape else [0]
             if name == "fault_reaction":
-                places = [cause for cause in Cause if cause]
+                places = [cause for cause in Cause if 0 < cause <= Cause.RPDO_TIMEOUT]
             assert {offset + i * kind.base.itemsize for i in places} <= offsets, name
 
 

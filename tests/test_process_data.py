@@ -65,7 +65,7 @@ def test_dummy_entries_take_their_bytes_and_go_nowhere(drive):
     drive.write(0x1400, 1, 0x201)
     before = drive.snapshot()
     drive.latch(b"\xff\xff\x00\x00")
-    drive.axis.sync = 0
+    drive.axis.sync = drive.axis.sync_pulse = 0
     assert drive.snapshot() == before
 
 

@@ -69,6 +69,9 @@ def _halt(axis, controlword):
     if axis.state == State.OPERATION_ENABLED and axis.pending_transition == 0:
         if halt and axis.stop == Stop.NONE:
             stop.begin(axis, stop.OPTION_STOP[int(axis.od.halt_option_code)])
+            if axis.halt_ends_job:
+                pp.forget(axis)
+                homing.abandon(axis, HomingError.HALTED)
         elif not halt and axis.halted:
             stop.begin(axis, Stop.NONE)
             axis.mode_started = 0

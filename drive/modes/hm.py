@@ -21,7 +21,7 @@ def start(axis):
 @block
 def demand(axis, bit4):
     """Rising edge of bit 4 starts, falling edge interrupts, the engine moves."""
-    running = axis.homing == Progress.SEARCHING or axis.homing == Progress.STOPPING
+    running = homing.busy(axis)
     if bit4 and not axis.bit4:
         homing.start(axis)
     elif running and not bit4:
@@ -32,7 +32,6 @@ def demand(axis, bit4):
 @block
 def status(axis):
     """target_reached, homing_attained, homing_error."""
-    busy = axis.homing == Progress.SEARCHING or axis.homing == Progress.STOPPING
-    axis.mode_bit10 = axis.standstill and not busy
+    axis.mode_bit10 = axis.standstill and not homing.busy(axis)
     axis.mode_bit12 = axis.homing == Progress.STOPPING or axis.homing == Progress.ATTAINED
     axis.mode_bit13 = axis.homing == Progress.FAILED

@@ -7,7 +7,7 @@ the buffer runs empty the drive holds the last position. Sub mode -2 (60C0h, as 
 Metronix ARS 2000 have it) is linear interpolation without a buffer: the newest record acts at once.
 """
 
-from .. import limits
+from .. import limits, sync
 from ..cascade import energised
 from ..jit import block
 from ..ramps import close_position_loop
@@ -30,16 +30,19 @@ def start(axis):
 def receive(axis):
     """Put a new data record into the buffer."""
     od = axis.od
-    size = min(int(od.interpolation_actual_buffer_size), IP_RECORDS)
+    unbuffered = od.interpolation_sub_mode_select == UNBUFFERED
+    size = 1 if unbuffered else min(int(od.interpolation_actual_buffer_size), IP_RECORDS)
     if not od.interpolation_buffer_clear:
         axis.ip_records = 0
     elif axis.sync or axis.ip_data != axis.last_ip_data:
-        if od.interpolation_sub_mode_select == UNBUFFERED:
+        if unbuffered:
             axis.ip_records = 0
         if axis.ip_records >= size and od.interpolation_buffer_organization == RING:
             _take(axis)
         if axis.ip_records < size:
-            axis.ip_buffer[(axis.ip_first + axis.ip_records) % IP_RECORDS] = axis.ip_data
+            relative = axis.interpolation_target if od.interpolation_data_relative else 0.0
+            place = (axis.ip_first + axis.ip_records) % IP_RECORDS
+            axis.ip_buffer[place] = relative + axis.ip_data
             axis.ip_records += 1
     od.interpolation_buffer_position = axis.ip_records
 
@@ -55,12 +58,13 @@ def _take(axis):
 @block
 def demand(axis, bit4):
     """Interpolate one position cycle further; at the end of a period take the next record."""
-    if not bit4 and axis.ip_active:
+    enabled = bit4 and sync.locked(axis)
+    if not enabled and axis.ip_active:
         csp.hold(axis)
-    axis.ip_active = bit4
+    axis.ip_active = enabled
     at_once = axis.od.interpolation_sub_mode_select == UNBUFFERED
     ready = at_once or axis.interpolation_cycle >= axis.interpolation_cycles
-    if bit4 and ready and axis.ip_records > 0:
+    if enabled and ready and axis.ip_records > 0:
         wanted = limits.nearest_turn(axis, _take(axis), 3)
         csp.aim(axis, limits.clamp_target(axis, wanted))
     csp.travel(axis, 0.0)

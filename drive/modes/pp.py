@@ -32,11 +32,16 @@ def handshake(axis, controlword, bit4):
         elif axis.set_points == 1 and controlword & Controlword.CHANGE_ON_SET_POINT:
             axis.set_point_end_speed[0] = axis.set_point_speed[0]
             axis.set_point_started = 0
-        if axis.set_points < SET_POINTS:
+        if axis.set_points < _capacity(axis):
             _accept(axis, controlword)
             axis.acknowledged = 1
     elif not bit4:
-        axis.acknowledged = 1 if axis.set_points >= SET_POINTS else 0
+        axis.acknowledged = 1 if axis.set_points >= _capacity(axis) else 0
+
+
+@block
+def _capacity(axis):
+    return int(axis.set_point_capacity) if axis.set_point_capacity else SET_POINTS
 
 
 @block
@@ -71,7 +76,7 @@ def demand(axis):
     going = axis.set_points > 0 or axis.profile_end_velocity != 0.0
     if limits.at_switch(axis, axis.velocity_demand) and going:
         forget(axis)
-        stop.plan(axis, stop.OPTION_STOP[int(axis.od.limit_switch_reaction)])
+        stop.at_limit_switch(axis)
     if axis.set_points > 0 and not axis.set_point_started:
         _begin(axis)
     advance(axis)
@@ -89,8 +94,7 @@ def _begin(axis):
     if axis.set_point_relative[0]:
         target += _origin(axis)
     else:
-        option = int(axis.od.positioning_option_code) >> 6 & 3
-        target = limits.nearest_turn(axis, target, option)
+        target = limits.nearest_turn(axis, target, axis.turn_option)
     axis.set_point_relative[0] = 0
     axis.set_point_position[0] = target
     axis.set_point_started = 1

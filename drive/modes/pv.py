@@ -1,6 +1,6 @@
 """Profile velocity: the target velocity 60FFh, approached on ramps (CiA 402-2, pv)."""
 
-from .. import limits, monitor
+from .. import limits, monitor, stop
 from ..cascade import Control, energised
 from ..jit import block
 from ..ramps import NO_JERK_LIMIT, advance, plan_velocity, profile_jerk
@@ -29,7 +29,7 @@ def demand(axis):
     if limits.locked(axis, goal, deceleration):
         goal = 0.0
         if limits.at_switch(axis, axis.velocity_demand):
-            deceleration, jerk = axis.quick_stop_deceleration, NO_JERK_LIMIT
+            deceleration, jerk = stop.limit_switch_rate(axis), NO_JERK_LIMIT
     if goal != axis.profile_end_velocity:
         plan_velocity(axis, goal, axis.acceleration, deceleration, jerk)
     advance(axis)
