@@ -42,6 +42,13 @@ def _parser() -> argparse.ArgumentParser:
     node.add_argument("--log", help="file for all frames; .log candump, .asc, .blf ...")
     node.set_defaults(run=_node)
 
+    eds = commands.add_parser("eds", help="write the EDS or DCF of a drive model (CiA 306)")
+    eds.add_argument("model", help="name or folder of a model")
+    eds.add_argument("-o", "--out", type=Path, required=True, help="file .eds or .dcf")
+    eds.add_argument("--dcf", action="store_true", help="with the values of one node")
+    eds.add_argument("--node-id", type=int, help="1..127, for --dcf")
+    eds.set_defaults(run=_eds)
+
     homing = commands.add_parser("homing", help="draw the homing methods from real runs")
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
     homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
@@ -71,6 +78,12 @@ def _node(options: argparse.Namespace, console: Console) -> int:
         options.drive, options.node_id or [1], options.interface, options.channel,
         options.bitrate, options.log, console,
     )  # fmt: skip
+
+
+def _eds(options: argparse.Namespace, console: Console) -> int:
+    from . import eds
+
+    return eds.run(options.model, options.out, options.dcf, options.node_id, console)
 
 
 def _homing(options: argparse.Namespace, console: Console) -> int:

@@ -4,35 +4,12 @@ import threading
 import time
 
 import can
+import canopen
 import pytest
+from canopen.profiles.p402 import BaseNode402
 
-from servogym.drive.model import load
-from servogym.drive.objects import pdo_objects
+from servogym.training.eds import object_dictionary
 from servogym.training.node import Server, axis_for
-
-canopen = pytest.importorskip("canopen")
-from canopen.profiles.p402 import BaseNode402  # noqa: E402
-
-
-def object_dictionary():
-    """What canopen needs to know, from the rows of the model."""
-    od = canopen.ObjectDictionary()
-    records = {}
-    codes = {"b": 0x02, "h": 0x03, "i": 0x04, "B": 0x05, "H": 0x06, "I": 0x07, "": 0x09}
-    rows = [*load("generic").objects.values(), *pdo_objects(4, 4)]
-    single = {row.index for row in rows} - {row.index for row in rows if row.subindex > 0}
-    for row in rows:
-        variable = canopen.objectdictionary.ODVariable(row.name, row.index, row.subindex)
-        variable.data_type = codes[row.format]
-        variable.access_type = row.access
-        if row.index in single:
-            od.add_object(variable)
-            continue
-        if row.index not in records:
-            records[row.index] = canopen.objectdictionary.ODRecord(f"r{row.index:04X}", row.index)
-            od.add_object(records[row.index])
-        records[row.index].add_member(variable)
-    return od
 
 
 @pytest.fixture
@@ -49,7 +26,7 @@ def node(request):
     thread.start()
     network = canopen.Network()
     network.connect(**arguments)
-    node = BaseNode402(5, object_dictionary())
+    node = BaseNode402(5, object_dictionary("generic", 5))
     network.add_node(node)
     node.sdo.RESPONSE_TIMEOUT = 2.0
     for limit in ("STATE_FINAL", "STATE_SINGLE", "OP_MODE"):

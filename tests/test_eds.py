@@ -1,0 +1,211 @@
+"""The data sheet says what the model says, row for row, as the `canopen` library reads it back."""
+
+import configparser
+import dataclasses
+import shutil
+import struct
+
+import canopen
+import pytest
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
+
+from servogym.drive.drive import Drive
+from servogym.drive.model import load, model_names
+from servogym.training import cli, eds
+
+NODE_ID = 5
+
+
+def variable(od, row):
+    entry = od[row.index]
+    return entry if isinstance(entry, ODVariable) else entry.subindices[row.subindex]
+
+
+def addresses(od):
+    for entry in od.values():
+        if isinstance(entry, ODVariable):
+            yield entry.index, 0
+        else:
+            yield from ((entry.index, subindex) for subindex in entry.subindices)
+
+
+def written(path, model, node_id=None, reader_id=NODE_ID):
+    eds.write(model, path, node_id)
+    return canopen.import_od(str(path), reader_id)
+
+
+def sections(path):
+    file = configparser.RawConfigParser()
+    file.optionxform = str
+    file.read(path, encoding="ascii")
+    return file
+
+
+@pytest.mark.parametrize("model", model_names())
+@pytest.mark.parametrize("suffix", [".eds", ".dcf"])
+def test_every_row_comes_back(tmp_path, model, suffix):
+    od = written(tmp_path / f"drive{suffix}", model, NODE_ID if suffix == ".dcf" else None)
+    rows = eds.rows(load(model))
+    assert {*addresses(od)} == {(r.index, r.subindex) for r in rows} | {(i, 0) for i in range(2, 8)}
+    for row in rows:
+        read = variable(od, row)
+        assert read.name == row.name
+        assert read.data_type == getattr(datatypes, row.data_type), row
+        assert read.access_type == row.access, row
+        assert read.pdo_mappable == bool(row.pdo), row
+        assert read.default == (row.default + NODE_ID if row.per_node else row.default), row
+        assert read.relative == row.per_node, row
+        if row.format not in ("", "f", "q", "Q"):
+            assert (read.min, read.max) == (row.minimum, row.maximum), row
+        expected = {"VAR": ODVariable, "ARRAY": ODArray, "RECORD": ODRecord}[row.object_type]
+        assert type(od[row.index]) is expected, row
+
+
+@pytest.mark.parametrize("model", model_names())
+def test_default_and_parameter_value_are_what_the_drive_has_after_power_on(tmp_path, model):
+    od = written(tmp_path / "drive.dcf", model, NODE_ID, reader_id=None)
+    drive = Drive(model, node_id=NODE_ID)
+    assert od.node_id == NODE_ID
+    for (index, subindex), slot in drive.objects.slots.items():
+        read = variable(od, slot.row)
+        assert read.default == read.value, f"{index:04X}h:{subindex:02X}h"
+        if slot.row.access == "rw":
+            # the float of a REAL32 is the nearest of 32 bits
+            now = slot.get()
+            value = struct.unpack("f", struct.pack("f", read.value))[0] if slot.row.format == "f" \
+                else read.value  # fmt: skip
+            assert value == now, f"{index:04X}h:{subindex:02X}h"
+
+
+@pytest.mark.parametrize("model", model_names())
+def test_the_names_lead_to_their_objects(model):
+    od = eds.object_dictionary(model)
+    assert len(od.names) == len(od.indices)
+    for name, entry in od.names.items():
+        assert od[name] is entry
+
+
+def test_identifiers_count_from_the_node_id_in_the_file(tmp_path):
+    path = tmp_path / "drive.eds"
+    eds.write("generic", path)
+    assert sections(path)["1800sub1"]["DefaultValue"] == "$NODEID+0x40000180"
+    for node_id in (1, 127):
+        od = canopen.import_od(str(path), node_id)
+        assert od[0x1800][1].default == 0x40000180 + node_id
+        assert od[0x1014].default == 0x80 + node_id
+
+
+def test_the_device_information_is_complete(tmp_path):
+    path = tmp_path / "drive.eds"
+    od = written(path, "generic")
+    info = od.device_information
+    model = load("generic")
+    assert info.vendor_number == model.objects[0x1018, 1].default
+    assert info.product_number == model.objects[0x1018, 2].default
+    assert info.revision_number == model.objects[0x1018, 3].default
+    assert (info.nr_of_RXPDO, info.nr_of_TXPDO) == (len(model.rpdos), len(model.tpdos))
+    assert info.allowed_baudrates == {*eds.BITRATES}
+    assert info.simple_boot_up_slave
+    assert not info.simple_boot_up_master
+    device = sections(path)["DeviceInfo"]
+    assert device["Granularity"] == "8"  # the library reads a truth value
+    for key in ("DynamicChannelsSupported", "GroupMessaging", "CompactPDO", "LSS_Supported"):
+        assert device[key] in "01"
+
+
+def test_the_supported_objects_are_listed_once_each(tmp_path):
+    path = tmp_path / "drive.eds"
+    eds.write("generic", path)
+    file = sections(path)
+    listed = []
+    for name in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
+        entries = [int(v, 16) for k, v in file[name].items() if k != "SupportedObjects"]
+        assert int(file[name]["SupportedObjects"]) == len(entries)
+        listed += entries
+    assert sorted(listed) == sorted({row.index for row in eds.rows(load("generic"))})
+
+
+def test_each_file_has_its_own_name_in_it(tmp_path):
+    for name in ("first", "second"):  # the library keeps the file information of the first one
+        eds.write("generic", tmp_path / f"{name}.eds")
+        info = sections(tmp_path / f"{name}.eds")["FileInfo"]
+        assert tuple(info) == eds.FILE_INFO
+        assert info["FileName"] == f"{name}.eds"
+
+
+def test_a_dcf_names_its_node(tmp_path):
+    path = tmp_path / "drive.dcf"
+    eds.write("generic", path, 7)
+    commissioning = sections(path)["DeviceComissioning"]  # sic, CiA 306
+    assert commissioning["NodeID"] == "7"
+    assert commissioning["Baudrate"] == "1000"
+    assert sections(path)["1400sub1"]["ParameterValue"] == "0x00000207"
+
+
+def own_model(tmp_path, old, new):
+    folder = tmp_path / "my_drive"
+    shutil.copytree(load("generic").folder, folder)
+    objects = folder / "objects.csv"
+    text = objects.read_text(encoding="utf-8")
+    assert old in text
+    objects.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return folder
+
+
+def test_a_folder_of_one_s_own_with_64_bits_and_floats(tmp_path):
+    line = "0x2019,"
+    more = (
+        "0x2100,0x00,big,VAR,INTEGER64,rw,,µm/s²,,,-9000000000000000000,,own,,,\n"
+        "0x2101,0x00,bigger,VAR,UNSIGNED64,rw,,,,,18000000000000000000,,own,,,\n"
+        "0x2102,0x00,broken,VAR,REAL32,rw,,,,,-0.1,,own,,,\n"
+    )
+    folder = own_model(tmp_path, line, more + line)
+    od = written(tmp_path / "drive.eds", folder)
+    assert od["big"].default == -9 * 10**18
+    assert (od["big"].min, od["big"].max) == (-(2**63), 2**63 - 1)
+    assert od["big"].unit == "um/s^2"
+    assert od["bigger"].default == 18 * 10**18
+    assert (od["bigger"].min, od["bigger"].max) == (0, 2**64 - 1)
+    assert od["broken"].default == -0.1
+
+
+@pytest.mark.parametrize("text", ["drive ; of mine", "Antrieb für alles"])
+def test_a_text_the_file_cannot_carry_is_refused(tmp_path, text):
+    folder = own_model(tmp_path, "servogym generic CiA 402 drive", text)
+    with pytest.raises(ValueError, match=r"1008h:00h: .* cannot stand in an EDS"):
+        eds.write(folder, tmp_path / "drive.eds")
+
+
+def test_a_row_that_differs_is_found_by_the_comparison(tmp_path):
+    row = load("generic").objects[0x607D, 1]
+    changed = dataclasses.replace(row, default=row.default + 1)
+    od = written(tmp_path / "drive.eds", "generic")
+    assert variable(od, changed).default != changed.default
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nothing", "-o", "x.eds"], "unknown drive model 'nothing': choose one of"),
+        (["generic", "-o", "x.txt"], "the name of the file has to end with .eds"),
+        (["generic", "-o", "x.eds", "--dcf", "--node-id", "1"], "has to end with .dcf"),
+        (["generic", "-o", "x.dcf", "--dcf"], "--dcf and --node-id belong together"),
+        (["generic", "-o", "x.eds", "--node-id", "1"], "--dcf and --node-id belong together"),
+        (["generic", "-o", "x.dcf", "--dcf", "--node-id", "128"], "128 is out of range 1..127"),
+        (["generic", "-o", "nowhere/x.eds"], "nowhere/x.eds"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(capsys, tmp_path, monkeypatch, arguments, says):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["eds", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+    assert not [*tmp_path.iterdir()]
+
+
+def test_the_command_writes_the_file(capsys, tmp_path):
+    path = tmp_path / "drive.dcf"
+    assert cli.main(["eds", "generic", "-o", str(path), "--dcf", "--node-id", "9"]) == 0
+    assert path.is_file()
+    assert "objects of generic" in capsys.readouterr().out
