@@ -49,6 +49,14 @@ def _parser() -> argparse.ArgumentParser:
     eds.add_argument("--node-id", type=int, help="1..127, for --dcf")
     eds.set_defaults(run=_eds)
 
+    decode = commands.add_parser("decode", help="print a CAN log by meaning")
+    decode.add_argument("log", type=Path, help=".log of candump, .asc, .blf, .trc, .csv")
+    decode.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    decode.add_argument(
+        "--node-id", type=int, nargs="+", action="extend", help="nodes that are such a drive (all)"
+    )
+    decode.set_defaults(run=_decode)
+
     homing = commands.add_parser("homing", help="draw the homing methods from real runs")
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
     homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
@@ -84,6 +92,12 @@ def _eds(options: argparse.Namespace, console: Console) -> int:
     from . import eds
 
     return eds.run(options.model, options.out, options.dcf, options.node_id, console)
+
+
+def _decode(options: argparse.Namespace, console: Console) -> int:
+    from . import decode
+
+    return decode.run(options.log, options.drive, options.node_id)
 
 
 def _homing(options: argparse.Namespace, console: Console) -> int:
