@@ -37,9 +37,10 @@ FILE_INFO = ("FileName", "FileVersion", "FileRevision", "EDSVersion", "Descripti
 
 def rows(model: DriveModel) -> list[Object]:
     """All objects of a drive model in their order, those of its PDOs with their defaults."""
-    pdos = pdo_objects(len(model.rpdos), len(model.tpdos))
-    all_rows = [*model.objects.values(), *(_with_default(row, model) for row in pdos)]
-    return sorted(all_rows, key=lambda row: (row.index, row.subindex))
+    found = dict(model.objects)  # a model may list its PDOs too; the drive has its own
+    for row in pdo_objects(len(model.rpdos), len(model.tpdos)):
+        found[row.index, row.subindex] = _with_default(row, model)
+    return [found[address] for address in sorted(found)]
 
 
 def _with_default(row: Object, model: DriveModel) -> Object:
@@ -85,27 +86,33 @@ def object_dictionary(
     objects: dict[int, list[Object]] = {}
     for row in rows(model):
         objects.setdefault(row.index, []).append(row)
+    names = {members[0].name for members in objects.values() if _is_variable(members)}
     for index, members in objects.items():
-        kinds = {row.object_type for row in members}
-        if kinds == {"VAR"} and [row.subindex for row in members] == [0]:
+        if _is_variable(members):
             od.add_object(_variable(members[0], node_id))
             continue
-        kind = dictionary.ODArray if "ARRAY" in kinds else dictionary.ODRecord
-        group = kind(_group_name(members[0], model), index)
+        array = any(row.object_type == "ARRAY" for row in members)
+        kind = dictionary.ODArray if array else dictionary.ODRecord
+        group = kind(_group_name(members[0], names), index)
         for row in members:
             group.add_member(_variable(row, node_id))
         od.add_object(group)
+        names.add(group.name)
     return od
 
 
-def _group_name(first: Object, model: DriveModel) -> str:
+def _is_variable(members: list[Object]) -> bool:
+    return [(row.subindex, row.object_type) for row in members] == [(0, "VAR")]
+
+
+def _group_name(first: Object, names: set[str]) -> str:
     """Name of an array or record; the rows of a model name only what is in it."""
     name = GROUPS.get(first.index, first.name.removesuffix("_entries"))
     name = name.replace("_number_of_mapped_objects", "_mapping")
     if first.area == "constant" and re.fullmatch(r"[rt]pdo\d+", name):
         name += "_communication"
     # in canopen a name leads to one object only
-    return f"{name}_{first.index:04X}h" if name in model.names else name
+    return f"{name}_{first.index:04X}h" if name in names else name
 
 
 def _variable(row: Object, node_id: int | None) -> dictionary.ODVariable:
