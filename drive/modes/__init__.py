@@ -124,7 +124,10 @@ def _demand_of_mode(axis, bit4):
 
 @block
 def status(axis):
-    """Statusword bits 10, 12 and 13 of the active mode."""
+    """Statusword bits 10, 12 and 13 of the active mode.
+
+    In QUICK_STOP_ACTIVE bit 10 says in every mode that the stop is over (CiA 402-2, statusword).
+    """
     if axis.mode == Mode.PROFILE_POSITION:
         pp.status(axis)
     elif axis.mode == Mode.PROFILE_VELOCITY:
@@ -147,3 +150,5 @@ def status(axis):
         axis.mode_bit10 = 0
         axis.mode_bit12 = 0
         axis.mode_bit13 = 0
+    if axis.state == State.QUICK_STOP_ACTIVE:
+        axis.mode_bit10 = axis.standstill
