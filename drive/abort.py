@@ -77,7 +77,7 @@ class SdoAbort(Exception):
         text = TEXT.get(code, "unknown abort code")  # type: ignore[call-overload]
         where = f"{index:04X}h:{subindex:02X}h"
         super().__init__(f"{where}: {text} ({code:08X}h){'; ' + hint if hint else ''}")
-        self.code = Abort(code)
+        self.code = Abort(code) if code in TEXT else code  # a drive may have codes of its own
         self.index = index
         self.subindex = subindex
 

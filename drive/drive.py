@@ -20,20 +20,9 @@ from .hooks_ars import REACTIONS, default_reactions
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
-from .words import Command, Mode, State, decode_statusword
+from .words import OBEYED, Command, Mode, State, decode_statusword
 
 VERSION = 1  # of the snapshot layout
-
-# what has to be there for a command to be obeyed, by the command refused
-_NEEDED = {
-    Command.SHUTDOWN: "it is obeyed in SWITCH_ON_DISABLED, SWITCHED_ON and OPERATION_ENABLED",
-    Command.SWITCH_ON: "it is obeyed in READY_TO_SWITCH_ON: send shutdown (0006h) first",
-    Command.ENABLE_OPERATION: "it is obeyed in READY_TO_SWITCH_ON and SWITCHED_ON (and in "
-    "QUICK_STOP_ACTIVE with 605Ah = 5..8): send shutdown (0006h), then switch on (0007h) first",
-    Command.DISABLE_VOLTAGE: "the power stage is already off",
-    Command.QUICK_STOP: "there is nothing to stop",
-    Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
-}
 
 
 class Drive:
@@ -404,7 +393,7 @@ class Drive:
         if command is Command.NONE:
             return "no command has been refused"
         state = State(int(self.axis.refused_state))
-        needed = _NEEDED[command]
+        needed = OBEYED[command]
         if not self.axis.sto_input or not self.axis.enable_input:
             needed = "an enable input is missing: safe torque off or controller enable"
         elif command is Command.FAULT_RESET and self.axis.faults_present:

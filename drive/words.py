@@ -231,3 +231,32 @@ def _command(bits: int) -> Command:
 
 
 COMMANDS = tuple(int(_command(bits)) for bits in range(16))  # by controlword bits 0-3
+
+# ---- what a master sends
+
+# what has to be there for a command to be obeyed (CiA 402-2, transitions 2-16)
+OBEYED = {
+    Command.SHUTDOWN: "it is obeyed in SWITCH_ON_DISABLED, SWITCHED_ON and OPERATION_ENABLED",
+    Command.SWITCH_ON: "it is obeyed in READY_TO_SWITCH_ON: send shutdown (0006h) first",
+    Command.ENABLE_OPERATION: "it is obeyed in READY_TO_SWITCH_ON and SWITCHED_ON (and in "
+    "QUICK_STOP_ACTIVE with 605Ah = 5..8): send shutdown (0006h), then switch on (0007h) first",
+    Command.DISABLE_VOLTAGE: "the power stage is already off",
+    Command.QUICK_STOP: "there is nothing to stop",
+    Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
+}
+
+SHUTDOWN = Controlword.ENABLE_VOLTAGE | Controlword.QUICK_STOP
+SWITCHED_ON = SHUTDOWN | Controlword.SWITCH_ON
+ENABLED = SWITCHED_ON | Controlword.ENABLE_OPERATION
+
+# the next controlword on the way to operation enabled, by state
+TO_ENABLED = {
+    State.NOT_READY_TO_SWITCH_ON: 0,
+    State.SWITCH_ON_DISABLED: SHUTDOWN,
+    State.READY_TO_SWITCH_ON: SWITCHED_ON,
+    State.SWITCHED_ON: ENABLED,
+    State.OPERATION_ENABLED: ENABLED,
+    State.QUICK_STOP_ACTIVE: 0,  # disable voltage, then from the beginning
+    State.FAULT_REACTION_ACTIVE: 0,
+    State.FAULT: 0,
+}

@@ -6,25 +6,10 @@ it waits. What does not come in time raises TimeoutError with the decoded status
 
 from collections.abc import Callable
 
+from ..drive.words import ENABLED, TO_ENABLED, Mode, State
 from ..drive.words import Controlword as C
-from ..drive.words import Mode, State
 from ..drive.words import Statusword as S
 from .machine import Machine
-
-ENABLED = C.SWITCH_ON | C.ENABLE_VOLTAGE | C.QUICK_STOP | C.ENABLE_OPERATION
-SHUTDOWN = C.ENABLE_VOLTAGE | C.QUICK_STOP
-
-# the next controlword on the way to operation enabled, by state
-TO_ENABLED = {
-    State.NOT_READY_TO_SWITCH_ON: 0,
-    State.SWITCH_ON_DISABLED: SHUTDOWN,
-    State.READY_TO_SWITCH_ON: SHUTDOWN | C.SWITCH_ON,
-    State.SWITCHED_ON: ENABLED,
-    State.OPERATION_ENABLED: ENABLED,
-    State.QUICK_STOP_ACTIVE: 0,  # disable voltage, then from the beginning
-    State.FAULT_REACTION_ACTIVE: 0,
-    State.FAULT: 0,
-}
 
 
 class Supervisor:
