@@ -1,0 +1,119 @@
+"""The SDO client: reads and writes objects of a node, over any port (CiA 301, SDO).
+
+Expedited and segmented transfers; every node has those. Frames and time pass through a `Port`,
+which may be an emulated node in the same process or a real bus.
+"""
+
+import struct
+from collections.abc import Callable
+
+from ..abort import Abort, SdoAbort
+from .frame import Base, Frame
+from .port import Port
+
+
+class SdoClient:
+    """Uploads and downloads of one node's objects.
+
+    Args:
+        port: the way to the bus.
+        node_id: of the server, 1..127.
+        timeout: for the answer to one request (s).
+        other: called with each frame that is no answer to a request.
+
+    Raises:
+        ValueError: node-id out of range.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        node_id: int,
+        timeout: float = 1.0,
+        other: Callable[[Frame], None] = lambda frame: None,
+    ):
+        if not 1 <= node_id <= 127:
+            raise ValueError(f"node_id = {node_id} is out of range 1..127")
+        self._port = port
+        self._node_id = node_id
+        self._timeout = timeout
+        self._other = other
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object. Raises SdoAbort if refused, TimeoutError without an answer."""
+        head = struct.pack("<HB", index, subindex)
+        answer = self._initiate(b"\x40" + head + bytes(4), 0x40)
+        if answer[0] & 2:  # expedited; without the size bit all four bytes are data
+            return answer[4 : 8 - (answer[0] >> 2 & 3 if answer[0] & 1 else 0)]
+        data, toggle = b"", 0
+        while True:
+            answer = self._segment(bytes([0x60 | toggle]) + bytes(7), 0x00, toggle, head)
+            data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+            if answer[0] & 1:
+                return data
+            toggle ^= 0x10
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Write an object's bytes. Raises SdoAbort if refused, TimeoutError without an answer."""
+        head = struct.pack("<HB", index, subindex)
+        if 1 <= len(data) <= 4:
+            command = 0x23 | 4 - len(data) << 2
+            self._initiate(bytes([command]) + head + data.ljust(4, b"\0"), 0x60)
+            return
+        self._initiate(b"\x21" + head + struct.pack("<I", len(data)), 0x60)
+        toggle = 0
+        for at in range(0, max(len(data), 1), 7):
+            part = data[at : at + 7]
+            command = toggle | 7 - len(part) << 1 | (at + 7 >= len(data))
+            self._segment(bytes([command]) + part.ljust(7, b"\0"), 0x20, toggle, head)
+            toggle ^= 0x10
+
+    def _initiate(self, request: bytes, specifier: int) -> bytes:
+        """An answer belongs to this request if it names the same object; older ones are late."""
+        head = request[1:4]
+        return self._ask(request, specifier, head, lambda answer: answer[1:4] == head)
+
+    def _segment(self, request: bytes, specifier: int, toggle: int, head: bytes) -> bytes:
+        answer = self._ask(request, specifier, head, lambda answer: True)
+        if answer[0] & 0x10 != toggle:
+            raise self._give_up(Abort.TOGGLE_BIT, head)
+        return answer
+
+    def _ask(
+        self, request: bytes, specifier: int, head: bytes, ours: Callable[[bytes], bool]
+    ) -> bytes:
+        end = self._port.now() + self._timeout
+        frames = [Frame(Base.SDO_REQUEST + self._node_id, request)]
+        while True:
+            answers = []
+            for frame in self._port.exchange(frames):
+                if frame.id == Base.SDO_RESPONSE + self._node_id and len(frame.data) == 8:
+                    answers.append(frame.data)
+                else:
+                    self._other(frame)
+            frames = []
+            for answer in answers:
+                if answer[0] == 0x80 and answer[1:4] == head:
+                    raise SdoAbort(struct.unpack_from("<I", answer, 4)[0], *_address(head))
+                if answer[0] & 0xE0 == specifier and ours(answer):
+                    return answer
+            if self._port.now() >= end:
+                self._give_up(Abort.TIME_OUT, head)
+                index, subindex = _address(head)
+                raise TimeoutError(
+                    f"node {self._node_id} did not answer the SDO request for "
+                    f"{index:04X}h:{subindex:02X}h within {self._timeout:g} s: check its node-id, "
+                    "the bit rate, and that NMT has not stopped it"
+                )
+
+    def _give_up(self, code: Abort, head: bytes) -> SdoAbort:
+        """Tell the server, as CiA 301 wants; -> the exception."""
+        data = b"\x80" + head + struct.pack("<I", code)
+        for frame in self._port.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)]):
+            self._other(frame)
+        return SdoAbort(code, *_address(head))
+
+
+def _address(head: bytes) -> tuple[int, int]:
+    index, subindex = struct.unpack("<HB", head)
+    return index, subindex
