@@ -1,6 +1,7 @@
 """`servogym node`: drives as CANopen nodes on a bus of python-can, in real time."""
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,30 +12,10 @@ from ..drive.canopen.frame import Frame
 from ..drive.canopen.node import Node
 from ..envs.linear_axis import linear_axis
 from ..envs.machine import Machine
+from .bus import to_frame, to_message
 
 SDO_REQUESTS = range(0x601, 0x680)
-
-
-def to_message(frame: Frame) -> can.Message:
-    """The frame as python-can sends it."""
-    return can.Message(
-        arbitration_id=frame.id,
-        data=frame.data,
-        is_extended_id=frame.extended,
-        is_remote_frame=frame.remote,
-    )
-
-
-def to_frame(message: can.Message) -> Frame | None:
-    """A classical data or remote frame; None for error frames and CAN FD."""
-    if message.is_error_frame or message.is_fd:
-        return None
-    return Frame(
-        message.arbitration_id,
-        bytes(message.data),
-        message.is_remote_frame,
-        message.is_extended_id,
-    )
+ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
 
 
 @dataclass
@@ -50,7 +31,8 @@ class Statistics:
 class Server:
     """Serves machines with one drive each as nodes on one bus.
 
-    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it.
+    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it. The
+    nodes hear each other; what a bus gives back of the server's own frames is dropped.
     """
 
     TOLERANCE = 0.05  # s
@@ -66,6 +48,7 @@ class Server:
         self._begin = time.monotonic()
         self._stopped = False
         self._cycles_at_request = -1
+        self._sent: deque[tuple[int, Frame]] = deque()  # that may still come back
 
     def stop(self) -> None:
         """Let `run` return; may be called from another thread."""
@@ -81,6 +64,8 @@ class Server:
         self._advance()
         now = int((time.monotonic() - self._begin) * 1e6)
         frame = to_frame(message) if message else None
+        if frame and self._is_echo(frame, now):
+            frame = None
         if frame and SDO_REQUESTS.start <= frame.id < SDO_REQUESTS.stop:
             self._pass_a_cycle()
         if message and frame:
@@ -91,9 +76,24 @@ class Server:
                 node.receive(frame, now)
         for node in self.nodes:
             for answer in node.poll(now):
-                self._send(to_message(answer))
+                self._send(answer, now)
+                for other in self.nodes:
+                    if other is not node:
+                        other.receive(answer, now)
 
-    def _send(self, message: can.Message) -> None:
+    def _is_echo(self, frame: Frame, now: int) -> bool:
+        """Whether this is what the server has sent itself a moment ago."""
+        for i, (_, sent) in enumerate(self._sent):
+            if sent == frame:
+                del self._sent[i]
+                return True
+        return False
+
+    def _send(self, frame: Frame, now: int) -> None:
+        while self._sent and self._sent[0][0] < now - ECHO_TIME:
+            self._sent.popleft()
+        self._sent.append((now, frame))
+        message = to_message(frame)
         self.bus.send(message)
         self.statistics.sent += 1
         if self.log:
