@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import can
 from rich.console import Console
 
-from ..drive.canopen.frame import Frame
-from ..drive.canopen.node import Node
+from ..drive.canopen.frame import Base, Frame
+from ..drive.canopen.node import NmtCommand, Node
+from ..drive.drive import Drive
 from ..envs.linear_axis import linear_axis
 from ..envs.machine import Machine
 from .bus import to_frame, to_message
@@ -127,7 +128,7 @@ class Server:
 
 
 def axis_for(drive: str, node_id: int) -> Machine:
-    """A linear axis whose drive has the given node-id."""
+    """A linear axis whose drive has the given node-id, and everything compiled that it needs."""
     if not 1 <= node_id <= 127:
         raise ValueError(f"--node-id = {node_id} is out of range 1..127")
     machine = linear_axis(drive)
@@ -137,7 +138,16 @@ def axis_for(drive: str, node_id: int) -> Machine:
     machine.reset(positions={"x": 0.12})
     machine.step()
     machine.reset(positions={"x": 0.12})
+    _warm_up(drive)
     return machine
+
+
+def _warm_up(drive: str) -> None:
+    """Let a node move its PDOs once: the first one would wait seconds for the compiler."""
+    node = Node(Drive(drive))
+    node.receive(Frame(Base.NMT, bytes([NmtCommand.START, 0])), 0)
+    node.receive(Frame(0x201, bytes(8)), 0)
+    node.poll(0)
 
 
 def run(

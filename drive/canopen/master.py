@@ -30,7 +30,7 @@ from .remote import RemoteObjects
 
 COMMAND = 0x000F  # controlword bits of the device control
 STAYS = range(5, 9)  # 605Ah: values that end in QUICK_STOP_ACTIVE
-SETTLE = 0.02  # s; inferred: by then a drive has taken the start bit and dropped old status bits
+SETTLE = 0.02  # s; inferred: by then a drive has seen the start bit and its status bits are new
 HOMED = S.TARGET_REACHED | S.MODE_12
 OFF = (State.SWITCH_ON_DISABLED, State.FAULT)
 
@@ -153,6 +153,8 @@ class Master:
             return state is State.OPERATION_ENABLED
 
         self.until(walk, timeout, "enable")
+        if self._sent != ENABLED:  # by another master: its halt and start bits fall
+            self.control(ENABLED)
 
     def disable(self, timeout: float = 10.0) -> None:
         """Take the power off; an axis in motion comes to rest first, as 605Ch says."""
@@ -258,18 +260,22 @@ class Master:
         end = self.port.now() + timeout
         self.control(ENABLED)
         self.control(ENABLED | C.NEW_SET_POINT)
-        settled = self.port.now() + SETTLE
-        while self.port.now() < settled:
-            self.objects.exchange()
+        self._settle()
         try:
             self._wait(lambda w: w & HOMED == HOMED or bool(w & S.MODE_13), end, "homing")
+            situation, failed = self._situation(self.statusword), self.statusword & S.MODE_13
         except TimeoutError:
             self.control(ENABLED)  # stops it
             raise
-        situation, failed = self._situation(self.statusword), self.statusword & S.MODE_13
         self.control(ENABLED)
+        self._settle()
         if failed:
             raise RuntimeError(f"homing failed: {situation}")
+
+    def _settle(self) -> None:
+        end = self.port.now() + SETTLE
+        while self.port.now() < end:
+            self.objects.exchange()
 
 
 def _describe(word: int, mode: int) -> str:
