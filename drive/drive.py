@@ -15,12 +15,13 @@ import numpy as np
 
 from . import cycle, process_data, record, store
 from .abort import Abort, SdoAbort
+from .advice import OBEYED, describe
 from .faults import Cause
 from .hooks_ars import REACTIONS, default_reactions
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
-from .words import OBEYED, Command, Mode, State, decode_statusword
+from .words import Command, Mode, State
 
 VERSION = 1  # of the snapshot layout
 
@@ -384,8 +385,7 @@ class Drive:
 
     def describe(self) -> str:
         """The statusword by name."""
-        word = int(self.axis.od.statusword)
-        return f"{word:04X}h " + " ".join(decode_statusword(word, int(self.axis.mode)))
+        return describe(int(self.axis.od.statusword), int(self.axis.mode))
 
     def why(self) -> str:
         """Why the last command was refused: command, state, and what is missing."""

@@ -234,17 +234,6 @@ COMMANDS = tuple(int(_command(bits)) for bits in range(16))  # by controlword bi
 
 # ---- what a master sends
 
-# what has to be there for a command to be obeyed (CiA 402-2, transitions 2-16)
-OBEYED = {
-    Command.SHUTDOWN: "it is obeyed in SWITCH_ON_DISABLED, SWITCHED_ON and OPERATION_ENABLED",
-    Command.SWITCH_ON: "it is obeyed in READY_TO_SWITCH_ON: send shutdown (0006h) first",
-    Command.ENABLE_OPERATION: "it is obeyed in READY_TO_SWITCH_ON and SWITCHED_ON (and in "
-    "QUICK_STOP_ACTIVE with 605Ah = 5..8): send shutdown (0006h), then switch on (0007h) first",
-    Command.DISABLE_VOLTAGE: "the power stage is already off",
-    Command.QUICK_STOP: "there is nothing to stop",
-    Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
-}
-
 SHUTDOWN = Controlword.ENABLE_VOLTAGE | Controlword.QUICK_STOP
 SWITCHED_ON = SHUTDOWN | Controlword.SWITCH_ON
 ENABLED = SWITCHED_ON | Controlword.ENABLE_OPERATION

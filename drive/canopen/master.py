@@ -9,20 +9,10 @@ raises RuntimeError with its error code.
 from collections.abc import Callable
 from pathlib import Path
 
+from .. import advice
 from ..abort import SdoAbort
 from ..model import DriveModel
-from ..words import (
-    ENABLED,
-    OBEYED,
-    SWITCHED_ON,
-    TO_ENABLED,
-    Mode,
-    State,
-    command_of,
-    decode_controlword,
-    decode_statusword,
-    state_of,
-)
+from ..words import ENABLED, SWITCHED_ON, TO_ENABLED, Mode, State, state_of
 from ..words import Controlword as C
 from ..words import Statusword as S
 from .port import Port
@@ -33,27 +23,15 @@ STAYS = range(5, 9)  # 605Ah: values that end in QUICK_STOP_ACTIVE
 SETTLE = 0.02  # s; inferred: by then a drive has seen the start bit and its status bits are new
 HOMED = S.TARGET_REACHED | S.MODE_12
 OFF = (State.SWITCH_ON_DISABLED, State.FAULT)
-
-# what keeps a drive from obeying: statusword mask, value, advice
-_HINDRANCES = (
-    (S.REMOTE, 0, "remote (bit 9) is 0: the drive is under local control, give it to the bus"),
-    (S.VOLTAGE_ENABLED, 0, "voltage_enabled (bit 4) is 0: switch on the power, allow torque (STO)"),
-    (S.INTERNAL_LIMIT_ACTIVE, S.INTERNAL_LIMIT_ACTIVE,
-     "internal_limit_active (bit 11): look for a limit switch or a limit of 607Dh, 6072h, 607Fh"),
+LOST = (  # a motion; `until` itself ends at FAULT
+    State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE
 )  # fmt: skip
 
 
 class Master:
     """Commands one drive; timeouts are in s of the port's time.
 
-    Args:
-        port: the way to the bus.
-        node_id: of the drive, 1..127.
-        model: the drive model whose objects go by name; `generic` has those of the standard.
-        sdo_timeout: for the answer to one SDO request (s).
-
-    Raises:
-        ValueError: node-id out of range, unknown model.
+    Arguments and errors are those of `RemoteObjects`.
     """
 
     def __init__(
@@ -86,7 +64,7 @@ class Master:
 
     def describe(self) -> str:
         """The statusword by name."""
-        return _describe(self.statusword, self.mode)
+        return advice.describe(self.statusword, self.mode)
 
     def until(
         self,
@@ -98,14 +76,9 @@ class Master:
     ) -> int:
         """Look at the statusword until `condition` holds for it; -> the statusword.
 
-        A TPDO may be older than the last command, so an upload confirms what it shows.
-
-        Args:
-            condition: of the statusword.
-            timeout: for all of it.
-            what: is waited for, the beginning of the message.
-            hint: the next step, where it is not told by the statusword.
-            in_fault: go on waiting in FAULT.
+        A TPDO may be older than the last command, so an upload confirms what it shows. `what` is
+        waited for, `hint` the next step where the statusword does not tell it; `in_fault` goes on
+        waiting in FAULT.
 
         Raises:
             TimeoutError: not within `timeout`; tells statusword, controlword and the next step.
@@ -124,7 +97,7 @@ class Master:
             if self.port.now() >= end:
                 raise TimeoutError(
                     f"{what}: not within {timeout:g} s; {self._situation(word)}; "
-                    f"{hint or _advice(word, self._sent)}"
+                    f"{hint or advice.advice(word, self._sent)}"
                 )
             self.objects.exchange()
 
@@ -132,9 +105,7 @@ class Master:
         return f"{int(self.objects.upload('error_code')):04X}h"
 
     def _situation(self, word: int) -> str:
-        mode, sent = self.mode, self._sent
-        asked = " ".join(decode_controlword(sent, mode))
-        return f"statusword {_describe(word, mode)}; last controlword {sent:04X}h {asked}"
+        return advice.situation(word, self._sent, self.mode)
 
     # ------------------------------------------------------- device control
 
@@ -220,6 +191,7 @@ class Master:
             wait: return when the target is reached, not when it is acknowledged.
             timeout: for the whole of it.
         """
+        self._power("move_to", self.statusword)
         if self.mode != Mode.PROFILE_POSITION:
             self.set_mode(Mode.PROFILE_POSITION)
         bits = ENABLED | relative * C.RELATIVE | immediate * C.CHANGE_SET_IMMEDIATELY
@@ -227,33 +199,48 @@ class Master:
         end = self.port.now() + timeout
         self.objects.write("target_position", position)
         self.control(bits)
-        self._wait(lambda w: not w & S.MODE_12, end, "set-point acknowledge to fall")
+        full = immediate and bool(self.statusword & S.MODE_12)  # such a set-point needs no room
+        if full:
+            self._settle()
+        else:
+            self._wait(lambda w: not w & S.MODE_12, end, "set-point acknowledge to fall")
         self.control(bits | C.NEW_SET_POINT)
+        if full:
+            self._settle()
         self._wait(lambda w: bool(w & S.MODE_12), end, "set-point acknowledge")
         self.control(bits)
         if wait:
             self._wait(lambda w: w & HOMED == S.TARGET_REACHED, end, f"target {position}")
 
     def _wait(self, condition: Callable[[int], bool], end: float, what: str) -> None:
-        """`until` a time; a state without power will not bring what is waited for."""
-        word = self.until(
-            lambda w: condition(w) or state_of(w) is not State.OPERATION_ENABLED,
-            end - self.port.now(), what,
-        )  # fmt: skip
-        if state_of(word) is not State.OPERATION_ENABLED:
-            raise RuntimeError(f"{what}: {self._situation(word)}; it needs enable()")
+        """`until` a time; without power what is waited for will not come."""
+
+        def ended(word: int) -> bool:
+            state = state_of(word)
+            return state in LOST or (state is State.OPERATION_ENABLED and condition(word))
+
+        self._power(what, self.until(ended, end - self.port.now(), what))
+
+    def _power(self, what: str, word: int) -> None:
+        """Refuse without power: the controlwords of a motion would switch it on."""
+        if (state := state_of(word)) is not State.OPERATION_ENABLED:
+            step = "reset_fault() and enable()" if state is State.FAULT else "enable()"
+            raise RuntimeError(f"{what}: {self._situation(word)}; it needs {step} first")
 
     def halt(self, timeout: float = 10.0) -> None:
         """Halt (bit 8) until the axis stands; `resume` lets it go on."""
+        self._power("halt", self.statusword)
         self.control(ENABLED | self._sent & ~COMMAND | C.HALT)
         self.until(lambda w: bool(w & S.TARGET_REACHED), timeout, "halt")
 
     def resume(self) -> None:
         """Take halt back."""
+        self._power("resume", self.statusword)
         self.control(ENABLED | self._sent & ~(COMMAND | C.HALT))
 
     def home(self, method: int | None = None, timeout: float = 60.0) -> None:
         """Home with a method of 6098h (the one set if not given) and take the start bit back."""
+        self._power("home", self.statusword)
         if method is not None:
             self.objects.write("homing_method", method)
         self.set_mode(Mode.HOMING)
@@ -276,14 +263,3 @@ class Master:
         end = self.port.now() + SETTLE
         while self.port.now() < end:
             self.objects.exchange()
-
-
-def _describe(word: int, mode: int) -> str:
-    return f"{word:04X}h {' '.join(decode_statusword(word, mode))}"
-
-
-def _advice(word: int, sent: int) -> str:
-    hindrances = [text for mask, value, text in _HINDRANCES if word & mask == value]
-    command = command_of(sent)
-    needed = f"{command.name}: {OBEYED[command]}; else look for a missing enable input (60FDh)"
-    return "; ".join(hindrances) or needed

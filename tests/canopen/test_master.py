@@ -167,7 +167,11 @@ def test_a_buffered_set_point_follows_and_an_immediate_one_replaces(bench):
     assert int(bench.drive.axis.set_points) == 2
     bench.master.move_to(2 * TURN, timeout=60)  # no room: waits until the first is reached
     assert position(bench) == pytest.approx(2 * TURN, abs=WINDOW)
-    bench.master.move_to(9 * TURN, wait=False)
+    bench.master.move_to(90 * TURN, wait=False)
+    bench.master.move_to(99 * TURN, wait=False)
+    bench.master.move_to(0, immediate=True)  # no room: does not wait
+    assert position(bench) == pytest.approx(0, abs=WINDOW)
+    bench.master.move_to(90 * TURN, wait=False)
     bench.master.move_to(0, immediate=True)
     assert bench.controlwords()[-3:] == [0x2F, 0x3F, 0x2F]
     assert position(bench) == pytest.approx(0, abs=WINDOW)
@@ -227,9 +231,32 @@ def test_a_time_out_tells_statusword_controlword_and_next_step(shaft, missing, m
         bench.master.enable(timeout=0.1)
 
 
-def test_a_move_without_power_says_that_it_needs_enable(bench):
-    with pytest.raises(RuntimeError, match=r"SWITCH_ON_DISABLED.*it needs enable\(\)"):
-        bench.master.move_to(1000)
+@pytest.mark.parametrize("command", ["move_to", "home", "halt", "resume"])
+def test_a_motion_does_not_switch_the_power_on(bench, command):
+    bench.master.control(0x06)
+    bench.master.control(0x07)
+    bench.shaft.step(4)
+    with pytest.raises(RuntimeError, match=rf"{command}: .* SWITCHED_ON .* needs enable\(\) first"):
+        getattr(bench.master, command)(*[1000] * (command == "move_to"))
+    assert bench.controlwords()[-1] == 0x07
+    assert bench.drive.state == State.SWITCHED_ON
+
+
+def test_power_lost_on_the_way_ends_a_move(bench):
+    bench.master.enable()
+    bench.shaft.after = lambda: setattr(
+        bench.drive.axis, "sto_input", 0 if bench.shaft.angle > 1.0 else 1
+    )
+    with pytest.raises(RuntimeError, match=r"target 5000000: .* it needs enable\(\) first"):
+        bench.master.move_to(5_000_000)
+
+
+def test_a_fault_on_the_way_ends_a_move(bench):
+    bench.master.enable()
+    bench.master.move_to(5_000_000, wait=False)
+    bench.drive.inject("external")
+    with pytest.raises(RuntimeError, match="FAULT, error code 9000h"):
+        bench.master.move_to(0)
 
 
 def test_synchronous_pdos_get_a_sync_from_the_master(shaft):

@@ -1,0 +1,167 @@
+"""Drives on a bus of python-can: echoes, several nodes, our master, a process of its own."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import can
+import pytest
+
+from servogym.drive.canopen.frame import Frame, parse
+from servogym.drive.canopen.master import Master
+from servogym.drive.words import Mode, State
+from servogym.training.bus import CanPort, to_frame, to_message
+from servogym.training.node import Server, axis_for
+
+GROUP = "239.74.163.78"
+
+
+class Echoing:
+    """A bus that gives every frame back to its sender, as a multicast group does."""
+
+    def __init__(self):
+        self.sent = []
+        self.waiting = []
+
+    def send(self, message):
+        self.sent.append(str(to_frame(message)))
+        self.waiting.append(message)
+
+    def recv(self, timeout=None):
+        return self.waiting.pop(0) if self.waiting else None
+
+
+def serve(server, text=None):
+    """Serve a frame and all that comes of it."""
+    server.serve(to_message(parse(text)) if text else None)
+    while server.bus.waiting:
+        server.serve(server.bus.recv())
+
+
+def test_a_server_drops_what_it_has_sent_itself_and_logs_each_frame_once():
+    log = []
+    server = Server(Echoing(), [axis_for("generic", 1)], log.append)
+    serve(server)
+    serve(server, "601#4001100000000000")
+    serve(server, "601#4001100000000000")
+    assert server.bus.sent == ["701#00", "581#4F01100000000000", "581#4F01100000000000"]
+    assert (server.statistics.received, server.statistics.sent) == (2, 3)
+    assert [str(to_frame(m))[:3] for m in log] == ["701", "601", "581", "601", "581"]
+
+
+def test_what_comes_later_than_an_echo_is_taken():
+    server = Server(Echoing(), [axis_for("generic", 1)])
+    serve(server)
+    serve(server, "701#00")  # another node with the same node-id
+    assert server.statistics.received == 1
+
+
+def test_nodes_of_one_server_hear_each_other():
+    server = Server(Echoing(), [axis_for("generic", 1), axis_for("generic", 2)])
+    first, second = (node.drive for node in server.nodes)
+    second.write(0x1400, 1, 0x8000_0202)
+    second.write(0x1400, 1, 0x181)  # RPDO 1 is TPDO 1 of the other
+    serve(server, "000#0100")
+    while server.statistics.cycles < 20:
+        serve(server)
+    assert second.read("controlword") == first.read("statusword") != 0
+
+
+def test_error_and_fd_frames_are_no_frames():
+    assert to_frame(can.Message(is_error_frame=True)) is None
+    assert to_frame(can.Message(is_fd=True)) is None
+    frames = [
+        Frame(0x601, bytes(8)),
+        Frame(0x181, remote=True),
+        Frame(0x1234567, b"1", False, True),
+    ]
+    assert [to_frame(to_message(frame)) for frame in frames] == frames
+
+
+def work(master):
+    """What a machine does in a shift; -> the statusword at its end."""
+    master.enable()
+    master.home(37)
+    master.move_to(20_000)
+    master.move_to(10_000, relative=True, wait=False)
+    master.move_to(0)
+    master.set_mode(Mode.PROFILE_VELOCITY)
+    master.quick_stop()
+    assert master.state == State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("pdo", [False, True], ids=["sdo", "pdo"])
+def test_the_master_works_on_a_bus_of_python_can(pdo):
+    with (
+        can.Bus(interface="virtual", channel="servogym-bus") as there,
+        can.Bus(interface="virtual", channel="servogym-bus") as here,
+    ):
+        server = Server(there, [axis_for("generic", 5)])
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            master = Master(CanPort(here), 5)
+            if pdo:
+                master.objects.use_pdos()
+            work(master)
+        finally:
+            server.stop()
+            thread.join(5)
+
+
+@pytest.fixture
+def multicast():
+    """A member of a multicast group where frames arrive."""
+    try:
+        bus = can.Bus(interface="udp_multicast", channel=GROUP)
+        probe = can.Bus(interface="udp_multicast", channel=GROUP)
+    except (OSError, can.CanError, ImportError) as error:
+        pytest.skip(f"udp_multicast does not work here: {error}")
+    with bus, probe:
+        probe.send(to_message(parse("7FF#")))
+        if bus.recv(1.0) is None:
+            pytest.skip("udp_multicast does not work here: a frame sent does not arrive")
+        yield bus
+
+
+@pytest.fixture
+def process(tmp_path):
+    """`servogym node` in a process of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "servogym.training.cli", "node", "--node-id", "7",
+         "-i", "udp_multicast", "-c", GROUP, "--log", str(tmp_path / "run.log")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "COLUMNS": "200"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
+    )  # fmt: skip
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_a_node_in_another_process_serves_until_ctrl_c(multicast, process, tmp_path):
+    boot, end = parse("707#00"), time.monotonic() + 90
+    while (message := multicast.recv(1.0)) is None or to_frame(message) != boot:
+        assert time.monotonic() < end
+        assert process.poll() is None, process.communicate()
+    master = Master(CanPort(multicast), 7)
+    master.objects.use_pdos()
+    work(master)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=20)
+    assert (process.returncode, errors) == (0, "")
+    statistics = output.splitlines()[-1]
+    counts = re.fullmatch(
+        r"(\d+) frames received, (\d+) sent, (\d+) position cycles, (\d+) deadlines missed",
+        statistics,
+    )
+    received, sent, cycles, _ = map(int, counts.groups())
+    lines = [line.split()[2] for line in (tmp_path / "run.log").read_text().splitlines()]
+    assert len(lines) == received + sent
+    from_node = [line for line in lines if line[:3] in ("707", "187", "587", "087")]
+    assert len(from_node) == sent  # none of them came back
+    assert cycles > 100
