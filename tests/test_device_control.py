@@ -185,6 +185,18 @@ def test_quick_stop_option_code(code, ramp, end):
         assert shaft.read("velocity_actual_value") == pytest.approx(10e6, rel=0.01)
 
 
+def test_target_reached_tells_the_end_of_a_quick_stop():
+    """CiA 402-2, statusword bit 10 with 605Ah = 5..8; in pv the target was reached before."""
+    shaft = running(quick_stop_option_code=6)
+    shaft.until(lambda: shaft.bit(0x0400))
+    shaft.control(0x02, 4)
+    assert shaft.drive.state == S.QUICK_STOP_ACTIVE
+    assert not shaft.bit(0x0400)
+    shaft.until(lambda: shaft.bit(0x0400))
+    assert shaft.drive.state == S.QUICK_STOP_ACTIVE
+    assert shaft.read("velocity_actual_value") == pytest.approx(0, abs=20_000)  # 606Fh
+
+
 def test_quick_stop_option_0_disables_at_once():
     shaft = running(quick_stop_option_code=0)
     shaft.control(0x0B, 1)

@@ -1,5 +1,6 @@
 """Drives on a bus of python-can: echoes, several nodes, our master, a process of its own."""
 
+import json
 import os
 import re
 import signal
@@ -18,6 +19,7 @@ from servogym.training.bus import CanPort, to_frame, to_message
 from servogym.training.node import Server, axis_for
 
 GROUP = "239.74.163.78"
+PORT = 40_000 + os.getpid() % 20_000  # one port, one bus, whatever the group; pytest -n has several
 
 
 class Echoing:
@@ -117,8 +119,8 @@ def test_the_master_works_on_a_bus_of_python_can(pdo):
 def multicast():
     """A member of a multicast group where frames arrive."""
     try:
-        bus = can.Bus(interface="udp_multicast", channel=GROUP)
-        probe = can.Bus(interface="udp_multicast", channel=GROUP)
+        bus = can.Bus(interface="udp_multicast", channel=GROUP, port=PORT)
+        probe = can.Bus(interface="udp_multicast", channel=GROUP, port=PORT)
     except (OSError, can.CanError, ImportError) as error:
         pytest.skip(f"udp_multicast does not work here: {error}")
     with bus, probe:
@@ -135,7 +137,7 @@ def process(tmp_path):
         [sys.executable, "-m", "servogym.training.cli", "node", "--node-id", "7",
          "-i", "udp_multicast", "-c", GROUP, "--log", str(tmp_path / "run.log")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "COLUMNS": "200"},
+        env={**os.environ, "COLUMNS": "200", "CAN_CONFIG": json.dumps({"port": PORT})},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
     )  # fmt: skip
     yield process

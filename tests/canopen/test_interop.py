@@ -1,5 +1,6 @@
 """The unmodified `canopen.BaseNode402`, with its own time limits, against the served node."""
 
+import os
 import threading
 import time
 
@@ -8,6 +9,7 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402, OperationMode
 
+from servogym.drive.model import load
 from servogym.drive.words import State
 from servogym.training.eds import object_dictionary
 from servogym.training.node import Server, axis_for
@@ -18,9 +20,10 @@ from servogym.training.node import Server, axis_for
 # for a periodic PDO of somebody else and does not send it any more. A filter of the user's bus
 # keeps the echoes away.
 FROM_DRIVES = [{"can_id": 0x080, "can_mask": 0x080}, {"can_id": 0x700, "can_mask": 0x780}]
+PORT = 20_000 + os.getpid() % 20_000  # one port, one bus, whatever the group; pytest -n has several
 BUSES = {
     "virtual": {"channel": "servogym-interop"},
-    "udp_multicast": {"channel": "239.74.163.77", "can_filters": FROM_DRIVES},
+    "udp_multicast": {"channel": "239.74.163.77", "port": PORT, "can_filters": FROM_DRIVES},
 }
 
 
@@ -56,9 +59,9 @@ def by_sync(node):
 @pytest.fixture(params=BUSES)
 def network(request):
     """A served drive with node-id 5, and the library's network on another member of its bus."""
-    channel = BUSES[request.param]["channel"]
+    arguments = {key: value for key, value in BUSES[request.param].items() if key != "can_filters"}
     try:
-        bus = can.Bus(interface=request.param, channel=channel)
+        bus = can.Bus(interface=request.param, **arguments)
     except (OSError, can.CanError) as error:
         pytest.skip(f"{request.param} does not work here: {error}")
     server = Server(bus, [axis_for("generic", 5)])
