@@ -206,6 +206,7 @@ def test_homing_returns_when_attained_also_a_second_time(bench):
 
 def test_homing_that_fails_or_lasts_too_long_tells_so(bench):
     bench.master.enable()
+    bench.master.objects.write("speed_during_search_for_zero", 5 * TURN)
     bench.drive.inject("index_missing")
     with pytest.raises(TimeoutError, match=r"homing: .*001Fh ENABLE_OPERATION homing_operation_st"):
         bench.master.home(34, timeout=0.05)
