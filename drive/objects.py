@@ -15,6 +15,7 @@ from .rows import Object
 
 if TYPE_CHECKING:
     from .drive import Drive
+    from .model import DriveModel
 
 DUMMY_BITS = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}  # CiA 301, dummy mapping
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
@@ -70,6 +71,14 @@ def pdo_objects(n_rpdo: int, n_tpdo: int) -> list[Object]:
     return rows
 
 
+def all_objects(model: "DriveModel") -> list[Object]:
+    """The objects of a model; it lists those of its PDOs itself, or has the standard ones."""
+    rows = [*model.objects.values()]
+    if not any(RECEIVE[0][0] <= row.index <= LAST_PDO_OBJECT for row in rows):
+        rows += pdo_objects(len(model.rpdos), len(model.tpdos))
+    return rows
+
+
 def _row(index, subindex, name, data_type, area, offset, access="rw", default=0) -> Object:
     bits = int(data_type.removeprefix("UNSIGNED"))
     return Object(
@@ -87,9 +96,7 @@ class ObjectDictionary:
 
     def __init__(self, drive: "Drive", views: dict[str, memoryview | None]):
         self.drive = drive
-        rows = [*drive.model.objects.values()]
-        if not any(RECEIVE[0][0] <= row.index <= LAST_PDO_OBJECT for row in rows):
-            rows += pdo_objects(len(drive.rpdos), len(drive.tpdos))
+        rows = all_objects(drive.model)
         self.slots = {
             (row.index, row.subindex): Slot(row, views[row.area], row.offset) for row in rows
         }

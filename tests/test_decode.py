@@ -70,7 +70,7 @@ def test_a_session_is_told_from_boot_up_to_fault():
     session.write(0x6060, 0, 1, 1)
     session.send("000#0101", "201#0600", "201#0700", "201#0F00")
     session.wait(4)
-    session.drive.inject("encoder")
+    session.drive.inject("encoder_loss")
     session.wait(4)
     told = session.told()
     assert told[0] == "boot-up[1]"
@@ -84,8 +84,10 @@ def test_a_session_is_told_from_boot_up_to_fault():
     assert enabled[-1].endswith(
         "modes_of_operation_display=1 PROFILE_POSITION position_actual_value=0"
     )
-    assert "EMCY[1] 7305h encoder register=21h" in told
-    assert any("FAULT" in line for line in told[told.index("EMCY[1] 7305h encoder register=21h") :])
+    assert "EMCY[1] 7305h encoder_loss register=21h" in told
+    assert any(
+        "FAULT" in line for line in told[told.index("EMCY[1] 7305h encoder_loss register=21h") :]
+    )
     assert not [line for line in told if "unknown" in line or "belongs to no" in line]
 
 
@@ -156,7 +158,7 @@ def test_what_is_read_of_a_mapping_is_followed_too():
         ("703#7F", "heartbeat[3] PRE-OPERATIONAL"),
         ("703#R", "guarding[3] request"),
         ("703#85", "guarding[3] OPERATIONAL toggle=1"),
-        ("081#0573210000000000", "EMCY[1] 7305h encoder register=21h"),
+        ("081#0573210000000000", "EMCY[1] 7305h encoder_loss register=21h"),
         ("081#0000000000000000", "EMCY[1] 0000h no error register=00h"),
         ("081#1034050102030405", "EMCY[1] 3410h voltage register=05h manufacturer=0102030405"),
         ("601#2B4060000F000000", "SDO[1] write controlword (6040h:00) = 000Fh ENABLE_OPERATION"),

@@ -155,9 +155,9 @@ def own_model(tmp_path, old, new):
 def test_a_folder_of_one_s_own_with_64_bits_and_floats(tmp_path):
     line = "0x2019,"
     more = (
-        "0x2100,0x00,big,VAR,INTEGER64,rw,,µm/s²,,,-9000000000000000000,,own,,,\n"
-        "0x2101,0x00,bigger,VAR,UNSIGNED64,rw,,,,,18000000000000000000,,own,,,\n"
-        "0x2102,0x00,broken,VAR,REAL32,rw,,,,,-0.1,,own,,,\n"
+        "0x2100,0x00,big,VAR,INTEGER64,rw,,µm/s²,,,-9000000000000000000,,own,,,,\n"
+        "0x2101,0x00,bigger,VAR,UNSIGNED64,rw,,,,,18000000000000000000,,own,,,,\n"
+        "0x2102,0x00,broken,VAR,REAL32,rw,,,,,-0.1,,own,,,,\n"
     )
     folder = own_model(tmp_path, line, more + line)
     od = written(tmp_path / "drive.eds", folder)
@@ -176,23 +176,23 @@ def test_a_text_the_file_cannot_carry_is_refused(tmp_path, text):
         eds.write(folder, tmp_path / "drive.eds")
 
 
-def test_pdos_that_the_model_lists_too_occur_once_and_mixed_types_make_a_record(tmp_path):
+def test_pdos_that_the_model_lists_are_its_only_ones_and_mixed_types_make_a_record(tmp_path):
     line = "0x2019,"
     more = (
-        "0x1400,0x00,receive_pdo_parameter,RECORD,UNSIGNED8,ro,,,,,2,,own,,,\n"
-        "0x1400,0x01,receive_pdo_cob_id,VAR,UNSIGNED32,rw,,,,,0x200,,own,,,\n"
-        "0x2100,0x00,mixed,RECORD,UNSIGNED8,ro,,,,,1,,own,,,\n"
-        "0x2100,0x01,statusword_2,VAR,INTEGER8,rw,,,,,-1,,own,,,\n"
-        "0x2101,0x00,mixed_entries,RECORD,UNSIGNED8,ro,,,,,1,,own,,,\n"
-        "0x2101,0x01,more,RECORD,INTEGER8,rw,,,,,-1,,own,,,\n"
-        "0x2102,0x00,lonely,ARRAY,UNSIGNED8,const,,,,,0,,own,,,\n"
+        "0x1400,0x00,receive_pdo_parameter,RECORD,UNSIGNED8,ro,,,,,2,,own,,,,\n"
+        "0x1400,0x01,receive_pdo_cob_id,VAR,UNSIGNED32,rw,,,,,0x200,,own,,,,\n"
+        "0x2100,0x00,mixed,RECORD,UNSIGNED8,ro,,,,,1,,own,,,,\n"
+        "0x2100,0x01,statusword_2,VAR,INTEGER8,rw,,,,,-1,,own,,,,\n"
+        "0x2101,0x00,mixed_entries,RECORD,UNSIGNED8,ro,,,,,1,,own,,,,\n"
+        "0x2101,0x01,more,RECORD,INTEGER8,rw,,,,,-1,,own,,,,\n"
+        "0x2102,0x00,lonely,ARRAY,UNSIGNED8,const,,,,,0,,own,,,,\n"
     )
     folder = own_model(tmp_path, line, more + line)
     od = written(tmp_path / "drive.eds", folder)
     addressed = [*addresses(od)]
     assert len(addressed) == len({*addressed})
     assert {*addressed} == {*Drive(folder).objects.slots} | {(i, 0) for i in range(2, 8)}
-    assert od[0x1400][1].name == "rpdo1_cob_id"
+    assert od[0x1400][1].name == "receive_pdo_cob_id"
     assert isinstance(od["mixed"], ODRecord)
     assert od["mixed_2101h"][1].default == -1
     assert isinstance(od["lonely"], ODArray)

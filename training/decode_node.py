@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from ..drive.canopen.frame import Base, Frame
 from ..drive.canopen.node import NmtState
+from ..drive.hooks import LOAD, SAVE
 from ..drive.model import DriveModel, Object
-from ..drive.objects import DUMMY_BITS, LOAD, SAVE
+from ..drive.objects import DUMMY_BITS
 from ..drive.process_data import INVALID
 from ..drive.words import Mode, decode_controlword, decode_statusword
 from .decode_sdo import Channel

@@ -20,7 +20,7 @@ from canopen.objectdictionary import datatypes
 from rich.console import Console
 
 from ..drive.model import DriveModel, Mapping, Object, load
-from ..drive.objects import DUMMY_BITS, pdo_objects
+from ..drive.objects import DUMMY_BITS, all_objects
 
 BITRATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # bit/s
 BITRATE = 1_000_000  # bit/s in a DCF: what `servogym node` has where nothing else is said
@@ -37,15 +37,13 @@ FILE_INFO = ("FileName", "FileVersion", "FileRevision", "EDSVersion", "Descripti
 
 def rows(model: DriveModel) -> list[Object]:
     """All objects of a drive model in their order, those of its PDOs with their defaults."""
-    found = dict(model.objects)  # a model may list its PDOs too; the drive has its own
-    for row in pdo_objects(len(model.rpdos), len(model.tpdos)):
-        found[row.index, row.subindex] = _with_default(row, model)
-    return [found[address] for address in sorted(found)]
+    found = [_with_default(row, model) for row in all_objects(model)]
+    return sorted(found, key=lambda row: (row.index, row.subindex))
 
 
 def _with_default(row: Object, model: DriveModel) -> Object:
     """A row of a PDO with the default of `pdo.csv`."""
-    if row.area == "constant":
+    if row.area not in ("rpdo", "tpdo"):
         return row
     pdo: Mapping = (model.rpdos if row.area == "rpdo" else model.tpdos)[row.index & 0x1FF]
     if row.index & 0x200:  # 1600h, 1A00h: mapping

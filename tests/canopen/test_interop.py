@@ -14,7 +14,6 @@ from servogym.drive.words import State
 from servogym.training.eds import object_dictionary
 from servogym.training.node import Server, axis_for
 
-
 # What drives send: EMCY, TPDO and SDO answers have bit 7 of the identifier, and error control. On a
 # multicast group every member hears its own frames too, and the library takes the echo of its RPDO
 # for a periodic PDO of somebody else and does not send it any more. A filter of the user's bus
