@@ -104,7 +104,12 @@ def run(axis):
         if reset_edge:
             _reset_fault(axis)
         return
-    _command(axis, _permitted(axis, COMMANDS[controlword & 0x0F]))
+    asked = COMMANDS[controlword & 0x0F]
+    permitted = _permitted(axis, asked)
+    if permitted != asked:
+        axis.refused_command = asked
+        axis.refused_state = axis.state
+    _command(axis, permitted)
 
 
 @block

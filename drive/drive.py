@@ -17,13 +17,14 @@ from . import cycle, process_data, record, store
 from .abort import Abort, SdoAbort
 from .advice import OBEYED, describe
 from .faults import Cause
-from .hooks_ars import REACTIONS, default_reactions
+from .hooks_ars import reaction_to, set_reaction
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
 from .words import Command, Mode, State
 
 VERSION = 1  # of the snapshot layout
+REACTION = "reaction"  # in a parameter file: changed reaction to a main fault number
 
 
 class Drive:
@@ -88,7 +89,6 @@ class Drive:
         if self.model.name != "generic":
             self._standard_defaults()
         self.model.power_on(self.axis)
-        default_reactions(self)
         for name, value in self._commissioned.items():
             setattr(self.axis.od, name, value)
         self._defaults()
@@ -140,6 +140,10 @@ class Drive:
             f"{index:04X}:{subindex:02X}": slot.get()  # type: ignore[misc]
             for (index, subindex), slot in self.objects.slots.items()
             if slot.row.storable and slot.view is not None
+        } | {
+            f"{REACTION}:{main}": int(code) - 1
+            for main, code in enumerate(self.axis.od.reaction_code)
+            if code
         }
 
     def _stored_parameters(self) -> store.Values:
@@ -149,7 +153,11 @@ class Drive:
 
     def _restore_parameters(self, values: store.Values) -> None:
         for address, value in values.items():
-            index, subindex = (int(part, 16) for part in address.split(":"))
+            first, _, second = address.partition(":")
+            if first == REACTION:
+                set_reaction(self, int(second), int(value))
+                continue
+            index, subindex = int(first, 16), int(second, 16)
             slot = self.objects.slots.get((index, subindex))
             if slot is not None and slot.view is not None and slot.row.storable:
                 slot.put(value)
@@ -161,7 +169,7 @@ class Drive:
             if index < 0x2000 and slot.row.area == "axis" and slot.row.storable:
                 slot.put(self._default(slot))
         self._default_pdos()
-        self._restore_parameters({a: v for a, v in stored.items() if int(a[:4], 16) < 0x2000})
+        self._restore_parameters({a: v for a, v in stored.items() if a.startswith("1")})
         self._compile_pdos()
 
     def store_parameters(self) -> bool:
@@ -181,7 +189,8 @@ class Drive:
         for slot in self.objects.slots.values():
             if slot.row.index >= 0x2000 and slot.row.area == "axis" and slot.row.storable:
                 slot.put(self._default(slot))
-        default_reactions(self)
+        self.axis.od.reaction_code[:] = 0
+        self.model.set_reactions(self.axis)
         self.axis.parameters_changed = 1
 
     def commission(self, values: Mapping[str, float]) -> None:
@@ -439,11 +448,9 @@ class Drive:
         fault = next(fault for fault in self.model.faults if fault.name == number)
         cause = fault.cause or Cause.EXTERNAL
         if not fault.cause:
-            assert fault.main is not None
             self.axis.fault_code[cause] = fault.code
             self.axis.fault_register[cause] = 1 | 1 << fault.register
-            reaction = REACTIONS[int(self.axis.od.reaction_code[fault.main])]
-            self.axis.od.fault_reaction[cause] = reaction
+            self.axis.od.fault_reaction[cause] = reaction_to(self, fault)
         self.axis.injected |= 1 << cause
 
     def clear_injected(self) -> None:

@@ -15,7 +15,7 @@ from .words import Compatibility
 if TYPE_CHECKING:
     from .drive import Drive
     from .objects import ObjectDictionary
-    from .rows import Object
+    from .rows import Fault, Object
 
 # reaction codes of 2100h:02 as the kernel's reactions; the manual prints no mapping (inferred)
 REACTIONS = {
@@ -32,12 +32,19 @@ LARGEST_FACTOR = 1 << 24
 UNDERVOLTAGE, FOLLOWING_ERROR, I2T = 2, 17, 31  # main fault numbers
 
 
-def default_reactions(drive: "Drive") -> None:
-    """Fill the table of reaction codes by main fault number from the model's faults."""
-    codes = drive.axis.od.reaction_code
-    for fault in drive.model.faults:
-        if fault.main is not None:
-            codes[fault.main] = max(int(codes[fault.main]), CODES[fault.reaction])
+def reaction_code(drive: "Drive", main: int) -> int:
+    """The reaction to faults of a main number: the one set, else the most severe one listed."""
+    chosen = int(drive.axis.od.reaction_code[main])
+    if chosen:
+        return chosen - 1
+    faults = [fault for fault in drive.model.faults if fault.main == main]
+    return max((CODES[fault.reaction] for fault in faults), default=0)
+
+
+def reaction_to(drive: "Drive", fault: "Fault") -> Reaction:
+    """What the drive does about one fault."""
+    chosen = int(drive.axis.od.reaction_code[fault.main or 0])
+    return REACTIONS[chosen - 1] if chosen else fault.reaction
 
 
 def set_reaction(drive: "Drive", main: int, code: int) -> None:
@@ -45,7 +52,7 @@ def set_reaction(drive: "Drive", main: int, code: int) -> None:
     faults = [fault for fault in drive.model.faults if fault.main == main]
     least = max((CODES[fault.reaction] for fault in faults if not fault.changeable), default=0)
     code = max(code, least)
-    drive.axis.od.reaction_code[main] = code
+    drive.axis.od.reaction_code[main] = code + 1
     for fault in faults:
         if fault.cause != Cause.NONE:
             drive.axis.od.fault_reaction[fault.cause] = REACTIONS[code]
@@ -59,7 +66,7 @@ def _error_reaction(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
 
 
 def _error_reaction_now(od: "ObjectDictionary", row: "Object") -> int:
-    return int(od.drive.axis.od.reaction_code[int(od.names["error_number"].get())])
+    return reaction_code(od.drive, int(od.names["error_number"].get()))
 
 
 def _switch(main: int) -> Hook:
@@ -70,7 +77,8 @@ def _switch(main: int) -> Hook:
         return Abort.STORED
 
     def read(od: "ObjectDictionary", row: "Object") -> int:
-        return int(od.drive.axis.od.reaction_code[main] >= 5)
+        fault = next(f for f in od.drive.model.faults if (f.main, f.sub or 0) == (main, 0))
+        return int(CODES[reaction_to(od.drive, fault)] >= 5)
 
     return Hook(write, read)
 
@@ -81,7 +89,7 @@ def _position_error_limit(od: "ObjectDictionary", row: "Object", value: int) -> 
 
 
 def _position_error_limit_now(od: "ObjectDictionary", row: "Object") -> int:
-    if od.drive.axis.od.reaction_code[FOLLOWING_ERROR] != 8:
+    if reaction_code(od.drive, FOLLOWING_ERROR) != 8:
         return 0
     return int(od.drive.axis.od.position_error_limit)
 

@@ -86,13 +86,18 @@ class DriveModel:
             axis.fault_code[fault.cause] = fault.code
             axis.fault_number[fault.cause] = (fault.main or 0) << 4 | (fault.sub or 0)
             axis.fault_register[fault.cause] = 1 | 1 << fault.register
-            axis.od.fault_reaction[fault.cause] = fault.reaction
+        self.set_reactions(axis)
         for name, value in self.fixed.items():
             if isinstance(value, list):
                 getattr(axis.od, name)[: len(value)] = value
             else:
                 setattr(axis.od, name, value)
         axis.parameters_changed = 1
+
+    def set_reactions(self, axis: Any) -> None:
+        """The reactions of faults.csv; of two rows with one cause the first counts."""
+        for fault in reversed(self.faults):
+            axis.od.fault_reaction[fault.cause] = fault.reaction
 
     def quirk(self, name: str) -> int:
         """Value of a departure from the standard, 0 where the model has none."""
@@ -129,12 +134,12 @@ def load(model: "str | Path | DriveModel") -> DriveModel:
 
 @functools.cache
 def _load(folder: Path) -> DriveModel:
-    toml = _read_toml(folder / "drive.toml")
+    toml = last = _read_toml(folder / "drive.toml")
     files = [folder]
-    if "based_on" in toml:  # another model, with what this one says instead
-        base = load(toml["based_on"]).folder
-        files.append(base)
-        toml = _merged(_read_toml(base / "drive.toml"), toml)
+    while "based_on" in last:  # another model, with what this one says instead
+        files.append(load(last["based_on"]).folder)
+        last = _read_toml(files[-1] / "drive.toml")
+        toml = _merged(last, toml)
     file = {
         name: next((f / name for f in files if (f / name).is_file()), folder / name)
         for name in ("objects.csv", "pdo.csv", "faults.csv")

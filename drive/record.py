@@ -161,7 +161,7 @@ OBJECTS = (
     ("chopper_resistance", "<u4", "mOhm", "2018h:05; 0 = none fitted"),
     ("chopper_energy", "<u4", "mJ", "2018h:06, turned into heat since power-on"),
     ("supply_voltage", "<u4", "mV", "2018h:07, rectified"),
-    ("reaction_code", ("u1", (MAIN_FAULTS,)), "", "2100h:02 by main fault number"),
+    ("reaction_code", ("u1", (MAIN_FAULTS,)), "", "by main number: 2100h:02 + 1, 0 = as listed"),
     ("fault_reaction", ("u1", (FAULT_CAUSES,)), "", "2020h, `faults.Reaction` of each cause"),
     ("set_point_loss_limit", "u1", "", "2019h, missing set-points that raise a fault; 0 = off"),
     ("digital_inputs", "<u4", "", "60FDh"),
