@@ -18,6 +18,7 @@ from .abort import Abort, SdoAbort
 from .advice import OBEYED, describe
 from .faults import Cause
 from .hooks_ars import reaction_to, set_reaction
+from .hooks_ethercat import ASSIGNMENTS, assign
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
@@ -99,6 +100,9 @@ class Drive:
         for pdos, receive in ((self.rpdos, True), (self.tpdos, False)):
             for pdo in pdos:
                 compile_default(self.objects, pdo, receive)
+        if self.model.bus == "ethercat":
+            for index in ASSIGNMENTS:
+                assign(self.objects, index, int(self.read(index)))
         self.image_changed()
 
     def _standard_defaults(self) -> None:

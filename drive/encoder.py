@@ -65,7 +65,7 @@ def sample(axis):
     velocity = (counts - before) * axis.rad_per_increment / axis.velocity_period
     axis.velocity += axis.velocity_filter * (velocity - axis.velocity)
     waiting = 0 < axis.latch_event < Event.STOP and not axis.latched
-    if waiting or axis.od.touch_probe_function != 0:
+    if waiting or probe.command(axis) != 0:
         index_counts, index_passed = _index(axis, before, counts)
         if waiting and axis.latch_event == Event.INDEX:
             axis.latched = index_passed

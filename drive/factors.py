@@ -309,10 +309,10 @@ def publish(axis):
     per_vl = 1.0 / axis.vl_rad_s if axis.vl_rad_s != 0.0 else 0.0
     od.vl_velocity_demand = _integer16(axis.velocity_demand * per_vl)
     od.vl_velocity_actual_value = _integer16(axis.velocity * per_vl)
-    if axis.probe_stored != 0 or od.touch_probe_status != 0 or od.touch_probe_function != 0:
-        probe.publish(axis)
+    if axis.probe_stored != 0 or od.touch_probe_status != 0 or probe.command(axis) != 0:
         for i in range(4):
             probed = increments_to_units(axis, axis.probe_counts[i] - axis.zero_counts)
             od.touch_probe_position[i] = _wrapped32(probed)
+        probe.publish(axis)
     od.statusword = statusword.compose(axis)
     axis.limits = 0

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from . import hooks_ars
+from . import hooks_ars, hooks_ethercat
 from .abort import Abort
 from .factors import FRACTION_LIMIT
 from .homing import Progress
@@ -84,4 +84,5 @@ HOOKS: dict[str, Hook] = {
     "homing_method": Hook(_homing_method),
     "factor": Hook(_factor),
     **hooks_ars.HOOKS,
+    **hooks_ethercat.HOOKS,
 }

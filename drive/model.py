@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .homing import NUMBERS
+from .process_data import MAX_BITS
 from .record import FIELDS, OD
 from .rows import Fault, Mapping, Object, read_faults, read_objects, read_pdos
 from .words import MODE_ABBREVIATION, Mode
@@ -29,6 +30,8 @@ QUIRKS = (
     "transmit_masks",  # 2014h-2017h choose the bits whose change sends a TPDO
     "identifier_needs_valid_bit",  # bit 30 of PDO identifiers always reads 1
 )
+# field bus -> longest PDO in bits
+BUSES = {"can": MAX_BITS, "ethercat": 512}
 # [units] of drive.toml: field of the record, value without an entry
 UNITS = {"position_gain": 1e-3, "velocity_gain": 1e-6, "temperature": 0.1}
 MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
@@ -58,6 +61,7 @@ class DriveModel:
     quirks: dict[str, Quirk]
     units: dict[str, float]
     fixed: dict[str, Any]  # values of `od` fields that the model has no object for
+    bus: str  # key of `BUSES`
     axes: int  # drives in one housing, with consecutive node-ids
     objects: dict[tuple[int, int], Object]
     names: dict[str, Object]
@@ -146,7 +150,7 @@ def _load(folder: Path) -> DriveModel:
     }
     reader = _Toml(folder / "drive.toml", toml)
     objects = _changed(read_objects(file["objects.csv"]), toml, reader.path)
-    rpdos, tpdos = read_pdos(file["pdo.csv"], objects)
+    rpdos, tpdos = read_pdos(file["pdo.csv"], objects, BUSES[reader.bus()])
     microseconds = reader.cycle_times()
     motor = reader.numbers("motor", ("torque_time_constant_us", "rotor_inertia_kgm2"))
     capabilities = reader.table("capabilities")
@@ -170,6 +174,7 @@ def _load(folder: Path) -> DriveModel:
         quirks={k: Quirk(int(v["value"]), v["source"]) for k, v in toml.get("quirks", {}).items()},
         units=UNITS | toml.get("units", {}),
         fixed=toml.get("fixed", {}),
+        bus=reader.bus(),
         axes=int(toml.get("axes", 1)),
         objects=objects,
         names={row.name: row for row in objects.values()},
@@ -220,6 +225,13 @@ class _Toml:
         for key in self.data.get(name, {}):
             if key not in known:
                 raise ValueError(f"{self.path}: {name}.{key} is unknown, use of {', '.join(known)}")
+
+    def bus(self) -> str:
+        """The field bus, "can" where nothing is said."""
+        bus = self.data.get("bus", "can")
+        if bus not in BUSES:
+            raise ValueError(f"{self.path}: unknown bus {bus!r}, known: {', '.join(BUSES)}")
+        return bus
 
     def cycle_times(self) -> dict[str, float]:
         """Cycle times (µs); the position cycle is a multiple of the velocity cycle."""

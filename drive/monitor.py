@@ -65,7 +65,7 @@ def _standstill(axis):
 @block
 def _set_points(axis):
     """Cyclic set-points that came with process data must not stay away (2019h)."""
-    cyclic = axis.mode >= Mode.CYCLIC_SYNC_POSITION and energised(axis)
+    cyclic = (axis.mode >= Mode.CYCLIC_SYNC_POSITION or axis.sync_monitored) and energised(axis)
     axis.silence = axis.silence + 1 if cyclic and axis.synchronised else 0
     allowed = int(axis.od.set_point_loss_limit)
     if allowed > 0 and axis.silence > (allowed + 1) * axis.interpolation_cycles:

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 from .abort import Abort, SdoAbort
 from .hooks import HOOKS, WHEN
-from .process_data import DUMMY, ENTRIES, INVALID, MAX_BITS, parameter_place
+from .process_data import DUMMY, DUMMY_BITS, ENTRIES, INVALID, MAX_BITS, parameter_place
 from .rows import Object
 
 if TYPE_CHECKING:
     from .drive import Drive
     from .model import DriveModel
 
-DUMMY_BITS = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}  # CiA 301, dummy mapping
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
 LAST_PDO_OBJECT = 0x1BFF
 TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
@@ -225,7 +224,9 @@ def _mapping(od: ObjectDictionary, row: Object, value: int) -> Abort:
     return _target(od, receive, value)[1] if value else Abort.NONE
 
 
-def _target(od: ObjectDictionary, receive: bool, mapping: int) -> tuple[int, Abort]:
+def _target(
+    od: ObjectDictionary, receive: bool, mapping: int, exact: bool = True
+) -> tuple[int, Abort]:
     """Where a mapping entry's bytes lie in the record, or the abort code of the refusal."""
     index, subindex, bits = mapping >> 16, mapping >> 8 & 0xFF, mapping & 0xFF
     if index in DUMMY_BITS and subindex == 0:
@@ -236,22 +237,22 @@ def _target(od: ObjectDictionary, receive: bool, mapping: int) -> tuple[int, Abo
         return DUMMY, abort
     if ("rx" if receive else "tx") not in slot.row.pdo:
         return DUMMY, Abort.NOT_MAPPABLE
-    if bits != slot.row.size * 8:
+    if exact and bits != slot.row.size * 8:
         return DUMMY, Abort.NOT_MAPPABLE
     return slot.offset, Abort.NONE
 
 
-def _compile(od: ObjectDictionary, pdo, receive: bool, count: int) -> Abort:
+def _compile(od: ObjectDictionary, pdo, receive: bool, count: int, fixed: bool = False) -> Abort:
     if count > ENTRIES:
         return Abort.PDO_LENGTH
     offsets, lengths = [], []
     for mapping in pdo.mapping[:count].tolist():
-        offset, abort = _target(od, receive, mapping)
+        offset, abort = _target(od, receive, mapping, exact=not fixed)
         if abort:
             return abort
         offsets.append(offset)
         lengths.append((mapping & 0xFF) // 8)
-    if sum(lengths) * 8 > MAX_BITS:
+    if sum(lengths) * 8 > MAX_BITS and not fixed:
         return Abort.PDO_LENGTH
     pdo.offset[:count] = offsets
     pdo.length[:count] = lengths
@@ -270,5 +271,5 @@ PDO_HOOKS: dict[int, PdoHook] = {
 
 def compile_default(od: ObjectDictionary, pdo, receive: bool) -> None:
     """Compile a mapping that the model or a parameter file brought."""
-    abort = _compile(od, pdo, receive, int(pdo.count))
+    abort = _compile(od, pdo, receive, int(pdo.count), fixed=True)
     pdo.valid = abort is Abort.NONE and not int(pdo.cob_id) & INVALID

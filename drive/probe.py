@@ -15,7 +15,7 @@ def sample(axis, index_counts, index_passed):
     now = int(axis.touch_probe[0]) | int(axis.touch_probe[1]) << 1
     changed = now ^ axis.probe_inputs
     axis.probe_inputs = now
-    function = int(axis.od.touch_probe_function)
+    function = command(axis)
     for probe in range(2):
         bits = function >> 8 * probe
         if not bits & 1:
@@ -33,6 +33,34 @@ def sample(axis, index_counts, index_passed):
 
 
 @block
+def command(axis):
+    """Function word of both probes: 60B8h, or what a model's own control word amounts to."""
+    if not axis.latch_words:
+        return int(axis.od.touch_probe_function)
+    control = int(axis.od.latch_control)
+    first, second = control & 3, control >> 2 & 3  # positive, negative edge
+    return (1 | first << 4 if first else 0) | ((1 | second << 4) << 8 if second else 0)
+
+
+@block
+def _latch_words(axis):
+    """20A5h and the positions the read field of 20A4h asks for (Kollmorgen AKD 5.12).
+
+    Bits 0-3 stored edges, bits 8-11 the edge whose position is shown, bits 12-15 inputs 4 to 1.
+    Without a request latch 1 is shown (inferred).
+    """
+    od = axis.od
+    asked = int(od.latch_control) >> 8 & 0x1F
+    edge = asked - 1 if 1 <= asked <= 4 else 0
+    even = edge & ~1
+    od.latch_position[0] = od.touch_probe_position[even]
+    od.latch_position[1] = od.touch_probe_position[even + 1]
+    acknowledged = asked if 1 <= asked <= 4 and axis.probe_stored >> edge & 1 else 0
+    inputs = int(axis.touch_probe[0]) << 15 | int(axis.touch_probe[1]) << 14
+    od.latch_status = (axis.probe_stored & 0xF) | acknowledged << 8 | inputs
+
+
+@block
 def _store(axis, place, counts, continuous):
     stored = axis.probe_stored >> place & 1
     if stored and not continuous:
@@ -44,7 +72,7 @@ def _store(axis, place, counts, continuous):
 @block
 def publish(axis):
     """Status word of the two probes; taking the enable bit away forgets what was stored."""
-    function = int(axis.od.touch_probe_function)
+    function = command(axis)
     status = 0
     for probe in range(2):
         if function >> 8 * probe & 1:
@@ -53,6 +81,8 @@ def publish(axis):
             axis.probe_stored &= ~(3 << 2 * probe)
     axis.od.touch_probe_status = status
     _sampling(axis)
+    if axis.latch_words:
+        _latch_words(axis)
 
 
 @block

@@ -14,7 +14,8 @@ from .jit import block, entry
 from .record import AXIS, accessible
 
 ENTRIES = 16  # mapped objects a PDO can have
-MAX_BITS = 64  # of a PDO on CAN; EtherCAT models allow more (drive.toml)
+MAX_BITS = 64  # of a PDO on CAN, and of one that is mapped by the master
+DUMMY_BITS = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}  # CiA 301, dummy mapping, by data type
 DUMMY = -1  # offset of bytes that go nowhere: CiA 301 dummy mapping 0002h-0007h
 INVALID = 0x80000000  # bit 31 of a COB-ID
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from .faults import Cause, Reaction
 from .hooks import HOOKS, WHEN
-from .process_data import ENTRIES, MAX_BITS, parameter_place
+from .process_data import DUMMY_BITS, ENTRIES, MAX_BITS, parameter_place
 from .record import OD, VENDOR_BYTES
 
 # data type of CiA 301 -> struct format; strings have none
@@ -146,7 +146,8 @@ def read_objects(path: Path) -> dict[tuple[int, int], Object]:
                     f"{where}: {column} {row[column]!r} is unknown, use one of {', '.join(table)}"
                 )
         size = SIZES[FORMATS[row["data_type"]]]
-        area, offset = parameter_place(index, subindex) or ("axis", 0)
+        constant = row["access"] == "const"
+        area, offset = (not constant and parameter_place(index, subindex)) or ("axis", 0)
         if area != "axis":
             pass
         elif row["field"].startswith("@"):  # another name for the bytes of an earlier row
@@ -236,7 +237,9 @@ def _fits(kind: np.dtype, field: np.dtype) -> bool:
     return kind == field or (unsigned and kind.itemsize <= field.itemsize)
 
 
-def read_pdos(path: Path, objects) -> tuple[tuple[Mapping, ...], tuple[Mapping, ...]]:
+def read_pdos(
+    path: Path, objects, max_bits: int
+) -> tuple[tuple[Mapping, ...], tuple[Mapping, ...]]:
     """Receive and transmit PDOs. Raises ValueError with file, line and reason."""
     found: dict[str, dict[int, Mapping]] = {"rx": {}, "tx": {}}
     for row, where in _rows(path):
@@ -247,9 +250,9 @@ def read_pdos(path: Path, objects) -> tuple[tuple[Mapping, ...], tuple[Mapping, 
         before = found[direction].get(number)
         entries = before.entries if before else ()
         if row["index"]:  # a row without one is a PDO that is free for mapping
-            entries = (*entries, _pdo_entry(row, where, direction, objects))
-        if sum(bits for _, _, bits in entries) > MAX_BITS or len(entries) > ENTRIES:
-            raise ValueError(f"{where}: PDO {number} is longer than {MAX_BITS} bits")
+            entries = (*entries, _pdo_entry(row, where, direction, objects, max_bits > MAX_BITS))
+        if sum(bits for _, _, bits in entries) > max_bits or len(entries) > ENTRIES:
+            raise ValueError(f"{where}: PDO {number} is longer than {max_bits} bits")
         cob_id = row["cob_id"].replace(" ", "")
         if not re.fullmatch(r"0x[0-9A-Fa-f]+(\+node_id)?", cob_id):
             raise ValueError(f"{where}: cob_id {cob_id!r} is not like 0x200+node_id")
@@ -266,12 +269,17 @@ def read_pdos(path: Path, objects) -> tuple[tuple[Mapping, ...], tuple[Mapping, 
     return tuple(tuple(pdos[n] for n in sorted(pdos)) for pdos in found.values())  # type: ignore
 
 
-def _pdo_entry(row, where, direction, objects) -> tuple[int, int, int]:
+def _pdo_entry(row, where, direction, objects, partly: bool) -> tuple[int, int, int]:
+    """Index, sub-index and bits; `partly`: the lower bytes of an object may stand alone."""
     index, subindex, bits = (
         _integer(row[key], where, key) for key in ("index", "subindex", "bits")
     )
     target = objects.get((index, subindex))
-    if target is None or direction not in target.pdo or target.size * 8 != bits:
+    if direction == "rx" and DUMMY_BITS.get(index) == bits and subindex == 0:
+        return index, subindex, bits
+    size = target.size * 8 if target else 0
+    fits = bits == size or (partly and bits % 8 == 0 and bits < size)
+    if target is None or not fits or direction not in target.pdo:
         raise ValueError(
             f"{where}: {index:04X}h:{subindex:02X}h with {bits} bits cannot be mapped to a "
             f"{direction} PDO"
