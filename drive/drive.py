@@ -16,7 +16,7 @@ import numpy as np
 from . import cycle, process_data, record, store
 from .abort import Abort, SdoAbort
 from .faults import Cause
-from .model import DriveModel, load
+from .model import DriveModel, Mapping, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
 from .words import Command, Mode, State, decode_statusword
@@ -59,6 +59,7 @@ class Drive:
         parameter_file: str | Path | None = None,
     ):
         self.model = load(model)
+        self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self.node_id = node_id
@@ -124,11 +125,14 @@ class Drive:
         default: Any = slot.row.default
         return default + self.node_id if slot.row.per_node else default
 
+    def _default_cob_id(self, mapping: Mapping) -> int:
+        base, _, node = mapping.cob_id.partition("+")
+        return int(base, 0) + (self.node_id if node else 0)
+
     def _default_pdos(self) -> None:
         for pdos, mappings in ((self.rpdos, self.model.rpdos), (self.tpdos, self.model.tpdos)):
             for pdo, mapping in zip(pdos, mappings, strict=True):
-                base, _, node = mapping.cob_id.partition("+")
-                pdo.cob_id = int(base, 0) + (self.node_id if node else 0)
+                pdo.cob_id = self._default_cob_id(mapping)
                 pdo.transmission_type = mapping.transmission_type
                 pdo.inhibit_time = mapping.inhibit_time
                 pdo.event_timer = 0
@@ -140,11 +144,19 @@ class Drive:
                 ]
 
     def _parameters(self) -> store.Values:
+        """All storable values, but not identifiers that still follow from the node-id."""
+        follow = {
+            (base + number, 1): self._default_cob_id(mapping)
+            for base, mappings in ((0x1400, self.model.rpdos), (0x1800, self.model.tpdos))
+            for number, mapping in enumerate(mappings)
+        }
         return {
-            f"{index:04X}:{subindex:02X}": slot.get()  # type: ignore[misc]
+            f"{index:04X}:{subindex:02X}": value  # type: ignore[misc]
             for (index, subindex), slot in self.objects.slots.items()
             if slot.row.storable and slot.view is not None
-        }
+            and (value := slot.get()) != follow.get((index, subindex))
+            and not (slot.row.per_node and value == self._default(slot))
+        }  # fmt: skip
 
     def _stored_parameters(self) -> store.Values:
         if self.parameter_file is not None:
@@ -162,7 +174,8 @@ class Drive:
         """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""
         stored = self._stored_parameters()
         for (index, _), slot in self.objects.slots.items():
-            if index < 0x2000 and slot.row.area == "axis" and slot.row.storable:
+            belongs = slot.row.storable or slot.row.per_node
+            if index < 0x2000 and slot.row.area == "axis" and belongs:
                 slot.put(self._default(slot))
         self._default_pdos()
         self._restore_parameters({a: v for a, v in stored.items() if int(a[:4], 16) < 0x2000})
@@ -253,6 +266,7 @@ class Drive:
 
     def image_changed(self) -> None:
         """Forget what was derived from the PDO mapping."""
+        self.communication_version += 1
         self._layouts: dict[str, list[tuple[Slot, int]]] = {}
         self._sizes: dict[str, int] = {}
 

@@ -11,6 +11,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from .abort import Abort, SdoAbort
+from .communication import PDO_COB_ID, RULES, sdo_server
 from .factors import FRACTION_LIMIT
 from .model import Object
 from .process_data import DUMMY, ENTRIES, INVALID, MAX_BITS, PDO
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 DUMMY_BITS = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}  # CiA 301, dummy mapping
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
 TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
+SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 
 
@@ -105,6 +107,11 @@ class ObjectDictionary:
             return slot, Abort.NONE
         return None, Abort.NO_SUBINDEX if index in self.indices else Abort.NO_OBJECT
 
+    def value(self, index: int, subindex: int = 0) -> int:
+        """Value of a communication object, 0 where the model does not have it."""
+        slot = self.slots.get((index, subindex))
+        return int(slot.get()) if slot else 0
+
     def read(self, index: int, subindex: int) -> tuple[bytes, Abort]:
         """SDO upload: the object's bytes, or an abort code."""
         slot, abort = self.find(index, subindex)
@@ -139,13 +146,15 @@ class ObjectDictionary:
             return Abort.INVALID_VALUE
         if row.when == "disabled" and self.drive.energised:
             return Abort.DEVICE_STATE
-        hook = HOOKS.get(row.index) or PDO_HOOKS.get(row.index & 0xFE00)
+        hook = HOOKS.get(row.index) or RANGE_HOOKS.get(row.index & 0xFE00)
         abort = hook(self, row, int(value)) if hook else Abort.NONE
         if abort is Abort.STORED:
             return Abort.NONE
         if abort is Abort.NONE:
             slot.put(value)
             self.drive.axis.parameters_changed = 1
+            if row.index < 0x2000:
+                self.drive.communication_version += 1
         return abort
 
     def slot(self, index: int | str, subindex: int) -> Slot:
@@ -211,28 +220,14 @@ def _pdo(od: ObjectDictionary, row: Object):
     return pdos[row.index & 0x1FF], receive
 
 
-def _reserved(cob_id: int) -> bool:
-    """Identifiers CiA 301 keeps for other services."""
-    return any(
-        low <= cob_id <= high
-        for low, high in (
-            (0x000, 0x080), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF),
-            (0x701, 0x77F), (0x780, 0x7FF),
-        )
-    )  # fmt: skip
-
-
 def _communication(od: ObjectDictionary, row: Object, value: int) -> Abort:
     """1400h…/1800h…: the identifier may change only while the PDO is not valid."""
     pdo, receive = _pdo(od, row)
     if row.subindex == 1:
+        abort = PDO_COB_ID.check(int(pdo.cob_id), value)
         valid = not value & INVALID
-        if value & 0x2000_0000 or (value & 0x1FFF_F800):
-            return Abort.INVALID_VALUE  # 29-bit identifiers are not supported
-        if pdo.valid and valid and (value ^ int(pdo.cob_id)) & 0x3FFF_FFFF:
-            return Abort.DEVICE_STATE
-        if valid and _reserved(value & 0x7FF):
-            return Abort.INVALID_VALUE
+        if abort or (valid and value & 0x7FF == SYNC_ID):
+            return abort or Abort.INVALID_VALUE
         pdo.valid = valid
         od.drive.image_changed()
     elif row.subindex == 2:
@@ -292,6 +287,7 @@ def _compile(od: ObjectDictionary, pdo, receive: bool, count: int) -> Abort:
 
 
 HOOKS: dict[int, Hook] = {
+    **RULES,
     0x1003: _clear_history,
     0x1010: _save,
     0x1011: _load,
@@ -301,7 +297,9 @@ HOOKS: dict[int, Hook] = {
     0x6092: _factor,
     0x6098: _homing_method,
 }
-PDO_HOOKS: dict[int, Hook] = {
+RANGE_HOOKS: dict[int, Hook] = {  # by index & FE00h
+    0x1200: sdo_server,
+    **RULES,
     0x1400: _communication,
     0x1600: _mapping,
     0x1800: _communication,
