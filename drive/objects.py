@@ -29,13 +29,15 @@ SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 class Slot:
     """An object and where its bytes are."""
 
-    __slots__ = ("code", "offset", "row", "view")
+    __slots__ = ("code", "hook", "offset", "row", "view", "writable")
 
     def __init__(self, row: Object, view: memoryview | None, offset: int):
         self.row = row
         self.view = view
         self.offset = offset
         self.code = struct.Struct("<" + row.format)
+        self.writable = row.access not in ("ro", "const")
+        self.hook = HOOKS.get(row.index) or RANGE_HOOKS.get(row.index & 0xFE00)
 
     def get(self) -> int | float | str:
         """The value as it stands."""
@@ -99,6 +101,7 @@ class ObjectDictionary:
         }
         self.names = {slot.row.name: slot for slot in self.slots.values()}
         self.indices = {index for index, _ in self.slots}
+        self._changed = drive.axes["parameters_changed"][drive.index : drive.index + 1]
 
     def find(self, index: int, subindex: int) -> tuple[Slot | None, Abort]:
         """The slot of an object, or why there is none."""
@@ -114,9 +117,9 @@ class ObjectDictionary:
 
     def read(self, index: int, subindex: int) -> tuple[bytes, Abort]:
         """SDO upload: the object's bytes, or an abort code."""
-        slot, abort = self.find(index, subindex)
+        slot = self.slots.get((index, subindex))
         if slot is None:
-            return b"", abort
+            return b"", self.find(index, subindex)[1]
         if slot.row.access == "wo":
             return b"", Abort.WRITE_ONLY
         value = slot.get()
@@ -124,19 +127,20 @@ class ObjectDictionary:
 
     def write(self, index: int, subindex: int, data: bytes) -> Abort:
         """SDO download: store the bytes, or return the abort code and change nothing."""
-        slot, abort = self.find(index, subindex)
+        slot = self.slots.get((index, subindex))
         if slot is None:
-            return abort
-        if slot.row.access in ("ro", "const"):
+            return self.find(index, subindex)[1]
+        if not slot.writable:
             return Abort.READ_ONLY
-        if slot.row.format and len(data) != slot.row.size:
-            return Abort.LENGTH_TOO_HIGH if len(data) > slot.row.size else Abort.LENGTH_TOO_LOW
+        size = slot.code.size  # 0: a string
+        if size and len(data) != size:
+            return Abort.LENGTH_TOO_HIGH if len(data) > size else Abort.LENGTH_TOO_LOW
         return self.store(slot, slot.code.unpack(data)[0])
 
     def store(self, slot: Slot, value: int | float) -> Abort:
         """Store a value of the right type after the checks of range, state and side effects."""
         row = slot.row
-        if row.access in ("ro", "const"):
+        if not slot.writable:
             return Abort.READ_ONLY
         if not value >= row.minimum:
             return Abort.VALUE_TOO_LOW
@@ -146,13 +150,12 @@ class ObjectDictionary:
             return Abort.INVALID_VALUE
         if row.when == "disabled" and self.drive.energised:
             return Abort.DEVICE_STATE
-        hook = HOOKS.get(row.index) or RANGE_HOOKS.get(row.index & 0xFE00)
-        abort = hook(self, row, int(value)) if hook else Abort.NONE
+        abort = slot.hook(self, row, int(value)) if slot.hook else Abort.NONE
         if abort is Abort.STORED:
             return Abort.NONE
         if abort is Abort.NONE:
             slot.put(value)
-            self.drive.axis.parameters_changed = 1
+            self._changed[0] = 1
             if row.index < 0x2000:
                 self.drive.communication_version += 1
         return abort

@@ -31,10 +31,13 @@ class HeartbeatProducer:
         if period != self._period:
             self._period, self._sent_at, self._booted = period, None, False
 
+    @property
+    def produces(self) -> bool:
+        """Whether there is a heartbeat at all."""
+        return self._period > 0
+
     def due(self, time: int) -> bool:
-        """Whether a heartbeat goes out at `time` (µs)."""
-        if not self._period:
-            return False
+        """Whether a heartbeat goes out at `time` (µs); not to be asked where none is produced."""
         if self._booted:
             self._booted, self._sent_at = False, time
             return False
@@ -72,6 +75,11 @@ class HeartbeatConsumer:
             self._heard.pop(node, None)
             self._found(node)
         self._limits = limits
+
+    @property
+    def monitors(self) -> bool:
+        """Whether there is a node to listen to."""
+        return bool(self._limits)
 
     def routes(self) -> list[tuple[int, Callable[[bytes, int], None]]]:
         """Node-ids to listen to, each with who takes the heartbeat."""
@@ -118,6 +126,11 @@ class NodeGuarding:
         if not self._life or not self._answers:
             self._guarded_at = None
             self._found()
+
+    @property
+    def monitors(self) -> bool:
+        """Whether there is a life time."""
+        return self._answers and self._life > 0
 
     def _found(self) -> None:
         self.lost = False

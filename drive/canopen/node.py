@@ -6,6 +6,7 @@ A frame finds its services by one look into a table that is made anew when a com
 or the NMT state has changed.
 """
 
+from collections import deque
 from collections.abc import Callable
 
 from ..drive import Drive
@@ -51,8 +52,10 @@ class Node:
         self.node_id = node_id
         self.state = NmtState.INITIALISING
         self.bit_rate: int | None = None
-        self._out: list[Frame] = []
-        self._in_window: list[Frame] = []  # synchronous TPDOs, dropped when the window closes
+        self._out: deque[Frame] = deque(maxlen=QUEUE)
+        self._in_window: deque[Frame] = deque(
+            maxlen=QUEUE
+        )  # synchronous TPDOs, dropped when the window closes
         vendor, product, revision, serial = (drive.objects.value(0x1018, n) for n in range(1, 5))
         self.lss = LssSlave(
             (vendor, product, revision, serial), node_id, self._sender(Base.LSS_RESPONSE)
@@ -64,7 +67,7 @@ class Node:
         self.heartbeat_consumer = HeartbeatConsumer(drive, self.emergency)
         self.guarding = NodeGuarding(drive, self.emergency)
         self._receiver = Receiver(drive, self.sync, self.emergency)
-        self._transmitter = Transmitter(drive, self._put)
+        self._transmitter = Transmitter(drive, self._out.append)
         self._resettable = (
             self.emergency, self.sync, self.time_stamp, self.heartbeat, self.heartbeat_consumer,
             self.guarding, self._receiver,
@@ -135,6 +138,7 @@ class Node:
         self._version = self.drive.communication_version
         for service in self._resettable:
             service.configure()
+        self._lost[0] = self._any_lost()
         self._transmitter.configure()
         self._configure_sdo()
         self._connect()
@@ -178,28 +182,37 @@ class Node:
             Service.ERROR_CONTROL: [(Base.ERROR_CONTROL + self.node_id, self._guard)],
             Service.PDO: self._transmitter.routes,
         }
-        self._live = LIVE[self.state]
-        self._data_routes = self._table(routes)
-        self._remote_routes = self._table(remote)
+        live = LIVE[self.state]
+        self._data_routes = self._table(routes, live)
+        self._remote_routes = self._table(remote, live)
+        pollers: tuple[tuple[Service, bool, Callable[[int], None]], ...] = (
+            *((Service.SDO, True, server.poll) for server in self._sdo.values()),
+            (Service.ERROR_CONTROL, self._watches(), self._watch),
+            (Service.PDO, self._receiver.monitors, self._receiver.poll),
+            (Service.EMCY, True, self.emergency.poll),
+            (Service.ERROR_CONTROL, self.heartbeat.produces, self._heartbeat),
+            (Service.SYNC, self.sync.produces, self._produce_sync),
+            (Service.PDO, True, self._flush_window),
+            (Service.PDO, self._transmitter.has_events, self._transmitter.poll),
+        )
+        self._pollers = [poll for service, used, poll in pollers if used and service & live]
 
-    def _table(self, routes: dict[Service, list[Route]]) -> dict[int, list[Callable]]:
-        table: dict[int, list[Callable]] = {}
+    def _table(
+        self, routes: dict[Service, list[Route]], live: Service
+    ) -> dict[int, list[Callable[[bytes, int], None]]]:
+        table: dict[int, list[Callable[[bytes, int], None]]] = {}
         for service, pairs in routes.items():
-            if service & self._live:
+            if service & live:
                 for identifier, take in pairs:
                     table.setdefault(identifier, []).append(take)
         return table
 
     def _send(self, identifier: int, data: bytes) -> None:
-        self._put(Frame(identifier, data))
-
-    def _put(self, frame: Frame) -> None:
-        self._out.append(frame)
-        if len(self._out) > QUEUE:
-            del self._out[0]
+        self._out.append(Frame(identifier, data))
 
     def _sender(self, identifier: int) -> Callable[[bytes], None]:
-        return lambda data: self._send(identifier, data)
+        put = self._out.append
+        return lambda data: put(Frame(identifier, data))
 
     def receive(self, frame: Frame, time: int) -> None:
         """Take a frame at `time` (µs); what is not for this node, or senseless, is ignored."""
@@ -207,7 +220,9 @@ class Node:
             self._configure()
         identifier, data, remote, extended = frame
         takers = (self._remote_routes if remote else self._data_routes).get(identifier)
-        if takers is None or extended or len(data) > 8 or self._switching(time):
+        if takers is None or extended or len(data) > 8:
+            return
+        if self.lss.bit_rate_switch is not None and self._switching(time):
             return
         for take in takers:
             take(data, time)
@@ -228,8 +243,6 @@ class Node:
         if counter is not None and self.state == NmtState.OPERATIONAL:
             self._receiver.sync()
             self._in_window += self._transmitter.sync(counter, time)
-            if len(self._in_window) > QUEUE:
-                del self._in_window[:-QUEUE]
 
     # ------------------------------------------------------------------ poll
 
@@ -237,45 +250,45 @@ class Node:
         """Frames to send at `time` (µs), in their order."""
         if self._version != self.drive.communication_version:
             self._configure()
-        if self._switching(time):
+        if self.lss.bit_rate_switch is not None and self._switching(time):
             return []
-        if self.state != NmtState.INITIALISING:
-            self._poll_services(time)
-        frames = self._out[:]
+        for poll in self._pollers:
+            poll(time)
+        frames = [*self._out]
         self._out.clear()
         return frames
 
-    def _poll_services(self, time: int) -> None:
-        for server in self._sdo.values():
-            server.poll(time)
-        self._watch(time)
-        if self.state == NmtState.OPERATIONAL:
-            self._receiver.poll(time)
-        if self._live & Service.EMCY:
-            self.emergency.poll(time)
+    def _heartbeat(self, time: int) -> None:
         if self.heartbeat.due(time):
             self._send(Base.ERROR_CONTROL + self.node_id, bytes([self.state]))
-        if self._live & Service.SYNC:
-            sync = self.sync.produce(time)
-            if sync is not None:
-                self._send(self.sync.identifier, sync)
-                self._sync(sync, time)
+
+    def _produce_sync(self, time: int) -> None:
+        data = self.sync.produce(time)
+        if data is not None:
+            self._send(self.sync.identifier, data)
+            self._sync(data, time)
+
+    def _flush_window(self, time: int) -> None:
         if self._in_window:
             if self.sync.open(time):
                 self._out += self._in_window
             self._in_window.clear()
-        if self.state == NmtState.OPERATIONAL:
-            self._transmitter.poll(time)
 
     def _watch(self, time: int) -> None:
         """Lost heartbeats and life guarding: 1029h for the node, 6007h for the drive."""
         lost = self.heartbeat_consumer.poll(time) | self.guarding.poll(time)
-        self._lost[0] = bool(self.heartbeat_consumer.lost) or self.guarding.lost
+        self._lost[0] = self._any_lost()
         if not lost:
             return
         state = _AFTER_ERROR.get(self.drive.objects.value(0x1029, 1))
         if state == NmtState.STOPPED or (state and self.state == NmtState.OPERATIONAL):
             self._enter(state)
+
+    def _watches(self) -> bool:
+        return self.heartbeat_consumer.monitors or self.guarding.monitors
+
+    def _any_lost(self) -> bool:
+        return bool(self.heartbeat_consumer.lost) or self.guarding.lost
 
     def _switching(self, time: int) -> bool:
         """Whether LSS is changing the bit rate: no frame is taken or given meanwhile."""

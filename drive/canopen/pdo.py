@@ -100,6 +100,11 @@ class Receiver:
 
     routes: list[Route]
 
+    @property
+    def monitors(self) -> bool:
+        """Whether an RPDO has a deadline."""
+        return bool(self._monitored)
+
     def _receive(self, rpdo: _Receive, data: bytes, time: int) -> None:
         """Take an RPDO; a short one is not used, of a long one the first bytes are."""
         if rpdo.deadline:
@@ -250,6 +255,11 @@ class Transmitter:
         self._by_event = [t for t, kind in kinds if kind in EVENT]
 
     routes: list[Route]  # of remote frames
+
+    @property
+    def has_events(self) -> bool:
+        """Whether a TPDO is sent without SYNC or request."""
+        return bool(self._by_event)
 
     def start(self) -> None:
         """On entering OPERATIONAL."""

@@ -15,6 +15,7 @@ TIME_OUT = 1_000_000  # µs between two frames of a transfer
 BLOCK_SIZE = 127  # segments a block
 LIMIT = 4096  # bytes a client may send for one object
 _HEAD = struct.Struct("<BHB")
+_ANSWER = struct.Struct("<BHB4s")
 
 
 class SdoServer:
@@ -65,7 +66,7 @@ class SdoServer:
         self._handler = None
 
     def _answer(self, command: int, index: int, subindex: int, data: bytes = b"") -> None:
-        self.send(_HEAD.pack(command, index, subindex) + data.ljust(4, b"\0"))
+        self.send(_ANSWER.pack(command, index, subindex, data))
 
     def _aborted(self, data: bytes) -> None:
         self._handler = None

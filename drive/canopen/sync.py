@@ -14,7 +14,7 @@ class Sync:
 
     def reset(self) -> None:
         """Forget the last SYNC; a producer begins with counter 1."""
-        self._produces = False
+        self.produces = False
         self._period = self._overflow = 0
         self._opened_at: int | None = None
         self.configure()
@@ -23,13 +23,13 @@ class Sync:
     def configure(self) -> None:
         """Read 1005h, 1006h, 1007h and 1019h; a producer starts or stops."""
         cob_id = self._objects.value(0x1005)
-        before = self._produces, self._period
+        before = self.produces, self._period
         self.identifier = cob_id & 0x7FF
         self._period = self._objects.value(0x1006)
-        self._produces = bool(cob_id & 0x4000_0000) and self._period > 0
+        self.produces = bool(cob_id & 0x4000_0000) and self._period > 0
         self._window = self._objects.value(0x1007)
         self._overflow = self._objects.value(0x1019)
-        if (self._produces, self._period) != before:
+        if (self.produces, self._period) != before:
             self.stop()
 
     def stop(self) -> None:
@@ -51,7 +51,7 @@ class Sync:
 
     def produce(self, time: int) -> bytes | None:
         """Data of the SYNC that is due at `time` (µs); None if none is."""
-        if not self._produces or (self._next is not None and time < self._next):
+        if not self.produces or (self._next is not None and time < self._next):
             return None
         self._next = (time if self._next is None else self._next) + self._period
         if self._next <= time:  # whoever polls this seldom loses some
