@@ -110,10 +110,10 @@ class ObjectDictionary:
             return slot, Abort.NONE
         return None, Abort.NO_SUBINDEX if index in self.indices else Abort.NO_OBJECT
 
-    def value(self, index: int, subindex: int = 0) -> int:
-        """Value of a communication object, 0 where the model does not have it."""
+    def value(self, index: int, subindex: int = 0, default: int = 0) -> int:
+        """Value of a communication object, `default` where the model does not have it."""
         slot = self.slots.get((index, subindex))
-        return int(slot.get()) if slot else 0
+        return int(slot.get()) if slot else default
 
     def read(self, index: int, subindex: int) -> tuple[bytes, Abort]:
         """SDO upload: the object's bytes, or an abort code."""

@@ -14,6 +14,7 @@ from enum import IntEnum
 from ..drive import Drive
 from ..faults import Cause, Reaction
 from ..record import HISTORY
+from .frame import Base
 
 COMMUNICATION = 0x11  # error register: generic and communication
 _FRAME = struct.Struct("<HB5x")
@@ -43,8 +44,9 @@ class Emergency:
         self.reset()
 
     def configure(self) -> None:
-        """Read 1014h and 1015h."""
-        cob_id = self._drive.objects.value(0x1014)
+        """Read 1014h and 1015h; a model without 1014h has the default identifier."""
+        default = Base.EMCY + self._drive.node_id
+        cob_id = self._drive.objects.value(0x1014, default=default)
         self._valid = not cob_id & 0x8000_0000
         self._identifier = cob_id & 0x7FF
         self._inhibit = self._drive.objects.value(0x1015) * 100

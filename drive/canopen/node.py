@@ -252,8 +252,11 @@ class Node:
             self._configure()
         if self.lss.bit_rate_switch is not None and self._switching(time):
             return []
-        for poll in self._pollers:
+        pollers = self._pollers
+        for poll in pollers:
             poll(time)
+            if pollers is not self._pollers:
+                break  # the NMT state has changed: what lives in the new one is next
         frames = [*self._out]
         self._out.clear()
         return frames
@@ -282,6 +285,8 @@ class Node:
             return
         state = _AFTER_ERROR.get(self.drive.objects.value(0x1029, 1))
         if state == NmtState.STOPPED or (state and self.state == NmtState.OPERATIONAL):
+            if self.state != NmtState.STOPPED:
+                self.emergency.poll(time)  # a stopped node could not tell (inferred)
             self._enter(state)
 
     def _watches(self) -> bool:

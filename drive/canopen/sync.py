@@ -2,6 +2,7 @@
 
 from ..drive import Drive
 from .emcy import Emergency, ErrorCode
+from .frame import Base
 
 
 class Sync:
@@ -22,7 +23,7 @@ class Sync:
 
     def configure(self) -> None:
         """Read 1005h, 1006h, 1007h and 1019h; a producer starts or stops."""
-        cob_id = self._objects.value(0x1005)
+        cob_id = self._objects.value(0x1005, default=Base.SYNC)
         before = self.produces, self._period
         self.identifier = cob_id & 0x7FF
         self._period = self._objects.value(0x1006)

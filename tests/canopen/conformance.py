@@ -1,5 +1,6 @@
 """A node driven by lists of frames: ``>`` to the node, ``<`` from it, ``+n`` n ms pass."""
 
+import random
 import struct
 
 from servogym.drive.canopen.frame import Frame, parse
@@ -59,6 +60,33 @@ def write(index, sub, value, size):
     address = f"{index & 0xFF:02X}{index >> 8:02X}{sub:02X}"
     data = value.to_bytes(4, "little").hex().upper()
     return f"> 601#{0x23 | 4 - size << 2:02X}{address}{data}\n< 581#60{address}00000000\n"
+
+
+def fuzz(cases, seed, frames, node_id=1):
+    """Random and mutated frames: no exception, no endless queue, no power not asked for."""
+    bus = Bus(node_id)
+    random_ = random.Random(seed)
+    known = [parse(line.split()[1]) for text in cases.values() for line in text.splitlines()
+             if line.strip().startswith(">") and "#" in line]  # fmt: skip
+    for n in range(frames):
+        frame = random_.choice(known)
+        if random_.random() < 0.7:
+            data = bytearray(frame.data)
+            for _ in range(random_.randint(1, 3)):
+                if data:
+                    data[random_.randrange(len(data))] = random_.randrange(256)
+            frame = frame._replace(data=bytes(data[: random_.choice((8, 8, 8, 7, 2, 0))]))
+        if random_.random() < 0.1:
+            frame = Frame(
+                random_.randrange(0x800), random_.randbytes(random_.randint(0, 8)),
+                random_.random() < 0.2, random_.random() < 0.1,
+            )  # fmt: skip
+        bus.time += random_.randrange(2000)
+        bus.node.receive(frame, bus.time)
+        if n % 4 == 0:
+            torque = bus.drive.cycle(0.0)
+            assert torque == 0.0 or bus.drive.energised
+        assert len(bus.node.poll(bus.time)) < 200
 
 
 OPERATIONAL = "> 000#0101\n< 181#5002\n"

@@ -6,15 +6,17 @@ revision 10000h, serial number 1.
 """
 
 import datetime
+import shutil
 import struct
 
 import pytest
-from conformance import OPERATIONAL, Bus, read, refuse, write
+from conformance import OPERATIONAL, Bus, fuzz, read, refuse, write
 
 from servogym.drive.canopen.frame import Frame
 from servogym.drive.canopen.node import NmtState, Node
 from servogym.drive.canopen.time_stamp import TimeOfDay
 from servogym.drive.drive import Drive
+from servogym.drive.model import load
 
 STATE, PARAMETER, INVALID = 0x08000022, 0x06040043, 0x06090030
 SELECT = """
@@ -301,7 +303,7 @@ ERROR_CONTROL = {
     + write(0x1029, 1, 2, 1)
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + OPERATIONAL
-    + "> 705#05\n+25\n> 701#R\n< 701#04\n> 000#8001\n< 081#3081110000000000",
+    + "> 705#05\n+25\n< 081#3081110000000000\n> 701#R\n< 701#04",
     "1029h: 3 is too high": refuse("2F29100103000000", 0x1029, 1, 0x06090031),
     "heartbeat: guarding is not answered meanwhile": write(0x1017, 0, 100, 2) + "< 701#7F\n> 701#R",
     "heartbeat: the boot-up message is the first": write(0x1017, 0, 10, 2)
@@ -500,3 +502,52 @@ def test_a_lost_heartbeat_tells_the_drive_until_it_is_back():
     assert bus.node.state == NmtState.PRE_OPERATIONAL
     bus.run("> 705#05\n< 081#0000000000000000")
     assert not bus.drive.axis.connection_lost
+
+
+@pytest.mark.parametrize("node_id", [1, 255])
+def test_fuzzed_frames_of_all_services_do_no_harm(node_id):
+    fuzz(CASES | UNCONFIGURED, 7, 3_000, node_id)
+
+
+@pytest.fixture
+def large_model(tmp_path):
+    """Generic with 512 PDOs each way, and without 1005h and 1014h."""
+    folder = tmp_path / "large"
+    shutil.copytree(load("generic").folder, folder)
+    pdos = "direction,number,cob_id,transmission_type,inhibit_time,position,index,subindex,bits"
+    rows = [f"{d},{n},0x80000000,255,0,,,,,," for d in ("rx", "tx") for n in range(1, 513)]
+    (folder / "pdo.csv").write_text("\n".join([pdos + ",note,section", *rows]) + "\n")
+    lines = (folder / "objects.csv").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if line[:6] not in ("0x1005", "0x1014")]
+    (folder / "objects.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return folder
+
+
+def test_all_of_512_pdos_are_found(large_model):
+    drive = Drive(large_model, node_id=1)
+    for n in range(512):
+        for communication, mapping, base, entry in (
+            (0x1400, 0x1600, 0x182, 0x60710010),
+            (0x1800, 0x1A00, 0x381, 0x60640020),
+        ):
+            drive.write(mapping + n, 1, entry)
+            drive.write(mapping + n, 0, 1)
+            drive.write(communication + n, 2, 1)
+            identifier = base + n % 120 if communication == 0x1400 else base + n % 500
+            drive.write(communication + n, 1, identifier)
+    node = Node(drive)
+    node.receive(Frame(0, b"\1\0"), 0)
+    node.poll(0)
+    node.receive(Frame(0x182 + 511 % 120, struct.pack("<h", 77)), 0)
+    node.receive(Frame(0x80), 0)
+    assert drive.read("target_torque") == 77
+    assert len(node.poll(0)) == 512
+
+
+def test_a_model_without_identifier_objects_has_the_default_ones(large_model):
+    drive = Drive(large_model, node_id=3)
+    node = Node(drive)
+    drive.inject("external")
+    drive.cycle(0.0)
+    assert [f.id for f in node.poll(0)] == [0x703, 0x083]
+    assert node.sync.identifier == 0x80
