@@ -22,6 +22,7 @@ from .hooks_ethercat import ASSIGNMENTS, assign
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .process_data import INVALID
+from .rows import Mapping as PdoMapping
 from .words import Command, Mode, State
 
 VERSION = 1  # of the snapshot layout
@@ -52,6 +53,7 @@ class Drive:
         parameter_file: str | Path | None = None,
     ):
         self.model = load(model)
+        self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self.node_id = node_id
@@ -124,11 +126,14 @@ class Drive:
         default: Any = slot.row.default
         return default + self.node_id if slot.row.per_node else default
 
+    def _default_cob_id(self, mapping: PdoMapping) -> int:
+        base, _, node = mapping.cob_id.partition("+")
+        return int(base, 0) + (self.node_id if node else 0)
+
     def _default_pdos(self) -> None:
         for pdos, mappings in ((self.rpdos, self.model.rpdos), (self.tpdos, self.model.tpdos)):
             for pdo, mapping in zip(pdos, mappings, strict=True):
-                base, _, node = mapping.cob_id.partition("+")
-                pdo.cob_id = int(base, 0) + (self.node_id if node else 0)
+                pdo.cob_id = self._default_cob_id(mapping)
                 pdo.transmission_type = mapping.transmission_type
                 pdo.inhibit_time = mapping.inhibit_time
                 pdo.event_timer = 0
@@ -140,10 +145,19 @@ class Drive:
                 ]
 
     def _parameters(self) -> store.Values:
+        """All storable values, but not identifiers that still follow from the node-id."""
+        follow = {
+            (base + number, 1): self._default_cob_id(mapping)
+            for base, mappings in ((0x1400, self.model.rpdos), (0x1800, self.model.tpdos))
+            for number, mapping in enumerate(mappings)
+        }
         return {
-            f"{index:04X}:{subindex:02X}": slot.get()  # type: ignore[misc]
+            f"{index:04X}:{subindex:02X}": value  # type: ignore[misc]
             for (index, subindex), slot in self.objects.slots.items()
-            if slot.row.storable and slot.view is not None
+            if slot.row.storable
+            and slot.view is not None
+            and (value := slot.get()) != follow.get((index, subindex))
+            and not (slot.row.per_node and value == self._default(slot))
         } | {
             f"{REACTION}:{main}": int(code) - 1
             for main, code in enumerate(self.axis.od.reaction_code)
@@ -170,7 +184,8 @@ class Drive:
         """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""
         stored = self._stored_parameters()
         for (index, _), slot in self.objects.slots.items():
-            if index < 0x2000 and slot.row.area == "axis" and slot.row.storable:
+            belongs = slot.row.storable or slot.row.per_node
+            if index < 0x2000 and slot.row.area == "axis" and belongs:
                 slot.put(self._default(slot))
         self._default_pdos()
         self._restore_parameters({a: v for a, v in stored.items() if a.startswith("1")})
@@ -231,7 +246,7 @@ class Drive:
         slot = self.objects.slot(index, subindex)
         if slot.row.access == "wo":
             raise SdoAbort(Abort.WRITE_ONLY, slot.row.index, slot.row.subindex)
-        return self.objects.value(slot)
+        return self.objects.shown(slot)
 
     def write(self, index: int | str, *arguments: int | float) -> None:
         """``write(index, subindex, value)`` or ``write(name, value)`` in drive units.
@@ -287,6 +302,7 @@ class Drive:
 
     def image_changed(self) -> None:
         """Forget what was derived from the PDO mapping."""
+        self.communication_version += 1
         self._layouts: dict[str, list[tuple[Slot, int]]] = {}
         self._sizes: dict[str, int] = {}
 

@@ -22,6 +22,8 @@ def run(axis):
     _set_points(axis)
     if axis.connection_lost and axis.od.abort_connection_option_code == 1:
         raise_fault(axis, Cause.CONNECTION)
+    if axis.rpdo_timeout:
+        raise_fault(axis, Cause.RPDO_TIMEOUT)
     if axis.injected != 0:
         for cause in range(1, FAULT_CAUSES):
             if axis.injected >> cause & 1:

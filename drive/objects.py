@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from .abort import Abort, SdoAbort
+from .communication import PDO_COB_ID, RULES, sdo_server
 from .hooks import HOOKS, WHEN
 from .process_data import DUMMY, DUMMY_BITS, ENTRIES, INVALID, MAX_BITS, parameter_place
 from .rows import Object
@@ -20,18 +21,23 @@ if TYPE_CHECKING:
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
 LAST_PDO_OBJECT = 0x1BFF
 TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
+SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 
 
 class Slot:
     """An object and where its bytes are."""
 
-    __slots__ = ("code", "offset", "row", "view")
+    __slots__ = ("code", "hook", "offset", "reads", "row", "view", "writable")
 
     def __init__(self, row: Object, view: memoryview | None, offset: int):
         self.row = row
         self.view = view
         self.offset = offset
         self.code = struct.Struct("<" + row.format)
+        self.writable = row.access not in ("ro", "const")
+        self.reads = HOOKS[row.hook].read if row.hook else None
+        self.hook = HOOKS[row.hook].write if row.hook else None
+        self.hook = self.hook or RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00)
 
     def get(self) -> int | float | str:
         """The value as it stands."""
@@ -101,6 +107,7 @@ class ObjectDictionary:
         }
         self.names = {slot.row.name: slot for slot in self.slots.values()}
         self.indices = {index for index, _ in self.slots}
+        self._changed = drive.axes["parameters_changed"][drive.index : drive.index + 1]
 
     def find(self, index: int, subindex: int) -> tuple[Slot | None, Abort]:
         """The slot of an object, or why there is none."""
@@ -109,36 +116,41 @@ class ObjectDictionary:
             return slot, Abort.NONE
         return None, Abort.NO_SUBINDEX if index in self.indices else Abort.NO_OBJECT
 
+    def value(self, index: int, subindex: int = 0, default: int = 0) -> int:
+        """Value of a communication object, `default` where the model does not have it."""
+        slot = self.slots.get((index, subindex))
+        return int(slot.get()) if slot else default
+
     def read(self, index: int, subindex: int) -> tuple[bytes, Abort]:
         """SDO upload: the object's bytes, or an abort code."""
-        slot, abort = self.find(index, subindex)
+        slot = self.slots.get((index, subindex))
         if slot is None:
-            return b"", abort
+            return b"", self.find(index, subindex)[1]
         if slot.row.access == "wo":
             return b"", Abort.WRITE_ONLY
-        value = self.value(slot)
+        value = self.shown(slot)
         return value.encode() if isinstance(value, str) else slot.code.pack(value), Abort.NONE
 
-    def value(self, slot: Slot) -> int | float | str:
+    def shown(self, slot: Slot) -> int | float | str:
         """Value of an object as a master reads it."""
-        hook = HOOKS[slot.row.hook].read if slot.row.hook else None
-        return hook(self, slot.row) if hook else slot.get()
+        return slot.reads(self, slot.row) if slot.reads else slot.get()
 
     def write(self, index: int, subindex: int, data: bytes) -> Abort:
         """SDO download: store the bytes, or return the abort code and change nothing."""
-        slot, abort = self.find(index, subindex)
+        slot = self.slots.get((index, subindex))
         if slot is None:
-            return abort
-        if slot.row.access in ("ro", "const"):
+            return self.find(index, subindex)[1]
+        if not slot.writable:
             return Abort.READ_ONLY
-        if slot.row.format and len(data) != slot.row.size:
-            return Abort.LENGTH_TOO_HIGH if len(data) > slot.row.size else Abort.LENGTH_TOO_LOW
+        size = slot.code.size  # 0: a string
+        if size and len(data) != size:
+            return Abort.LENGTH_TOO_HIGH if len(data) > size else Abort.LENGTH_TOO_LOW
         return self.store(slot, slot.code.unpack(data)[0])
 
     def store(self, slot: Slot, value: int | float) -> Abort:
         """Store a value of the right type after the checks of range, state and side effects."""
         row = slot.row
-        if row.access in ("ro", "const"):
+        if not slot.writable:
             return Abort.READ_ONLY
         if not value >= row.minimum:
             return Abort.VALUE_TOO_LOW
@@ -148,13 +160,14 @@ class ObjectDictionary:
             return Abort.INVALID_VALUE
         if row.when and not WHEN[row.when](self.drive):
             return Abort.DEVICE_STATE
-        hook = HOOKS[row.hook].write if row.hook else PDO_HOOKS.get(row.index & 0xFE00)
-        abort = hook(self, row, int(value)) if hook else Abort.NONE
+        abort = slot.hook(self, row, int(value)) if slot.hook else Abort.NONE
         if abort is Abort.STORED:
             return Abort.NONE
         if abort is Abort.NONE:
             slot.put(value)
-            self.drive.axis.parameters_changed = 1
+            self._changed[0] = 1
+            if row.index < 0x2000:
+                self.drive.communication_version += 1
         return abort
 
     def slot(self, index: int | str, subindex: int) -> Slot:
@@ -170,7 +183,7 @@ class ObjectDictionary:
         return slot
 
 
-PdoHook = Callable[[ObjectDictionary, Object, int], Abort]
+WriteHook = Callable[[ObjectDictionary, Object, int], Abort]
 
 
 def _pdo(od: ObjectDictionary, row: Object):
@@ -179,28 +192,14 @@ def _pdo(od: ObjectDictionary, row: Object):
     return pdos[row.index & 0x1FF], receive
 
 
-def _reserved(cob_id: int) -> bool:
-    """Identifiers CiA 301 keeps for other services."""
-    return any(
-        low <= cob_id <= high
-        for low, high in (
-            (0x000, 0x080), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF),
-            (0x701, 0x77F), (0x780, 0x7FF),
-        )
-    )  # fmt: skip
-
-
 def _communication(od: ObjectDictionary, row: Object, value: int) -> Abort:
     """1400h…/1800h…: the identifier may change only while the PDO is not valid."""
     pdo, receive = _pdo(od, row)
     if row.subindex == 1:
+        abort = PDO_COB_ID.check(int(pdo.cob_id), value)
         valid = not value & INVALID
-        if value & 0x2000_0000 or (value & 0x1FFF_F800):
-            return Abort.INVALID_VALUE  # 29-bit identifiers are not supported
-        if pdo.valid and valid and (value ^ int(pdo.cob_id)) & 0x3FFF_FFFF:
-            return Abort.DEVICE_STATE
-        if valid and _reserved(value & 0x7FF):
-            return Abort.INVALID_VALUE
+        if abort or (valid and value & 0x7FF == SYNC_ID):
+            return abort or Abort.INVALID_VALUE
         pdo.valid = valid
         od.drive.image_changed()
     elif row.subindex == 2:
@@ -261,7 +260,8 @@ def _compile(od: ObjectDictionary, pdo, receive: bool, count: int, fixed: bool =
     return Abort.NONE
 
 
-PDO_HOOKS: dict[int, PdoHook] = {
+RULES_OF_RANGES: dict[int, WriteHook] = {  # by index & FE00h
+    0x1200: sdo_server,
     0x1400: _communication,
     0x1600: _mapping,
     0x1800: _communication,

@@ -25,6 +25,8 @@ class Base(IntEnum):
     SDO_RESPONSE = 0x580
     SDO_REQUEST = 0x600
     ERROR_CONTROL = 0x700
+    LSS_RESPONSE = 0x7E4  # CiA 305; LSS has one identifier each way for all nodes
+    LSS_REQUEST = 0x7E5
 
 
 def parse(text: str) -> Frame:

@@ -1,43 +1,31 @@
-"""A CANopen node around one drive: NMT, SDO, PDO, SYNC, EMCY, heartbeat, guarding (CiA 301).
+"""A CANopen node around one drive: the switchboard of its communication services (CiA 301, 305).
 
 No input or output of its own: `receive` takes frames, `poll` gives them, and time (µs, an integer)
 is an argument of both. Whoever owns the node moves the frames and lets the drive's cycles pass.
+A frame finds its services by one look into a table that is made anew when a communication object
+or the NMT state has changed.
 """
 
-import struct
-from enum import IntEnum
+from collections import deque
+from collections.abc import Callable
 
 from ..drive import Drive
+from .emcy import Emergency
 from .frame import Base, Frame
-from .pdo import Receiver, Transmitter
+from .heartbeat import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
+from .lss import UNCONFIGURED, LssSlave, LssState
+from .nmt import LIVE, TARGET, NmtCommand, NmtState, Service
+from .pdo import Receiver, Route, Transmitter
 from .sdo import SdoServer
+from .sync import Sync
+from .time_stamp import TimeStamp
+
+__all__ = ["NmtCommand", "NmtState", "Node"]
 
 QUEUE = 1024  # frames; a node whose owner does not poll loses the oldest
-
-
-class NmtState(IntEnum):
-    """NMT states as heartbeat and guarding report them."""
-
-    INITIALISING = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
-
-
-class NmtCommand(IntEnum):
-    """NMT node control commands."""
-
-    START = 1
-    STOP = 2
-    ENTER_PRE_OPERATIONAL = 128
-    RESET_NODE = 129
-    RESET_COMMUNICATION = 130
-
-
-_TARGET = {
-    NmtCommand.START: NmtState.OPERATIONAL,
-    NmtCommand.STOP: NmtState.STOPPED,
-    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+_AFTER_ERROR = {  # 1029h:01, from OPERATIONAL for 0; 1: no change
+    0: NmtState.PRE_OPERATIONAL,
+    2: NmtState.STOPPED,
 }
 
 
@@ -45,161 +33,276 @@ class Node:
     """A drive on a CAN bus.
 
     Args:
-        drive: the drive; its `node_id` is the node's.
+        drive: the drive.
+        node_id: 1..127, or 255: none, the node waits until LSS gives it one. The drive's if left
+            out.
+
+    `bit_rate` (bit/s) is what LSS has asked for, None before; the owner of the bus has to follow.
+
+    Raises ValueError: node_id is out of range.
     """
 
-    def __init__(self, drive: Drive):
+    def __init__(self, drive: Drive, node_id: int | None = None):
+        node_id = drive.node_id if node_id is None else node_id
+        if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
+            raise ValueError(
+                f"node_id = {node_id} is out of range 1..127; 255 lets the node wait for LSS"
+            )
         self.drive = drive
-        self.node_id = drive.node_id
-        self._out: list[Frame] = []
-        self._sdo = SdoServer(
-            drive.objects, lambda data: self._send(Base.SDO_RESPONSE + self.node_id, data)
+        self.node_id = node_id
+        self.state = NmtState.INITIALISING
+        self.bit_rate: int | None = None
+        self._out: deque[Frame] = deque(maxlen=QUEUE)
+        self._in_window: deque[Frame] = deque(
+            maxlen=QUEUE
+        )  # synchronous TPDOs, dropped when the window closes
+        vendor, product, revision, serial = (drive.objects.value(0x1018, n) for n in range(1, 5))
+        self.lss = LssSlave(
+            (vendor, product, revision, serial), node_id, self._sender(Base.LSS_RESPONSE)
         )
-        self._receiver = Receiver(drive)
-        self._transmitters = [Transmitter(drive, n) for n in range(len(drive.tpdos))]
+        self.emergency = Emergency(drive, self._send)
+        self.sync = Sync(drive, self.emergency)
+        self.time_stamp = TimeStamp(drive)
+        self.heartbeat = HeartbeatProducer(drive)
+        self.heartbeat_consumer = HeartbeatConsumer(drive, self.emergency)
+        self.guarding = NodeGuarding(drive, self.emergency)
+        self._receiver = Receiver(drive, self.sync, self.emergency)
+        self._transmitter = Transmitter(drive, self._out.append)
+        self._resettable = (
+            self.emergency, self.sync, self.time_stamp, self.heartbeat, self.heartbeat_consumer,
+            self.guarding, self._receiver,
+        )  # fmt: skip
+        self._lost = drive.axes["connection_lost"][drive.index : drive.index + 1]
+        self._sdo: dict[int, SdoServer] = {}  # by number
+        if node_id not in (UNCONFIGURED, drive.node_id):
+            drive.node_id = node_id
+            drive.reset_communication()
         self._boot()
 
+    # ------------------------------------------------------------------- NMT
+
     def _boot(self) -> None:
-        """Reset: all services anew, boot-up message, PRE-OPERATIONAL."""
-        self._sdo.reset()
-        self._receiver.forget()
+        """Reset: all services anew, boot-up message, PRE-OPERATIONAL; LSS only without node-id."""
         self.state = NmtState.INITIALISING
-        self._guard_toggle = 0
-        self._guarded_at: int | None = None
-        self._heartbeat_at: int | None = None
-        self._heard: dict[int, int] = {}  # node-id -> time of its last heartbeat
-        self._errors = int(self.drive.axis.error_events)
-        self._emcy_at = -(1 << 62)
-        self._error_free = True
-        self.drive.axis.connection_lost = 0
-        self._send(Base.ERROR_CONTROL + self.node_id, b"\0")
-        self._enter(NmtState.PRE_OPERATIONAL)
+        self._lost[0] = 0
+        self._in_window.clear()
+        self._sdo.clear()
+        for service in self._resettable:
+            service.reset()
+        self._configure()
+        if self.node_id != UNCONFIGURED:
+            self._send(Base.ERROR_CONTROL + self.node_id, b"\0")
+            self._enter(NmtState.PRE_OPERATIONAL)
 
     def _enter(self, state: NmtState) -> None:
         if state == NmtState.OPERATIONAL and self.state != state:
-            for transmitter in self._transmitters:
-                transmitter.start()
+            self._transmitter.start()
         if state != NmtState.OPERATIONAL:
             self._receiver.forget()
+            self._in_window.clear()
         if state == NmtState.STOPPED:
-            self._sdo.reset()
+            self.sync.stop()
+            for server in self._sdo.values():
+                server.reset()
         self.state = state
+        self._connect()
 
-    def _send(self, identifier: int, data: bytes) -> None:
-        self._out.append(Frame(identifier, data))
-        if len(self._out) > QUEUE:
-            del self._out[0]
-
-    def _object(self, index: int, subindex: int = 0) -> int:
-        """Value of a communication object, 0 where the model does not have it."""
-        slot = self.drive.objects.slots.get((index, subindex))
-        return int(slot.get()) if slot else 0
-
-    # -------------------------------------------------------------- receive
-
-    def receive(self, frame: Frame, time: int) -> None:
-        """Take a frame at `time` (µs); what is not for this node, or senseless, is ignored."""
-        if frame.extended or len(frame.data) > 8:
-            return
-        if frame.remote:
-            self._remote(frame, time)
-        elif frame.id == Base.NMT:
-            self._nmt(frame.data)
-        elif self.state == NmtState.STOPPED:
-            self._hear(frame, time)
-        elif frame.id == self._object(0x1005) & 0x7FF:
-            self._sync(frame.data, time)
-        elif frame.id == Base.SDO_REQUEST + self.node_id:
-            if len(frame.data) == 8:
-                self._sdo.request(frame.data, time)
-        elif self.state == NmtState.OPERATIONAL and self._receiver.receive(frame):
-            pass
-        else:
-            self._hear(frame, time)
-
-    def _nmt(self, data: bytes) -> None:
+    def _nmt(self, data: bytes, time: int) -> None:
         if len(data) != 2 or data[1] not in (0, self.node_id):
             return
         if data[0] == NmtCommand.RESET_NODE:
+            self.lss.power_on()
+            self._take_node_id()
             self.drive.reset()
             self._boot()
         elif data[0] == NmtCommand.RESET_COMMUNICATION:
-            self.drive.reset_communication()
-            self._boot()
-        elif data[0] in _TARGET:
-            self._enter(_TARGET[NmtCommand(data[0])])
+            self._reset_communication()
+        elif data[0] in TARGET:
+            self._enter(TARGET[NmtCommand(data[0])])
+
+    def _reset_communication(self) -> None:
+        self._take_node_id()
+        self.drive.reset_communication()
+        self._boot()
+
+    def _take_node_id(self) -> None:
+        """The node-id that LSS has configured becomes the active one."""
+        self.node_id = self.lss.active_node_id = self.lss.node_id
+        if self.node_id != UNCONFIGURED:
+            self.drive.node_id = self.node_id
+
+    # ----------------------------------------------------------- switchboard
+
+    def _configure(self) -> None:
+        """Let the services read their objects, and connect their identifiers."""
+        self._version = self.drive.communication_version
+        for service in self._resettable:
+            service.configure()
+        self._lost[0] = self._any_lost()
+        self._transmitter.configure()
+        self._configure_sdo()
+        self._connect()
+
+    def _configure_sdo(self) -> None:
+        """Server 1 has the identifiers of the node-id, 1201h… are those whose objects are valid."""
+        objects, before = self.drive.objects, self._sdo
+        self._sdo = {}
+        self._sdo_requests: list[Route] = []
+        for number in range(128):
+            if number == 0:
+                request = Base.SDO_REQUEST + self.node_id
+                response = Base.SDO_RESPONSE + self.node_id
+            elif 0x1200 + number not in objects.indices:
+                break  # a model numbers them without a gap
+            else:
+                request, response = (objects.value(0x1200 + number, sub) for sub in (1, 2))
+            if (request | response) & 0x8000_0000:
+                continue
+            server = before.get(number) or SdoServer(objects)
+            server.send = self._sender(response & 0x7FF)
+            self._sdo[number] = server
+            self._sdo_requests.append((request & 0x7FF, server.request))
+
+    def _connect(self) -> None:
+        """Make the tables from identifier to service for the NMT state."""
+        routes: dict[Service, list[Route]] = {
+            Service.LSS: [(Base.LSS_REQUEST, self._lss)],
+            Service.NMT: [(Base.NMT, self._nmt)],
+            Service.ERROR_CONTROL: [
+                (Base.ERROR_CONTROL + node, take) for node, take in self.heartbeat_consumer.routes()
+            ],
+            Service.SYNC: [(self.sync.identifier, self._sync)],
+            Service.TIME: [(self.time_stamp.identifier, self.time_stamp.take)]
+            if self.time_stamp.consumes
+            else [],
+            Service.SDO: self._sdo_requests,
+            Service.PDO: self._receiver.routes,
+        }
+        remote: dict[Service, list[Route]] = {
+            Service.ERROR_CONTROL: [(Base.ERROR_CONTROL + self.node_id, self._guard)],
+            Service.PDO: self._transmitter.routes,
+        }
+        live = LIVE[self.state]
+        self._data_routes = self._table(routes, live)
+        self._remote_routes = self._table(remote, live)
+        pollers: tuple[tuple[Service, bool, Callable[[int], None]], ...] = (
+            *((Service.SDO, True, server.poll) for server in self._sdo.values()),
+            (Service.ERROR_CONTROL, self._watches(), self._watch),
+            (Service.PDO, self._receiver.monitors, self._receiver.poll),
+            (Service.EMCY, True, self.emergency.poll),
+            (Service.ERROR_CONTROL, self.heartbeat.produces, self._heartbeat),
+            (Service.SYNC, self.sync.produces, self._produce_sync),
+            (Service.PDO, True, self._flush_window),
+            (Service.PDO, self._transmitter.has_events, self._transmitter.poll),
+        )
+        self._pollers = [poll for service, used, poll in pollers if used and service & live]
+
+    def _table(
+        self, routes: dict[Service, list[Route]], live: Service
+    ) -> dict[int, list[Callable[[bytes, int], None]]]:
+        table: dict[int, list[Callable[[bytes, int], None]]] = {}
+        for service, pairs in routes.items():
+            if service & live:
+                for identifier, take in pairs:
+                    table.setdefault(identifier, []).append(take)
+        return table
+
+    def _send(self, identifier: int, data: bytes) -> None:
+        self._out.append(Frame(identifier, data))
+
+    def _sender(self, identifier: int) -> Callable[[bytes], None]:
+        put = self._out.append
+        return lambda data: put(Frame(identifier, data))
+
+    def receive(self, frame: Frame, time: int) -> None:
+        """Take a frame at `time` (µs); what is not for this node, or senseless, is ignored."""
+        if self._version != self.drive.communication_version:
+            self._configure()
+        identifier, data, remote, extended = frame
+        takers = (self._remote_routes if remote else self._data_routes).get(identifier)
+        if takers is None or extended or len(data) > 8:
+            return
+        if self.lss.bit_rate_switch is not None and self._switching(time):
+            return
+        for take in takers:
+            take(data, time)
+
+    def _lss(self, data: bytes, time: int) -> None:
+        self.lss.request(data, time)
+        waiting = self.lss.state == LssState.WAITING
+        if waiting and self.node_id == UNCONFIGURED and self.lss.node_id != UNCONFIGURED:
+            self._reset_communication()
+
+    def _guard(self, data: bytes, time: int) -> None:
+        answer = self.guarding.answer(self.state, time)
+        if answer is not None:
+            self._send(Base.ERROR_CONTROL + self.node_id, answer)
 
     def _sync(self, data: bytes, time: int) -> None:
-        if self.state != NmtState.OPERATIONAL or len(data) > 1:
-            return
-        self._receiver.sync()
-        counter = data[0] if data else 0
-        self._out += [f for t in self._transmitters if (f := t.sync(counter, time))]
+        counter = self.sync.take(data, time)
+        if counter is not None and self.state == NmtState.OPERATIONAL:
+            self._receiver.sync()
+            self._in_window += self._transmitter.sync(counter, time)
 
-    def _remote(self, frame: Frame, time: int) -> None:
-        if frame.id == Base.ERROR_CONTROL + self.node_id:
-            self._guarded_at = time
-            self._send(frame.id, bytes([self._guard_toggle | self.state]))
-            self._guard_toggle ^= 0x80
-        elif self.state == NmtState.OPERATIONAL:
-            self._out += [f for t in self._transmitters if (f := t.request(frame, time))]
-
-    def _hear(self, frame: Frame, time: int) -> None:
-        """Heartbeat of another node."""
-        node = frame.id - Base.ERROR_CONTROL
-        if 1 <= node <= 127 and len(frame.data) == 1:
-            self._heard[node] = time
-            self.drive.axis.connection_lost = 0
-
-    # ----------------------------------------------------------------- poll
+    # ------------------------------------------------------------------ poll
 
     def poll(self, time: int) -> list[Frame]:
         """Frames to send at `time` (µs), in their order."""
-        self._sdo.poll(time)
-        self._watch(time)
-        self._emergency(time)
-        self._heartbeat(time)
-        if self.state == NmtState.OPERATIONAL:
-            self._out += [f for t in self._transmitters if (f := t.poll(time))]
-        frames, self._out = self._out, []
+        if self._version != self.drive.communication_version:
+            self._configure()
+        if self.lss.bit_rate_switch is not None and self._switching(time):
+            return []
+        pollers = self._pollers
+        for poll in pollers:
+            poll(time)
+            if pollers is not self._pollers:
+                break  # the NMT state has changed: what lives in the new one is next
+        frames = [*self._out]
+        self._out.clear()
         return frames
 
     def _heartbeat(self, time: int) -> None:
-        period = self._object(0x1017) * 1000
-        if not period:
-            self._heartbeat_at = None
-        elif self._heartbeat_at is None or time - self._heartbeat_at >= period:
-            self._heartbeat_at = time
+        if self.heartbeat.due(time):
             self._send(Base.ERROR_CONTROL + self.node_id, bytes([self.state]))
 
-    def _watch(self, time: int) -> None:
-        """Heartbeat consumer 1016h and life guarding 100Ch, 100Dh; what happens: 1029h, 6007h."""
-        consumer = self._object(0x1016, 1)
-        node, limit = consumer >> 16 & 0x7F, (consumer & 0xFFFF) * 1000
-        lost = bool(limit) and node in self._heard and time - self._heard[node] > limit
-        if lost:
-            del self._heard[node]
-        life = self._object(0x100C) * self._object(0x100D) * 1000
-        if life and self._guarded_at is not None and time - self._guarded_at > life:
-            self._guarded_at, lost = None, True
-        if lost:
-            self.drive.axis.connection_lost = 1
-            if self.state == NmtState.OPERATIONAL and self._object(0x1029, 1) == 0:
-                self._enter(NmtState.PRE_OPERATIONAL)
+    def _produce_sync(self, time: int) -> None:
+        data = self.sync.produce(time)
+        if data is not None:
+            self._send(self.sync.identifier, data)
+            self._sync(data, time)
 
-    def _emergency(self, time: int) -> None:
-        """EMCY of a new fault or warning, and of the return to no error (1014h, 1015h)."""
-        axis = self.drive.axis
-        if self.state == NmtState.STOPPED or time - self._emcy_at < self._object(0x1015) * 100:
+    def _flush_window(self, time: int) -> None:
+        if self._in_window:
+            if self.sync.open(time):
+                self._out += self._in_window
+            self._in_window.clear()
+
+    def _watch(self, time: int) -> None:
+        """Lost heartbeats and life guarding: 1029h for the node, 6007h for the drive."""
+        lost = self.heartbeat_consumer.poll(time) | self.guarding.poll(time)
+        self._lost[0] = self._any_lost()
+        if not lost:
             return
-        events, register = int(axis.error_events), int(axis.od.error_register)
-        if events != self._errors:
-            self._errors, self._error_free = events, False
-            code = int(axis.od.error_code)
-        elif register == 0 and not self._error_free:
-            self._error_free, code = True, 0
-        else:
-            return
-        self._emcy_at = time
-        if not self._object(0x1014) & 0x8000_0000:
-            self._send(self._object(0x1014) & 0x7FF, struct.pack("<HB5x", code, register))
+        state = _AFTER_ERROR.get(self.drive.objects.value(0x1029, 1))
+        if state == NmtState.STOPPED or (state and self.state == NmtState.OPERATIONAL):
+            if self.state != NmtState.STOPPED:
+                self.emergency.poll(time)  # a stopped node could not tell (inferred)
+            self._enter(state)
+
+    def _watches(self) -> bool:
+        return self.heartbeat_consumer.monitors or self.guarding.monitors
+
+    def _any_lost(self) -> bool:
+        return bool(self.heartbeat_consumer.lost) or self.guarding.lost
+
+    def _switching(self, time: int) -> bool:
+        """Whether LSS is changing the bit rate: no frame is taken or given meanwhile."""
+        switch = self.lss.bit_rate_switch
+        if switch is None:
+            return False
+        if time >= switch.at:
+            self.bit_rate = switch.bit_rate
+        if time >= switch.resume:
+            self.lss.bit_rate_switch = None
+            return False
+        return True

@@ -15,14 +15,16 @@ TIME_OUT = 1_000_000  # µs between two frames of a transfer
 BLOCK_SIZE = 127  # segments a block
 LIMIT = 4096  # bytes a client may send for one object
 _HEAD = struct.Struct("<BHB")
+_ANSWER = struct.Struct("<BHB4s")
 
 
 class SdoServer:
-    """The default SDO server of a node; `send` takes the eight bytes of each response."""
+    """One SDO server of a node; `send` takes the eight bytes of each response."""
 
-    def __init__(self, objects: ObjectDictionary, send: Callable[[bytes], None]):
+    send: Callable[[bytes], None]
+
+    def __init__(self, objects: ObjectDictionary):
         self._objects = objects
-        self._send = send
         self.reset()
 
     def reset(self) -> None:
@@ -39,7 +41,9 @@ class SdoServer:
         self._last = 0
 
     def request(self, data: bytes, time: int) -> None:
-        """Take the eight bytes of a request at `time` (µs)."""
+        """Take the eight bytes of a request at `time` (µs); what is not eight long is ignored."""
+        if len(data) != 8:
+            return
         self._last = time
         if self._handler == self._download_block and data[0] != 0x80:
             self._download_block(data)
@@ -62,7 +66,7 @@ class SdoServer:
         self._handler = None
 
     def _answer(self, command: int, index: int, subindex: int, data: bytes = b"") -> None:
-        self._send(_HEAD.pack(command, index, subindex) + data.ljust(4, b"\0"))
+        self.send(_ANSWER.pack(command, index, subindex, data))
 
     def _aborted(self, data: bytes) -> None:
         self._handler = None
@@ -122,7 +126,7 @@ class SdoServer:
             if len(self._data) > LIMIT:
                 self._abort(Abort.LENGTH_TOO_HIGH)
             elif not data[0] & 1:
-                self._send(bytes([answer]) + bytes(7))
+                self.send(bytes([answer]) + bytes(7))
             elif self._size not in (None, len(self._data)):
                 self._abort(Abort.LENGTH)
             else:
@@ -154,7 +158,7 @@ class SdoServer:
             last = self._at >= len(self._data)
             command = self._toggle << 4 | (7 - len(part)) << 1 | last
             self._toggle ^= 1
-            self._send(bytes([command]) + part.ljust(7, b"\0"))
+            self.send(bytes([command]) + part.ljust(7, b"\0"))
             if last:
                 self._handler = None
 
@@ -189,7 +193,7 @@ class SdoServer:
         elif last or number >= BLOCK_SIZE:
             if last and number == self._sequence:
                 self._handler = self._end_block_download
-            self._send(bytes([0xA2, self._sequence, BLOCK_SIZE]) + bytes(5))
+            self.send(bytes([0xA2, self._sequence, BLOCK_SIZE]) + bytes(5))
             self._sequence = 0
 
     def _end_block_download(self, data: bytes) -> None:
@@ -222,7 +226,7 @@ class SdoServer:
             else:
                 unused = -len(self._data) % 7 if self._data else 7
                 crc = binascii.crc_hqx(self._data, 0)
-                self._send(struct.pack("<BH5x", 0xC1 | unused << 2, crc))
+                self.send(struct.pack("<BH5x", 0xC1 | unused << 2, crc))
         else:
             self._handler = None
 
@@ -244,7 +248,7 @@ class SdoServer:
         self._sequence = min(len(parts), self._block)
         for number, part in enumerate(parts[: self._block], 1):
             last = 0x80 if number == len(parts) else 0
-            self._send(bytes([last | number]) + part.ljust(7, b"\0"))
+            self.send(bytes([last | number]) + part.ljust(7, b"\0"))
 
 
 _SERVICES: dict[int, Callable[[SdoServer, bytes], None]] = {

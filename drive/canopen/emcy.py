@@ -1,0 +1,125 @@
+"""EMCY: emergency messages, error register 1001h and history 1003h (CiA 301, emergency object).
+
+Two kinds of errors meet here. Faults of the drive are entered in 1001h and 1003h by its control
+cycle. Communication errors are *conditions* that the services of the node report and clear; they
+are entered here and keep bit 4 of the error register set as long as one is present. Each entry of
+the history is sent once; a bit of the register that goes is told by an EMCY with the code 0.
+"""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Hashable
+from enum import IntEnum
+
+from ..drive import Drive
+from ..faults import Cause, Reaction
+from ..record import HISTORY
+from .frame import Base
+
+COMMUNICATION = 0x11  # error register: generic and communication
+_FRAME = struct.Struct("<HB5x")
+
+
+class ErrorCode(IntEnum):
+    """Emergency error codes of CiA 301 for communication."""
+
+    NONE = 0x0000
+    CONNECTION = 0x8130  # life guard error or heartbeat error
+    PDO_TOO_SHORT = 0x8210  # PDO not processed due to length error
+    PDO_TOO_LONG = 0x8220  # PDO length exceeded
+    SYNC_LENGTH = 0x8240  # unexpected SYNC data length
+    RPDO_TIMEOUT = 0x8250
+
+
+class Emergency:
+    """The EMCY producer of a node; `send` takes identifier and data of each message."""
+
+    def __init__(self, drive: Drive, send: Callable[[int, bytes], None]):
+        self._drive = drive
+        self._send = send
+        self._present: set[tuple[ErrorCode, Hashable]] = set()
+        own = slice(drive.index, drive.index + 1)
+        self._events = drive.axes["error_events"][own]
+        self._register = drive.axes["od"]["error_register"][own]
+        self.reset()
+
+    def configure(self) -> None:
+        """Read 1014h and 1015h; a model without 1014h has the default identifier."""
+        default = Base.EMCY + self._drive.node_id
+        cob_id = self._drive.objects.value(0x1014, default=default)
+        self._valid = not cob_id & 0x8000_0000
+        self._identifier = cob_id & 0x7FF
+        self._inhibit = self._drive.objects.value(0x1015) * 100
+
+    def reset(self) -> None:
+        """Begin anew: what has happened so far has been told, no condition is present."""
+        for code, source in [*self._present]:
+            self.clear(code, source)
+        self.configure()
+        self._seen = self._events.item(0)
+        self._told = self._register.item(0)
+        self._sent_at = -(1 << 62)
+        self._queue: deque[tuple[int, int]] = deque(maxlen=HISTORY)  # code, error register
+
+    def report(self, code: ErrorCode, source: Hashable, cause: Cause = Cause.NONE) -> None:
+        """A communication error is present, until `clear`.
+
+        It is entered in the history here, unless the control cycle will do so because `cause` is a
+        fault or a warning of the drive.
+        """
+        if (code, source) in self._present:
+            return
+        self._present.add((code, source))
+        if cause and self._drive_reports(cause):
+            return
+        od = self._drive.axis.od
+        od.error_field[1:] = od.error_field[:-1]
+        od.error_field[0] = od.error_code = int(code)
+        od.error_count = min(int(od.error_count) + 1, HISTORY)
+        od.error_register |= COMMUNICATION
+        self._drive.axis.error_events += 1
+
+    def _drive_reports(self, cause: Cause) -> bool:
+        axis = self._drive.axis
+        if cause is Cause.CONNECTION and axis.od.abort_connection_option_code != 1:
+            return False
+        reaction = axis.od.fault_reaction[cause]
+        return reaction != Reaction.IGNORE and (axis.fault == 0 or reaction == Reaction.WARNING)
+
+    def clear(self, code: ErrorCode, source: Hashable) -> None:
+        """A communication error is gone; with the last one bit 4 of the error register goes."""
+        if (code, source) not in self._present:
+            return
+        self._present.remove((code, source))
+        if not self._present:
+            axis = self._drive.axis
+            register = 0
+            for cause in Cause:
+                if cause and (axis.fault == cause or int(axis.warnings) >> cause & 1):
+                    register |= int(axis.fault_register[cause])
+            axis.od.error_register = register
+
+    def poll(self, time: int) -> None:
+        """Send what is new at `time` (µs), no faster than the inhibit time 1015h."""
+        events, register = self._events.item(0), self._register.item(0)
+        if events == self._seen and register == self._told and not self._queue:
+            return
+        if self._present and register & COMMUNICATION != COMMUNICATION:
+            register |= COMMUNICATION  # a fault reset of the drive has cleared it
+            self._register[0] = register
+        new = min(max(events - self._seen, 0), HISTORY)
+        self._seen = events
+        for code in reversed(self._drive.axis.od.error_field[:new].tolist()):
+            self._queue.append((code & 0xFFFF, register))
+        if time - self._sent_at < self._inhibit:
+            return
+        if self._queue:
+            code, self._told = self._queue.popleft()
+        elif self._told & ~register:
+            code, self._told = ErrorCode.NONE, register
+        else:
+            self._told = register
+            return
+        self._sent_at = time
+        if self._valid:
+            self._send(self._identifier, _FRAME.pack(code, self._told))

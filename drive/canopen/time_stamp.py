@@ -1,0 +1,58 @@
+"""TIME: consumer of the time stamp object (CiA 301, 1012h)."""
+
+import datetime
+import struct
+from typing import NamedTuple
+
+from ..drive import Drive
+
+_EPOCH = datetime.datetime(1984, 1, 1)
+_TIME_OF_DAY = struct.Struct("<IH")
+DAY = 86_400_000  # ms
+
+
+class TimeOfDay(NamedTuple):
+    """TIME_OF_DAY of CiA 301; without a time zone, as it came."""
+
+    days: int  # since 1984-01-01
+    milliseconds: int  # after midnight
+
+    def datetime(self) -> datetime.datetime:
+        """The same as a date of Python."""
+        return _EPOCH + datetime.timedelta(days=self.days, milliseconds=self.milliseconds)
+
+
+class TimeStamp:
+    """The TIME consumer of a node."""
+
+    def __init__(self, drive: Drive):
+        self._objects = drive.objects
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the time."""
+        self.last: TimeOfDay | None = None
+        self.received_at = 0  # µs, the node's time
+        self.configure()
+
+    def configure(self) -> None:
+        """Read 1012h."""
+        cob_id = self._objects.value(0x1012)
+        self.consumes = bool(cob_id & 0x8000_0000)
+        self.identifier = cob_id & 0x7FF
+
+    def take(self, data: bytes, time: int) -> None:
+        """A TIME message; one of another length, or beyond the end of the day, is not used."""
+        if len(data) != _TIME_OF_DAY.size:
+            return
+        milliseconds, days = _TIME_OF_DAY.unpack(data)
+        milliseconds &= 0x0FFF_FFFF  # four reserved bits
+        if milliseconds < DAY:
+            self.last, self.received_at = TimeOfDay(days, milliseconds), time
+
+    def now(self, time: int) -> TimeOfDay | None:
+        """Time of day at `time` (µs), going on from the last message; None before the first."""
+        if self.last is None:
+            return None
+        passed = self.last.milliseconds + (time - self.received_at) // 1000
+        return TimeOfDay(self.last.days + passed // DAY, passed % DAY)

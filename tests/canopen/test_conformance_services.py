@@ -1,0 +1,553 @@
+"""CiA 301 and 305 behaviour as lists of frames, second part: services beside SDO and PDO.
+
+``>`` to the node, ``<`` from it, ``+n`` n ms pass. The node has node-id 1, or 255 in the LSS cases
+that begin with "unconfigured", and has booted up. The identity is vendor-id 0, product code 402h,
+revision 10000h, serial number 1.
+"""
+
+import datetime
+import shutil
+import struct
+
+import pytest
+from conformance import OPERATIONAL, Bus, fuzz, read, refuse, write
+
+from servogym.drive.canopen.frame import Frame
+from servogym.drive.canopen.node import NmtState, Node
+from servogym.drive.canopen.time_stamp import TimeOfDay
+from servogym.drive.drive import Drive
+from servogym.drive.model import load
+
+STATE, PARAMETER, INVALID = 0x08000022, 0x06040043, 0x06090030
+SELECT = """
+> 7E5#4000000000000000
+> 7E5#4102040000000000
+> 7E5#4200000100000000
+> 7E5#4301000000000000
+< 7E4#4400000000000000
+"""
+CONFIGURE = "> 7E5#0401000000000000\n"
+WAIT = "> 7E5#0400000000000000\n"
+NO_FAULT = write(0x6007, 0, 0, 2)  # a lost connection is no fault of the drive
+
+LSS = {
+    "lss: waiting answers no inquiry": "> 7E5#5A00000000000000",
+    "lss: switch global": CONFIGURE + "> 7E5#5B00000000000000\n< 7E4#5B02040000000000",
+    "lss: switch back": CONFIGURE + WAIT + "> 7E5#5A00000000000000",
+    "lss: switch to an unknown mode": "> 7E5#0402000000000000\n> 7E5#5A00000000000000",
+    "lss: switch selective": SELECT + "> 7E5#5E00000000000000\n< 7E4#5E01000000000000",
+    "lss: switch selective, wrong serial number": """
+        > 7E5#4000000000000000
+        > 7E5#4102040000000000
+        > 7E5#4200000100000000
+        > 7E5#4302000000000000
+        > 7E5#5E00000000000000""",
+    "lss: switch selective, a message is missing": """
+        > 7E5#4000000000000000
+        > 7E5#4200000100000000
+        > 7E5#4301000000000000
+        > 7E5#5E00000000000000""",
+    "lss: inquire vendor-id": CONFIGURE + "> 7E5#5A00000000000000\n< 7E4#5A00000000000000",
+    "lss: inquire revision": CONFIGURE + "> 7E5#5C00000000000000\n< 7E4#5C00000100000000",
+    "lss: inquire serial number": CONFIGURE + "> 7E5#5D00000000000000\n< 7E4#5D01000000000000",
+    "lss: inquire node-id": CONFIGURE + "> 7E5#5E00000000000000\n< 7E4#5E01000000000000",
+    "lss: node-id acts after reset communication": CONFIGURE
+    + """
+        > 7E5#1105000000000000
+        < 7E4#1100000000000000
+        > 7E5#5E00000000000000
+        < 7E4#5E01000000000000
+        > 601#4000120100000000
+        < 581#4300120101060000
+        > 000#8201
+        < 705#00
+        > 601#4000120100000000
+        > 605#4000120100000000
+        < 585#4300120105060000
+        > 605#4014100000000000
+        < 585#4314100085000000
+        > 605#4001180100000000
+        < 585#43011801850200C0
+        > 000#0105
+        < 185#5002""",
+    "lss: node-id 0": CONFIGURE + "> 7E5#1100000000000000\n< 7E4#1101000000000000",
+    "lss: node-id 128": CONFIGURE + "> 7E5#1180000000000000\n< 7E4#1101000000000000",
+    "lss: node-id not stored is lost at reset node": CONFIGURE
+    + "> 7E5#1105000000000000\n< 7E4#1100000000000000\n> 000#8101\n< 701#00",
+    "lss: node-id stored survives reset node": CONFIGURE
+    + """
+        > 7E5#1105000000000000
+        < 7E4#1100000000000000
+        > 7E5#1700000000000000
+        < 7E4#1700000000000000
+        > 000#8101
+        < 705#00""",
+    "lss: node-id taken away": CONFIGURE
+    + "> 7E5#11FF000000000000\n< 7E4#1100000000000000\n> 000#8201\n> 000#0100\n> 701#R",
+    "lss: bit timing": CONFIGURE + "> 7E5#1300040000000000\n< 7E4#1300000000000000",
+    "lss: bit timing, another table": CONFIGURE + "> 7E5#1301000000000000\n< 7E4#1301000000000000",
+    "lss: bit timing reserved": CONFIGURE + "> 7E5#1300050000000000\n< 7E4#1301000000000000",
+    "lss: bit timing unknown": CONFIGURE + "> 7E5#13000A0000000000\n< 7E4#1301000000000000",
+    "lss: silence while the bit rate changes": CONFIGURE
+    + """
+        > 7E5#1300040000000000
+        < 7E4#1300000000000000
+        > 7E5#150A000000000000
+        +1
+        > 601#4041600000000000
+        +20
+        > 601#4041600000000000
+        < 581#4B41600050020000""",
+    "lss: activate without a bit timing": CONFIGURE
+    + "> 7E5#150A000000000000\n> 601#4041600000000000\n< 581#4B41600050020000",
+    "lss: identify": """
+        > 7E5#4600000000000000
+        > 7E5#4702040000000000
+        > 7E5#4800000000000000
+        > 7E5#4900000200000000
+        > 7E5#4A00000000000000
+        > 7E5#4B05000000000000
+        < 7E4#4F00000000000000""",
+    "lss: identify, serial number below the range": """
+        > 7E5#4600000000000000
+        > 7E5#4702040000000000
+        > 7E5#4800000000000000
+        > 7E5#4900000200000000
+        > 7E5#4A02000000000000
+        > 7E5#4B05000000000000""",
+    "lss: identify non-configured does not mean this node": "> 7E5#4C00000000000000",
+    "lss: fastscan does not mean this node": "> 7E5#5100000000800000",
+    "lss: seven bytes": "> 7E5#04010000000000\n> 7E5#5A00000000000000",
+    "lss: works in stopped": "> 000#0201\n" + SELECT,
+}
+UNCONFIGURED = {
+    "unconfigured: identify": "> 7E5#4C00000000000000\n< 7E4#5000000000000000",
+    "unconfigured: no nmt": "> 000#0100\n> 000#8200",
+    "unconfigured: no sdo": "> 601#4041600000000000\n> 6FF#4041600000000000",
+    "unconfigured: no guarding, no heartbeat": "> 7FF#R\n> 7FE#R\n+20",
+    "unconfigured: inquire node-id": CONFIGURE + "> 7E5#5E00000000000000\n< 7E4#5EFF000000000000",
+    "unconfigured: boots up when switched back to waiting": CONFIGURE
+    + "> 7E5#1109000000000000\n< 7E4#1100000000000000\n+3\n"
+    + WAIT
+    + "< 709#00\n> 609#4014100000000000\n< 589#4314100089000000",
+    "unconfigured: stays so without a node-id": CONFIGURE + WAIT + "+3",
+    "unconfigured: fastscan, nobody is like that": """
+        > 7E5#5100000000800000
+        < 7E4#4F00000000000000
+        > 7E5#5100000080000000""",
+    "unconfigured: fastscan, a field out of turn": """
+        > 7E5#5100000000800000
+        < 7E4#4F00000000000000
+        > 7E5#5100000000000100""",
+    "unconfigured: fastscan to the end": """
+        > 7E5#5100000000800000
+        < 7E4#4F00000000000000
+        > 7E5#51000000001F0000
+        < 7E4#4F00000000000000
+        > 7E5#5100000000000001
+        < 7E4#4F00000000000000
+        > 7E5#51020400000A0101
+        < 7E4#4F00000000000000
+        > 7E5#5102040000000102
+        < 7E4#4F00000000000000
+        > 7E5#5100000100000203
+        < 7E4#4F00000000000000
+        > 7E5#5101000000000300
+        < 7E4#4F00000000000000
+        > 7E5#1107000000000000
+        < 7E4#1100000000000000
+        > 7E5#0400000000000000
+        < 707#00""",
+}
+TIME = {
+    "time: producer bit": refuse("2312100000010040", 0x1012, 0, INVALID),
+    "time: identifier while in use": refuse("2312100001010080", 0x1012, 0, STATE),
+    "time: identifier after switching off": write(0x1012, 0, 0x100, 4)
+    + write(0x1012, 0, 0x8000_0200, 4),
+    "time: restricted identifier": write(0x1012, 0, 0x100, 4)
+    + refuse("2312100081050080", 0x1012, 0, INVALID),
+    "time: no answer": "> 100#0000000001000000\n> 100#000000000100",
+}
+SYNC = {
+    "sync: identifier of 29 bits": refuse("2305100080000020", 0x1005, 0, INVALID),
+    "sync: bits of 29 without bit 29": refuse("2305100080080000", 0x1005, 0, INVALID),
+    "sync: restricted identifier": refuse("2305100001060000", 0x1005, 0, INVALID),
+    "sync: identifier while producing": write(0x1005, 0, 0x4000_0080, 4)
+    + refuse("2305100081000040", 0x1005, 0, STATE),
+    "sync: producer": write(0x1006, 0, 5000, 4)
+    + write(0x1005, 0, 0x4000_0080, 4)
+    + "< 080#\n+4\n+1\n< 080#\n+5\n< 080#\n"
+    + write(0x1005, 0, 0x80, 4)
+    + "+20",
+    "sync: no producer without a period": write(0x1005, 0, 0x4000_0080, 4) + "+20",
+    "sync: producer with counter": write(0x1019, 0, 3, 1)
+    + write(0x1006, 0, 2000, 4)
+    + write(0x1005, 0, 0x4000_0080, 4)
+    + "< 080#01\n+2\n< 080#02\n+2\n< 080#03\n+2\n< 080#01",
+    "sync: producer rests in stopped and begins with 1": write(0x1019, 0, 3, 1)
+    + write(0x1006, 0, 2000, 4)
+    + write(0x1005, 0, 0x4000_0080, 4)
+    + "< 080#01\n+2\n< 080#02\n> 000#0201\n+9\n> 000#8001\n< 080#01",
+    "sync: producer's own synchronous pdos": write(0x1800, 2, 1, 1)
+    + write(0x1006, 0, 5000, 4)
+    + write(0x1005, 0, 0x4000_0080, 4)
+    + "< 080#\n> 000#0101\n+5\n< 080#\n< 181#5002",
+    "sync: counter 1": refuse("2F19100001000000", 0x1019, 0, INVALID),
+    "sync: counter 241": refuse("2F191000F1000000", 0x1019, 0, INVALID),
+    "sync: counter 255": refuse("2F191000FF000000", 0x1019, 0, INVALID),
+    "sync: counter 240": write(0x1019, 0, 240, 1),
+    "sync: counter changes only without a period": write(0x1006, 0, 1000, 4)
+    + refuse("2F19100005000000", 0x1019, 0, STATE),
+    "sync: counter is missing": write(0x1019, 0, 10, 1)
+    + OPERATIONAL
+    + "> 080#\n< 081#4082110000000000\n> 080#\n> 080#01\n< 081#0000000000000000",
+    "sync: wrong length is no sync": write(0x1800, 2, 1, 1)
+    + "> 000#0101\n> 080#05\n< 081#4082110000000000\n> 080#\n< 081#0000000000000000\n< 181#5002",
+    "sync: start value": write(0x1019, 0, 4, 1)
+    + write(0x1800, 1, 0xC000_0181, 4)
+    + write(0x1800, 6, 3, 1)
+    + write(0x1800, 2, 2, 1)
+    + write(0x1800, 1, 0x4000_0181, 4)
+    + "> 000#0101\n> 080#01\n> 080#02\n> 080#03\n< 181#5002\n> 080#04\n> 080#01\n< 181#5002",
+    "sync: start value while valid": refuse("2F00180603000000", 0x1800, 6, STATE),
+    "sync: rpdo after the window is not used": write(0x1007, 0, 3000, 4)
+    + write(0x1400, 2, 1, 1)
+    + OPERATIONAL
+    + "> 080#\n+4\n> 201#0600\n> 080#\n+2",
+    "sync: rpdo in the window is used": write(0x1007, 0, 3000, 4)
+    + write(0x1400, 2, 1, 1)
+    + OPERATIONAL
+    + "> 080#\n+3\n> 201#0600\n> 080#\n< 181#3102",
+    "sync: not live in stopped": write(0x1800, 2, 1, 1) + "> 000#0101\n> 000#0201\n> 080#",
+}
+RPDO = {
+    "rpdo: short, told once, then good": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n> 201#06\n> 201#0000\n< 081#0000000000000000",
+    "rpdo: long, then good": OPERATIONAL
+    + "> 201#000000\n< 081#2082110000000000\n> 201#0000\n< 081#0000000000000000",
+    "rpdo: empty": OPERATIONAL + "> 201#\n< 081#1082110000000000",
+    "rpdo: deadline does not run before the first": write(0x1400, 5, 10, 2) + OPERATIONAL + "+50",
+    "rpdo: deadline": write(0x1400, 5, 10, 2)
+    + write(0x2020, 13, 0, 1)
+    + OPERATIONAL
+    + "> 201#0000\n+10\n> 201#0000\n+11\n< 081#5082110000000000\n+30\n> 201#0000\n"
+    + "< 081#0000000000000000",
+    "rpdo: deadline is a fault of the drive": write(0x1400, 5, 10, 2)
+    + OPERATIONAL
+    + "> 201#0000\n+13\n< 081#5082110000000000\n< 181#1802\n"
+    + read(0x1003, 0, "4F03100001000000"),
+    "rpdo: deadline stops with operational": write(0x1400, 5, 10, 2)
+    + OPERATIONAL
+    + "> 201#0000\n> 000#8001\n+30",
+    "rpdo: two with one identifier": """
+        > 601#2301140101020080
+        < 581#6001140100000000
+        > 601#2301160120007A60
+        < 581#6001160100000000
+        > 601#2F01160001000000
+        < 581#6001160000000000
+        > 601#2F00140200000000
+        < 581#6000140200000000
+        > 601#2301140101020000
+        < 581#6001140100000000
+        > 000#0101
+        < 181#5002
+        > 201#39300000
+        < 081#2082110000000000
+        > 601#407A600000000000
+        < 581#437A600039300000""",
+    "rpdo: sync identifier": write(0x1401, 1, 0x8000_0301, 4)
+    + refuse("2301140180000000", 0x1401, 1, INVALID),
+    "rpdo: identifier of 29 bits": refuse("2301140101030020", 0x1401, 1, INVALID),
+}
+ERROR_CONTROL = {
+    "heartbeat consumer: a node-id twice": write(0x1016, 1, 5 << 16 | 20, 4)
+    + refuse("2316100214000500", 0x1016, 2, PARAMETER),
+    "heartbeat consumer: twice, but time 0": write(0x1016, 1, 5 << 16 | 20, 4)
+    + write(0x1016, 2, 5 << 16, 4),
+    "heartbeat consumer: the same entry again": write(0x1016, 1, 5 << 16 | 20, 4)
+    + write(0x1016, 1, 5 << 16 | 30, 4),
+    "heartbeat consumer: reserved bits": refuse("2316100114000501", 0x1016, 1, INVALID),
+    "heartbeat consumer: no ninth entry": refuse("2316100914000500", 0x1016, 9, 0x06090011),
+    "heartbeat consumer: waits for the first": write(0x1016, 1, 5 << 16 | 20, 4) + "+90",
+    "heartbeat consumer: any other node": write(0x1016, 1, 5 << 16 | 20, 4) + "> 706#05\n+90",
+    "heartbeat consumer: lost and heard again": NO_FAULT
+    + write(0x1016, 3, 5 << 16 | 20, 4)
+    + "> 705#05\n+20\n> 705#05\n+21\n< 081#3081110000000000\n+60\n"
+    + "> 705#05\n< 081#0000000000000000",
+    "heartbeat consumer: two lost, one heard again": NO_FAULT
+    + write(0x1016, 1, 5 << 16 | 20, 4)
+    + write(0x1016, 2, 6 << 16 | 30, 4)
+    + "> 705#05\n> 706#05\n+40\n< 081#3081110000000000\n< 081#3081110000000000\n"
+    + "> 705#05\n> 706#05\n< 081#0000000000000000",
+    "heartbeat consumer: lost is a fault of the drive": write(0x1016, 1, 5 << 16 | 20, 4)
+    + "> 705#05\n+25\n< 081#3081110000000000\n"
+    + read(0x603F, 0, "4B3F600030810000")
+    + "\n"
+    + read(0x1003, 0, "4F03100001000000"),
+    "heartbeat consumer: entry taken back": NO_FAULT
+    + write(0x1016, 1, 5 << 16 | 20, 4)
+    + "> 705#05\n+25\n< 081#3081110000000000\n"
+    + write(0x1016, 1, 0, 4)
+    + "< 081#0000000000000000",
+    "1029h: 0 leaves operational": NO_FAULT
+    + write(0x1016, 1, 5 << 16 | 20, 4)
+    + OPERATIONAL
+    + "> 705#05\n+25\n< 081#3081110000000000\n> 701#R\n< 701#7F",
+    "1029h: 1 changes nothing": NO_FAULT
+    + write(0x1029, 1, 1, 1)
+    + write(0x1016, 1, 5 << 16 | 20, 4)
+    + OPERATIONAL
+    + "> 705#05\n+25\n< 081#3081110000000000\n> 701#R\n< 701#05",
+    "1029h: 2 stops": NO_FAULT
+    + write(0x1029, 1, 2, 1)
+    + write(0x1016, 1, 5 << 16 | 20, 4)
+    + OPERATIONAL
+    + "> 705#05\n+25\n< 081#3081110000000000\n> 701#R\n< 701#04",
+    "1029h: 3 is too high": refuse("2F29100103000000", 0x1029, 1, 0x06090031),
+    "heartbeat: guarding is not answered meanwhile": write(0x1017, 0, 100, 2) + "< 701#7F\n> 701#R",
+    "heartbeat: the boot-up message is the first": write(0x1017, 0, 10, 2)
+    + "< 701#7F\n> 601#2310100173617665\n< 581#6010100100000000\n"
+    + "> 000#8201\n< 701#00\n+9\n+1\n< 701#7F",
+    "heartbeat: a new time starts at once": write(0x1017, 0, 50, 2)
+    + "< 701#7F\n+10\n"
+    + write(0x1017, 0, 20, 2)
+    + "< 701#7F\n+20\n< 701#7F",
+    "guarding: toggle begins with 0 after a reset": "> 701#R\n< 701#7F\n> 000#8201\n< 701#00\n"
+    + "> 701#R\n< 701#7F",
+    "guarding: life time starts with the first request": write(0x100C, 0, 20, 2)
+    + write(0x100D, 0, 2, 1)
+    + "+90",
+    "guarding: lost and resumed": NO_FAULT
+    + write(0x100C, 0, 20, 2)
+    + write(0x100D, 0, 2, 1)
+    + "> 701#R\n< 701#7F\n+41\n< 081#3081110000000000\n+90\n"
+    + "> 701#R\n< 701#FF\n< 081#0000000000000000",
+}
+EMCY = {
+    "emcy: identifier while valid": refuse("2314100082000000", 0x1014, 0, STATE),
+    "emcy: identifier after switching off": write(0x1014, 0, 0x8000_0081, 4)
+    + write(0x1014, 0, 0x82, 4)
+    + OPERATIONAL
+    + "> 201#06\n< 082#1082110000000000",
+    "emcy: switched off": write(0x1014, 0, 0x8000_0081, 4) + OPERATIONAL + "> 201#06",
+    "emcy: reserved bit": refuse("2314100081000040", 0x1014, 0, INVALID),
+    "emcy: identifier of 29 bits": refuse("2314100081000020", 0x1014, 0, INVALID),
+    "emcy: restricted identifier": write(0x1014, 0, 0x8000_0081, 4)
+    + refuse("2314100001060000", 0x1014, 0, INVALID),
+    "emcy: inhibit time": write(0x1015, 0, 100, 2)
+    + OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n> 080#01\n+9\n+1\n< 081#4082110000000000",
+    "emcy: history, newest first": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n> 080#01\n< 081#4082110000000000\n"
+    + read(0x1003, 0, "4F03100002000000")
+    + "\n"
+    + read(0x1003, 1, "4303100140820000")
+    + "\n"
+    + read(0x1003, 2, "4303100210820000"),
+    "emcy: history is cleared by 0 only": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n"
+    + refuse("2F03100001000000", 0x1003, 0, INVALID)
+    + "\n"
+    + write(0x1003, 0, 0, 1)
+    + read(0x1003, 0, "4F03100000000000"),
+    "emcy: error register has bit 4 and bit 0": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n"
+    + read(0x1001, 0, "4F01100011000000")
+    + "\n> 201#0000\n< 081#0000000000000000\n"
+    + read(0x1001, 0, "4F01100000000000"),
+    "emcy: one of two errors gone is not told": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n> 080#01\n< 081#4082110000000000\n> 080#\n"
+    + "> 201#0000\n< 081#0000000000000000",
+}
+SDO = {
+    "sdo server 2: off by default": "> 641#4041600000000000",
+    "sdo server 2": write(0x1201, 1, 0x480, 4)
+    + write(0x1201, 2, 0x481, 4)
+    + "> 480#4041600000000000\n< 481#4B41600050020000\n"
+    + read(0x6041, 0, "4B41600050020000"),
+    "sdo server 2: one identifier is not enough": write(0x1201, 1, 0x480, 4)
+    + "> 480#4041600000000000",
+    "sdo server 2: identifier while valid": write(0x1201, 1, 0x480, 4)
+    + refuse("2301120182040000", 0x1201, 1, STATE),
+    "sdo server 2: restricted identifier": refuse("2301120101060000", 0x1201, 1, INVALID),
+    "sdo server 2: dynamic": refuse("2301120180040040", 0x1201, 1, INVALID),
+    "sdo server 1: read only": refuse("2300120180040000", 0x1200, 1, 0x06010002),
+    "sdo server 2: a transfer of its own": write(0x1201, 1, 0x480, 4)
+    + write(0x1201, 2, 0x481, 4)
+    + """
+        > 601#4008100000000000
+        < 581#410810001E000000
+        > 480#4008100000000000
+        < 481#410810001E000000
+        > 601#6000000000000000
+        < 581#00736572766F6779
+        > 480#6000000000000000
+        < 481#00736572766F6779""",
+}
+STATES = {
+    "nmt: start twice": OPERATIONAL + "> 000#0101",
+    "nmt: stop, then start": "> 000#0201\n" + OPERATIONAL,
+    "nmt: stop from operational": OPERATIONAL + "> 000#0201\n> 701#R\n< 701#04",
+    "nmt: pre-operational from operational": OPERATIONAL + "> 000#8001\n> 701#R\n< 701#7F",
+    "nmt: reset communication in stopped": "> 000#0201\n> 000#8201\n< 701#00\n> 701#R\n< 701#7F",
+    "nmt: reset node in stopped": "> 000#0201\n> 000#8101\n< 701#00\n> 701#R\n< 701#7F",
+    "nmt: reset communication of all": OPERATIONAL + "> 000#8200\n< 701#00",
+    "nmt: stopped has no time": "> 000#0201\n> 100#000000000100",
+    "nmt: stopped keeps heartbeat consumption": NO_FAULT
+    + write(0x1016, 1, 5 << 16 | 20, 4)
+    + "> 705#05\n> 000#0201\n+30\n> 000#8001\n< 081#3081110000000000",
+    "nmt: as remote frame": "> 000#R\n> 701#R\n< 701#7F",
+    "nmt: reset communication keeps the profile": write(0x607A, 0, 5, 4)
+    + write(0x1017, 0, 0, 2)
+    + write(0x1006, 0, 7, 4)
+    + "> 000#8201\n< 701#00\n"
+    + read(0x607A, 0, "437A600005000000")
+    + "\n"
+    + read(0x1006, 0, "4306100000000000"),
+    "nmt: reset node brings defaults": write(0x607A, 0, 5, 4)
+    + "> 000#8101\n< 701#00\n"
+    + read(0x607A, 0, "437A600000000000"),
+}
+CASES = LSS | TIME | SYNC | RPDO | ERROR_CONTROL | EMCY | SDO | STATES
+
+
+@pytest.mark.parametrize("script", CASES.values(), ids=CASES.keys())
+def test_case(script):
+    Bus().run(script)
+
+
+@pytest.mark.parametrize("script", UNCONFIGURED.values(), ids=UNCONFIGURED.keys())
+def test_unconfigured(script):
+    Bus(255).run(script)
+
+
+def test_a_node_id_has_to_be_one():
+    with pytest.raises(ValueError, match=r"node_id = 200 is out of range 1..127"):
+        Node(Drive(), 200)
+
+
+def test_the_owner_learns_the_bit_rate_after_the_first_delay():
+    bus = Bus()
+    bus.run(CONFIGURE + "> 7E5#1300040000000000\n< 7E4#1300000000000000\n> 7E5#1505000000000000")
+    bus.wait(4)
+    assert bus.node.bit_rate is None
+    bus.wait(1)
+    assert bus.node.bit_rate == 125_000
+
+
+def test_a_stored_identifier_that_follows_the_node_id_moves_with_it():
+    bus = Bus()
+    bus.run("> 601#2310100173617665\n< 581#6010100100000000")
+    bus.drive.node_id = 9
+    bus.drive.reset_communication()
+    assert bus.drive.read("cob_id_emcy") == 0x89
+    assert bus.drive.read(0x1400, 1) == 0x209
+
+
+def test_a_stored_identifier_of_its_own_stays():
+    bus = Bus()
+    bus.run(write(0x1014, 0, 0x8000_0081, 4) + write(0x1014, 0, 0xA5, 4))
+    bus.run("> 601#2310100173617665\n< 581#6010100100000000")
+    bus.drive.node_id = 9
+    bus.drive.reset_communication()
+    assert bus.drive.read("cob_id_emcy") == 0xA5
+
+
+def test_time_is_kept_and_goes_on():
+    bus = Bus()
+    data = struct.pack("<IH", 86_399_500 | 0xF000_0000, 14_610)
+    assert bus.node.time_stamp.now(0) is None
+    bus.run(f"> 100#{data.hex()}")
+    now = bus.node.time_stamp.now(bus.time + 1_500_000)
+    assert now == TimeOfDay(14_611, 1000)
+    assert now.datetime() == datetime.datetime(2024, 1, 2, 0, 0, 1)
+    bus.run("> 100#FFFFFF0F0100")
+    assert bus.node.time_stamp.last.days == 14_610, "a time after the end of the day is none"
+
+
+def test_synchronous_tpdos_that_are_late_are_dropped():
+    bus = Bus()
+    bus.run(write(0x1007, 0, 3000, 4) + write(0x1800, 2, 1, 1) + "> 000#0101")
+    for late, frames in ((3000, ["181#5002"]), (3001, [])):
+        bus.node.receive(Frame(0x80), bus.time)
+        bus.time += late
+        assert [*map(str, bus.node.poll(bus.time))] == frames
+
+
+def test_the_deadline_of_an_rpdo_disappears_with_the_rpdo():
+    bus = Bus()
+    bus.run(write(0x1400, 5, 10, 2) + write(0x2020, 13, 0, 1) + OPERATIONAL + "> 201#0000")
+    bus.wait(20)
+    assert bus.drive.axis.rpdo_timeout
+    bus.node.receive(Frame(0x601, bytes.fromhex("2300140101020080")), bus.time)
+    bus.node.poll(bus.time)
+    assert not bus.drive.axis.rpdo_timeout
+
+
+def test_remote_frames_without_a_poll_do_not_pile_up():
+    bus = Bus()
+    bus.run(write(0x1800, 1, 0xC000_0181, 4) + write(0x1800, 1, 0x181, 4) + OPERATIONAL)
+    for _ in range(3000):
+        bus.node.receive(Frame(0x181, remote=True), bus.time)
+        bus.node.receive(Frame(0x701, remote=True), bus.time)
+    assert len(bus.node.poll(bus.time)) <= 1024
+
+
+def test_a_lost_heartbeat_tells_the_drive_until_it_is_back():
+    bus = Bus()
+    bus.run(NO_FAULT + write(0x1016, 2, 5 << 16 | 20, 4) + OPERATIONAL + "> 705#05")
+    bus.wait(25)
+    assert bus.drive.axis.connection_lost
+    assert bus.node.state == NmtState.PRE_OPERATIONAL
+    bus.run("> 705#05\n< 081#0000000000000000")
+    assert not bus.drive.axis.connection_lost
+
+
+@pytest.mark.parametrize("node_id", [1, 255])
+def test_fuzzed_frames_of_all_services_do_no_harm(node_id):
+    fuzz(CASES | UNCONFIGURED, 7, 3_000, node_id)
+
+
+@pytest.fixture
+def large_model(tmp_path):
+    """Generic with 512 PDOs each way, and without 1005h and 1014h."""
+    folder = tmp_path / "large"
+    shutil.copytree(load("generic").folder, folder)
+    pdos = "direction,number,cob_id,transmission_type,inhibit_time,position,index,subindex,bits"
+    rows = [f"{d},{n},0x80000000,255,0,,,,,," for d in ("rx", "tx") for n in range(1, 513)]
+    (folder / "pdo.csv").write_text("\n".join([pdos + ",note,section", *rows]) + "\n")
+    lines = (folder / "objects.csv").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if line[:6] not in ("0x1005", "0x1014")]
+    (folder / "objects.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return folder
+
+
+def test_all_of_512_pdos_are_found(large_model):
+    drive = Drive(large_model, node_id=1)
+    for n in range(512):
+        for communication, mapping, base, entry in (
+            (0x1400, 0x1600, 0x182, 0x60710010),
+            (0x1800, 0x1A00, 0x381, 0x60640020),
+        ):
+            drive.write(mapping + n, 1, entry)
+            drive.write(mapping + n, 0, 1)
+            drive.write(communication + n, 2, 1)
+            identifier = base + n % 120 if communication == 0x1400 else base + n % 500
+            drive.write(communication + n, 1, identifier)
+    node = Node(drive)
+    node.receive(Frame(0, b"\1\0"), 0)
+    node.poll(0)
+    node.receive(Frame(0x182 + 511 % 120, struct.pack("<h", 77)), 0)
+    node.receive(Frame(0x80), 0)
+    assert drive.read("target_torque") == 77
+    assert len(node.poll(0)) == 512
+
+
+def test_a_model_without_identifier_objects_has_the_default_ones(large_model):
+    drive = Drive(large_model, node_id=3)
+    node = Node(drive)
+    drive.inject("external")
+    drive.cycle(0.0)
+    assert [f.id for f in node.poll(0)] == [0x703, 0x083]
+    assert node.sync.identifier == 0x80
