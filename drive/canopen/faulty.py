@@ -34,9 +34,10 @@ class Faults:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name in RATES and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{field.name} = {value!r} is out of range 0..1")
-            if field.name not in RATES and not (isinstance(value, int) and value > 0):
+            if field.name in RATES:
+                if not (isinstance(value, float | int) and 0.0 <= value <= 1.0):
+                    raise ValueError(f"{field.name} = {value!r} is out of range 0..1")
+            elif not (isinstance(value, int) and value > 0):
                 raise ValueError(f"{field.name} = {value!r} must be a whole number above 0 (µs)")
 
 

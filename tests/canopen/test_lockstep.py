@@ -4,10 +4,8 @@ import random
 import struct
 
 import can
-import pytest
 
 from servogym.drive.canopen.frame import Frame
-from servogym.drive.canopen.link import Loopback
 from servogym.drive.words import Mode, State
 from servogym.envs.linear_axis import linear_axis
 from servogym.training.can_link import CanLink
