@@ -75,7 +75,7 @@ class Loopback:
         start, winner = self._next()
         if winner is None:
             return None
-        return -(-(start + self._length(winner.queue[0][1])) // self._unit)
+        return -(-(start + self._length(winner.queue[0][2])) // self._unit)
 
     def advance(self, time: int) -> None:
         """Let pass all frames that are complete at `time`."""
@@ -101,16 +101,18 @@ class Loopback:
         waiting = [member for member in self._members if member.queue]
         if not waiting:
             return self._free, None
-        start = max(self._free, min(m.queue[0][0] for m in waiting) * self._unit)
+        start = max(self._free, min([m.queue[0][0] for m in waiting]) * self._unit)
+        if len(waiting) == 1:
+            return start, waiting[0]
         ready = [m for m in waiting if m.queue[0][0] * self._unit <= start]
         # two members with one identifier would destroy each other's frames; here the elder wins
-        return start, min(ready, key=lambda m: priority(m.queue[0][1]))
+        return start, min(ready, key=lambda m: m.queue[0][1])
 
     def _length(self, frame: Frame) -> int:
         return length(frame) * self._bit if self._bit else 0
 
     def _start(self, start: int, winner: "Member") -> None:
-        _, frame = winner.queue.popleft()
+        _, _, frame = winner.queue.popleft()
         duration = self._length(frame)
         self._free = start + duration
         self._busy += duration
@@ -122,13 +124,15 @@ class Member:
 
     def __init__(self, bus: Loopback):
         self._bus = bus
-        self.queue: deque[tuple[int, Frame]] = deque(maxlen=QUEUE)  # since when, what
+        self.queue: deque[tuple[int, int, Frame]] = deque(
+            maxlen=QUEUE
+        )  # since when, priority, what
         self.inbox: deque[Frame] = deque(maxlen=QUEUE)
 
     def send(self, frame: Frame, time: int) -> None:
         """Hand over a frame at `time`."""
         self._bus.lost += len(self.queue) == QUEUE
-        self.queue.append((time, frame))
+        self.queue.append((time, priority(frame), frame))
 
     def receive(self, time: int) -> list[Frame]:
         """The frames of the others that are complete at `time`."""

@@ -4,8 +4,13 @@ import random
 import struct
 
 import can
+import numpy as np
+import pytest
 
+from servogym.drive.canopen.bit_time import length
+from servogym.drive.canopen.faulty import Faults, Faulty
 from servogym.drive.canopen.frame import Frame
+from servogym.drive.canopen.link import Loopback
 from servogym.drive.words import Mode, State
 from servogym.envs.linear_axis import linear_axis
 from servogym.training.can_link import CanLink
@@ -111,3 +116,85 @@ def test_the_process_image_and_the_bus_carry_the_same_bytes_in_every_cycle(reque
     positions = [struct.unpack_from("<i", image, 2)[0] for image in at]
     assert max(positions) - min(positions) > 1000  # µm; it has moved
     assert struct.unpack_from("<H", at[-1])[0] & 0x6F == 0x27  # and has been enabled again
+
+
+def test_a_node_with_pdos_is_stepped_twice_a_millisecond_and_hears_its_neighbours():
+    lock_step = LockStep([axis(1), axis(2)], PERIOD)
+    master = lock_step.bus.join()
+    lock_step.nodes[1].drive.write("consumer_heartbeat_time_1", 1 << 16 | 20)
+    lock_step.nodes[0].drive.write("producer_heartbeat_time", 10)
+    master.send(Frame(0x000, b"\x01\x00"), 0)
+    lock_step.sync(50)
+    assert lock_step.time == 50_000
+    assert [int(node.drive.axis.cycle_count) for node in lock_step.nodes] == [100, 100]
+    assert not any(node.drive.axis.connection_lost for node in lock_step.nodes)
+    lock_step.nodes[0].drive.write("producer_heartbeat_time", 0)
+    lock_step.sync(50)
+    assert [int(node.drive.axis.connection_lost) for node in lock_step.nodes] == [0, 1]
+
+
+def faulty_run(seed):
+    """Two axes in csp behind a bad link -> all frames heard and the state of the drives."""
+    machines = [axis(1), axis(2)]
+    lock_step = LockStep(machines, PERIOD)
+    faults = Faults(drop=0.05, corrupt=0.05, delay=0.05, reorder=0.05, duplicate=0.05)
+    master = Faulty(lock_step.bus.join(), faults, np.random.default_rng(seed))
+    heard = []
+    for rpdos in commands(seed):
+        master.send(Frame(0x000, b"\x01\x00"), lock_step.time)
+        for base, data in zip((0x200, 0x300), rpdos, strict=True):
+            for node_id in (1, 2):
+                master.send(Frame(base + node_id, data), lock_step.time)
+        lock_step.sync()
+        heard += master.receive(lock_step.time)
+    return heard, [machine.snapshot() for machine in machines]
+
+
+def test_two_runs_are_the_same_bit_by_bit_also_behind_a_bad_link():
+    first, second = faulty_run(5), faulty_run(5)
+    assert first == second
+    assert len(first[0]) > 1000
+    assert faulty_run(6)[1] != first[1]
+
+
+def test_on_a_bus_with_a_bit_rate_the_answers_come_when_it_has_carried_them():
+    lock_step = LockStep([axis(1)], PERIOD, Loopback(1_000_000))
+    master = lock_step.bus.join()
+    master.send(Frame(0x000, b"\x01\x00"), 0)
+    lock_step.sync(3)
+    master.receive(lock_step.time)
+    begin = lock_step.time
+    lock_step.sync()
+    sync, *tpdos = master.receive(lock_step.time)
+    assert [frame.id for frame in (sync, *tpdos)] == [0x080, 0x181, 0x281]
+    bits = sum(map(length, (sync, *tpdos)))
+    assert bits < PERIOD
+    before = lock_step.bus.load(begin) * begin
+    assert lock_step.bus.load(lock_step.time) * lock_step.time - before == pytest.approx(bits)
+
+
+def test_eight_drives_with_four_pdos_each_millisecond_are_too_much_for_1_mbit():
+    lock_step = LockStep([axis(n) for n in range(1, 9)], PERIOD, Loopback(1_000_000))
+    master = lock_step.bus.join()
+    master.send(Frame(0x000, b"\x01\x00"), 0)
+    lock_step.sync(10)
+    late = 0
+    for _ in range(50):
+        for node_id in range(1, 9):
+            master.send(Frame(0x200 + node_id, bytes(7)), lock_step.time)
+            master.send(Frame(0x300 + node_id, bytes(4)), lock_step.time)
+        lock_step.sync()
+        late += len({f.id for f in master.receive(lock_step.time) if f.id > 0x180}) < 16
+    assert lock_step.bus.load(lock_step.time) > 0.9
+    assert late > 40
+
+
+@pytest.mark.parametrize("period", [0, 250, 1250])
+def test_a_period_that_is_no_multiple_of_the_cycle_is_refused(period):
+    with pytest.raises(ValueError, match=f"period = {period} µs is not a whole multiple .* 500 µs"):
+        LockStep([axis()], period)
+
+
+def test_two_drives_with_one_node_id_are_refused():
+    with pytest.raises(ValueError, match="each node needs a node-id of its own"):
+        LockStep([axis(1), axis(1)])
