@@ -48,6 +48,9 @@ class Traced:
 
     def __init__(self, link: Link, file: str):
         self._link = link
+        self._time = (
+            0  # µs; of the last line: what was received before a SYNC may be taken after it
+        )
         try:
             self._log = can.Logger(file)
         except ValueError as error:
@@ -65,8 +68,9 @@ class Traced:
             yield frame
 
     def _write(self, frame: Frame, time: int, received: bool) -> None:
+        self._time = max(self._time, time)
         message = to_message(frame)
-        message.timestamp, message.is_rx = time * 1e-6, received
+        message.timestamp, message.is_rx = self._time * 1e-6, received
         message.channel = 0
         self._log(message)
 

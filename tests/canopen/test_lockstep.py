@@ -9,38 +9,22 @@ import pytest
 
 from servogym.drive.canopen.bit_time import length
 from servogym.drive.canopen.faulty import Faults, Faulty
-from servogym.drive.canopen.frame import Frame
+from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.link import Loopback
 from servogym.drive.words import Mode, State
-from servogym.envs.linear_axis import linear_axis
-from servogym.training.can_link import CanLink
+from servogym.training.can_bench import axis_in_csp
+from servogym.training.can_link import CanLink, Traced
 from servogym.training.lockstep import LockStep
 from servogym.training.node import to_message
 
-RPDOS = [["controlword", "modes_of_operation", "target_position"], ["velocity_offset"]]
-TPDOS = [
-    ["statusword", "position_actual_value", "torque_actual_value"],
-    ["velocity_actual_value", "following_error_actual_value"],
-]
 PERIOD = 1000  # µs
 FAULT_AT, GONE_AT, RESET_AT, CYCLES = 400, 440, 450, 600
 
 
 def axis(node_id=1):
-    machine = linear_axis("generic")
+    machine = axis_in_csp(node_id, PERIOD)
     (drive,) = machine.drives.values()
-    drive.node_id = node_id
-    drive.reset_communication()
-    drive.map_pdos(RPDOS, TPDOS)
-    for n in range(2):
-        drive.write(0x1400 + n, 2, 1)
-        drive.write(0x1800 + n, 2, 1)
-    drive.write("interpolation_time_period_value", 1)
-    drive.write("interpolation_time_index", -3)
-    drive.write(
-        "following_error_window", 0xFFFF_FFFF
-    )  # off: after the fault the axis has to catch up
-    machine.reset(positions={"x": 0.1})
+    drive.write("following_error_window", 0xFFFF_FFFF)  # off: after the fault the axis catches up
     return machine
 
 
@@ -57,7 +41,7 @@ def commands(seed):
             target += speed
         yield (
             struct.pack("<Hbi", word, Mode.CYCLIC_SYNC_POSITION, target),
-            struct.pack("<i", random_.randint(-1000, 1000)),
+            struct.pack("<ih", random_.randint(-1000, 1000), random_.randint(-20, 20)),
         )
 
 
@@ -116,6 +100,27 @@ def test_the_process_image_and_the_bus_carry_the_same_bytes_in_every_cycle(reque
     positions = [struct.unpack_from("<i", image, 2)[0] for image in at]
     assert max(positions) - min(positions) > 1000  # µm; it has moved
     assert struct.unpack_from("<H", at[-1])[0] & 0x6F == 0x27  # and has been enabled again
+
+
+def test_sdo_is_answered_while_time_stands_still_between_syncs(request, tmp_path):
+    channel, log = f"lockstep-{id(request)}", tmp_path / "run.log"
+    lock_step = LockStep([axis(1), axis(2)], PERIOD)
+    with (
+        can.Bus(interface="virtual", channel=channel) as here,
+        can.Bus(interface="virtual", channel=channel) as there,
+    ):
+        link = Traced(CanLink(there), str(log))
+        for line in ("601#4000100000000000", "602#4000100000000000", "080#", "701#R"):
+            here.send(to_message(parse(line)))
+        lock_step.serve(link)
+        link.close()
+        answers = [str(frame) for frame in CanLink(here).receive(0)]
+    assert answers == [
+        "701#00", "702#00", "581#4300100092010200", "582#4300100092010200", "701#7F",
+    ]  # fmt: skip
+    assert lock_step.time == PERIOD
+    times = [line.split()[0] for line in log.read_text().splitlines()]
+    assert times == ["(0.000000)"] * 8 + ["(0.001000)"]  # the guarding answer follows the SYNC
 
 
 def test_a_node_with_pdos_is_stepped_twice_a_millisecond_and_hears_its_neighbours():
@@ -182,7 +187,7 @@ def test_eight_drives_with_four_pdos_each_millisecond_are_too_much_for_1_mbit():
     for _ in range(50):
         for node_id in range(1, 9):
             master.send(Frame(0x200 + node_id, bytes(7)), lock_step.time)
-            master.send(Frame(0x300 + node_id, bytes(4)), lock_step.time)
+            master.send(Frame(0x300 + node_id, bytes(6)), lock_step.time)
         lock_step.sync()
         late += len({f.id for f in master.receive(lock_step.time) if f.id > 0x180}) < 16
     assert lock_step.bus.load(lock_step.time) > 0.9
