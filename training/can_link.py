@@ -48,9 +48,7 @@ class Traced:
 
     def __init__(self, link: Link, file: str):
         self._link = link
-        self._time = (
-            0  # µs; of the last line: what was received before a SYNC may be taken after it
-        )
+        self._time = 0  # µs, of the last line: a frame may be older than the time it is taken at
         try:
             self._log = can.Logger(file)
         except ValueError as error:
