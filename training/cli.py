@@ -26,6 +26,7 @@ def _parser() -> argparse.ArgumentParser:
     bench = commands.add_parser("bench", help="cost of the drive beside mj_step, start times")
     bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     bench.add_argument("--repeat", type=int, default=200, help="pairs of blocks (200)")
+    bench.add_argument("--can", action="store_true", help="SDO servers, and drives in lock-step")
     bench.add_argument("--json", action="store_true", help="machine-readable")
     bench.set_defaults(run=_bench)
 
@@ -74,6 +75,10 @@ def _demo(options: argparse.Namespace, console: Console) -> int:
 def _bench(options: argparse.Namespace, console: Console) -> int:
     if options.repeat < 1:
         raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
+    if options.can:
+        from . import can_bench
+
+        return can_bench.run(options.repeat, options.json, console)
     from . import bench
 
     return bench.run(options.drive, options.repeat, options.json, console)
