@@ -53,6 +53,7 @@ class Drive:
         parameter_file: str | Path | None = None,
     ):
         self.model = load(model)
+        self.operational = False  # NMT state, told by the node
         self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
@@ -151,18 +152,18 @@ class Drive:
             for base, mappings in ((0x1400, self.model.rpdos), (0x1800, self.model.tpdos))
             for number, mapping in enumerate(mappings)
         }
-        return {
+        values: store.Values = {
             f"{index:04X}:{subindex:02X}": value  # type: ignore[misc]
             for (index, subindex), slot in self.objects.slots.items()
             if slot.row.storable
             and slot.view is not None
             and (value := slot.get()) != follow.get((index, subindex))
             and not (slot.row.per_node and value == self._default(slot))
-        } | {
-            f"{REACTION}:{main}": int(code) - 1
-            for main, code in enumerate(self.axis.od.reaction_code)
-            if code
         }
+        for main, code in enumerate(self.axis.od.reaction_code.tolist()):
+            if code:
+                values[f"{REACTION}:{main}"] = code - 1
+        return values
 
     def _stored_parameters(self) -> store.Values:
         if self.parameter_file is not None:

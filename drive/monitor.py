@@ -24,6 +24,8 @@ def run(axis):
         raise_fault(axis, Cause.CONNECTION)
     if axis.rpdo_timeout:
         raise_fault(axis, Cause.RPDO_TIMEOUT)
+    if axis.rpdo_too_short:
+        raise_fault(axis, Cause.RPDO_TOO_SHORT)
     if axis.injected != 0:
         for cause in range(1, FAULT_CAUSES):
             if axis.injected >> cause & 1:

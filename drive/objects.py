@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
 LAST_PDO_OBJECT = 0x1BFF
 TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
+NO_RTR = 0x4000_0000  # bit 30 of a PDO's identifier
 SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 
 
@@ -166,7 +167,7 @@ class ObjectDictionary:
         if abort is Abort.NONE:
             slot.put(value)
             self._changed[0] = 1
-            if row.index < 0x2000:
+            if row.index < 0x2018:  # with the transmit masks of some models
                 self.drive.communication_version += 1
         return abort
 
@@ -195,13 +196,23 @@ def _pdo(od: ObjectDictionary, row: Object):
 def _communication(od: ObjectDictionary, row: Object, value: int) -> Abort:
     """1400h…/1800h…: the identifier may change only while the PDO is not valid."""
     pdo, receive = _pdo(od, row)
+    model = od.drive.model
+    if model.quirk("pdo_needs_stop") and (od.drive.operational or (row.subindex > 1 and pdo.valid)):
+        return Abort.DEVICE_STATE
     if row.subindex == 1:
-        abort = PDO_COB_ID.check(int(pdo.cob_id), value)
-        valid = not value & INVALID
+        old, valid = int(pdo.cob_id), not value & INVALID
+        abort = PDO_COB_ID.check(old, value)
         if abort or (valid and value & 0x7FF == SYNC_ID):
             return abort or Abort.INVALID_VALUE
-        pdo.valid = valid
+        if model.quirk("identifier_needs_valid_bit"):
+            if valid and (value ^ old) & 0x7FF:
+                return Abort.DEVICE_STATE  # another identifier only together with bit 31
+            value |= NO_RTR
+            pdo.cob_id = value
+        pdo.valid = valid and (pdo.count > 0 or not model.quirk("pdo_needs_stop"))
         od.drive.image_changed()
+        if model.quirk("identifier_needs_valid_bit"):
+            return Abort.STORED
     elif row.subindex == 2:
         only_transmit = value in (252, 253)
         if 241 <= value <= 251 or (receive and only_transmit):
@@ -214,7 +225,7 @@ def _communication(od: ObjectDictionary, row: Object, value: int) -> Abort:
 def _mapping(od: ObjectDictionary, row: Object, value: int) -> Abort:
     """1600h…/1A00h…: PDO not valid, then sub 0 = 0, then the entries, then sub 0 = their number."""
     pdo, receive = _pdo(od, row)
-    if pdo.valid:
+    if pdo.valid or (od.drive.operational and od.drive.model.quirk("pdo_needs_stop")):
         return Abort.DEVICE_STATE
     if row.subindex == 0:
         return _compile(od, pdo, receive, value)

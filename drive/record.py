@@ -321,6 +321,7 @@ FIELDS = (
     ("enable_input", "u1", "", "1 = the controller may be enabled"),
     ("sto_input", "u1", "", "1 = torque is allowed, 0 = safe torque off"),
     ("connection_lost", "u1", "", "1 = the bus says so, option code 6007h acts"),
+    ("rpdo_too_short", "u1", "", "1 = the bus says so: an RPDO had too few bytes"),
     ("rpdo_timeout", "u1", "", "1 = the bus says so: an RPDO's event timer has run out"),
     ("injected", "i8", "", "bit n: cause n is forced to be present"),
     ("index_missing", "u1", "", "injected: no index pulse comes"),

@@ -4,6 +4,8 @@ import pytest
 
 from conftest import Shaft
 from servogym.drive.abort import Abort, SdoAbort
+from servogym.drive.canopen.frame import parse
+from servogym.drive.canopen.node import Node
 from servogym.drive.homing import HomingError, Progress
 from servogym.drive.words import State
 
@@ -386,3 +388,100 @@ def test_the_range_needs_a_mode(shaft):
         shaft.step()
         assert shaft.axis.range > 0
         assert shaft.axis.turn_option == option
+
+
+# ------------------------------------------------------------------- on the bus
+
+
+class Bus:
+    """A node of the family, PRE-OPERATIONAL, and the clock."""
+
+    def __init__(self, model):
+        self.shaft = Shaft(model)
+        self.drive = self.shaft.drive
+        self.node = Node(self.drive)
+        self.time = 0
+        self.run(1)
+
+    def run(self, milliseconds, *frames):
+        got = []
+        for text in frames:
+            self.node.receive(parse(text), self.time)
+        for _ in range(milliseconds):
+            self.time += 1000
+            self.shaft.step(2)
+            got += [str(frame) for frame in self.node.poll(self.time)]
+        return got
+
+    def sdo(self, index, subindex, value):
+        return self.drive.objects.store(self.drive.objects.slots[index, subindex], value)
+
+
+@pytest.fixture(params=MODELS)
+def bus(request):
+    return Bus(request.param)
+
+
+def test_a_pdo_is_set_up_only_while_it_is_off_and_the_node_not_operational(bus):
+    assert bus.sdo(0x1800, 1, 0x1C1) == Abort.DEVICE_STATE, "another identifier needs bit 31"
+    assert bus.sdo(0x1800, 1, 0x8000_01C1) == Abort.NONE
+    assert bus.drive.read(0x1800, 1) == 0xC000_01C1, "bit 30 always reads 1"
+    assert bus.sdo(0x1800, 1, 0x1C1) == Abort.NONE
+    assert bus.sdo(0x1800, 2, 1) == Abort.DEVICE_STATE, "it is on"
+    assert bus.sdo(0x1A00, 0, 0) == Abort.DEVICE_STATE
+    bus.run(1, "000#0101")
+    assert bus.sdo(0x1800, 1, 0x8000_01C1) == Abort.DEVICE_STATE, "the node is operational"
+
+
+def test_type_feh_sends_with_the_inhibit_time_as_period(bus):
+    for subindex, value in ((2, 0xFE), (3, 100), (1, 0x181)):
+        assert bus.sdo(0x1800, subindex, value) == Abort.NONE
+    assert len(bus.run(100, "000#0101")) == 10
+
+
+def test_type_ffh_sends_on_a_change_of_the_unmasked_bits(bus):
+    assert bus.sdo(0x2014, 1, 0x0008) == Abort.NONE
+    assert bus.sdo(0x1800, 1, 0x181) == Abort.NONE
+    assert len(bus.run(5, "000#0101")) == 1
+    bus.drive.write("controlword", 6)
+    assert bus.run(5) == [], "ready to switch on: bit 3 is as before"
+    bus.drive.inject("06-0")
+    frames = bus.run(5)
+    assert [frame for frame in frames if frame.startswith("181#")]
+    assert [frame for frame in frames if frame.startswith("081#2023")]
+
+
+def test_a_short_rpdo_is_fault_12_5(bus):
+    assert bus.sdo(0x1400, 1, 0x201) == Abort.NONE
+    bus.run(2, "000#0101")
+    frames = bus.run(3, "201#06")
+    assert len(frames) == 1
+    assert frames[0].startswith("081#1082"), "8210h, the code of CiA 301"
+    assert bus.drive.axis.od.controlword == 0
+    assert bus.drive.axis.warnings or bus.drive.model.name == "metronix_ars2000"
+
+
+def test_sync_on_the_bus_lets_interpolated_position_start(bus):
+    bus.drive.write("interpolation_time_period_value", 5)
+    bus.drive.write(0x1010, 1, 0x65766173)
+    bus.run(1, "000#8101", "000#0101")
+    period = bus.drive.axis.interpolation_cycles * bus.drive.axis.position_period * 1e3
+    assert period == pytest.approx(5, abs=0.3)
+    if bus.drive.model.name == "metronix_ars2000":
+        return  # its 416 µs do not divide the test's clock
+    bus.shaft.enable(IP)
+    for _ in range(5):
+        bus.run(5, "080#")
+    assert bus.drive.read("modes_of_operation_display") == 7
+    bus.run(20)
+    assert bus.drive.read("modes_of_operation_display") == -1
+
+
+def test_node_guarding_begins_with_the_first_request(bus):
+    bus.sdo(0x100C, 0, 50)
+    bus.sdo(0x100D, 0, 1)
+    assert bus.run(200) == []
+    assert bus.run(1, "701#R") == ["701#7F"]
+    assert bus.run(40, "701#R") == ["701#FF"]
+    assert any(frame.startswith("081#3081") for frame in bus.run(60))
+    assert bus.drive.state == State.FAULT

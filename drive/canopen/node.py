@@ -72,7 +72,9 @@ class Node:
             self.emergency, self.sync, self.time_stamp, self.heartbeat, self.heartbeat_consumer,
             self.guarding, self._receiver,
         )  # fmt: skip
-        self._lost = drive.axes["connection_lost"][drive.index : drive.index + 1]
+        own = slice(drive.index, drive.index + 1)
+        self._lost = drive.axes["connection_lost"][own]
+        self._pulse = drive.axes["sync_pulse"][own]
         self._sdo: dict[int, SdoServer] = {}  # by number
         if node_id not in (UNCONFIGURED, drive.node_id):
             drive.node_id = node_id
@@ -84,6 +86,7 @@ class Node:
     def _boot(self) -> None:
         """Reset: all services anew, boot-up message, PRE-OPERATIONAL; LSS only without node-id."""
         self.state = NmtState.INITIALISING
+        self.drive.operational = False
         self._lost[0] = 0
         self._in_window.clear()
         self._sdo.clear()
@@ -105,6 +108,7 @@ class Node:
             for server in self._sdo.values():
                 server.reset()
         self.state = state
+        self.drive.operational = state == NmtState.OPERATIONAL
         self._connect()
 
     def _nmt(self, data: bytes, time: int) -> None:
@@ -240,6 +244,7 @@ class Node:
 
     def _sync(self, data: bytes, time: int) -> None:
         counter = self.sync.take(data, time)
+        self._pulse[0] = counter is not None
         if counter is not None and self.state == NmtState.OPERATIONAL:
             self._receiver.sync()
             self._in_window += self._transmitter.sync(counter, time)

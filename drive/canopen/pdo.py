@@ -18,13 +18,15 @@ from .. import process_data
 from ..drive import Drive
 from ..faults import Cause
 from ..jit import entry
+from ..objects import NO_RTR
 from .emcy import Emergency, ErrorCode
 from .frame import Frame
 from .sync import Sync
 
 SYNCHRONOUS = range(241)
 RTR_SYNC, RTR, EVENT = 252, 253, (254, 255)
-NO_RTR = 0x4000_0000  # bit 30 of a TPDO's COB-ID
+CYCLIC = 254  # in models with the quirk cyclic_event: the inhibit time is a period
+FIRST_MASK = 0x2014  # transmit masks of the first TPDO, in models that have them
 
 Route = tuple[int, Callable[[bytes, int], None]]  # identifier, who takes data and time
 
@@ -63,6 +65,7 @@ class Receiver:
         self._changed = drive.axes["parameters_changed"][own]
         self._synchronised = drive.axes["sync"][own]
         self._timed_out = drive.axes["rpdo_timeout"][own]
+        self._too_short = drive.axes["rpdo_too_short"][own]
         self.reset()
 
     def reset(self) -> None:
@@ -70,7 +73,8 @@ class Receiver:
         self._rpdos: dict[int, _Receive] = {}
         self._waiting: dict[int, _Receive] = {}
         self._late: set[int] = set()
-        self._timed_out[0] = 0
+        self._short: set[int] = set()
+        self._timed_out[0] = self._too_short[0] = 0
         self.configure()
 
     def configure(self) -> None:
@@ -112,11 +116,13 @@ class Receiver:
         if len(data) != rpdo.width:
             short = len(data) < rpdo.width
             rpdo.failed = True
-            self._emergency.report(
-                ErrorCode.PDO_TOO_SHORT if short else ErrorCode.PDO_TOO_LONG, rpdo.number
-            )
             if short:
+                self._short.add(rpdo.number)
+                self._too_short[0] = 1
+                cause = Cause.RPDO_TOO_SHORT
+                self._emergency.report(ErrorCode.PDO_TOO_SHORT, rpdo.number, cause)
                 return
+            self._emergency.report(ErrorCode.PDO_TOO_LONG, rpdo.number)
         elif rpdo.failed:
             self._recover(rpdo)
         if not rpdo.synchronous:
@@ -130,7 +136,9 @@ class Receiver:
         for code in (ErrorCode.PDO_TOO_SHORT, ErrorCode.PDO_TOO_LONG, ErrorCode.RPDO_TIMEOUT):
             self._emergency.clear(code, rpdo.number)
         self._late.discard(rpdo.number)
+        self._short.discard(rpdo.number)
         self._timed_out[0] = bool(self._late)
+        self._too_short[0] = bool(self._short)
 
     def _take(self, rpdo: _Receive, data: bytes, synchronous: int) -> None:
         drive = self._drive
@@ -174,10 +182,31 @@ class _Transmit:
         """Take over parameters; with another type or length the PDO begins anew."""
         self._identifier = cob_id & 0x7FF
         self._inhibit, self._timer, self._sync_start = inhibit * 100, timer * 1000, start
+        if kind == CYCLIC and self._drive.model.quirk("cyclic_event"):
+            self._timer = self._inhibit  # 0: not sent at all (inferred)
+            self._silent = True
+        else:
+            self._silent = False
+        self._mask = self._transmit_mask()
         if (kind, width) != (self.kind, self._width):
             self.kind, self._width = kind, width
             self._image = np.empty(width, np.uint8)
             self.start()
+
+    def _transmit_mask(self) -> int | None:
+        """Bits whose change sends the PDO: 2014h… of some models; None: all."""
+        if self.kind == CYCLIC or not self._drive.model.quirk("transmit_masks"):
+            return None
+        objects, index = self._drive.objects, FIRST_MASK + self._number
+        return objects.value(index, 1, 0xFFFF_FFFF) | objects.value(index, 2, 0xFFFF_FFFF) << 32
+
+    def _changed(self, data: bytes) -> bool:
+        if self._silent:
+            return False
+        if self._mask is None or self._last is None:
+            return data != self._last
+        now, before = (int.from_bytes(part, "little") for part in (data, self._last))
+        return bool((now ^ before) & self._mask)
 
     def start(self) -> None:
         """Begin anew, as on entering OPERATIONAL: event-driven PDOs are sent once."""
@@ -221,7 +250,7 @@ class _Transmit:
             return None
         data = self._content()
         due = self._timer and waited >= self._timer
-        return self._frame(data, time) if data != self._last or due else None
+        return self._frame(data, time) if due or self._changed(data) else None
 
     def request(self, time: int) -> Frame:
         """Answer to a remote frame (RTR)."""
