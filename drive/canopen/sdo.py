@@ -45,7 +45,7 @@ class SdoServer:
         if len(data) != 8:
             return
         self._last = time
-        if self._handler == self._download_block and data[0] != 0x80:
+        if self._handler and self._handler == self._download_block and data[0] != 0x80:
             self._download_block(data)
             return
         service = _SERVICES.get(data[0] >> 5)

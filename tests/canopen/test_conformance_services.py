@@ -285,6 +285,11 @@ ERROR_CONTROL = {
     + read(0x603F, 0, "4B3F600030810000")
     + "\n"
     + read(0x1003, 0, "4F03100001000000"),
+    "heartbeat consumer: two lost, one of them a fault of the drive": write(
+        0x1016, 1, 5 << 16 | 20, 4
+    )
+    + write(0x1016, 2, 6 << 16 | 20, 4)
+    + "> 705#05\n> 706#05\n+25\n< 081#3081110000000000\n< 081#3081110000000000",
     "heartbeat consumer: entry taken back": NO_FAULT
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + "> 705#05\n+25\n< 081#3081110000000000\n"
