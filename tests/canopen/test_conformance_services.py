@@ -260,6 +260,50 @@ RPDO = {
     + refuse("2301140180000000", 0x1401, 1, INVALID),
     "rpdo: identifier of 29 bits": refuse("2301140101030020", 0x1401, 1, INVALID),
 }
+CONTROLWORD, TARGET = 0x60400010, 0x607A0020  # as entries of a mapping
+MAPPING = {
+    "mapping: two objects": write(0x1601, 1, CONTROLWORD, 4)
+    + write(0x1601, 2, TARGET, 4)
+    + write(0x1601, 0, 2, 1)
+    + write(0x1401, 1, 0x301, 4)
+    + OPERATIONAL
+    + "> 301#060039300000\n< 181#3102\n"
+    + read(0x607A, 0, "437A600039300000"),
+    "mapping: dummy": write(0x1601, 1, 0x00060010, 4)
+    + write(0x1601, 2, TARGET, 4)
+    + write(0x1601, 0, 2, 1)
+    + write(0x1401, 1, 0x301, 4)
+    + OPERATIONAL
+    + "> 301#FFFF39300000\n"
+    + read(0x607A, 0, "437A600039300000"),
+    "mapping: dummy in a tpdo": refuse("23011A0110000600", 0x1A01, 1, 0x06040041),
+    "mapping: dummy of another length": refuse("2301160120000600", 0x1601, 1, 0x06040041),
+    "mapping: more than 64 bits": write(0x1601, 1, TARGET, 4)
+    + write(0x1601, 2, TARGET, 4)
+    + write(0x1601, 3, CONTROLWORD, 4)
+    + refuse("2F01160003000000", 0x1601, 0, 0x06040042),
+    "mapping: more entries than there are": refuse("2F01160011000000", 0x1601, 0, 0x06040042),
+    "mapping: another length than the object's": refuse("2301160120004060", 0x1601, 1, 0x06040041),
+    "mapping: no such object": refuse("2301160110000070", 0x1601, 1, 0x06020000),
+    "mapping: no such sub-index": refuse("2301160120097D60", 0x1601, 1, 0x06090011),
+    "mapping: entries change only while their number is 0": write(0x1601, 1, CONTROLWORD, 4)
+    + write(0x1601, 0, 1, 1)
+    + refuse("2301160120007A60", 0x1601, 1, STATE),
+    "mapping: tpdo": write(0x1A01, 1, 0x60640020, 4)
+    + write(0x1A01, 0, 1, 1)
+    + write(0x1801, 1, 0x4000_0281, 4)
+    + "> 000#0101\n< 181#5002\n< 281#00000000",
+    "tpdo: on request only": write(0x1800, 1, 0xC000_0181, 4)
+    + write(0x1800, 2, 253, 1)
+    + write(0x1800, 1, 0x181, 4)
+    + "> 000#0101\n+20\n> 181#R\n< 181#5002",
+    "tpdo: type 240": write(0x1800, 2, 240, 1),
+    "tpdo: type 251 is reserved": refuse("2F001802FB000000", 0x1800, 2, INVALID),
+    "tpdo: made valid in operational is sent": write(0x1800, 1, 0xC000_0181, 4)
+    + "> 000#0101\n> 601#2300180181010040\n< 581#6000180100000000\n< 181#5002",
+    "pdo: sub-index 4 is reserved": refuse("4000140400000000", 0x1400, 4, 0x06090011),
+    "pdo: there are four": refuse("4004140000000000", 0x1404, 0, 0x06020000),
+}
 ERROR_CONTROL = {
     "heartbeat consumer: a node-id twice": write(0x1016, 1, 5 << 16 | 20, 4)
     + refuse("2316100214000500", 0x1016, 2, PARAMETER),
@@ -414,7 +458,7 @@ STATES = {
     + "> 000#8101\n< 701#00\n"
     + read(0x607A, 0, "437A600000000000"),
 }
-CASES = LSS | TIME | SYNC | RPDO | ERROR_CONTROL | EMCY | SDO | STATES
+CASES = LSS | TIME | SYNC | RPDO | MAPPING | ERROR_CONTROL | EMCY | SDO | STATES
 
 
 @pytest.mark.parametrize("script", CASES.values(), ids=CASES.keys())
