@@ -405,6 +405,9 @@ EMCY = {
     + read(0x1001, 0, "4F01100011000000")
     + "\n> 201#0000\n< 081#0000000000000000\n"
     + read(0x1001, 0, "4F01100000000000"),
+    "emcy: reset communication ends the communication errors": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n> 000#8201\n< 701#00\n"
+    + read(0x1001, 0, "4F01100000000000"),
     "emcy: one of two errors gone is not told": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n> 080#01\n< 081#4082110000000000\n> 080#\n"
     + "> 201#0000\n< 081#0000000000000000",
@@ -421,6 +424,28 @@ SDO = {
     + refuse("2301120182040000", 0x1201, 1, STATE),
     "sdo server 2: restricted identifier": refuse("2301120101060000", 0x1201, 1, INVALID),
     "sdo server 2: dynamic": refuse("2301120180040040", 0x1201, 1, INVALID),
+    "sdo server 2: node-id of the client": write(0x1201, 3, 5, 1)
+    + refuse("2F01120380000000", 0x1201, 3, INVALID),
+    "sdo: segmented upload to the end, then another segment": """
+        > 601#4009100000000000
+        < 581#4109100008000000
+        > 601#6000000000000000
+        < 581#00656D756C617465
+        > 601#7000000000000000
+        < 581#1D64000000000000
+        > 601#6000000000000000
+        < 581#8000000001000405""",
+    "sdo: block download far too long": refuse("C27A600000000100", 0x607A, 0, 0x06070012),
+    "sdo: block upload, confirmed with block size 0": """
+        > 601#A409100001000000
+        < 581#C609100008000000
+        > 601#A300000000000000
+        < 581#01656D756C617465
+        > 601#A201000000000000
+        < 581#8009100002000405""",
+    "sdo: block upload confirmed without a transfer": refuse(
+        "A201100000000000", 0x1001, 0, 0x05040001
+    ),
     "sdo server 1: read only": refuse("2300120180040000", 0x1200, 1, 0x06010002),
     "sdo server 2: a transfer of its own": write(0x1201, 1, 0x480, 4)
     + write(0x1201, 2, 0x481, 4)
@@ -474,6 +499,31 @@ def test_unconfigured(script):
 def test_a_node_id_has_to_be_one():
     with pytest.raises(ValueError, match=r"node_id = 200 is out of range 1..127"):
         Node(Drive(), 200)
+
+
+def test_a_node_id_of_its_own_moves_the_drive():
+    drive = Drive(node_id=1)
+    assert [*map(str, Node(drive, 5).poll(0))] == ["705#00"]
+    assert drive.read(0x1400, 1) == 0x205
+
+
+def test_a_producer_that_is_polled_seldom_does_not_catch_up():
+    bus = Bus()
+    bus.run(write(0x1006, 0, 5000, 4) + write(0x1005, 0, 0x4000_0080, 4) + "< 080#")
+    counts = [len(bus.node.poll(time)) for time in (52_000, 56_000, 57_000)]
+    assert counts == [1, 0, 1]
+
+
+def test_a_fault_reset_leaves_the_bit_of_a_communication_error():
+    bus = Bus()
+    bus.run(write(0x1800, 1, 0xC000_0181, 4) + "> 000#0101\n> 201#06\n< 081#1082110000000000")
+    bus.drive.inject("overvoltage")
+    assert [*map(str, bus.wait(2))] == ["081#1032150000000000"]
+    bus.drive.clear_injected()
+    bus.wait(2)
+    bus.run(write(0x6040, 0, 0x80, 2) + "< 081#0000110000000000")
+    assert bus.drive.read("error_register") == 0x11
+    bus.run("> 201#0000\n< 081#0000000000000000")
 
 
 def test_the_owner_learns_the_bit_rate_after_the_first_delay():
