@@ -69,8 +69,9 @@ class Emergency:
         """
         if (code, source) in self._present:
             return
+        first = all(code != other for other, _ in self._present)
         self._present.add((code, source))
-        if cause and self._drive_reports(cause):
+        if cause and first and self._drive_reports(cause):
             return
         od = self._drive.axis.od
         od.error_field[1:] = od.error_field[:-1]

@@ -1,7 +1,11 @@
 """A CAN frame, and the identifiers of the predefined connection set (CiA 301)."""
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
+
+Route = tuple[int, Callable[[bytes, int], None]]  # an identifier, who takes data and time (µs)
+SYNCHRONOUS = range(241)  # transmission types of PDOs that go with SYNC
 
 
 class Frame(NamedTuple):

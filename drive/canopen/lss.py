@@ -71,6 +71,7 @@ class LssSlave:
         self.stored_node_id = node_id  # what a power-on would find
         self.stored_bit_rate: int | None = None  # bit/s; None: never stored
         self.active_node_id = node_id
+        self.bit_rate: int | None = None  # bit/s that the bus is to have; None: as it was
         self.bit_rate_switch: BitRateSwitch | None = None  # in progress
         self.power_on()
 
@@ -97,6 +98,17 @@ class LssSlave:
             _ALWAYS[command](self, data, time)
         elif configuration and command in _CONFIGURATION:
             _CONFIGURATION[command](self, data, time)
+
+    def switching(self, time: int) -> bool:
+        """Whether the bit rate is being changed: no frame is taken or given (inferred)."""
+        switch = self.bit_rate_switch
+        if switch is None:
+            return False
+        if time >= switch.at:
+            self.bit_rate = switch.bit_rate
+        if time >= switch.resume:
+            self.bit_rate_switch = None
+        return time < switch.resume
 
     def _answer(self, command: int, data: bytes = b"") -> None:
         self._send(bytes([command]) + data.ljust(7, b"\0"))

@@ -11,14 +11,15 @@ from collections.abc import Callable
 
 from ..drive import Drive
 from .emcy import Emergency
-from .frame import Base, Frame
+from .frame import Base, Frame, Route
 from .heartbeat import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from .lss import UNCONFIGURED, LssSlave, LssState
 from .nmt import LIVE, TARGET, NmtCommand, NmtState, Service
-from .pdo import Receiver, Route, Transmitter
-from .sdo import SdoServer
+from .rpdo import Receiver
+from .sdo_servers import SdoServers
 from .sync import Sync
 from .time_stamp import TimeStamp
+from .tpdo import Transmitter
 
 __all__ = ["NmtCommand", "NmtState", "Node"]
 
@@ -37,8 +38,6 @@ class Node:
         node_id: 1..127, or 255: none, the node waits until LSS gives it one. The drive's if left
             out.
 
-    `bit_rate` (bit/s) is what LSS has asked for, None before; the owner of the bus has to follow.
-
     Raises ValueError: node_id is out of range.
     """
 
@@ -51,7 +50,6 @@ class Node:
         self.drive = drive
         self.node_id = node_id
         self.state = NmtState.INITIALISING
-        self.bit_rate: int | None = None
         self._out: deque[Frame] = deque(maxlen=QUEUE)
         self._in_window: deque[Frame] = deque(
             maxlen=QUEUE
@@ -66,20 +64,25 @@ class Node:
         self.heartbeat = HeartbeatProducer(drive)
         self.heartbeat_consumer = HeartbeatConsumer(drive, self.emergency)
         self.guarding = NodeGuarding(drive, self.emergency)
+        self._sdo = SdoServers(drive, self._sender)
         self._receiver = Receiver(drive, self.sync, self.emergency)
         self._transmitter = Transmitter(drive, self._out.append)
         self._resettable = (
             self.emergency, self.sync, self.time_stamp, self.heartbeat, self.heartbeat_consumer,
-            self.guarding, self._receiver,
+            self.guarding, self._receiver, self._sdo,
         )  # fmt: skip
         own = slice(drive.index, drive.index + 1)
         self._lost = drive.axes["connection_lost"][own]
         self._pulse = drive.axes["sync_pulse"][own]
-        self._sdo: dict[int, SdoServer] = {}  # by number
         if node_id not in (UNCONFIGURED, drive.node_id):
             drive.node_id = node_id
             drive.reset_communication()
         self._boot()
+
+    @property
+    def bit_rate(self) -> int | None:
+        """What LSS has asked for (bit/s), None before; the owner of the bus has to follow."""
+        return self.lss.bit_rate
 
     # ------------------------------------------------------------------- NMT
 
@@ -89,7 +92,6 @@ class Node:
         self.drive.operational = False
         self._lost[0] = 0
         self._in_window.clear()
-        self._sdo.clear()
         for service in self._resettable:
             service.reset()
         self._configure()
@@ -105,8 +107,7 @@ class Node:
             self._in_window.clear()
         if state == NmtState.STOPPED:
             self.sync.stop()
-            for server in self._sdo.values():
-                server.reset()
+            self._sdo.stop()
         self.state = state
         self.drive.operational = state == NmtState.OPERATIONAL
         self._connect()
@@ -144,28 +145,7 @@ class Node:
             service.configure()
         self._lost[0] = self._any_lost()
         self._transmitter.configure()
-        self._configure_sdo()
         self._connect()
-
-    def _configure_sdo(self) -> None:
-        """Server 1 has the identifiers of the node-id, 1201h… are those whose objects are valid."""
-        objects, before = self.drive.objects, self._sdo
-        self._sdo = {}
-        self._sdo_requests: list[Route] = []
-        for number in range(128):
-            if number == 0:
-                request = Base.SDO_REQUEST + self.node_id
-                response = Base.SDO_RESPONSE + self.node_id
-            elif 0x1200 + number not in objects.indices:
-                break  # a model numbers them without a gap
-            else:
-                request, response = (objects.value(0x1200 + number, sub) for sub in (1, 2))
-            if (request | response) & 0x8000_0000:
-                continue
-            server = before.get(number) or SdoServer(objects)
-            server.send = self._sender(response & 0x7FF)
-            self._sdo[number] = server
-            self._sdo_requests.append((request & 0x7FF, server.request))
 
     def _connect(self) -> None:
         """Make the tables from identifier to service for the NMT state."""
@@ -179,7 +159,7 @@ class Node:
             Service.TIME: [(self.time_stamp.identifier, self.time_stamp.take)]
             if self.time_stamp.consumes
             else [],
-            Service.SDO: self._sdo_requests,
+            Service.SDO: self._sdo.routes,
             Service.PDO: self._receiver.routes,
         }
         remote: dict[Service, list[Route]] = {
@@ -190,7 +170,7 @@ class Node:
         self._data_routes = self._table(routes, live)
         self._remote_routes = self._table(remote, live)
         pollers: tuple[tuple[Service, bool, Callable[[int], None]], ...] = (
-            *((Service.SDO, True, server.poll) for server in self._sdo.values()),
+            *((Service.SDO, True, server.poll) for server in self._sdo.servers.values()),
             (Service.ERROR_CONTROL, self._watches(), self._watch),
             (Service.PDO, self._receiver.monitors, self._receiver.poll),
             (Service.EMCY, True, self.emergency.poll),
@@ -226,7 +206,7 @@ class Node:
         takers = (self._remote_routes if remote else self._data_routes).get(identifier)
         if takers is None or extended or len(data) > 8:
             return
-        if self.lss.bit_rate_switch is not None and self._switching(time):
+        if self.lss.bit_rate_switch is not None and self.lss.switching(time):
             return
         for take in takers:
             take(data, time)
@@ -255,7 +235,7 @@ class Node:
         """Frames to send at `time` (µs), in their order."""
         if self._version != self.drive.communication_version:
             self._configure()
-        if self.lss.bit_rate_switch is not None and self._switching(time):
+        if self.lss.bit_rate_switch is not None and self.lss.switching(time):
             return []
         pollers = self._pollers
         for poll in pollers:
@@ -299,15 +279,3 @@ class Node:
 
     def _any_lost(self) -> bool:
         return bool(self.heartbeat_consumer.lost) or self.guarding.lost
-
-    def _switching(self, time: int) -> bool:
-        """Whether LSS is changing the bit rate: no frame is taken or given meanwhile."""
-        switch = self.lss.bit_rate_switch
-        if switch is None:
-            return False
-        if time >= switch.at:
-            self.bit_rate = switch.bit_rate
-        if time >= switch.resume:
-            self.lss.bit_rate_switch = None
-            return False
-        return True

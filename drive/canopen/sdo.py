@@ -45,14 +45,10 @@ class SdoServer:
         if len(data) != 8:
             return
         self._last = time
-        if self._handler == self._download_block and data[0] != 0x80:
+        if self._handler and self._handler == self._download_block and data[0] != 0x80:
             self._download_block(data)
             return
-        service = _SERVICES.get(data[0] >> 5)
-        if service is None:
-            self._abort(Abort.COMMAND_SPECIFIER, data)
-        else:
-            service(self, data)
+        _SERVICES[data[0] >> 5](self, data)
 
     def poll(self, time: int) -> None:
         """Abort a transfer whose client has fallen silent."""
@@ -67,6 +63,9 @@ class SdoServer:
 
     def _answer(self, command: int, index: int, subindex: int, data: bytes = b"") -> None:
         self.send(_ANSWER.pack(command, index, subindex, data))
+
+    def _unknown(self, data: bytes) -> None:
+        self._abort(Abort.COMMAND_SPECIFIER, data)
 
     def _aborted(self, data: bytes) -> None:
         self._handler = None
@@ -135,13 +134,14 @@ class SdoServer:
     # --------------------------------------------------------------- upload
 
     def _initiate_upload(self, data: bytes) -> None:
-        _, self._index, self._subindex = _HEAD.unpack_from(data)
-        self._handler = None
-        value, abort = self._objects.read(self._index, self._subindex)
+        _, index, subindex = _HEAD.unpack_from(data)
+        self._index, self._subindex, self._handler = index, subindex, None
+        value, abort = self._objects.read(index, subindex)
+        length = len(value)
         if abort:
             self._abort(abort)
-        elif 1 <= len(value) <= 4:
-            self._answer(0x43 | 4 - len(value) << 2, self._index, self._subindex, value)
+        elif 1 <= length <= 4:
+            self.send(_ANSWER.pack(0x53 - 4 * length, index, subindex, value))
         else:
             self._begin(self._upload_segment)
             self._data = value
@@ -251,12 +251,13 @@ class SdoServer:
             self.send(bytes([last | number]) + part.ljust(7, b"\0"))
 
 
-_SERVICES: dict[int, Callable[[SdoServer, bytes], None]] = {
-    0: SdoServer._download_segment,
-    1: SdoServer._initiate_download,
-    2: SdoServer._initiate_upload,
-    3: SdoServer._upload_segment,
-    4: SdoServer._aborted,
-    5: SdoServer._block_upload,
-    6: SdoServer._block_download,
-}
+_SERVICES: tuple[Callable[[SdoServer, bytes], None], ...] = (  # by client command specifier
+    SdoServer._download_segment,
+    SdoServer._initiate_download,
+    SdoServer._initiate_upload,
+    SdoServer._upload_segment,
+    SdoServer._aborted,
+    SdoServer._block_upload,
+    SdoServer._block_download,
+    SdoServer._unknown,
+)

@@ -260,6 +260,50 @@ RPDO = {
     + refuse("2301140180000000", 0x1401, 1, INVALID),
     "rpdo: identifier of 29 bits": refuse("2301140101030020", 0x1401, 1, INVALID),
 }
+CONTROLWORD, TARGET = 0x60400010, 0x607A0020  # as entries of a mapping
+MAPPING = {
+    "mapping: two objects": write(0x1601, 1, CONTROLWORD, 4)
+    + write(0x1601, 2, TARGET, 4)
+    + write(0x1601, 0, 2, 1)
+    + write(0x1401, 1, 0x301, 4)
+    + OPERATIONAL
+    + "> 301#060039300000\n< 181#3102\n"
+    + read(0x607A, 0, "437A600039300000"),
+    "mapping: dummy": write(0x1601, 1, 0x00060010, 4)
+    + write(0x1601, 2, TARGET, 4)
+    + write(0x1601, 0, 2, 1)
+    + write(0x1401, 1, 0x301, 4)
+    + OPERATIONAL
+    + "> 301#FFFF39300000\n"
+    + read(0x607A, 0, "437A600039300000"),
+    "mapping: dummy in a tpdo": refuse("23011A0110000600", 0x1A01, 1, 0x06040041),
+    "mapping: dummy of another length": refuse("2301160120000600", 0x1601, 1, 0x06040041),
+    "mapping: more than 64 bits": write(0x1601, 1, TARGET, 4)
+    + write(0x1601, 2, TARGET, 4)
+    + write(0x1601, 3, CONTROLWORD, 4)
+    + refuse("2F01160003000000", 0x1601, 0, 0x06040042),
+    "mapping: more entries than there are": refuse("2F01160011000000", 0x1601, 0, 0x06040042),
+    "mapping: another length than the object's": refuse("2301160120004060", 0x1601, 1, 0x06040041),
+    "mapping: no such object": refuse("2301160110000070", 0x1601, 1, 0x06020000),
+    "mapping: no such sub-index": refuse("2301160120097D60", 0x1601, 1, 0x06090011),
+    "mapping: entries change only while their number is 0": write(0x1601, 1, CONTROLWORD, 4)
+    + write(0x1601, 0, 1, 1)
+    + refuse("2301160120007A60", 0x1601, 1, STATE),
+    "mapping: tpdo": write(0x1A01, 1, 0x60640020, 4)
+    + write(0x1A01, 0, 1, 1)
+    + write(0x1801, 1, 0x4000_0281, 4)
+    + "> 000#0101\n< 181#5002\n< 281#00000000",
+    "tpdo: on request only": write(0x1800, 1, 0xC000_0181, 4)
+    + write(0x1800, 2, 253, 1)
+    + write(0x1800, 1, 0x181, 4)
+    + "> 000#0101\n+20\n> 181#R\n< 181#5002",
+    "tpdo: type 240": write(0x1800, 2, 240, 1),
+    "tpdo: type 251 is reserved": refuse("2F001802FB000000", 0x1800, 2, INVALID),
+    "tpdo: made valid in operational is sent": write(0x1800, 1, 0xC000_0181, 4)
+    + "> 000#0101\n> 601#2300180181010040\n< 581#6000180100000000\n< 181#5002",
+    "pdo: sub-index 4 is reserved": refuse("4000140400000000", 0x1400, 4, 0x06090011),
+    "pdo: there are four": refuse("4004140000000000", 0x1404, 0, 0x06020000),
+}
 ERROR_CONTROL = {
     "heartbeat consumer: a node-id twice": write(0x1016, 1, 5 << 16 | 20, 4)
     + refuse("2316100214000500", 0x1016, 2, PARAMETER),
@@ -285,6 +329,11 @@ ERROR_CONTROL = {
     + read(0x603F, 0, "4B3F600030810000")
     + "\n"
     + read(0x1003, 0, "4F03100001000000"),
+    "heartbeat consumer: two lost, one of them a fault of the drive": write(
+        0x1016, 1, 5 << 16 | 20, 4
+    )
+    + write(0x1016, 2, 6 << 16 | 20, 4)
+    + "> 705#05\n> 706#05\n+25\n< 081#3081110000000000\n< 081#3081110000000000",
     "heartbeat consumer: entry taken back": NO_FAULT
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + "> 705#05\n+25\n< 081#3081110000000000\n"
@@ -356,6 +405,9 @@ EMCY = {
     + read(0x1001, 0, "4F01100011000000")
     + "\n> 201#0000\n< 081#0000000000000000\n"
     + read(0x1001, 0, "4F01100000000000"),
+    "emcy: reset communication ends the communication errors": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n> 000#8201\n< 701#00\n"
+    + read(0x1001, 0, "4F01100000000000"),
     "emcy: one of two errors gone is not told": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n> 080#01\n< 081#4082110000000000\n> 080#\n"
     + "> 201#0000\n< 081#0000000000000000",
@@ -372,6 +424,28 @@ SDO = {
     + refuse("2301120182040000", 0x1201, 1, STATE),
     "sdo server 2: restricted identifier": refuse("2301120101060000", 0x1201, 1, INVALID),
     "sdo server 2: dynamic": refuse("2301120180040040", 0x1201, 1, INVALID),
+    "sdo server 2: node-id of the client": write(0x1201, 3, 5, 1)
+    + refuse("2F01120380000000", 0x1201, 3, INVALID),
+    "sdo: segmented upload to the end, then another segment": """
+        > 601#4009100000000000
+        < 581#4109100008000000
+        > 601#6000000000000000
+        < 581#00656D756C617465
+        > 601#7000000000000000
+        < 581#1D64000000000000
+        > 601#6000000000000000
+        < 581#8000000001000405""",
+    "sdo: block download far too long": refuse("C27A600000000100", 0x607A, 0, 0x06070012),
+    "sdo: block upload, confirmed with block size 0": """
+        > 601#A409100001000000
+        < 581#C609100008000000
+        > 601#A300000000000000
+        < 581#01656D756C617465
+        > 601#A201000000000000
+        < 581#8009100002000405""",
+    "sdo: block upload confirmed without a transfer": refuse(
+        "A201100000000000", 0x1001, 0, 0x05040001
+    ),
     "sdo server 1: read only": refuse("2300120180040000", 0x1200, 1, 0x06010002),
     "sdo server 2: a transfer of its own": write(0x1201, 1, 0x480, 4)
     + write(0x1201, 2, 0x481, 4)
@@ -409,7 +483,7 @@ STATES = {
     + "> 000#8101\n< 701#00\n"
     + read(0x607A, 0, "437A600000000000"),
 }
-CASES = LSS | TIME | SYNC | RPDO | ERROR_CONTROL | EMCY | SDO | STATES
+CASES = LSS | TIME | SYNC | RPDO | MAPPING | ERROR_CONTROL | EMCY | SDO | STATES
 
 
 @pytest.mark.parametrize("script", CASES.values(), ids=CASES.keys())
@@ -425,6 +499,31 @@ def test_unconfigured(script):
 def test_a_node_id_has_to_be_one():
     with pytest.raises(ValueError, match=r"node_id = 200 is out of range 1..127"):
         Node(Drive(), 200)
+
+
+def test_a_node_id_of_its_own_moves_the_drive():
+    drive = Drive(node_id=1)
+    assert [*map(str, Node(drive, 5).poll(0))] == ["705#00"]
+    assert drive.read(0x1400, 1) == 0x205
+
+
+def test_a_producer_that_is_polled_seldom_does_not_catch_up():
+    bus = Bus()
+    bus.run(write(0x1006, 0, 5000, 4) + write(0x1005, 0, 0x4000_0080, 4) + "< 080#")
+    counts = [len(bus.node.poll(time)) for time in (52_000, 56_000, 57_000)]
+    assert counts == [1, 0, 1]
+
+
+def test_a_fault_reset_leaves_the_bit_of_a_communication_error():
+    bus = Bus()
+    bus.run(write(0x1800, 1, 0xC000_0181, 4) + "> 000#0101\n> 201#06\n< 081#1082110000000000")
+    bus.drive.inject("overvoltage")
+    assert [*map(str, bus.wait(2))] == ["081#1032150000000000"]
+    bus.drive.clear_injected()
+    bus.wait(2)
+    bus.run(write(0x6040, 0, 0x80, 2) + "< 081#0000110000000000")
+    assert bus.drive.read("error_register") == 0x11
+    bus.run("> 201#0000\n< 081#0000000000000000")
 
 
 def test_the_owner_learns_the_bit_rate_after_the_first_delay():

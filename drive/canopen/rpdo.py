@@ -1,0 +1,152 @@
+"""RPDOs on the bus: transmission types, deadlines and lengths (CiA 301, PDO).
+
+Types 0-240 are used at the next SYNC, 254 and 255 at once; the event timer is a deadline that
+begins with the first RPDO. The PDO records are read when a communication object has changed, so a
+frame finds its PDO by one look into a table, with 512 PDOs as with one.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from .. import process_data
+from ..drive import Drive
+from ..faults import Cause
+from ..jit import entry
+from .emcy import Emergency, ErrorCode
+from .frame import SYNCHRONOUS, Route
+from .sync import Sync
+
+
+@entry
+def _latch(all_bytes, index, pdos, number, image):
+    process_data.latch_one(all_bytes[index], pdos[number], image, 0)
+
+
+class _Receive:
+    """One valid RPDO."""
+
+    __slots__ = ("deadline", "failed", "heard_at", "number", "synchronous", "waiting", "width")
+
+    def __init__(self, number: int):
+        self.number = number
+        self.width = self.deadline = 0  # byte, µs
+        self.synchronous = self.failed = False
+        self.waiting: bytes | None = None  # for the next SYNC
+        self.heard_at: int | None = None  # µs, while the deadline runs
+
+
+class Receiver:
+    """The RPDOs of a drive."""
+
+    routes: list[Route]
+
+    def __init__(self, drive: Drive, sync: Sync, emergency: Emergency):
+        self._drive = drive
+        self._sync = sync
+        self._emergency = emergency
+        own = slice(drive.index, drive.index + 1)
+        self._changed = drive.axes["parameters_changed"][own]
+        self._synchronised = drive.axes["sync"][own]
+        self._timed_out = drive.axes["rpdo_timeout"][own]
+        self._too_short = drive.axes["rpdo_too_short"][own]
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, as after a reset of the communication."""
+        self._rpdos: dict[int, _Receive] = {}
+        self._waiting: dict[int, _Receive] = {}
+        self._late: set[int] = set()
+        self._short: set[int] = set()
+        self._timed_out[0] = self._too_short[0] = 0
+        self.configure()
+
+    def configure(self) -> None:
+        """Read 1400h… and 1600h…; a new deadline begins with the next RPDO."""
+        rpdos, before = self._drive.rpdos, self._rpdos
+        self._rpdos, self.routes = {}, []
+        numbers = np.flatnonzero(rpdos["valid"])
+        for number, cob_id, kind, timer, width in zip(
+            numbers.tolist(),
+            *(
+                rpdos[field][numbers].tolist()
+                for field in ("cob_id", "transmission_type", "event_timer", "width")
+            ),
+            strict=True,
+        ):
+            rpdo = before.pop(number) if number in before else _Receive(number)
+            self._rpdos[number] = rpdo
+            rpdo.width, rpdo.synchronous = width, kind in SYNCHRONOUS
+            if rpdo.deadline != timer * 1000:
+                rpdo.deadline, rpdo.heard_at = timer * 1000, None
+                self._recover(rpdo)
+            self.routes.append((cob_id & 0x7FF, partial(self._receive, rpdo)))
+        for rpdo in before.values():
+            self._waiting.pop(rpdo.number, None)
+            self._recover(rpdo)
+        self._monitored = [rpdo for rpdo in self._rpdos.values() if rpdo.deadline]
+
+    @property
+    def monitors(self) -> bool:
+        """Whether an RPDO has a deadline."""
+        return bool(self._monitored)
+
+    def _receive(self, rpdo: _Receive, data: bytes, time: int) -> None:
+        """Take an RPDO; a short one is not used, of a long one the first bytes are."""
+        if rpdo.deadline:
+            rpdo.heard_at = time
+        if len(data) != rpdo.width:
+            short = len(data) < rpdo.width
+            rpdo.failed = True
+            if short:
+                self._short.add(rpdo.number)
+                self._too_short[0] = 1
+                cause = Cause.RPDO_TOO_SHORT
+                self._emergency.report(ErrorCode.PDO_TOO_SHORT, rpdo.number, cause)
+                return
+            self._emergency.report(ErrorCode.PDO_TOO_LONG, rpdo.number)
+        elif rpdo.failed:
+            self._recover(rpdo)
+        if not rpdo.synchronous:
+            self._take(rpdo, data, 0)
+        elif self._sync.open(time):
+            rpdo.waiting = data
+            self._waiting[rpdo.number] = rpdo
+
+    def _recover(self, rpdo: _Receive) -> None:
+        rpdo.failed = False
+        for code in (ErrorCode.PDO_TOO_SHORT, ErrorCode.PDO_TOO_LONG, ErrorCode.RPDO_TIMEOUT):
+            self._emergency.clear(code, rpdo.number)
+        self._late.discard(rpdo.number)
+        self._short.discard(rpdo.number)
+        self._timed_out[0] = bool(self._late)
+        self._too_short[0] = bool(self._short)
+
+    def _take(self, rpdo: _Receive, data: bytes, synchronous: int) -> None:
+        drive = self._drive
+        image = np.frombuffer(data, np.uint8)
+        _latch(drive.memory, drive.index, drive.rpdos, rpdo.number, image)
+        self._changed[0] = 1
+        self._synchronised[0] = synchronous
+
+    def sync(self) -> None:
+        """Latch what waited for the SYNC."""
+        for _, rpdo in sorted(self._waiting.items()):
+            assert rpdo.waiting is not None
+            self._take(rpdo, rpdo.waiting, 1)
+        self._waiting.clear()
+
+    def poll(self, time: int) -> None:
+        """Notice deadlines that have run out at `time` (µs)."""
+        for rpdo in self._monitored:
+            if rpdo.heard_at is not None and time - rpdo.heard_at > rpdo.deadline:
+                rpdo.heard_at, rpdo.failed = None, True
+                self._late.add(rpdo.number)
+                self._timed_out[0] = 1
+                self._emergency.report(ErrorCode.RPDO_TIMEOUT, rpdo.number, Cause.RPDO_TIMEOUT)
+
+    def forget(self) -> None:
+        """Drop what waits and stop the deadlines; after leaving OPERATIONAL."""
+        self._waiting.clear()
+        for rpdo in self._monitored:
+            rpdo.heard_at = None
