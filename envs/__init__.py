@@ -2,10 +2,11 @@
 
 import gymnasium
 
+from .gantry import gantry
 from .linear_axis import LinearAxisParameters, linear_axis
 from .machine import Machine
 
-__all__ = ["LinearAxisParameters", "Machine", "linear_axis"]
+__all__ = ["LinearAxisParameters", "Machine", "gantry", "linear_axis"]
 
 gymnasium.register(
     "servogym/LinearAxis-v0",

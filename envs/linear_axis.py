@@ -21,6 +21,7 @@ MOTOR = {
     "max_current": 3000,
     "max_torque": 3000,
 }
+GRAVITY = 9.81  # m/s²
 # lowest, highest, unit
 RANGES = {
     "payload": (0.0, 100.0, "kg"),
@@ -30,6 +31,8 @@ RANGES = {
     "max_velocity": (1e-3, 10.0, "m/s"),
     "max_acceleration": (1e-2, 200.0, "m/s²"),
     "max_jerk": (1.0, 4000.0, "m/s³"),
+    "inclination": (-90.0, 90.0, "degree"),
+    "brake_torque": (0.0, 100.0, "Nm"),
 }
 
 
@@ -44,6 +47,8 @@ class LinearAxisParameters:
     max_velocity: float = 1.0  # m/s, profile velocity
     max_acceleration: float = 10.0  # m/s², profile acceleration and deceleration
     max_jerk: float = 1000.0  # m/s³, profile jerk
+    inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
+    brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -89,7 +94,7 @@ def linear_axis(
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
     machine = Machine(_plant(parameters, drive_model, timestep), {"x": drive_model})
-    _commission(machine, parameters)
+    commission(machine, "x", parameters)
     machine.reset()
     return machine
 
@@ -103,6 +108,10 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
     joint.frictionloss = p.coulomb_friction
     joint.damping[0] = p.viscous_friction
     spec.actuator("x").gear[0] = gear
+    slope = math.radians(p.inclination)
+    spec.option.gravity = [-GRAVITY * math.sin(slope), 0.0, -GRAVITY * math.cos(slope)]
+    if p.brake_torque > 0.0:
+        spec.add_numeric(name="x.brake_torque", size=1, data=[p.brake_torque])
     payload = spec.geom("payload")
     payload.mass = p.payload
     payload.size = [0.02 + 0.01 * min(p.payload, 5.0) ** (1 / 3)] * 3
@@ -110,9 +119,9 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
     return spec.compile()
 
 
-def _commission(machine: Machine, p: LinearAxisParameters) -> None:
-    """Parameters of the drive for this axis: motor, units, limits, windows, homing, gains."""
-    x = machine.drives["x"]
+def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
+    """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains."""
+    x = machine.drives[name]
     micro = 1e6  # drive units per m
     parameters = {
         **MOTOR,
@@ -141,7 +150,7 @@ def _commission(machine: Machine, p: LinearAxisParameters) -> None:
         "limit_switch_deceleration": 2 * p.max_acceleration * micro,
     }
     x.commission(parameters)
-    coupling = machine.couplings[0]
+    coupling = machine.couplings[list(machine.drives).index(name)]
     inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
     tune(x, inertia)
 

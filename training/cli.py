@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     node = commands.add_parser("node", help="serve drives as CANopen nodes on a bus, in real time")
     node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
+    node.add_argument("--axis", default="linear", help="linear, vertical or gantry (linear)")
     node.add_argument("-i", "--interface", default="udp_multicast", help="of python-can")
     node.add_argument("-c", "--channel", default="239.74.163.2", help="of python-can")
     node.add_argument("-b", "--bitrate", type=int, default=1_000_000, help="bit/s (1000000)")
@@ -88,7 +89,7 @@ def _node(options: argparse.Namespace, console: Console) -> int:
     from . import node
 
     return node.run(
-        options.drive, options.node_id or [1], options.interface, options.channel,
+        options.drive, options.node_id or [1], options.axis, options.interface, options.channel,
         options.bitrate, options.log, console,
     )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import can
@@ -11,10 +11,18 @@ from rich.console import Console
 from ..drive.canopen.frame import Base, Frame
 from ..drive.canopen.node import NmtCommand, Node
 from ..drive.drive import Drive
+from ..drive.model import load
+from ..envs.gantry import gantry
 from ..envs.linear_axis import linear_axis
 from ..envs.machine import Machine
 from .bus import to_frame, to_message
 
+# machine by name, and where its axes stand at power-on (m)
+AXES: dict[str, tuple[Callable[[str], Machine], dict[str, float]]] = {
+    "linear": (linear_axis, {"x": 0.12}),
+    "vertical": (lambda drive: linear_axis(drive, inclination=90, brake_torque=4.0), {"x": 0.12}),
+    "gantry": (gantry, {"x": 0.1, "y": 0.1, "z": -0.1}),
+}
 SDO_REQUESTS = range(0x601, 0x680)
 ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
 
@@ -127,19 +135,44 @@ class Server:
                 self.statistics.cycles += cycles
 
 
-def axis_for(drive: str, node_id: int) -> Machine:
-    """A linear axis whose drive has the given node-id, and everything compiled that it needs."""
-    if not 1 <= node_id <= 127:
-        raise ValueError(f"--node-id = {node_id} is out of range 1..127")
-    machine = linear_axis(drive)
-    for x in machine.drives.values():
-        x.node_id = node_id
+def axis_for(drive: str, node_id: int, axis: str = "linear") -> Machine:
+    """A machine whose drives have node-ids from `node_id` on, with all compiled that it needs.
+
+    Args:
+        drive: drive model by name or folder.
+        node_id: of the first drive; 1..127 has to hold for the last one too.
+        axis: key of `AXES`.
+
+    Raises ValueError: unknown model or axis, node-id out of range.
+    """
+    if axis not in AXES:
+        raise ValueError(f"--axis = {axis!r}: use one of {', '.join(AXES)}")
+    make, places = AXES[axis]
+    machine = make(drive)
+    last = node_id + len(machine.drives) - 1
+    if not 1 <= node_id <= last <= 127:
+        raise ValueError(f"--node-id = {node_id}: {node_id}..{last} is out of range 1..127")
+    for number, x in enumerate(machine.drives.values(), node_id):
+        x.node_id = number
         x.reset_communication()
-    machine.reset(positions={"x": 0.12})
+    machine.reset(positions=places)
     machine.step()
-    machine.reset(positions={"x": 0.12})
+    machine.reset(positions=places)
     _warm_up(drive)
     return machine
+
+
+def machines_for(drive: str, node_ids: Sequence[int], axis: str) -> list[Machine]:
+    """A machine for each node-id; a drive of two axes has the next node-id for its second one."""
+    machines = []
+    for node_id in node_ids:
+        for _ in range(load(drive).axes):
+            machines.append(axis_for(drive, node_id, axis))
+            node_id += len(machines[-1].drives)
+    served = [x.node_id for machine in machines for x in machine.drives.values()]
+    if len(set(served)) != len(served):
+        raise ValueError(f"--node-id {[*node_ids]}: the nodes would be {served}, some twice")
+    return machines
 
 
 def _warm_up(drive: str) -> None:
@@ -151,14 +184,12 @@ def _warm_up(drive: str) -> None:
 
 
 def run(
-    drive: str, node_ids: Sequence[int], interface: str, channel: str, bitrate: int,
+    drive: str, node_ids: Sequence[int], axis: str, interface: str, channel: str, bitrate: int,
     log: str | None, console: Console,
 ) -> int:  # fmt: skip
     """Serve until Ctrl-C; -> exit status."""
-    if len(set(node_ids)) != len(node_ids):
-        raise ValueError(f"--node-id {node_ids}: each node needs a node-id of its own")
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
-        machines = [axis_for(drive, node_id) for node_id in node_ids]
+        machines = machines_for(drive, node_ids, axis)
     try:
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
     except (can.CanError, OSError, ValueError, ImportError, NotImplementedError) as error:
@@ -167,7 +198,8 @@ def run(
             "without hardware use -i udp_multicast -c 239.74.163.2"
         ) from None
     server = Server(bus, machines, can.Logger(log) if log else None)
-    console.print(f"{drive} as node {', '.join(map(str, node_ids))} on {interface} {channel}")
+    nodes = ", ".join(str(node.node_id) for node in server.nodes)
+    console.print(f"{drive} as node {nodes} on {interface} {channel}")
     try:
         server.run()
     except KeyboardInterrupt:

@@ -40,6 +40,8 @@ def demand(axis):
             stop.demand(axis)
         elif not brake.waits(axis):
             _demand_of_mode(axis, bit4)
+        elif axis.mode == Mode.HOMING:
+            bit4 = 0  # the start is seen when the brake has let go
     axis.bit4 = bit4
     if axis.sync:
         axis.synchronised = axis.mode_started
