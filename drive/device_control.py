@@ -9,7 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from . import brake, statusword, stop
+from . import brake, inverter, statusword, stop
 from .cascade import energised
 from .faults import Cause, Reaction
 from .jit import block
@@ -92,6 +92,8 @@ def run(axis):
     """Let the state follow faults, the end of ramps and the controlword, in this order."""
     controlword = int(axis.od.controlword)
     reset = 1 if controlword & Controlword.FAULT_RESET else 0
+    if axis.inverter:
+        reset = inverter.reset_bit(axis)
     reset_edge = reset and not axis.reset_bit
     axis.reset_bit = reset
     if axis.fault_raised != Cause.NONE:
@@ -105,6 +107,12 @@ def run(axis):
             _reset_fault(axis)
         return
     asked = COMMANDS[controlword & 0x0F]
+    if axis.inverter:
+        if axis.state == State.OPERATION_ENABLED and inverter.blocked(axis):
+            _apply(axis, Event.SWITCH_ON)
+            stop.begin(axis, Stop.NONE)
+            return
+        asked = inverter.command(axis, asked)
     permitted = _permitted(axis, asked)
     if permitted != asked:
         axis.refused_command = asked
@@ -120,9 +128,11 @@ def _permitted(axis, command):
     as with quick stop and cannot be enabled (inferred); 6007h says what a lost connection does.
     """
     lost = int(axis.od.abort_connection_option_code) if axis.connection_lost else 0
+    if axis.inverter and lost == 2:
+        return Command.SWITCH_ON  # shut down: runs down as in transition 5
     if not axis.sto_input or lost == 2:
         return Command.DISABLE_VOLTAGE
-    if axis.remote_bit and axis.od.enable_logic != statusword.BUS_ENABLES:
+    if axis.remote_bit == 1 and axis.od.enable_logic != statusword.BUS_ENABLES:
         return Command.DISABLE_VOLTAGE
     if not axis.enable_input or lost == 3:
         if axis.torque_mode_coasts and axis.mode == Mode.PROFILE_TORQUE:
@@ -162,7 +172,8 @@ def _command(axis, command):
         axis.refused_command = command
         axis.refused_state = axis.state
     elif number == 0:  # standing; a shutdown or disable ramp that was under way is called off
-        if axis.state == State.OPERATION_ENABLED and axis.pending_transition != 0:
+        braking = axis.inverter and axis.stop == Stop.CURRENT_LIMIT  # nothing calls that off
+        if axis.state == State.OPERATION_ENABLED and axis.pending_transition != 0 and not braking:
             _resume(axis)
     elif number == 5:
         _ramp_then(axis, command, int(axis.od.disable_operation_option_code))
@@ -189,6 +200,8 @@ def _command(axis, command):
 def _ramp_then(axis, command, code):
     """Transitions 5 and 8: at once, or after a ramp; -1 is the quick stop ramp of some models."""
     kind = Stop.QUICK_STOP_RAMP if code < 0 else OPTION_STOP[code]
+    if axis.inverter:
+        kind = inverter.TRANSITION_5[min(int(axis.od.transition_5), 2)]
     if kind == Stop.NONE:
         _apply(axis, command)
         stop.begin(axis, Stop.NONE)
@@ -229,6 +242,7 @@ def _take_fault(axis):
     if NUMBER[axis.state, Event.FAULT] < 0:
         return  # a fault is already being dealt with
     axis.fault = cause
+    axis.fault_cycle = axis.cycle_count
     was_energised = energised(axis)
     _apply(axis, Event.FAULT)
     code = REACTION_CODE[int(axis.od.fault_reaction[cause])]
@@ -242,7 +256,9 @@ def _take_fault(axis):
 @block
 def _reset_fault(axis):
     """Transition 15, refused while a cause that stops the drive is still present."""
-    if axis.state != State.FAULT or axis.faults_present & ~axis.warnings:
+    age = (axis.cycle_count - axis.fault_cycle) * axis.position_period * 1e3
+    locked = age < axis.reset_lock
+    if axis.state != State.FAULT or axis.faults_present & ~axis.warnings or locked:
         axis.refused_command = Command.FAULT_RESET
         axis.refused_state = axis.state
         return

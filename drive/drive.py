@@ -17,6 +17,7 @@ from . import cycle, process_data, record, store
 from .abort import Abort, SdoAbort
 from .advice import OBEYED, describe
 from .faults import Cause
+from .hooks import HOOKS
 from .hooks_ars import reaction_to, set_reaction
 from .hooks_ethercat import ASSIGNMENTS, assign
 from .model import DriveModel, load
@@ -97,6 +98,9 @@ class Drive:
             setattr(self.axis.od, name, value)
         self._defaults()
         self._restore_parameters(values)
+        for name in {row.hook for row in self.model.objects.values() if row.hook}:
+            if power_on := HOOKS[name].power_on:
+                power_on(self)
         self._compile_pdos()
 
     def _compile_pdos(self) -> None:
@@ -137,13 +141,15 @@ class Drive:
                 pdo.cob_id = self._default_cob_id(mapping)
                 pdo.transmission_type = mapping.transmission_type
                 pdo.inhibit_time = mapping.inhibit_time
-                pdo.event_timer = 0
-                pdo.sync_start = 0
                 pdo.count = len(mapping.entries)
                 pdo.mapping[:] = 0
                 pdo.mapping[: pdo.count] = [
                     index << 16 | subindex << 8 | bits for index, subindex, bits in mapping.entries
                 ]
+        for (index, subindex), slot in self.objects.slots.items():
+            timers = subindex in (5, 6) and (index & 0xFE00) in (0x1400, 0x1800)
+            if timers and slot.view is not None:
+                slot.put(slot.row.default)  # type: ignore[arg-type]
 
     def _parameters(self) -> store.Values:
         """All storable values, but not identifiers that still follow from the node-id."""
@@ -247,7 +253,10 @@ class Drive:
         slot = self.objects.slot(index, subindex)
         if slot.row.access == "wo":
             raise SdoAbort(Abort.WRITE_ONLY, slot.row.index, slot.row.subindex)
-        return self.objects.shown(slot)
+        value = self.objects.shown(slot)
+        if isinstance(value, Abort):
+            raise SdoAbort(value, slot.row.index, slot.row.subindex)
+        return value
 
     def write(self, index: int | str, *arguments: int | float) -> None:
         """``write(index, subindex, value)`` or ``write(name, value)`` in drive units.

@@ -136,6 +136,8 @@ def _vl(axis):
         return  # a drive without this mode
     axis.vl_rad_s = od.vl_dimension_factor[0] / od.vl_dimension_factor[1] * (2 * math.pi / 60)
     scaled = od.vl_target_velocity * od.vl_set_point_factor[0] / od.vl_set_point_factor[1]
+    if axis.inverter:
+        scaled = _inverter(axis, scaled)
     amount = min(
         max(abs(scaled), float(od.vl_velocity_min_max_amount[0])),
         float(od.vl_velocity_min_max_amount[1]),
@@ -149,6 +151,22 @@ def _vl(axis):
         axis, od.vl_deceleration_delta_speed, od.vl_deceleration_delta_time
     )
     axis.vl_quick_stop = _vl_ramp(axis, od.vl_quick_stop_delta_speed, od.vl_quick_stop_delta_time)
+
+
+@block
+def _inverter(axis, line):
+    """Frequencies as speeds, and the setpoint that parameter 434 chooses (1/min)."""
+    od = axis.od
+    per_millihertz = 0.06 / max(int(od.pole_pairs), 1)  # 1/min
+    rad_s = per_millihertz * 2 * math.pi / 60
+    axis.stop_threshold = od.stop_threshold * rad_s
+    axis.control_deviation = od.control_deviation * rad_s
+    axis.stop_hold_time = od.stop_holding_time * 1e-3
+    axis.dc_brake_time = od.braking_time * 1e-3
+    internal = od.internal_frequency * per_millihertz
+    if od.ramp_setpoint == 1:
+        return internal
+    return line if od.ramp_setpoint == 2 else line + internal
 
 
 @block

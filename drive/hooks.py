@@ -10,7 +10,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from . import hooks_ars, hooks_ethercat
+from . import hooks_act, hooks_ars, hooks_ethercat
 from .abort import Abort
 from .factors import FRACTION_LIMIT
 from .homing import Progress
@@ -83,6 +83,7 @@ HOOKS: dict[str, Hook] = {
     "mode": Hook(_mode),
     "homing_method": Hook(_homing_method),
     "factor": Hook(_factor),
+    **hooks_act.HOOKS,
     **hooks_ars.HOOKS,
     **hooks_ethercat.HOOKS,
 }

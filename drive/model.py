@@ -28,6 +28,8 @@ QUIRKS = (
     "pdo_needs_stop",  # PDO parameters may only change outside NMT operational
     "cyclic_event",  # transmission type 254 sends with the inhibit time as period
     "transmit_masks",  # 2014h-2017h choose the bits whose change sends a TPDO
+    "emcy_internal_code",  # bytes 6 and 7 of an EMCY are the manufacturer's fault number
+    "shortest_gap_of_tpdo_2",  # ms between two of them, whatever the inhibit time says
     "identifier_needs_valid_bit",  # bit 30 of PDO identifiers always reads 1
 )
 # field bus -> longest PDO in bits
@@ -85,6 +87,7 @@ class DriveModel:
         axis.supported_modes = sum(1 << (mode - 1) for mode in self.modes)
         axis.ambient_temperature = 25.0
         axis.enable_input = 1
+        axis.terminals = 0x03  # S1IND and S2IND are wired to 24 V
         axis.sto_input = 1
         for fault in reversed(self.faults):  # of two rows with one cause the first counts
             axis.fault_code[fault.cause] = fault.code

@@ -28,7 +28,7 @@ SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 class Slot:
     """An object and where its bytes are."""
 
-    __slots__ = ("code", "hook", "offset", "reads", "row", "view", "writable")
+    __slots__ = ("code", "hook", "offset", "raw", "reads", "row", "view", "writable")
 
     def __init__(self, row: Object, view: memoryview | None, offset: int):
         self.row = row
@@ -38,6 +38,7 @@ class Slot:
         self.writable = row.access not in ("ro", "const")
         self.reads = HOOKS[row.hook].read if row.hook else None
         self.hook = HOOKS[row.hook].write if row.hook else None
+        self.raw = HOOKS[row.hook].raw if row.hook else None
         self.hook = self.hook or RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00)
 
     def get(self) -> int | float | str:
@@ -107,6 +108,7 @@ class ObjectDictionary:
             (row.index, row.subindex): Slot(row, views[row.area], row.offset) for row in rows
         }
         self.names = {slot.row.name: slot for slot in self.slots.values()}
+        self.results: dict[int, bytes] = {}  # of a parameter channel, by sub-index
         self.indices = {index for index, _ in self.slots}
         self._changed = drive.axes["parameters_changed"][drive.index : drive.index + 1]
 
@@ -129,11 +131,15 @@ class ObjectDictionary:
             return b"", self.find(index, subindex)[1]
         if slot.row.access == "wo":
             return b"", Abort.WRITE_ONLY
+        if slot.raw:
+            return slot.raw(self, slot.row, None)
         value = self.shown(slot)
+        if isinstance(value, Abort):
+            return b"", value
         return value.encode() if isinstance(value, str) else slot.code.pack(value), Abort.NONE
 
-    def shown(self, slot: Slot) -> int | float | str:
-        """Value of an object as a master reads it."""
+    def shown(self, slot: Slot) -> int | float | str | Abort:
+        """Value of an object as a master reads it, or why it cannot."""
         return slot.reads(self, slot.row) if slot.reads else slot.get()
 
     def write(self, index: int, subindex: int, data: bytes) -> Abort:
@@ -143,6 +149,8 @@ class ObjectDictionary:
             return self.find(index, subindex)[1]
         if not slot.writable:
             return Abort.READ_ONLY
+        if slot.raw:
+            return slot.raw(self, slot.row, data)[1]
         size = slot.code.size  # 0: a string
         if size and len(data) != size:
             return Abort.LENGTH_TOO_HIGH if len(data) > size else Abort.LENGTH_TOO_LOW

@@ -29,6 +29,7 @@ FORMATS = {
     "UNSIGNED64": "Q",
     "REAL32": "f",
     "VISIBLE_STRING": "",
+    "DOMAIN": "",
 }
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
 ACCESS = ("ro", "wo", "rw", "const")
@@ -157,7 +158,7 @@ def read_objects(path: Path) -> dict[tuple[int, int], Object]:
             area, offset = other.area, other.offset
         elif row["field"]:
             offset = _field_offset(row["field"], row["data_type"], where)
-        elif row["data_type"] == "VISIBLE_STRING" or row["access"] == "const":
+        elif row["data_type"] in ("VISIBLE_STRING", "DOMAIN") or row["access"] == "const":
             area = "constant"
         else:
             free += -free % max(size, 1)
@@ -232,9 +233,10 @@ def _field_offset(field: str, data_type: str, where: str) -> int:
 
 
 def _fits(kind: np.dtype, field: np.dtype) -> bool:
-    """Whether an object's bytes may be the lower bytes of a field: same kind, or both unsigned."""
-    unsigned = kind.kind == field.kind == "u"
-    return kind == field or (unsigned and kind.itemsize <= field.itemsize)
+    """Whether an object's bytes may be the lower bytes of a field: integers, no wider ones."""
+    narrower = kind.kind == "u" and field.kind in "iu" and kind.itemsize < field.itemsize
+    same_size = kind.kind in "iu" and field.kind in "iu" and kind.itemsize == field.itemsize
+    return kind == field or narrower or same_size
 
 
 def read_pdos(

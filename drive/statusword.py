@@ -4,15 +4,24 @@ The standard's bits, and what the models' quirks make of them: `AXIS.fault_shows
 fields after it. Bit 7 of 6510h:F0h (`words.Compatibility`) takes two of the quirks back.
 """
 
+from . import inverter
 from .encoder import Switch
+from .faults import Cause
 from .jit import block
 from .words import STATE_PATTERN, Compatibility, Limit, ManufacturerStatus, State, Statusword
 
 VALUE = tuple(STATE_PATTERN[state][1] for state in State)
+THREE_STATES = tuple(  # all that an inverter shows which contacts start
+    STATE_PATTERN[
+        State.FAULT if state >= State.FAULT_REACTION_ACTIVE else max(state, State.SWITCHED_ON)
+    ][1]
+    for state in State
+)
 FAULT_REACTION = STATE_PATTERN[State.FAULT_REACTION_ACTIVE][1]
 POWERED = tuple(  # the transistors are switched on
     State.SWITCHED_ON <= state <= State.FAULT_REACTION_ACTIVE for state in State
 )
+HEAT = 1 << Cause.I2T | 1 << Cause.MOTOR_TEMPERATURE | 1 << Cause.DRIVE_TEMPERATURE
 BUS_ENABLES = 2  # value of enable_logic
 
 
@@ -22,6 +31,8 @@ def compose(axis):
     od = axis.od
     standard = od.compatibility_control & Compatibility.DEVICE_CONTROL
     word = VALUE[axis.state]
+    if axis.inverter and od.local_remote != inverter.Source.STATE_MACHINE:
+        word = THREE_STATES[axis.state]
     if axis.state == State.FAULT and axis.fault_shows_reaction and not standard:
         word = FAULT_REACTION
     if _voltage_enabled(axis, standard):
@@ -30,7 +41,9 @@ def compose(axis):
         word |= Statusword.WARNING
     if axis.moving_bit and not axis.standstill:
         word |= Statusword.MANUFACTURER_8
-    if axis.remote_bit == 0 or od.enable_logic == BUS_ENABLES:
+    if axis.inverter:
+        word = inverter.statusword(axis, word)
+    elif axis.remote_bit == 0 or od.enable_logic == BUS_ENABLES:
         word |= Statusword.REMOTE
     if axis.limits & (Limit.I2T if axis.limit_bit_is_i2t else 0xFFFF):
         word |= Statusword.INTERNAL_LIMIT_ACTIVE
@@ -46,13 +59,20 @@ def compose(axis):
         if shown & int(od.manufacturer_status_mask):
             word |= Statusword.MANUFACTURER_14
     sampled = od.sample_status & od.sample_status_mask
-    if (axis.top_bit == 1 and axis.homed) or (axis.top_bit == 2 and sampled):
+    hot = axis.warnings & HEAT
+    if (
+        (axis.top_bit == 1 and axis.homed)
+        or (axis.top_bit == 2 and sampled)
+        or (axis.top_bit == 3 and hot)
+    ):
         word |= Statusword.MANUFACTURER_15
     return word
 
 
 @block
 def _voltage_enabled(axis, standard):
+    if axis.voltage_bit == 3:
+        return False
     if axis.voltage_bit == 0:
         return axis.sto_input and axis.dc_link * 1e3 >= axis.od.undervoltage
     on = POWERED[axis.state]

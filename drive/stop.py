@@ -94,12 +94,25 @@ def demand(axis):
 
 @block
 def finished(axis):
-    """Whether demand and axis stand still."""
+    """Whether demand and axis stand still; of an inverter, whether it has run down."""
+    if axis.inverter:
+        return _run_down(axis)
     if not axis.profile_done:
         return False
     if abs(axis.velocity) <= axis.velocity_threshold and axis.control == Control.POSITION:
         return True
     return axis.stop_cycles * axis.position_period > _patience(axis)
+
+
+@block
+def _run_down(axis):
+    """Parameters of Bonfiglioli ACT: below 637 for the time 638, or braked with DC for 632."""
+    time = axis.stop_cycles * axis.position_period
+    if axis.stop == Stop.CURRENT_LIMIT:
+        return time >= axis.dc_brake_time
+    slow = abs(axis.velocity_demand) <= axis.stop_threshold
+    axis.hold_cycles = axis.hold_cycles + 1 if slow else 0
+    return axis.hold_cycles * axis.position_period > axis.stop_hold_time
 
 
 @block

@@ -122,6 +122,8 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
 def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
     """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains."""
     x = machine.drives[name]
+    if x.model.quirk("inverter"):
+        return  # its motor and its ramps are parameters of its own
     micro = 1e6  # drive units per m
     parameters = {
         **MOTOR,

@@ -24,6 +24,7 @@ class Shaft:
         self.axis = self.drive.axis
         self.angle = 0.0
         self.speed = 0.0
+        self.inertia = INERTIA  # kg·m²
         self.load = 0.0  # Nm, constant
         self.blocked = None  # angle (rad) of a mechanical stop in the positive direction
         self.torque = 0.0
@@ -36,7 +37,7 @@ class Shaft:
         for _ in range(cycles):
             self.torque = self.drive.cycle(self.angle, self.speed)
             for _ in range(periods):
-                self.speed += (self.torque + self.load) / INERTIA * dt
+                self.speed += (self.torque + self.load) / self.inertia * dt
                 self.angle += self.speed * dt
                 if self.blocked is not None and self.angle > self.blocked:
                     self.angle, self.speed = self.blocked, 0.0

@@ -93,7 +93,7 @@ def test_what_a_model_does_not_have_behaves_as_the_standard_says(folder):
         ("objects.csv", "0,8,2,yes", "0,8,9,yes", r"default 9 is out of range \[0, 8\]"),
         ("objects.csv", ",controlword,,", ",control_word,,", "no field od.control_word"),
         ("objects.csv", ",controlword,,", ",statusword[0],,", "has the shape"),
-        ("objects.csv", ",controlword,,", ",target_position,,", "int32, not UNSIGNED16"),
+        ("objects.csv", ",controlword,,", ",homing_method,,", "int8, not UNSIGNED16"),
         ("objects.csv", ",rw,rx,", ",rx,rx,", "access 'rx' is unknown"),
         ("objects.csv", "controlword,,\n", "controlword,asleep,\n", "when 'asleep' is unknown"),
         ("objects.csv", "controlword,,\n", "controlword,,magic\n", "hook 'magic' is unknown"),

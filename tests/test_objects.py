@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import Shaft
+from servogym.drive import hooks_act
 from servogym.drive.abort import TEXT, Abort, SdoAbort
 from servogym.drive.drive import Drive
 from servogym.drive.faults import Cause
@@ -114,6 +115,11 @@ def test_errors_say_the_next_step(drive):
     assert all(abort in TEXT for abort in Abort if abort > 1)
 
 
+# of the active data set of an inverter: `hooks_act.apply`
+PARAMETERS = [field for field, _ in hooks_act.FIELDS.values()]
+PARAMETERS += ["stop_threshold", "control_deviation", "pole_pairs", "vl_velocity_min_max_amount"]
+
+
 def test_every_field_of_the_record_is_an_object_of_some_model():
     models = [load(name) for name in model_names()]
     rows = [row for model in models for row in model.objects.values()]
@@ -122,7 +128,7 @@ def test_every_field_of_the_record_is_an_object_of_some_model():
 
     for name, *_ in OBJECTS:
         kind, offset = OD.fields[name][:2]
-        if name not in ("vendor", "reaction_code"):
+        if name not in ("vendor", "reaction_code", *PARAMETERS):
             places = range(kind.shape[0]) if kind.shape else [0]
             if name == "fault_reaction":
                 places = [cause for cause in Cause if 0 < cause <= Cause.RPDO_TIMEOUT]

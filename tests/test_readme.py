@@ -65,7 +65,9 @@ def test_the_parts_of_the_house_exist():
 
 def _numbers(text: str) -> list[int]:
     """``"1–3, −2"`` -> ``[-2, 1, 2, 3]``."""
-    numbers = []
+    numbers: list[int] = []
+    if not text.strip():
+        return numbers
     for part in text.replace("−", "-").split(","):
         first, _, last = part.strip().partition("–")
         numbers += range(int(first), int(last or first) + 1)

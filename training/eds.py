@@ -53,7 +53,8 @@ def _with_default(row: Object, model: DriveModel) -> Object:
     base, _, node_id = pdo.cob_id.partition("+")
     values = {1: int(base, 0), 2: pdo.transmission_type, 3: pdo.inhibit_time}
     relative = row.subindex == 1 and bool(node_id)
-    return dataclasses.replace(row, default=values.get(row.subindex, 0), per_node=relative)
+    default = values.get(row.subindex, row.default)
+    return dataclasses.replace(row, default=default, per_node=relative)
 
 
 def object_dictionary(

@@ -17,7 +17,7 @@ from ..record import HISTORY
 from .frame import Base
 
 COMMUNICATION = 0x11  # error register: generic and communication
-_FRAME = struct.Struct("<HB5x")
+_FRAME = struct.Struct("<HB3xH")
 
 
 class ErrorCode(IntEnum):
@@ -123,4 +123,15 @@ class Emergency:
             return
         self._sent_at = time
         if self._valid:
-            self._send(self._identifier, _FRAME.pack(code, self._told))
+            self._send(self._identifier, _FRAME.pack(code, self._told, self._internal(code)))
+
+    def _internal(self, code: int) -> int:
+        """The manufacturer's fault number in bytes 6 and 7, in models that send it."""
+        model = self._drive.model
+        if not code or not model.quirk("emcy_internal_code"):
+            return 0
+        here = [fault for fault in model.faults if fault.code == code and fault.main is not None]
+        cause = self._drive.axis.fault
+        for fault in sorted(here, key=lambda fault: fault.cause != cause):
+            return (fault.main or 0) << 8 | (fault.sub or 0)
+        return 0

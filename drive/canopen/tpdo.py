@@ -40,6 +40,9 @@ class _Transmit:
         """Take over parameters; with another type or length the PDO begins anew."""
         self._identifier = cob_id & 0x7FF
         self._inhibit, self._timer, self._sync_start = inhibit * 100, timer * 1000, start
+        if self._number == 1:
+            gap = self._drive.model.quirk("shortest_gap_of_tpdo_2") * 1000
+            self._inhibit = max(self._inhibit, gap)
         self._periodic = kind == CYCLIC and bool(self._drive.model.quirk("cyclic_event"))
         if self._periodic:
             self._timer = self._inhibit  # 0: not sent at all (inferred)

@@ -12,6 +12,8 @@ from ..jit import block
 from ..ramps import NO_JERK_LIMIT, advance, plan_velocity
 from ..words import Controlword
 
+RAMP = Controlword.NEW_SET_POINT | Controlword.CHANGE_SET_IMMEDIATELY | Controlword.RELATIVE
+
 
 @block
 def start(axis):
@@ -30,6 +32,9 @@ def demand(axis):
     controlword = int(axis.od.controlword)
     axis.position_demand = axis.position
     goal, deceleration = axis.vl_target, axis.vl_deceleration
+    if axis.inverter:  # 9.2: bits 4 to 6 mean nothing
+        controlword = RAMP
+        goal = -goal if axis.reverse else goal
     if not controlword & Controlword.NEW_SET_POINT:
         goal, deceleration = 0.0, axis.vl_quick_stop
     elif not controlword & Controlword.CHANGE_SET_IMMEDIATELY:
@@ -51,5 +56,8 @@ def demand(axis):
 def status(axis):
     """target_reached: the ramp has ended (inferred); the other bits are reserved."""
     axis.mode_bit10 = axis.standstill if axis.halted else energised(axis) and axis.profile_done
+    if axis.inverter:  # 8.4.4: within the hysteresis of parameter 549
+        deviation = abs(axis.vl_target) - abs(axis.velocity)
+        axis.mode_bit10 = energised(axis) and abs(deviation) <= axis.control_deviation
     axis.mode_bit12 = 0
     axis.mode_bit13 = 0
