@@ -8,9 +8,11 @@ import struct
 import sys
 from pathlib import Path
 
-from golden.masters import CanMaster, EthercatMaster
+from golden.can_master import CanMaster
+from golden.ethercat_master import EthercatMaster
 from golden.rig import CanRig, rig
 
+from servogym.drive.abort import Abort
 from servogym.drive.canopen.frame import Frame
 from servogym.drive.words import Controlword as C
 from servogym.drive.words import Mode, State, state_of
@@ -32,6 +34,7 @@ SHORT_CIRCUIT, FOLLOWING_ERROR, FRAMES_LOST = 0x2320, 0x8611, 0x8700
 TOO_SHORT, GUARDING = 0x8210, 0x8130
 SWITCH_OFF_LIMIT = (0x6510, 0x22)  # of the models in which a following error is a message only
 MAX_TORQUE = (0x6072, 0)
+HOMING_METHOD = (0x6098, 0)
 SAVE = b"save"
 NEAR = 20  # µm, position window
 MICRO = 1e6
@@ -52,7 +55,11 @@ def parameters(model):
     wanted = values()
     drive.reset()
     delivered = values()
-    return {address: data for address, data in wanted.items() if data != delivered[address]}
+    changed = {address: data for address, data in wanted.items() if data != delivered[address]}
+    changed[HOMING_METHOD] = wanted[HOMING_METHOD]
+    if SWITCH_OFF_LIMIT in wanted:
+        changed[SWITCH_OFF_LIMIT] = struct.pack("<I", 5_000)
+    return changed
 
 
 def commission(model):
@@ -88,10 +95,12 @@ def configure(master, wanted):
             assert int.from_bytes(master.read(station, 0x1018, subindex), "little") == expected
         for (index, subindex), data in wanted.items():
             master.write(station, index, subindex, data)
-        if SWITCH_OFF_LIMIT in station.drive.objects.slots:
-            master.write(station, *SWITCH_OFF_LIMIT, struct.pack("<I", 5_000))
-        master.write(station, 0x6098, 0, b"\x11")
+        # access counts before length, as the example of 3.2.2 of the Festo manual shows
+        master.refused(station, 0x6041, 0, bytes(4), Abort.READ_ONLY)
+        master.refused(station, 0x6041, 7, bytes(2), Abort.NO_SUBINDEX)
         master.prepare(station)
+        if master.rig.model.quirk("pdo_needs_stop"):  # the PDO is on now
+            master.refused(station, 0x1600, 0, b"\0", Abort.DEVICE_STATE)
         master.write(station, 0x1010, 1, SAVE)
 
 
@@ -222,10 +231,13 @@ def lost_guarding(master):
 
 
 def lost_frames(master):
-    """More frames stay away than the drive bears."""
-    master.running = False
-    master.run(10)
-    master.running = True
+    """Seven frames may stay away, more are a fault (F125)."""
+    for frames in (7, 10):
+        assert master.stations[0].state is State.OPERATION_ENABLED
+        master.running = False
+        master.run(frames)
+        master.running = True
+        master.run(2)
     expect(master, master.stations[0], FRAMES_LOST)
     reset(master, master.stations)
 
