@@ -125,21 +125,38 @@ def _drives(options: argparse.Namespace, console: Console) -> int:
         console.print(table)
         return 0
     model = load(options.model)
+    own = [fault for fault in model.faults if fault.cause]
+    faults = [f"{fault.name} {fault.code:04X}h {fault.meaning}".strip() for fault in own]
+    if len(own) < len(model.faults):
+        faults.append(f"{len(model.faults) - len(own)} more by injection, see faults.csv")
+    page = model.folder / "README.md"
     table = Table(show_header=False, title=model.title)
     for key, value in (
         ("model", model.name),
         ("standard", model.standard),
+        ("bus", model.bus),
+        ("axes", "1" if model.axes == 1 else f"{model.axes}, with consecutive node-ids"),
+        ("identity", _identity(model)),
         ("modes", _modes(model)),
         ("homing methods", " ".join(map(str, model.homing_methods))),
         *((f"{n} cycle", f"{t * 1e6:g} µs") for n, t in model.cycle_time.items()),
         ("objects", str(len(model.objects))),
         ("PDOs", f"{len(model.rpdos)} receive, {len(model.tpdos)} transmit"),
-        ("faults", "\n".join(f"{f.code:04X}h {f.meaning}" for f in model.faults)),
+        ("faults", "\n".join(faults)),
         ("quirks", "\n".join(f"{n} = {q.value} ({q.source})" for n, q in model.quirks.items())),
     ):
         table.add_row(key, value or "none")
     console.print(table)
+    if page.is_file():
+        console.print(f"what is inferred, what is not supported: {page}", soft_wrap=True)
     return 0
+
+
+def _identity(model) -> str:
+    """Identity object 1018h, as far as the model has it."""
+    parts = ("vendor-id", "product code", "revision", "serial number")
+    rows = [(part, model.objects.get((0x1018, n))) for n, part in enumerate(parts, start=1)]
+    return "\n".join(f"{part} {row.default:08X}h" for part, row in rows if row)
 
 
 def _modes(model) -> str:
