@@ -148,7 +148,7 @@ def _drives(options: argparse.Namespace, console: Console) -> int:
         table.add_row(key, value or "none")
     console.print(table)
     if page.is_file():
-        console.print(f"what is inferred, what is not supported: {page}", soft_wrap=True)
+        print(f"what is inferred, what is not supported: {page}")
     return 0
 
 
