@@ -11,7 +11,7 @@ import numpy as np
 
 from . import brake, inverter, statusword, stop
 from .cascade import energised
-from .faults import Cause, Reaction
+from .faults import Cause, Reaction, show_register
 from .jit import block
 from .stop import OPTION_STAYS, OPTION_STOP, Stop
 from .words import COMMANDS, Command, Controlword, Mode, State
@@ -264,7 +264,8 @@ def _reset_fault(axis):
         return
     _apply(axis, Event.FAULT_RESET)
     axis.fault = Cause.NONE
-    axis.od.error_register = 0
+    axis.following_error_exceeded = 0
+    show_register(axis)
 
 
 @block

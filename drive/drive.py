@@ -18,7 +18,7 @@ from .abort import Abort, SdoAbort
 from .advice import OBEYED, describe
 from .faults import Cause
 from .hooks import HOOKS
-from .hooks_ars import reaction_to, set_reaction
+from .hooks_ars import KEPT, reaction_to, set_reaction
 from .hooks_ethercat import ASSIGNMENTS, assign
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
@@ -213,7 +213,8 @@ class Drive:
     def load_defaults(self) -> None:
         """What 1011h does in models where it acts at once: factory defaults, PDOs stay."""
         for slot in self.objects.slots.values():
-            if slot.row.index >= 0x2000 and slot.row.area == "axis" and slot.row.storable:
+            kept = slot.row.name in KEPT or not slot.row.storable
+            if slot.row.index >= 0x2000 and slot.row.area == "axis" and not kept:
                 slot.put(self._default(slot))
         self.axis.od.reaction_code[:] = 0
         self.model.set_reactions(self.axis)

@@ -77,6 +77,7 @@ class Slave:
         self.drive = drive
         self.state = AlState.INIT
         self.status_code = AlStatusCode.NO_ERROR
+        self._acknowledge = 0  # bit 4 of the last AL Control
         self.sync_managers = [(0, 0)] * 4  # start address and length, written by the master
 
     @property
@@ -86,7 +87,9 @@ class Slave:
 
     def al_control(self, value: int) -> None:
         """Register 0120h: request a state; bit 4 acknowledges an error."""
-        if self.status_code and not value & ACKNOWLEDGE:
+        edge = value & ACKNOWLEDGE and not self._acknowledge
+        self._acknowledge = value & ACKNOWLEDGE
+        if self.status_code and not edge:
             return
         self.status_code = AlStatusCode.NO_ERROR
         wanted = value & 0x0F

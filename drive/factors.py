@@ -14,6 +14,8 @@ from . import encoder, probe, statusword, sync
 from .jit import block
 from .words import Mode
 
+JERK_FREE, JERK_LIMITED = 2, 3  # motion profile types
+JERK_FREE_TIME = 0.02  # s, until a jerk-free ramp has its acceleration (inferred)
 OFF = 0xFFFFFFFF  # a window of this size is switched off
 TURN_OPTION = (0, 3, 3, 0, 2, 1)  # position range mode -> `limits.nearest_turn`
 FRACTION_LIMIT = 1 << 31  # of both parts of the fraction: keeps every product inside 63 bits
@@ -72,9 +74,12 @@ def receive(axis):
     axis.deceleration = min(int(od.profile_deceleration), int(od.max_deceleration)) * acceleration
     axis.quick_stop_deceleration = od.quick_stop_deceleration * acceleration
     jerks = max(int(od.profile_jerk_use), 1)  # 1: for all, 2: acceleration and deceleration, 4
-    limited = od.motion_profile_type >= 2  # jerk-free and jerk-limited ramps
+    kind = od.motion_profile_type
     for i in range(4):
-        axis.jerk[i] = od.profile_jerk[i % jerks] * acceleration if limited else 0.0
+        axis.jerk[i] = od.profile_jerk[i % jerks] * acceleration if kind == JERK_LIMITED else 0.0
+        if kind == JERK_FREE:
+            rate = axis.deceleration if i & 1 else axis.acceleration
+            axis.jerk[i] = rate / JERK_FREE_TIME
     axis.homing_speed_switch = od.homing_speeds[0] * abs(velocity)
     axis.homing_speed_zero = od.homing_speeds[1] * abs(velocity)
     axis.homing_acceleration = od.homing_acceleration * acceleration

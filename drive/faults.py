@@ -8,7 +8,7 @@ error register and history: CiA 301, objects 1001h and 1003h.
 from enum import IntEnum
 
 from .jit import block
-from .record import HISTORY
+from .record import FAULT_CAUSES, HISTORY
 
 WARNING_ACTIVE = 0x8000  # bit of the last warning code
 
@@ -40,6 +40,8 @@ class Cause(IntEnum):
     SYNC_LOST = 21
     GUARDING = 22  # the master's node guarding stays away
     RPDO_TOO_SHORT = 23
+    SOFTWARE_LIMIT_MIN = 24  # a software position limit stops the motion
+    SOFTWARE_LIMIT_MAX = 25
 
 
 class Reaction(IntEnum):
@@ -88,6 +90,19 @@ def record(axis, cause):
 @block
 def expire_warnings(axis):
     """Take back the warnings whose cause has not come again since the last position cycle."""
-    axis.warnings &= axis.faults_present
-    if axis.warnings == 0:
+    left = axis.warnings & axis.faults_present
+    if left != axis.warnings:
+        axis.warnings = left
+        show_register(axis)
+    if left == 0:
         axis.od.last_warning_code &= WARNING_ACTIVE - 1
+
+
+@block
+def show_register(axis):
+    """1001h: the bits of the fault the drive is in and of the warnings that are left."""
+    register = axis.fault_register[axis.fault] if axis.fault != Cause.NONE else 0
+    for cause in range(1, FAULT_CAUSES):
+        if axis.warnings >> cause & 1:
+            register |= axis.fault_register[cause]
+    axis.od.error_register = register

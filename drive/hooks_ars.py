@@ -29,6 +29,8 @@ REACTIONS = {
 CODES = {reaction: code for code, reaction in REACTIONS.items() if code != 1}
 CODES[Reaction.OPTION_CODE] = 5
 LARGEST_FACTOR = 1 << 24
+# objects that loading the defaults leaves alone (CMMP-AS 5.5, ARS 2000 6.5.2)
+KEPT = ("pole_number", "encoder_offset_angle")
 UNDERVOLTAGE, FOLLOWING_ERROR, I2T = 2, 17, 31  # main fault numbers
 
 

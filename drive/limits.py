@@ -47,8 +47,10 @@ def show_clamped(axis):
     """Say which software limit holds the present target back, as long as it does."""
     if axis.homed and axis.target_wanted > axis.position_limit_max:
         axis.limits |= Limit.SOFTWARE_POSITION_MAX
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
     elif axis.homed and axis.target_wanted < axis.position_limit_min:
         axis.limits |= Limit.SOFTWARE_POSITION_MIN
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MIN)
 
 
 @block
@@ -90,8 +92,10 @@ def _before_software_limit(axis, direction, deceleration):
         path += speed * deceleration / (2 * min(axis.jerk[1], axis.jerk[3]))
     if direction > 0 and axis.position + path >= axis.position_limit_max:
         axis.limits |= Limit.SOFTWARE_POSITION_MAX
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
         return True
     if direction < 0 and axis.position - path <= axis.position_limit_min:
         axis.limits |= Limit.SOFTWARE_POSITION_MIN
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MIN)
         return True
     return False

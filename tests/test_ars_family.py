@@ -485,3 +485,40 @@ def test_node_guarding_begins_with_the_first_request(bus):
     assert bus.run(40, "701#R") == ["701#FF"]
     assert any(frame.startswith("081#3081") for frame in bus.run(60))
     assert bus.drive.state == State.FAULT
+
+
+def test_a_halt_in_torque_mode_takes_the_torque_away_on_the_slope(shaft):
+    shaft.enable(TQ)
+    shaft.write(torque_slope=1000, target_torque=300)
+    shaft.until(lambda: shaft.read("torque_demand") == 300)
+    shaft.write(controlword=0x10F)
+    cycles = shaft.until(lambda: shaft.read("torque_demand") == 0)
+    assert cycles * shaft.axis.position_period == pytest.approx(0.3, abs=0.01)
+    shaft.write(controlword=0x0F)
+    shaft.until(lambda: shaft.read("torque_demand") == 300)
+
+
+def test_a_jerk_free_ramp_builds_its_acceleration_up(shaft):
+    shaft.write(motion_profile_type=2, profile_velocity=600)
+    shaft.enable(PP)
+    shaft.write(target_position=65536)
+    shaft.control(0x1F, 3)
+    assert 0 < shaft.axis.acceleration_demand < 0.2 * shaft.axis.acceleration
+    shaft.step(45)
+    assert shaft.axis.acceleration_demand == pytest.approx(shaft.axis.acceleration, rel=0.2)
+
+
+def test_loading_defaults_leaves_what_belongs_to_the_motor(shaft):
+    shaft.write(pole_number=8, encoder_offset_angle=100)
+    shaft.drive.write(0x1011, 1, 0x64616F6C)
+    assert shaft.read("pole_number") == 8
+    assert shaft.read("encoder_offset_angle") == 100
+
+
+def test_the_error_register_forgets_a_warning_that_has_gone(shaft):
+    shaft.drive.inject("31-0")
+    shaft.step(3)
+    assert shaft.read("error_register") & 1
+    shaft.drive.clear_injected()
+    shaft.step(3)
+    assert shaft.read("error_register") == 0

@@ -71,6 +71,9 @@ def test_every_state_request(slave, source, target):
         assert slave.al_status == source | 0x10, "not without acknowledgement"
         slave.al_control(source | 0x10)
         assert slave.al_status == source
+        slave.al_control(0x0F)
+        slave.al_control(source | 0x10)
+        assert slave.al_status == source
         assert slave.status_code == 0
 
 

@@ -69,7 +69,8 @@ def _halt(axis, controlword):
     """Controlword bit 8 (halt option code 605Dh), where device control has no stop of its own."""
     halt = 1 if controlword & Controlword.HALT else 0
     if axis.state == State.OPERATION_ENABLED and axis.pending_transition == 0:
-        if halt and axis.stop == Stop.NONE:
+        by_slope = axis.halt_ends_job and axis.mode == Mode.PROFILE_TORQUE
+        if halt and axis.stop == Stop.NONE and not by_slope:
             stop.begin(axis, stop.OPTION_STOP[int(axis.od.halt_option_code)])
             if axis.halt_ends_job:
                 pp.forget(axis)

@@ -17,7 +17,7 @@ def start(axis):
 def demand(axis):
     """Ramp the torque demand (Nm); the offset 60B2h is added behind the ramp by the cascade."""
     goal = axis.target_torque
-    if limits.at_switch(axis, goal):
+    if axis.halted or limits.at_switch(axis, goal):  # halted here: a model that uses the slope
         goal = 0.0
     step = axis.torque_slope * axis.position_period
     axis.torque_demand += min(max(goal - axis.torque_demand, -step), step)
