@@ -13,21 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from . import cycle, process_data, record, store
+from . import cycle, process_data, record
 from .abort import Abort, SdoAbort
 from .advice import OBEYED, describe
 from .faults import Cause
 from .hooks import HOOKS
-from .hooks_ars import KEPT, reaction_to, set_reaction
-from .hooks_ethercat import ASSIGNMENTS, assign
+from .hooks.ars import reaction_to
+from .hooks.ethercat import ASSIGNMENTS, assign
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
+from .parameters import Parameters
 from .process_data import INVALID
-from .rows import Mapping as PdoMapping
 from .words import Command, Mode, State
 
 VERSION = 1  # of the snapshot layout
-REACTION = "reaction"  # in a parameter file: changed reaction to a main fault number
 
 
 class Drive:
@@ -59,7 +58,6 @@ class Drive:
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self.node_id = node_id
-        self.parameter_file = None if parameter_file is None else Path(parameter_file)
         self.axes = record.make(1) if axes is None else axes
         self.index = index
         self.axis: Any = self.axes[index]
@@ -69,7 +67,6 @@ class Drive:
         od_offset = record.AXIS.fields["od"][1]  # type: ignore[index]
         self._record = process_data.raw(self.memory[index])
         self._commissioned: dict[str, int] = {}
-        self._stored: store.Values | None = None  # parameters kept without a file
         self.objects = ObjectDictionary(
             self,
             {
@@ -79,6 +76,7 @@ class Drive:
                 "constant": None,
             },
         )
+        self.parameters = Parameters(self, parameter_file)
         self.reset()
 
     # ------------------------------------------------------------------ power
@@ -89,15 +87,15 @@ class Drive:
         With `keep_parameters` the storable objects and the PDO mapping stay as they are now, as if
         they had been stored before.
         """
-        values = self._parameters() if keep_parameters else self._stored_parameters()
+        values = self.parameters.values() if keep_parameters else self.parameters.stored()
         self._record[:] = bytes(len(self._record))
         if self.model.name != "generic":
-            self._standard_defaults()
+            self.parameters.standard_defaults()
         self.model.power_on(self.axis)
         for name, value in self._commissioned.items():
             setattr(self.axis.od, name, value)
-        self._defaults()
-        self._restore_parameters(values)
+        self.parameters.defaults()
+        self.parameters.restore(values)
         for name in {row.hook for row in self.model.objects.values() if row.hook}:
             if power_on := HOOKS[name].power_on:
                 power_on(self)
@@ -112,113 +110,10 @@ class Drive:
                 assign(self.objects, index, int(self.read(index)))
         self.image_changed()
 
-    def _standard_defaults(self) -> None:
-        """Objects a model lacks behave as the defaults of the standard's own drive."""
-        od = self.objects.names["statusword"].view
-        own = {row.offset for row in self.model.objects.values() if row.area == "axis"}
-        for row in load("generic").objects.values():
-            if row.area == "axis" and row.format and row.offset not in own:
-                Slot(row, od, row.offset).put(row.default)  # type: ignore[arg-type]
-
-    def _defaults(self) -> None:
-        for slot in self.objects.slots.values():
-            if slot.row.area == "axis" and slot.row.format:
-                slot.put(self._default(slot))
-        self._default_pdos()
-
-    def _default(self, slot: Slot) -> Any:
-        """Factory default; some identifiers count from the node-id."""
-        default: Any = slot.row.default
-        return default + self.node_id if slot.row.per_node else default
-
-    def _default_cob_id(self, mapping: PdoMapping) -> int:
-        base, _, node = mapping.cob_id.partition("+")
-        return int(base, 0) + (self.node_id if node else 0)
-
-    def _default_pdos(self) -> None:
-        for pdos, mappings in ((self.rpdos, self.model.rpdos), (self.tpdos, self.model.tpdos)):
-            for pdo, mapping in zip(pdos, mappings, strict=True):
-                pdo.cob_id = self._default_cob_id(mapping)
-                pdo.transmission_type = mapping.transmission_type
-                pdo.inhibit_time = mapping.inhibit_time
-                pdo.count = len(mapping.entries)
-                pdo.mapping[:] = 0
-                pdo.mapping[: pdo.count] = [
-                    index << 16 | subindex << 8 | bits for index, subindex, bits in mapping.entries
-                ]
-        for (index, subindex), slot in self.objects.slots.items():
-            timers = subindex in (5, 6) and (index & 0xFE00) in (0x1400, 0x1800)
-            if timers and slot.view is not None:
-                slot.put(slot.row.default)  # type: ignore[arg-type]
-
-    def _parameters(self) -> store.Values:
-        """All storable values, but not identifiers that still follow from the node-id."""
-        follow = {
-            (base + number, 1): self._default_cob_id(mapping)
-            for base, mappings in ((0x1400, self.model.rpdos), (0x1800, self.model.tpdos))
-            for number, mapping in enumerate(mappings)
-        }
-        values: store.Values = {
-            f"{index:04X}:{subindex:02X}": value  # type: ignore[misc]
-            for (index, subindex), slot in self.objects.slots.items()
-            if slot.row.storable
-            and slot.view is not None
-            and (value := slot.get()) != follow.get((index, subindex))
-            and not (slot.row.per_node and value == self._default(slot))
-        }
-        for main, code in enumerate(self.axis.od.reaction_code.tolist()):
-            if code:
-                values[f"{REACTION}:{main}"] = code - 1
-        return values
-
-    def _stored_parameters(self) -> store.Values:
-        if self.parameter_file is not None:
-            return store.load(self.parameter_file, self.model.name)
-        return self._stored or {}
-
-    def _restore_parameters(self, values: store.Values) -> None:
-        for address, value in values.items():
-            first, _, second = address.partition(":")
-            if first == REACTION:
-                set_reaction(self, int(second), int(value))
-                continue
-            index, subindex = int(first, 16), int(second, 16)
-            slot = self.objects.slots.get((index, subindex))
-            if slot is not None and slot.view is not None and slot.row.storable:
-                slot.put(value)
-
     def reset_communication(self) -> None:
         """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""
-        stored = self._stored_parameters()
-        for (index, _), slot in self.objects.slots.items():
-            belongs = slot.row.storable or slot.row.per_node
-            if index < 0x2000 and slot.row.area == "axis" and belongs:
-                slot.put(self._default(slot))
-        self._default_pdos()
-        self._restore_parameters({a: v for a, v in stored.items() if a.startswith("1")})
+        self.parameters.reset_communication()
         self._compile_pdos()
-
-    def store_parameters(self) -> bool:
-        """What 1010h does: keep all storable objects for the next power-on; False if it failed."""
-        values = self._parameters()
-        if self.parameter_file is None:
-            self._stored = values
-            return True
-        try:
-            store.save(self.parameter_file, self.model.name, values)
-        except OSError:
-            return False
-        return True
-
-    def load_defaults(self) -> None:
-        """What 1011h does in models where it acts at once: factory defaults, PDOs stay."""
-        for slot in self.objects.slots.values():
-            kept = slot.row.name in KEPT or not slot.row.storable
-            if slot.row.index >= 0x2000 and slot.row.area == "axis" and not kept:
-                slot.put(self._default(slot))
-        self.axis.od.reaction_code[:] = 0
-        self.model.set_reactions(self.axis)
-        self.axis.parameters_changed = 1
 
     def commission(self, values: Mapping[str, float]) -> None:
         """Set parameters by name: objects where the model has them, else fields of `AXIS.od`.
@@ -236,16 +131,6 @@ class Drive:
                 self._commissioned[name] = round(value)
                 setattr(self.axis.od, name, round(value))
         self.axis.parameters_changed = 1
-
-    def forget_parameters(self) -> bool:
-        """What 1011h does: the next power-on finds factory defaults; False if it failed."""
-        self._stored = None
-        try:
-            if self.parameter_file is not None:
-                self.parameter_file.unlink(missing_ok=True)
-        except OSError:
-            return False
-        return True
 
     # ---------------------------------------------------------------- objects
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import Shaft
-from servogym.drive import hooks_act
 from servogym.drive.abort import TEXT, Abort, SdoAbort
 from servogym.drive.drive import Drive
 from servogym.drive.faults import Cause
+from servogym.drive.hooks import act
 from servogym.drive.model import load, model_names
 from servogym.drive.objects import pdo_objects
 from servogym.drive.record import OBJECTS
@@ -115,8 +115,8 @@ def test_errors_say_the_next_step(drive):
     assert all(abort in TEXT for abort in Abort if abort > 1)
 
 
-# of the active data set of an inverter: `hooks_act.apply`
-PARAMETERS = [field for field, _ in hooks_act.FIELDS.values()]
+# of the active data set of an inverter: `hooks.act.apply`
+PARAMETERS = [field for field, _ in act.FIELDS.values()]
 PARAMETERS += ["stop_threshold", "control_deviation", "pole_pairs", "vl_velocity_min_max_amount"]
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ..drive.canopen.frame import Base, Frame
 from ..drive.canopen.node import NmtState
-from ..drive.hooks import LOAD, SAVE
+from ..drive.hooks.standard import LOAD, SAVE
 from ..drive.model import DriveModel, Object
 from ..drive.objects import DUMMY_BITS
 from ..drive.process_data import INVALID

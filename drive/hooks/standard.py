@@ -1,33 +1,18 @@
-"""What reading or writing an object does beside moving its bytes: `hook` in objects.csv by name.
-
-A write hook sees the value after the checks of type, range and state. It returns NONE to have the
-value stored, STORED where that is already done, or the abort code of a refusal. `WHEN` are the
-states of the drive a write may need.
-"""
+"""Objects of CiA 301 and CiA 402 that do something when they are written."""
 
 import math
-from collections.abc import Callable
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from . import hooks_act, hooks_ars, hooks_ethercat
-from .abort import Abort
-from .factors import FRACTION_LIMIT
-from .homing import Progress
+from ..abort import Abort
+from ..factors import FRACTION_LIMIT
 from .hook import Hook
 
 if TYPE_CHECKING:
-    from .drive import Drive
-    from .objects import ObjectDictionary
-    from .rows import Object
+    from ..objects import ObjectDictionary
+    from ..rows import Object
 
 SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
-RUNNING = (Progress.SEARCHING, Progress.STOPPING, Progress.TO_ZERO)
-
-WHEN: dict[str, Callable[["Drive"], bool]] = {
-    "disabled": lambda drive: not drive.energised,
-    "not_homing": lambda drive: int(drive.axis.homing) not in RUNNING,
-}
 
 
 def _clear_history(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
@@ -62,7 +47,7 @@ def _factor(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
 def _save(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
     if value != SAVE:
         return Abort.NOT_TRANSFERABLE
-    return Abort.STORED if od.drive.store_parameters() else Abort.HARDWARE
+    return Abort.STORED if od.drive.parameters.save() else Abort.HARDWARE
 
 
 def _load(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
@@ -71,19 +56,16 @@ def _load(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
     if od.drive.model.quirk("load_at_once"):
         if od.drive.energised:
             return Abort.DEVICE_STATE
-        od.drive.load_defaults()
+        od.drive.parameters.load_defaults()
         return Abort.STORED
-    return Abort.STORED if od.drive.forget_parameters() else Abort.HARDWARE
+    return Abort.STORED if od.drive.parameters.forget() else Abort.HARDWARE
 
 
-HOOKS: dict[str, Hook] = {
+HOOKS = {
     "clear_history": Hook(_clear_history),
     "save": Hook(_save),
     "load": Hook(_load),
     "mode": Hook(_mode),
     "homing_method": Hook(_homing_method),
     "factor": Hook(_factor),
-    **hooks_act.HOOKS,
-    **hooks_ars.HOOKS,
-    **hooks_ethercat.HOOKS,
 }

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .abort import Abort
+from ..abort import Abort
 from .hook import Hook
 
 if TYPE_CHECKING:
-    from .objects import ObjectDictionary
-    from .rows import Object
+    from ..objects import ObjectDictionary
+    from ..rows import Object
 
 ASSIGNMENTS = (0x1C12, 0x1C13)  # sync manager 2: outputs, 3: inputs
 FLEXIBLE = 4  # PDOs of each direction that a master may map; they come first

@@ -6,16 +6,16 @@ of the factor group (5.3), compatibility bits (5.2), the lock on 60C1h (7.4.2), 
 
 from typing import TYPE_CHECKING
 
-from .abort import Abort
-from .factors import FRACTION_LIMIT, reduced
-from .faults import Cause, Reaction
+from ..abort import Abort
+from ..factors import FRACTION_LIMIT, reduced
+from ..faults import Cause, Reaction
+from ..words import Compatibility
 from .hook import Hook
-from .words import Compatibility
 
 if TYPE_CHECKING:
-    from .drive import Drive
-    from .objects import ObjectDictionary
-    from .rows import Fault, Object
+    from ..drive import Drive
+    from ..objects import ObjectDictionary
+    from ..rows import Fault, Object
 
 # reaction codes of 2100h:02 as the kernel's reactions; the manual prints no mapping (inferred)
 REACTIONS = {

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from .abort import Abort
+from ..abort import Abort
 
 if TYPE_CHECKING:
-    from .drive import Drive
-    from .objects import ObjectDictionary
-    from .rows import Object
+    from ..drive import Drive
+    from ..objects import ObjectDictionary
+    from ..rows import Object
 
 
 class Hook(NamedTuple):

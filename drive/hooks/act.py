@@ -9,13 +9,13 @@ into the record after each write (`apply`).
 import struct
 from typing import TYPE_CHECKING
 
-from .abort import Abort
+from ..abort import Abort
 from .hook import Hook
 
 if TYPE_CHECKING:
-    from .drive import Drive
-    from .objects import ObjectDictionary
-    from .rows import Object
+    from ..drive import Drive
+    from ..objects import ObjectDictionary
+    from ..rows import Object
 
 FIRST = 0x2000  # object of parameter 0
 SETS = (1, 2, 3, 4)
@@ -192,7 +192,7 @@ def _only_velocity_mode(od: "ObjectDictionary", row: "Object", value: int) -> Ab
 
 def _actual(od: "ObjectDictionary", row: "Object") -> int:
     """Read-outs 228, 249, 250, 260, 270, 282, 283 (10.1)."""
-    from . import inverter
+    from .. import inverter
 
     axis = od.drive.axis
     hertz = 100 * int(axis.od.pole_pairs) / 60  # 0.01 Hz a 1/min
@@ -216,7 +216,7 @@ def _actual(od: "ObjectDictionary", row: "Object") -> int:
 
 def _warnings(axis) -> int:
     """Parameter 270 (11.1): Ixt, heat sink and motor temperature are what the emulator has."""
-    from .faults import Cause
+    from ..faults import Cause
 
     bits = {Cause.I2T: 0x01, Cause.DRIVE_TEMPERATURE: 0x08, Cause.MOTOR_TEMPERATURE: 0x80}
     return sum(bit for cause, bit in bits.items() if int(axis.warnings) >> cause & 1)
