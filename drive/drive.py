@@ -19,7 +19,7 @@ from .advice import OBEYED, describe
 from .faults import Cause
 from .hooks import HOOKS
 from .hooks.ars import reaction_to
-from .hooks.ethercat import ASSIGNMENTS, assign
+from .hooks.ethercat import ASSIGNMENTS, FLEXIBLE, assign
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .parameters import Parameters
@@ -172,8 +172,11 @@ class Drive:
     ) -> None:
         """Map objects by name, one list a PDO, with the procedure of CiA 301; the rest goes off.
 
+        An EtherCAT drive gets flexible PDOs, assigned to its sync managers.
+
         Raises SdoAbort where the drive refuses an entry, ValueError for too many PDOs.
         """
+        ethercat = self.model.bus == "ethercat"
         for pdos, lists, communication, mapping in (
             (self.rpdos, rpdos, 0x1400, 0x1600),
             (self.tpdos, tpdos, 0x1800, 0x1A00),
@@ -181,11 +184,16 @@ class Drive:
             if lists is None:
                 continue
             wanted = [list(names) for names in lists]
-            if len(wanted) > len(pdos):
-                raise ValueError(f"{len(wanted)} PDOs are wanted, the model has {len(pdos)}")
-            for i in range(len(pdos)):
+            free = FLEXIBLE if ethercat else len(pdos)
+            if len(wanted) > free:
+                raise ValueError(f"{len(wanted)} PDOs are wanted, the model has {free}")
+            manager = ASSIGNMENTS[pdos is self.tpdos]
+            if ethercat:
+                self.write(manager, 0, 0)
+            for i in range(free):
                 cob_id = int(pdos[i].cob_id)
-                self.write(communication + i, 1, cob_id | INVALID)
+                if not ethercat:
+                    self.write(communication + i, 1, cob_id | INVALID)
                 self.write(mapping + i, 0, 0)
                 if i >= len(wanted):
                     continue
@@ -194,7 +202,12 @@ class Drive:
                     entry = row.index << 16 | row.subindex << 8 | row.size * 8
                     self.write(mapping + i, n + 1, entry)
                 self.write(mapping + i, 0, len(wanted[i]))
-                self.write(communication + i, 1, cob_id & ~INVALID)
+                if ethercat:
+                    self.write(manager, i + 1, mapping + i)
+                else:
+                    self.write(communication + i, 1, cob_id & ~INVALID)
+            if ethercat:
+                self.write(manager, 0, len(wanted))
 
     def image_changed(self) -> None:
         """Forget what was derived from the PDO mapping."""

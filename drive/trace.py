@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .drive import Drive
-from .record import UNITS
+from .record import OD, UNITS
 
 
 class Edge(IntEnum):
@@ -126,6 +126,9 @@ def _reader(drive: Drive, name: str) -> Callable[[], float]:
             return lambda: view[drive.index].item()
     elif name in drive.objects.names:
         return drive.objects.names[name].get  # type: ignore[return-value]
+    elif name in (OD.names or ()) and not OD[name].shape:
+        column = np.asarray(drive.axes)["od"][name]  # the model has no object for it
+        return lambda: column[drive.index].item()
     raise ValueError(
         f"there is no channel {name!r}: name an object such as position_actual_value, "
         "or a field of the record such as axis.torque"
@@ -135,7 +138,9 @@ def _reader(drive: Drive, name: str) -> Callable[[], float]:
 def _unit(drive: Drive, name: str) -> str:
     if name.startswith("axis."):
         return UNITS[name.removeprefix("axis.")]
-    return drive.objects.names[name].row.unit
+    if name in drive.objects.names:
+        return drive.objects.names[name].row.unit
+    return UNITS[f"od.{name}"]
 
 
 def _write_csv(path: Path, trace: Trace) -> None:

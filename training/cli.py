@@ -8,6 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from ..drive.abort import SdoAbort
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
@@ -171,7 +173,7 @@ def main(arguments: list[str] | None = None) -> int:
     console = Console()
     try:
         return options.run(options, console)
-    except (ValueError, OSError, TimeoutError, RuntimeError, ImportError) as error:
+    except (ValueError, OSError, TimeoutError, RuntimeError, ImportError, SdoAbort) as error:
         print(f"servogym {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
