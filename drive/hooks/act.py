@@ -206,12 +206,19 @@ def _actual(od: "ObjectDictionary", row: "Object") -> int:
         228: internal,
         249: active_set(od),
         250: terminals,
-        260: int(axis.fault_number[axis.fault]),
+        260: _fault_key(od.drive),
         270: _warnings(axis),
         282: bus,
         283: round(int(axis.od.vl_velocity_demand) * hertz),
     }
     return values[row.index - FIRST]
+
+
+def _fault_key(drive: "Drive") -> int:
+    """Parameter 260 (8.3.2, 11.2): group in the high byte, number in the low one."""
+    cause = int(drive.axis.fault)
+    here = [fault for fault in drive.model.faults if cause and fault.cause == cause]
+    return (here[0].main or 0) << 8 | (here[0].sub or 0) if here else 0
 
 
 def _warnings(axis) -> int:

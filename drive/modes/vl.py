@@ -57,7 +57,7 @@ def status(axis):
     """target_reached: the ramp has ended (inferred); the other bits are reserved."""
     axis.mode_bit10 = axis.standstill if axis.halted else energised(axis) and axis.profile_done
     if axis.inverter:  # 8.4.4: within the hysteresis of parameter 549
-        deviation = abs(axis.vl_target) - abs(axis.velocity)
+        deviation = (-axis.vl_target if axis.reverse else axis.vl_target) - axis.velocity
         axis.mode_bit10 = energised(axis) and abs(deviation) <= axis.control_deviation
     axis.mode_bit12 = 0
     axis.mode_bit13 = 0
