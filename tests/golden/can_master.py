@@ -25,19 +25,21 @@ class CanMaster(Master):
 
     def tick(self, *frames):
         """Send frames, let a position cycle pass, -> frames of the drives."""
-        for frame in frames:
+        for frame in (*frames, *(self._due() if self.running else ())):
             self.rig.send(frame)
-        syncs, rest = divmod(self.ticks, self._sync_ticks)
-        if self.running and rest == 0:
-            self.rig.send(Frame(0x080))
-            if self.guards and syncs % self.GUARDED == 0:
-                for frame in self._error_control():
-                    self.rig.send(frame)
         self.ticks += 1
         answers = self.rig.step()
         for frame in answers:
             self._take(frame)
         return answers
+
+    def _due(self):
+        """SYNC, and with some of them error control."""
+        syncs, rest = divmod(self.ticks, self._sync_ticks)
+        if rest:
+            return []
+        guards = self.guards and syncs % self.GUARDED == 0
+        return [Frame(0x080), *(self._error_control() if guards else ())]
 
     def _error_control(self):
         if not self.family:

@@ -42,10 +42,11 @@ class Master:
     """What both buses have in common."""
 
     PERIOD = 20  # ms of the process data
+    STATION = Station
 
     def __init__(self, rig):
         self.rig = rig
-        self.stations = [Station(axis, n + 1) for n, axis in enumerate(rig.machines)]
+        self.stations = [self.STATION(axis, n + 1) for n, axis in enumerate(rig.machines)]
         self.running = False  # process data
         self.ticks = 0
 

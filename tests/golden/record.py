@@ -8,6 +8,7 @@ import struct
 import sys
 from pathlib import Path
 
+from golden import inverter
 from golden.can_master import CanMaster
 from golden.ethercat_master import EthercatMaster
 from golden.rig import CanRig, rig
@@ -28,7 +29,9 @@ LOGS = {  # drive model -> file
     "festo_cmmd": "festo_cmmd.log",
     "metronix_ars2000": "metronix_ars2000.log",
     "kollmorgen_akd": "kollmorgen_akd.txt",
+    "bonfiglioli_act": "bonfiglioli_act.log",
 }
+SCRIPTS = {"bonfiglioli_act": inverter.commission}  # drive model -> script, else that of a servo
 SHUTDOWN, SWITCH_ON, ENABLE = 0x06, 0x07, 0x0F
 SHORT_CIRCUIT, FOLLOWING_ERROR, FRAMES_LOST = 0x2320, 0x8611, 0x8700
 TOO_SHORT, GUARDING = 0x8210, 0x8130
@@ -62,12 +65,11 @@ def parameters(model):
     return changed
 
 
-def commission(model):
+def commission(bus):
     """From the first telegram to the last; -> the log."""
-    bus = rig(model)
     on_can = isinstance(bus, CanRig)
     master = CanMaster(bus) if on_can else EthercatMaster(bus)
-    configure(master, parameters(model))
+    configure(master, parameters(bus.model))
     master.start()
     enable(master)
     home(master)
@@ -257,7 +259,7 @@ def stop(master):
 
 def main(models):
     for model in models or LOGS:
-        log = commission(model)
+        log = SCRIPTS.get(model, commission)(rig(model))
         (HERE / LOGS[model]).write_text("\n".join(log) + "\n")
         print(f"{LOGS[model]}: {len(log)} lines")
 
