@@ -74,6 +74,16 @@ class DriveModel:
     def __reduce__(self):
         return load, (self.name if self.folder == _builtin() / self.name else str(self.folder),)
 
+    def fault_key(self, code: int, cause: int) -> int:
+        """Manufacturer's number of a fault, main part in the high byte; 0 if it has none.
+
+        Of several rows with the error code that of the cause counts, else the first.
+        """
+        rows = [fault for fault in self.faults if fault.code == code and fault.main is not None]
+        for fault in sorted(rows, key=lambda fault: fault.cause != cause):
+            return (fault.main or 0) << 8 | (fault.sub or 0)
+        return 0
+
     def power_on(self, axis: Any) -> None:
         """Fill a zeroed record with what the model fixes and the factory defaults."""
         axis.position_period = self.cycle_time["position"]

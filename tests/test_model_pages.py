@@ -17,6 +17,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8"
 HEADINGS = ("**What is inferred**", "**What is not supported**")
 # model -> items in each table of quirks, as many as its manual has
 QUIRK_TABLES = {
+    "bonfiglioli_act": (25,),
     "festo_cmmp_as": (25, 32, 4),  # communication, motion, CMMS and CMMD
     "generic": (),
     "kollmorgen_akd": (26,),
@@ -41,6 +42,11 @@ def section(name, heading):
     found = re.findall(rf"^## {re.escape(heading)}\n(.*?)(?=^## |\Z)", text(name), re.M | re.S)
     assert len(found) == 1, (name, heading)
     return found[0]
+
+
+def identity(model):
+    """Rows of 1018h from the vendor-id on, as many as there are."""
+    return [model.objects[0x1018, n] for n in (1, 2, 3, 4) if (0x1018, n) in model.objects]
 
 
 MODELS = model_names()
@@ -90,11 +96,12 @@ def test_what_can_be_written_and_does_nothing_is_called_not_supported(name):
 
 
 @pytest.mark.parametrize("name", HEADS)
-def test_cycle_times_and_product_code_on_the_page_are_those_of_the_model(name):
+def test_cycle_times_and_identity_on_the_page_are_those_of_the_model(name):
     model = load(name)
     cycles = ", ".join(f"{n} {t * 1e6:g}" for n, t in model.cycle_time.items())
     assert f"{cycles} µs" in text(name)
-    assert f"{model.objects[0x1018, 2].default:X}h" in text(name)
+    product_or_vendor = identity(model)[:2][-1]
+    assert f"{product_or_vendor.default:X}h" in text(name)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -102,8 +109,8 @@ def test_drives_tells_identity_bus_axes_quirks_and_page(name, capsys):
     model = load(name)
     assert cli.main(["drives", name]) == 0
     out = capsys.readouterr().out
-    for subindex in (1, 2, 3, 4):
-        assert f"{model.objects[0x1018, subindex].default:08X}h" in out
+    for row in identity(model):
+        assert f"{row.default:08X}h" in out
     assert re.search(rf"│ bus +│ {model.bus} ", out)
     assert re.search(rf"│ axes +│ {model.axes}\b", out)
     assert str(model.folder / "README.md") in out

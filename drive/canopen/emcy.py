@@ -130,8 +130,5 @@ class Emergency:
         model = self._drive.model
         if not code or not model.quirk("emcy_internal_code"):
             return 0
-        here = [fault for fault in model.faults if fault.code == code and fault.main is not None]
         cause = self._drive.axis.fault or self._drive.axis.fault_raised
-        for fault in sorted(here, key=lambda fault: fault.cause != cause):
-            return (fault.main or 0) << 8 | (fault.sub or 0)
-        return 0
+        return model.fault_key(code, cause)

@@ -198,7 +198,7 @@ def _actual(od: "ObjectDictionary", row: "Object") -> int:
     hertz = 100 * int(axis.od.pole_pairs) / 60  # 0.01 Hz a 1/min
     bus = round(int(axis.od.vl_target_velocity) * hertz)
     internal = int(axis.od.internal_frequency) // 10
-    terminals = int(axis.terminals)
+    terminals, fault = int(axis.terminals), int(axis.fault)
     if axis.od.local_remote == inverter.Source.REMOTE_CONTACTS:
         terminals = int(inverter.contacts.py_func(axis) if hasattr(inverter.contacts, "py_func")
                         else inverter.contacts(axis))  # fmt: skip
@@ -206,19 +206,12 @@ def _actual(od: "ObjectDictionary", row: "Object") -> int:
         228: internal,
         249: active_set(od),
         250: terminals,
-        260: _fault_key(od.drive),
+        260: od.drive.model.fault_key(int(axis.fault_code[fault]), fault) if fault else 0,
         270: _warnings(axis),
         282: bus,
         283: round(int(axis.od.vl_velocity_demand) * hertz),
     }
     return values[row.index - FIRST]
-
-
-def _fault_key(drive: "Drive") -> int:
-    """Parameter 260 (8.3.2, 11.2): group in the high byte, number in the low one."""
-    cause = int(drive.axis.fault)
-    here = [fault for fault in drive.model.faults if cause and fault.cause == cause]
-    return (here[0].main or 0) << 8 | (here[0].sub or 0) if here else 0
 
 
 def _warnings(axis) -> int:
