@@ -128,6 +128,8 @@ def _permitted(axis, command):
     as with quick stop and cannot be enabled (inferred); 6007h says what a lost connection does.
     """
     lost = int(axis.od.abort_connection_option_code) if axis.connection_lost else 0
+    if axis.inverter and axis.od.local_remote != inverter.Source.STATE_MACHINE:
+        lost = 0  # reactions 2 and 3 are of the state machine, 7
     if axis.inverter and lost == 2:
         return Command.SWITCH_ON  # shut down: runs down as in transition 5
     if not axis.sto_input or lost == 2:

@@ -213,6 +213,19 @@ def test_bus_failure_reactions(shaft, reaction, state):
     assert shaft.read("statusword") & 0x4F == state & 0x4F
 
 
+@pytest.mark.parametrize("source", [CONTACTS, REMOTE])
+@pytest.mark.parametrize("reaction", [2, 3])
+def test_contacts_keep_running_without_the_bus(shaft, source, reaction):
+    control_by(shaft, source)
+    shaft.drive.write("vl_target_velocity", 300)
+    shaft.control(S1 | S2, 10)
+    shaft.drive.write(0x6007, 0, reaction)
+    shaft.axis.connection_lost = 1
+    shaft.step(3000)
+    assert shown(shaft) == 0x27
+    assert shaft.speed / RPM == pytest.approx(300, abs=30)
+
+
 # --------------------------------------------------------------- parameters
 
 
