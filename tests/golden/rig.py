@@ -16,13 +16,12 @@ from servogym.envs.linear_axis import linear_axis
 CAUSE = 0x1FFF_FF00  # extended identifier without the node-id: the cause of a fault is there
 PLACE = 0.12  # m, where the carriages stand in the beginning
 MICRO = 1e6
-PITCH = {"bonfiglioli_act": 1e-3}  # drive model -> m a turn: one without positions needs many
+AXES = {"bonfiglioli_act": {"feed_constant": 1e-3}}  # one without positions needs many turns
 
 
 def machine(model, node_id):
     """A linear axis whose drive is as delivered; only what has no object is set for the motor."""
-    pitch = PITCH.get(model.name)
-    axis = linear_axis(model, **({"feed_constant": pitch} if pitch else {}))
+    axis = linear_axis(model, **AXES.get(model.name, {}))
     drive = axis.drives["x"]
     drive.node_id = node_id
     drive.reset()
