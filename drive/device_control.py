@@ -112,6 +112,10 @@ def run(axis):
             _apply(axis, Event.SWITCH_ON)
             stop.begin(axis, Stop.NONE)
             return
+        if axis.state == State.QUICK_STOP_ACTIVE and inverter.blocked(axis):
+            _apply(axis, Event.DISABLE_VOLTAGE)
+            stop.begin(axis, Stop.NONE)
+            return
         asked = inverter.command(axis, asked)
     permitted = _permitted(axis, asked)
     if permitted != asked:

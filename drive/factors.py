@@ -31,7 +31,7 @@ def receive(axis):
     velocity = axis.rad_s_per_velocity_unit
     acceleration = axis.rad_s2_per_acceleration_unit
 
-    axis.rated_torque = od.motor_rated_torque * 1e-3
+    axis.rated_torque = max(int(od.motor_rated_torque), 1) * 1e-3
     per_mille = axis.rated_torque * 1e-3
     ceiling = min(int(od.max_torque), int(od.max_current))
     axis.torque_limit_positive = min(ceiling, int(od.positive_torque_limit)) * per_mille
@@ -107,8 +107,10 @@ def receive(axis):
     _limits_of_some_models(axis)
     axis.position_gain = od.position_control_gain * axis.position_gain_unit
     axis.velocity_gain = od.velocity_control_gain * axis.velocity_gain_unit
-    time = od.velocity_control_time * 1e-6
-    axis.velocity_integral_gain = axis.velocity_gain / time if time > 0 else 0.0
+    # an action time below the cycle would make the anti-windup overshoot without bound
+    time = max(od.velocity_control_time * 1e-6, axis.velocity_period)
+    integrates = od.velocity_control_time > 0
+    axis.velocity_integral_gain = axis.velocity_gain / time if integrates else 0.0
     axis.velocity_filter = _share(axis, od.velocity_filter_time * 1e-6)
     axis.torque_filter = _share(axis, axis.torque_time_constant)
     axis.velocity_feed_forward = od.velocity_feed_forward * 1e-3

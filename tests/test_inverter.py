@@ -9,6 +9,7 @@ from conftest import Shaft
 from servogym.drive.abort import Abort, SdoAbort
 from servogym.drive.canopen.frame import parse
 from servogym.drive.canopen.node import Node
+from servogym.drive.drive import Drive
 from servogym.drive.words import State
 
 S1, S2, S3, S8 = 1, 2, 4, 0x80
@@ -253,6 +254,32 @@ def test_the_ram_is_lost_and_the_eeprom_stays(shaft):
     assert shaft.drive.read(0x21A4, 1) == 500
     shaft.drive.reset(keep_parameters=True)
     assert [shaft.drive.read(0x21A4, n) for n in (6, 7)] == [500, 234]
+
+
+def test_what_the_eeprom_has_outlives_a_power_cycle_and_a_file_the_emulator(tmp_path):
+    file = tmp_path / "act.json"
+    drive = Drive("bonfiglioli_act", parameter_file=file)
+    drive.write(0x21A4, 0, 700)
+    drive.write(0x21A4, 7, 800)
+    drive.reset()
+    again = Drive("bonfiglioli_act", parameter_file=file)
+    for one in (drive, again):
+        assert [one.read(0x21A4, n) for n in (1, 2, 7)] == [700, 700, 700]
+
+
+def test_388_and_6007h_are_the_same(shaft):
+    shaft.drive.write(0x2184, 0, 3)
+    assert shaft.drive.read(0x6007, 0) == 3
+
+
+def test_losing_s1ind_ends_a_quick_stop_by_coasting(shaft):
+    run(shaft, 1200)
+    shaft.control(0x02, 20)
+    speed = shaft.speed
+    shaft.axis.terminals = S2
+    shaft.step(50)
+    assert shaft.drive.state == State.SWITCH_ON_DISABLED
+    assert shaft.speed == pytest.approx(speed, rel=0.05)
 
 
 def test_the_active_data_set_decides_and_is_shown(shaft):

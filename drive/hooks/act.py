@@ -105,6 +105,8 @@ def _data_set(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
         places = (data_set, data_set + RAM) if data_set in SETS else (data_set,)
     for place in places:
         od.slots[index, place].put(value)
+    if data_set < RAM:
+        od.drive.parameters.save()  # each write of the EEPROM is stored at once (8.6.3)
     apply(od.drive)
     return Abort.STORED
 
@@ -124,6 +126,7 @@ def _data_set_now(od: "ObjectDictionary", row: "Object") -> int | Abort:
 
 def _single(od: "ObjectDictionary", row: "Object", value: int) -> Abort:
     od.slots[row.index, row.subindex].put(value)
+    od.drive.parameters.save()
     apply(od.drive)
     return Abort.STORED
 
