@@ -1,5 +1,6 @@
 """servogym/LinearAxis-v0: position a linear axis through the process data of its drive."""
 
+import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ import mujoco
 import numpy as np
 
 from ..drive.model import DriveModel, load
-from ..drive.words import Mode, State
+from ..drive.words import Mode, state_of
 from .linear_axis import LinearAxisParameters, linear_axis
 from .supervisor import ENABLED, Supervisor
 
@@ -21,6 +22,10 @@ METRE = 1e6  # position units
 RPDO = struct.Struct("<Hbi")  # controlword, modes of operation, target position
 TPDO = struct.Struct("<Hihii")  # statusword, position, torque, velocity, following error
 FAULT_BIT = 0x08
+STATE_MASK = 0x6F
+STATE_NAME = {  # by statusword & STATE_MASK
+    word: state.name for word in range(STATE_MASK + 1) if (state := state_of(word)) is not None
+}
 
 
 class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -189,13 +194,14 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Move the set-point for one step. Raises ValueError for an action out of the space."""
-        action = np.asarray(action, dtype=np.float64)
-        if action.shape != (1,) or not abs(action[0]) <= 1.0 + 1e-6:
+        shape = np.shape(action)
+        share = float(action[0]) if shape == (1,) else math.nan
+        if not abs(share) <= 1.0 + 1e-6:
             raise ValueError(
                 f"action = {action!r} is not in {self.action_space}: "
                 "clip it, and see that the policy's output is finite"
             )
-        way = float(action[0]) * self._speed * self.step_time
+        way = share * self._speed * self.step_time
         self._target = min(max(self._target + way, 0.0), STROKE)
         for cause, probability in self._faults.items():
             if self.np_random.random() < probability:
@@ -205,42 +211,42 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
         observation, near, settled = self._observe()
         self._render_human()
         terminated = bool(self._statusword & FAULT_BIT)
-        info = self._info() | {
-            "reward_near": near,
-            "reward_settled": float(settled),
-            "is_success": settled,
-        }
+        info = self._info(near, settled)
         return observation, 0.5 * near + 0.5 * settled, terminated, False, info
 
     def _observe(self) -> tuple[np.ndarray, float, bool]:
         """The observation, and the two terms of the reward."""
         distance = self.goal - self._position
         observation = np.array(
-            (
-                distance / STROKE,
-                2.0 * self._position / STROKE - 1.0,
-                self._velocity / self._speed,
-                self._following_error / self._window,
-                self._torque,
-                (self._target - self._position) / self._window,
-            ),
+            [
+                min(max(value, -1.0), 1.0)
+                for value in (
+                    distance / STROKE,
+                    2.0 * self._position / STROKE - 1.0,
+                    self._velocity / self._speed,
+                    self._following_error / self._window,
+                    self._torque,
+                    (self._target - self._position) / self._window,
+                )
+            ],
             np.float32,
         )
         settled = abs(distance) <= self.tolerance and abs(self._velocity) <= 5e-3
         near = 1.0 / (1.0 + (distance / NEAR) ** 2)
-        return np.clip(observation, -1.0, 1.0), near, settled
+        return observation, near, settled
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self, near: float = 0.0, settled: bool = False) -> dict[str, Any]:
+        word = self._statusword
         return {
-            "fault": self.drive.fault,
+            "fault": self.drive.fault if word & FAULT_BIT else "",
             "injected": tuple(self._injected),
-            "state": State(int(self.drive.axis.state)).name,
+            "state": STATE_NAME.get(word & STATE_MASK, "INVALID"),
             "distance": self.goal - self._position,
             "goal": self.goal,
             "time": self.machine.time,
-            "reward_near": 0.0,
-            "reward_settled": 0.0,
-            "is_success": False,
+            "reward_near": near,
+            "reward_settled": float(settled),
+            "is_success": settled,
         }
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
