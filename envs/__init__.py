@@ -11,5 +11,6 @@ __all__ = ["LinearAxisParameters", "Machine", "gantry", "linear_axis"]
 gymnasium.register(
     "servogym/LinearAxis-v0",
     entry_point="servogym.envs.axis_env:LinearAxisEnv",
+    vector_entry_point="servogym.envs.axis_vector_env:LinearAxisVectorEnv",
     max_episode_steps=200,
 )

@@ -18,6 +18,7 @@ from .supervisor import ENABLED, Supervisor
 STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts and goals keep away from the ends
 NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
+RESTING = 5e-3  # m/s, slower counts as settled
 METRE = 1e6  # position units
 RPDO = struct.Struct("<Hbi")  # controlword, modes of operation, target position
 TPDO = struct.Struct("<Hihii")  # statusword, position, torque, velocity, following error
@@ -203,10 +204,7 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
             )
         way = share * self._speed * self.step_time
         self._target = min(max(self._target + way, 0.0), STROKE)
-        for cause, probability in self._faults.items():
-            if self.np_random.random() < probability:
-                self.drive.inject(cause)
-                self._injected.append(cause)
+        self.inject_faults()
         self._exchange()
         observation, near, settled = self._observe()
         self._render_human()
@@ -214,25 +212,40 @@ class LinearAxisEnv(gym.Env[np.ndarray, np.ndarray]):
         info = self._info(near, settled)
         return observation, 0.5 * near + 0.5 * settled, terminated, False, info
 
+    def inject_faults(self) -> None:
+        """Let the declared faults happen with their probabilities."""
+        for cause, probability in self._faults.items():
+            if self.np_random.random() < probability:
+                self.drive.inject(cause)
+                self._injected.append(cause)
+
+    def measure(self, goal, target, position, velocity, error, torque):
+        """The observed quantities and the terms of the reward, of one axis or of arrays of them.
+
+        Takes goal, target, position (m), velocity (m/s), following error (m) and torque (share of
+        the maximum); -> six quantities in the order of the observation, not yet clipped, the term
+        for nearness, whether the axis is settled.
+        """
+        distance = goal - position
+        quantities = (
+            distance / STROKE,
+            2.0 * position / STROKE - 1.0,
+            velocity / self._speed,
+            error / self._window,
+            torque,
+            (target - position) / self._window,
+        )
+        away = distance / NEAR
+        settled = (abs(distance) <= self.tolerance) & (abs(velocity) <= RESTING)
+        return quantities, 1.0 / (1.0 + away * away), settled
+
     def _observe(self) -> tuple[np.ndarray, float, bool]:
         """The observation, and the two terms of the reward."""
-        distance = self.goal - self._position
-        observation = np.array(
-            [
-                min(max(value, -1.0), 1.0)
-                for value in (
-                    distance / STROKE,
-                    2.0 * self._position / STROKE - 1.0,
-                    self._velocity / self._speed,
-                    self._following_error / self._window,
-                    self._torque,
-                    (self._target - self._position) / self._window,
-                )
-            ],
-            np.float32,
-        )
-        settled = abs(distance) <= self.tolerance and abs(self._velocity) <= 5e-3
-        near = 1.0 / (1.0 + (distance / NEAR) ** 2)
+        quantities, near, settled = self.measure(
+            self.goal, self._target, self._position, self._velocity, self._following_error,
+            self._torque,
+        )  # fmt: skip
+        observation = np.array([min(max(q, -1.0), 1.0) for q in quantities], np.float32)
         return observation, near, settled
 
     def _info(self, near: float = 0.0, settled: bool = False) -> dict[str, Any]:
