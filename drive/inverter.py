@@ -48,6 +48,9 @@ def enabled(axis):
 @block
 def command(axis, asked):
     """The command that counts instead of the controlword's."""
+    axis.contacts = axis.terminals
+    if axis.od.local_remote == Source.REMOTE_CONTACTS:
+        axis.contacts = contacts(axis)
     if axis.od.local_remote == Source.STATE_MACHINE:
         if asked != Command.ENABLE_OPERATION:
             return asked

@@ -365,6 +365,7 @@ FIELDS = (
     ("stop_cycles", "i8", "position cycle", "since the stop began"),
     ("hold_cycles", "i8", "position cycle", "below the stop threshold"),
     ("fault_cycle", "i8", "position cycle", "when the fault came"),
+    ("contacts", "u1", "", "terminals, or remote contacts where they count"),
     ("reverse", "u1", "", "the contacts ask for anticlockwise"),
     ("halted", "u1", "", "halt is in force"),
     ("refused_command", "i8", "", "last command without a transition, `words.Command`"),

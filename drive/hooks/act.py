@@ -6,10 +6,12 @@ Writing the EEPROM writes the RAM too. What the control cycle needs of the activ
 into the record after each write (`apply`).
 """
 
-import struct
 from typing import TYPE_CHECKING
 
 from ..abort import Abort
+from ..faults import Cause
+from . import act_channel
+from .act_channel import FIRST, RAM, SETS
 from .hook import Hook
 
 if TYPE_CHECKING:
@@ -17,9 +19,6 @@ if TYPE_CHECKING:
     from ..objects import ObjectDictionary
     from ..rows import Object
 
-FIRST = 0x2000  # object of parameter 0
-SETS = (1, 2, 3, 4)
-RAM = 5  # added to a data set
 ACTIVE, SELECTION, POLE_PAIRS = 249, 414, 373
 F_MIN, F_MAX, UP, DOWN = 418, 419, (420, 422), (421, 423)
 # parameter -> field of the record, factor to its unit
@@ -30,22 +29,6 @@ FIELDS = {
     480: ("internal_frequency", 10),  # 0.01 Hz -> mHz
     632: ("braking_time", 100),  # 0.1 s -> ms (inferred)
     638: ("stop_holding_time", 100),  # 0.1 s -> ms
-}
-# parameter channel 1, object 2000h
-SELECT, ENQUIRE, ACK, NAK = 2, 5, 6, 15  # 15 is read as decimal (inferred)
-CHANNEL = {1: "<h", 2: "<i", 3: ""}  # sub-index -> value
-ERRORS = {
-    Abort.INVALID_VALUE: 1,
-    Abort.VALUE_TOO_HIGH: 1,
-    Abort.VALUE_TOO_LOW: 1,
-    Abort.NO_SUBINDEX: 2,
-    Abort.WRITE_ONLY: 3,
-    Abort.READ_ONLY: 4,
-    Abort.LOCAL_CONTROL: 8,
-    Abort.DEVICE_STATE: 8,
-    Abort.INTERNAL_INCOMPATIBLE: 9,
-    Abort.LENGTH: 10,
-    Abort.NO_OBJECT: 11,
 }
 
 
@@ -195,20 +178,15 @@ def _only_velocity_mode(od: "ObjectDictionary", row: "Object", value: int) -> Ab
 
 def _actual(od: "ObjectDictionary", row: "Object") -> int:
     """Read-outs 228, 249, 250, 260, 270, 282, 283 (10.1)."""
-    from .. import inverter
-
     axis = od.drive.axis
     hertz = 100 * int(axis.od.pole_pairs) / 60  # 0.01 Hz a 1/min
     bus = round(int(axis.od.vl_target_velocity) * hertz)
     internal = int(axis.od.internal_frequency) // 10
-    terminals, fault = int(axis.terminals), int(axis.fault)
-    if axis.od.local_remote == inverter.Source.REMOTE_CONTACTS:
-        terminals = int(inverter.contacts.py_func(axis) if hasattr(inverter.contacts, "py_func")
-                        else inverter.contacts(axis))  # fmt: skip
+    fault = int(axis.fault)
     values = {
         228: internal,
         249: active_set(od),
-        250: terminals,
+        250: int(axis.contacts),
         260: od.drive.model.fault_key(int(axis.fault_code[fault]), fault) if fault else 0,
         270: _warnings(axis),
         282: bus,
@@ -219,8 +197,6 @@ def _actual(od: "ObjectDictionary", row: "Object") -> int:
 
 def _warnings(axis) -> int:
     """Parameter 270 (11.1): Ixt, heat sink and motor temperature are what the emulator has."""
-    from ..faults import Cause
-
     bits = {Cause.I2T: 0x01, Cause.DRIVE_TEMPERATURE: 0x08, Cause.MOTOR_TEMPERATURE: 0x80}
     return sum(bit for cause, bit in bits.items() if int(axis.warnings) >> cause & 1)
 
@@ -228,73 +204,6 @@ def _warnings(axis) -> int:
 def _string(od: "ObjectDictionary", row: "Object") -> Abort:
     """A string parameter cannot be read through 2nnnh (8.7)."""
     return Abort.INTERNAL_INCOMPATIBLE
-
-
-def channel(od: "ObjectDictionary", row: "Object", data: bytes | None) -> tuple[bytes, Abort]:
-    """Parameter channel 1, object 2000h (8.6): a request is written, its result is read."""
-    if data is None:
-        return od.results.get(row.subindex, bytes(row_size(row))), Abort.NONE
-    if len(data) < 4:
-        return b"", Abort.LENGTH_TOO_LOW
-    if len(data) > row_size(row):
-        return b"", Abort.LENGTH_TOO_HIGH
-    word, command = struct.unpack_from("<HB", data)
-    data_set, number = divmod(word, 1000)
-    if command == ENQUIRE:
-        value, error = _channel_read(od, number, data_set, row.subindex)
-    elif command == SELECT:
-        value = data[4:]
-        error = _channel_write(od, number, data_set, row.subindex, value)
-    else:
-        value, error = b"", 0
-    done = command in (ENQUIRE, SELECT) and error is None
-    head = struct.pack("<HBB", word, ACK if done else NAK, 0)
-    result = head + (value if done else bytes([error or 0]))
-    od.results[row.subindex] = result.ljust(row_size(row), b"\0")[: row_size(row)]
-    return b"", Abort.NONE
-
-
-def row_size(row: "Object") -> int:
-    """Bytes of a request and of a result of the parameter channel (8.6)."""
-    return {1: 6, 2: 8, 3: 36}[row.subindex]
-
-
-def _fits(od: "ObjectDictionary", number: int, kind: int) -> int | None:
-    """Error number where there is no such parameter of the type of the sub-index."""
-    slot = od.slots.get((FIRST + number, 0))
-    if slot is None or number == 0:
-        return 11
-    wanted = {0: 3, 2: 1, 4: 2}.get(slot.row.size)
-    return None if wanted == kind else 10
-
-
-def _channel_read(
-    od: "ObjectDictionary", number: int, data_set: int, kind: int
-) -> tuple[bytes, int | None]:
-    error = _fits(od, number, kind)
-    if error is not None:
-        return b"", error
-    if kind == 3:
-        return str(od.slots[FIRST + number, 0].row.default).encode() + b"\0", None
-    value, abort = od.read(FIRST + number, data_set)
-    return value, ERRORS.get(abort, 15) if abort else None
-
-
-def _channel_write(
-    od: "ObjectDictionary", number: int, data_set: int, kind: int, data: bytes
-) -> int | None:
-    error = _fits(od, number, kind)
-    if error is not None or kind == 3:
-        return 4 if error is None else error
-    fourfold = (FIRST + number, 1) in od.slots
-    # other than 2nnnh, this channel writes data set 0 whatever the four contents are (8.6.3)
-    places = {0: SETS, RAM: tuple(RAM + n for n in SETS)}.get(data_set) if fourfold else None
-    size = struct.calcsize(CHANNEL[kind])
-    for place in places or (data_set,):
-        abort = od.write(FIRST + number, place, data[:size])
-        if abort:
-            return ERRORS.get(abort, 15)
-    return None
 
 
 HOOKS = {
@@ -307,5 +216,5 @@ HOOKS = {
     "act_mode": Hook(_only_velocity_mode),
     "act_value": Hook(read=_actual),
     "act_string": Hook(read=_string),
-    "act_channel": Hook(raw=channel),
+    "act_channel": Hook(raw=act_channel.channel),
 }
