@@ -85,7 +85,7 @@ class LinearAxisVectorEnv(gym.vector.VectorEnv):
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed: {len(seeds)} are given for {self.num_envs} environments")
-        for i in np.flatnonzero(mask):
+        for i in np.flatnonzero(mask).tolist():
             self._reset_one(i, seeds[i] if seeds else None, options)
         if not all(self._tpdos):
             raise ValueError("options['reset_mask']: the first reset has to be one of all")
@@ -134,7 +134,7 @@ class LinearAxisVectorEnv(gym.vector.VectorEnv):
         else:
             self._ended |= resting
         if anew.any():
-            for i in np.flatnonzero(anew):
+            for i in np.flatnonzero(anew).tolist():
                 self._reset_one(i)
             observations = self._observe()
         infos |= self._infos()
