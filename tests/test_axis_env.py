@@ -10,6 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import servogym.envs
+from servogym.drive.model import load, model_names
+from servogym.drive.words import Mode
 from servogym.envs.axis_env import LinearAxisEnv
 
 ID = "servogym/LinearAxis-v0"
@@ -40,6 +42,21 @@ def rollout(seed, steps=40):
 
 def test_gymnasium_checker_is_content(env):
     check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("model", model_names())
+def test_every_drive_model_does_the_task_or_is_refused_by_the_mode_it_lacks(model):
+    if Mode.CYCLIC_SYNC_POSITION not in load(model).modes:
+        with pytest.raises(ValueError, match="has no mode cyclic_sync_position"):
+            LinearAxisEnv(drive=model)
+        return
+    env = LinearAxisEnv(drive=model)
+    check_env(env, skip_render_check=True)
+    observation, _ = env.reset(seed=3, options={"start": 0.1, "goal": 0.13})
+    for _ in range(400):
+        observation, *_, terminated, _, info = env.step(towards_goal(observation))
+        assert not terminated
+    assert info["is_success"]
 
 
 def test_stable_baselines_checker_is_content(env):
