@@ -31,6 +31,8 @@ RANGES = {
     "max_velocity": (1e-3, 10.0, "m/s"),
     "max_acceleration": (1e-2, 200.0, "m/s²"),
     "max_jerk": (1.0, 4000.0, "m/s³"),
+    "stiffness": (0.0, 1e8, "N/m"),
+    "structural_damping": (0.0, 1e5, "N·s/m"),
     "inclination": (-90.0, 90.0, "degree"),
     "brake_torque": (0.0, 100.0, "Nm"),
 }
@@ -47,6 +49,8 @@ class LinearAxisParameters:
     max_velocity: float = 1.0  # m/s, profile velocity
     max_acceleration: float = 10.0  # m/s², profile acceleration and deceleration
     max_jerk: float = 1000.0  # m/s³, profile jerk
+    stiffness: float = 0.0  # N/m, between carriage and payload; 0: rigid
+    structural_damping: float = 0.0  # N·s/m, between carriage and payload
     inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
     brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
 
@@ -116,7 +120,23 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
     payload.mass = p.payload
     payload.size = [0.02 + 0.01 * min(p.payload, 5.0) ** (1 / 3)] * 3
     payload.pos[2] = 0.014 + payload.size[2]
+    if p.stiffness > 0.0 and p.payload > 0.0:
+        _mount_elastically(spec, p)
     return spec.compile()
+
+
+def _mount_elastically(spec: mujoco.MjSpec, p: LinearAxisParameters) -> None:
+    """Put the payload on a spring along the axis: the joint ``load``, a two-mass system."""
+    rigid = spec.geom("payload")
+    load_body = spec.body("carriage").add_body(name="load")
+    joint = load_body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    joint.stiffness[0] = p.stiffness
+    joint.damping[0] = p.structural_damping
+    load_body.add_geom(
+        name="load", type=rigid.type, size=rigid.size, pos=rigid.pos, mass=rigid.mass,
+        material=rigid.material, contype=0, conaffinity=0, group=1,
+    )  # fmt: skip
+    spec.delete(rigid)
 
 
 def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
