@@ -142,7 +142,7 @@ def _vl(axis):
     if od.vl_dimension_factor[1] == 0 or od.vl_set_point_factor[1] == 0:
         return  # a drive without this mode
     axis.vl_rad_s = od.vl_dimension_factor[0] / od.vl_dimension_factor[1] * (2 * math.pi / 60)
-    scaled = od.vl_target_velocity * od.vl_set_point_factor[0] / od.vl_set_point_factor[1]
+    scaled = float(od.vl_target_velocity) * od.vl_set_point_factor[0] / od.vl_set_point_factor[1]
     if axis.inverter:
         scaled = _inverter(axis, scaled)
     amount = min(
