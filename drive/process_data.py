@@ -81,15 +81,18 @@ def raw(array: np.ndarray) -> memoryview:
 
 
 @block
-def latch(bytes_of_axis, axis, rpdos, image):
-    """Write an RPDO image into the objects of one axis; the next position cycle uses them."""
-    at = 0
+def latch(bytes_of_axis, axis, rpdos, image, at):
+    """Write an RPDO image into the objects of one axis; the next position cycle uses them.
+
+    The image begins at `at`; -> position behind it.
+    """
     for i in range(len(rpdos)):
         if rpdos[i].valid:
             at = latch_one(bytes_of_axis, rpdos[i], image, at)
     axis.parameters_changed = 1
     axis.sync = 1
     axis.sync_pulse = 1
+    return at
 
 
 @block
@@ -105,12 +108,12 @@ def latch_one(bytes_of_axis, pdo, image, at):
 
 
 @block
-def collect(bytes_of_axis, tpdos, image):
-    """Copy the mapped objects of one axis into a TPDO image."""
-    at = 0
+def collect(bytes_of_axis, tpdos, image, at):
+    """Copy the mapped objects of one axis into a TPDO image from `at` on; -> position behind it."""
     for i in range(len(tpdos)):
         if tpdos[i].valid:
             at = collect_one(bytes_of_axis, tpdos[i], image, at)
+    return at
 
 
 @block
@@ -127,10 +130,10 @@ def collect_one(bytes_of_axis, pdo, image, at):
 @entry
 def latch_axis(all_bytes, axes, index, rpdos, image):
     """`latch` for ``axes[index]``."""
-    latch(all_bytes[index], axes[index], rpdos, image)
+    latch(all_bytes[index], axes[index], rpdos, image, 0)
 
 
 @entry
 def collect_axis(all_bytes, index, tpdos, image):
     """`collect` for ``axes[index]``."""
-    collect(all_bytes[index], tpdos, image)
+    collect(all_bytes[index], tpdos, image, 0)

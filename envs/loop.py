@@ -1,20 +1,26 @@
-"""The inner loop: drives and physics, compiled, without Python in it.
+"""The inner loop: drives and physics of any number of machines, compiled, without Python in it.
 
 Every physics tick: each drive whose velocity cycle begins reads its shaft and switches, runs, and
 sets the torque of its actuator; then MuJoCo takes one step. When a coordinate is no longer finite
 the physics stops, and the drive's encoder fault says so.
 """
 
+import math
+
 import numpy as np
 
 from ..drive.cycle import velocity_cycle
 from ..drive.jit import block, entry
+from ..drive.process_data import PDO, collect, latch
+from ..drive.record import AXIS
+from .memory import viewer
 from .physics import mj_step
 
+AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
 NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
 
-# How a drive is coupled to the physics. One record a drive.
+# How a drive is coupled to the physics, and its PDOs. One record a drive.
 COUPLING = np.dtype(
     [
         ("qpos", "i8"),  # address of the joint coordinate
@@ -28,15 +34,74 @@ COUPLING = np.dtype(
         ("switch_to", "f8", (3,)),
         ("switch_hysteresis", "f8", (3,)),
         ("switch_active", "u1", (3,)),
+        ("noise", "f8"),  # standard deviation of the measured position (m or rad); 0 = none
+        ("noise_state", "u8"),  # of its generator
     ],
     align=True,
 )
+
+# A machine as the loop sees it: where its things lie in memory. One record a machine.
+WORLD = np.dtype(
+    [
+        ("model", "i8"),  # address of MjModel
+        ("data", "i8"),  # address of MjData
+        ("qpos", "i8"),  # addresses of arrays of MjData, and of MjModel.dof_frictionloss
+        ("qvel", "i8"),
+        ("ctrl", "i8"),
+        ("frictionloss", "i8"),
+        ("nq", "i8"),  # their lengths
+        ("nv", "i8"),
+        ("nu", "i8"),
+        ("axes", "i8"),  # addresses of the records of its drives, and how many they are
+        ("couplings", "i8"),
+        ("pdos", "i8"),
+        ("drives", "i8"),
+        ("tick", "i8"),  # physics steps since the reset
+        ("delay", "i8"),  # physics steps an RPDO image is late
+    ],
+    align=True,
+)
+
+# Where the PDOs of a drive lie, and how many they are.
+PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_count", "i8")])
+
+world_at = viewer(WORLD)
+axes_at = viewer(AXIS)
+couplings_at = viewer(COUPLING)
+directory_at = viewer(PDOS)
+pdos_at = viewer(PDO)
+floats_at = viewer(np.dtype("f8"))
+bytes_at = viewer(np.dtype("u1"))
+
+
+@block
+def _normal(coupling):
+    """The next number of a normal distribution: xorshift64*, and the polar form of Box-Muller."""
+    while True:
+        u, v = _uniform(coupling), _uniform(coupling)
+        s = u * u + v * v
+        if 0.0 < s < 1.0:
+            return u * math.sqrt(-2.0 * math.log(s) / s)
+
+
+@block
+def _uniform(coupling):
+    """In -1..1 (Vigna, An experimental exploration of Marsaglia's xorshift generators)."""
+    state = np.uint64(coupling.noise_state)
+    state ^= state >> np.uint64(12)
+    state ^= state << np.uint64(25)
+    state ^= state >> np.uint64(27)
+    coupling.noise_state = state
+    return (state >> np.uint64(11)) * 2.0**-52 - 1.0
 
 
 @block
 def sense(axis, coupling, position):
     """Feed shaft angle and switches of a joint at `position` to the drive."""
-    axis.shaft_angle = position * coupling.gear
+    measured = position
+    if coupling.noise > 0.0:
+        measured += coupling.noise * _normal(coupling)
+    axis.shaft_angle = measured * coupling.gear
     for i in range(3):
         slack = coupling.switch_hysteresis[i] if coupling.switch_active[i] else 0.0
         inside = coupling.switch_from[i] - slack <= position <= coupling.switch_to[i] + slack
@@ -46,31 +111,78 @@ def sense(axis, coupling, position):
     axis.home_switch = coupling.switch_active[HOME]
 
 
+@block
+def _tick(world, axes, couplings, qpos, ctrl, frictionloss):
+    """One physics step and the control cycles that begin with it."""
+    sound = True
+    for i in range(len(axes)):
+        coupling = couplings[i]
+        sound = sound and abs(qpos[coupling.qpos]) < FARTHEST
+        if world.tick % coupling.velocity_steps == 0:
+            axis = axes[i]
+            sense(axis, coupling, qpos[coupling.qpos])
+            velocity_cycle(axis)
+            ctrl[coupling.ctrl] = axis.torque
+            if coupling.brake_friction > 0.0:
+                held = 0.0 if axis.brake_released else coupling.brake_friction
+                frictionloss[coupling.dof] = coupling.friction + held
+    if sound:
+        mj_step(world.model, world.data)
+    world.tick += 1
+
+
+@block
+def _latch(world, axes, image):
+    """Write an RPDO image into the objects of all drives of a machine, one after the other."""
+    directory = directory_at(world.pdos, world.drives)
+    at = 0
+    for i in range(len(axes)):
+        pdos = pdos_at(directory[i].rpdos, directory[i].rpdo_count)
+        objects = bytes_at(world.axes + i * AXIS_SIZE, AXIS_SIZE)
+        at = latch(objects, axes[i], pdos, image, at)
+
+
+@block
+def _collect(world, image):
+    """Copy the mapped objects of all drives of a machine into a TPDO image."""
+    directory = directory_at(world.pdos, world.drives)
+    at = 0
+    for i in range(world.drives):
+        pdos = pdos_at(directory[i].tpdos, directory[i].tpdo_count)
+        objects = bytes_at(world.axes + i * AXIS_SIZE, AXIS_SIZE)
+        at = collect(objects, pdos, image, at)
+
+
+
 @entry
-def run(axes, couplings, model, data, qpos, ctrl, frictionloss, tick, ticks):
-    """Advance by `ticks` physics steps, beginning with number `tick`.
+def run(worlds, ticks, rpdos, tpdos):
+    """Advance machines by `ticks` physics steps, exchanging the process images of their drives.
 
     Args:
-        axes: AXIS records, shape ``(n_drives,)``.
-        couplings: COUPLING records, shape ``(n_drives,)``.
-        model, data: addresses of MjModel and MjData.
-        qpos, ctrl, frictionloss: views of ``data.qpos``, ``data.ctrl``, ``model.dof_frictionloss``.
+        worlds: addresses of WORLD records, shape ``(n,)``; one that is 0 is left out.
+        ticks: physics steps.
+        rpdos: RPDO images, latched after the delay of their machine, shape ``(n, bytes)``; with
+            no bytes none is.
+        tpdos: takes the TPDO images at the end, shape ``(n, bytes)``; with no bytes none is.
     """
-    for now in range(tick, tick + ticks):
-        sound = True
-        for i in range(len(axes)):
-            coupling = couplings[i]
-            sound = sound and abs(qpos[coupling.qpos]) < FARTHEST
-            if now % coupling.velocity_steps == 0:
-                axis = axes[i]
-                sense(axis, coupling, qpos[coupling.qpos])
-                velocity_cycle(axis)
-                ctrl[coupling.ctrl] = axis.torque
-                if coupling.brake_friction > 0.0:
-                    held = 0.0 if axis.brake_released else coupling.brake_friction
-                    frictionloss[coupling.dof] = coupling.friction + held
-        if sound:
-            mj_step(model, data)
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        world = world_at(worlds[w], 1)[0]
+        axes = axes_at(world.axes, world.drives)
+        couplings = couplings_at(world.couplings, world.drives)
+        qpos = floats_at(world.qpos, world.nq)
+        ctrl = floats_at(world.ctrl, world.nu)
+        frictionloss = floats_at(world.frictionloss, world.nv)
+        latched_at = min(world.delay, ticks) if rpdos.shape[1] else -1
+        for now in range(ticks):
+            if now == latched_at:
+                _latch(world, axes, rpdos[w])
+            _tick(world, axes, couplings, qpos, ctrl, frictionloss)
+        if latched_at == ticks:
+            _latch(world, axes, rpdos[w])
+        if tpdos.shape[1]:
+            _collect(world, tpdos[w])
 
 
 @entry

@@ -12,11 +12,13 @@ from ..drive import record
 from ..drive.drive import Drive
 from ..drive.model import DriveModel
 from . import loop
+from .memory import address
 from .physics import addresses
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 VERSION = 1  # of the snapshot layout
+NO_IMAGES = np.zeros((1, 0), np.uint8)
 BRAKE_IMPEDANCE = 0.9999  # of the friction constraint of a braked joint: else it creeps under load
 
 
@@ -61,10 +63,28 @@ class Machine:
             _couple(model, name, drive, coupling)
         self.cycle_time, self.physics_steps = _rates(model, self.drives)
         self._identity = _identity(model, self.drives)
-        self._addresses = addresses(model, self.data)
-        self._views = self.data.qpos, self.data.ctrl, model.dof_frictionloss
-        self._tick = 0
+        self._directory = np.zeros(len(drives), loop.PDOS)
+        for i, drive in enumerate(self.drives.values()):
+            for name, pdos in (("rpdo", drive.rpdos), ("tpdo", drive.tpdos)):
+                self._directory[f"{name}s"][i] = address(pdos)
+                self._directory[f"{name}_count"][i] = len(pdos)
+        self.world = self._world()
+        self.addresses = np.array([address(self.world)])
         self.reset()
+
+    def _world(self) -> np.ndarray:
+        """The machine as the compiled loop sees it, shape ``(1,)``."""
+        world = np.zeros(1, record.accessible(loop.WORLD))
+        world["model"], world["data"] = addresses(self.model, self.data)
+        for name, array in (
+            ("qpos", self.data.qpos), ("qvel", self.data.qvel), ("ctrl", self.data.ctrl),
+            ("frictionloss", self.model.dof_frictionloss), ("axes", self.axes),
+            ("couplings", self.couplings), ("pdos", self._directory),
+        ):  # fmt: skip
+            world[name] = address(array)
+        world["nq"], world["nv"], world["nu"] = self.model.nq, self.model.nv, self.model.nu
+        world["drives"] = len(self.drives)
+        return world
 
     @classmethod
     def from_mjcf(
@@ -84,13 +104,11 @@ class Machine:
     @property
     def time(self) -> float:
         """Time since the reset (s)."""
-        return self._tick * self.model.opt.timestep
+        return int(self.world["tick"][0]) * self.model.opt.timestep
 
     def step(self, cycles: int = 1) -> None:
         """Run `cycles` position-controller cycles of the slowest drive."""
-        ticks = cycles * self.physics_steps
-        loop.run(self.axes, self.couplings, *self._addresses, *self._views, self._tick, ticks)
-        self._tick += ticks
+        loop.run(self.addresses, cycles * self.physics_steps, NO_IMAGES, NO_IMAGES)
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
         """Power off and on again, at rest, the joints of the named drives at `positions`.
@@ -127,7 +145,7 @@ class Machine:
             self.model.dof_frictionloss[coupling.dof] = coupling.friction + coupling.brake_friction
         loop.sense_all(self.axes, self.couplings, self.data.qpos)
         mujoco.mj_forward(self.model, self.data)
-        self._tick = 0
+        self.world["tick"] = 0
 
     def snapshot(self) -> bytes:
         """Everything the machine is, as bytes; `restore` continues bit by bit the same."""
@@ -135,7 +153,7 @@ class Machine:
         mujoco.mj_getState(self.model, self.data, state, STATE)
         parts = [drive.snapshot() for drive in self.drives.values()]
         parts += [self.couplings.tobytes(), self.model.dof_frictionloss.tobytes(), state.tobytes()]
-        head = [VERSION, self._tick, self._identity, *(len(part) for part in parts)]
+        head = [VERSION, int(self.world["tick"][0]), self._identity, *(len(part) for part in parts)]
         return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
 
     def restore(self, snapshot: bytes) -> None:
@@ -160,7 +178,7 @@ class Machine:
         self.couplings[:] = np.frombuffer(couplings, loop.COUPLING)
         self.model.dof_frictionloss[:] = np.frombuffer(friction)
         mujoco.mj_setState(self.model, self.data, np.frombuffer(state), STATE)
-        self._tick = int(numbers[1])
+        self.world["tick"] = int(numbers[1])
 
 
 def _actuators(model: mujoco.MjModel) -> list[str]:

@@ -26,7 +26,8 @@ from ..drive.jit import entry
 from ..drive.words import Mode
 from ..envs import loop
 from ..envs.linear_axis import linear_axis
-from ..envs.physics import mj_step
+from ..envs.machine import NO_IMAGES
+from ..envs.physics import addresses, mj_step
 from ..envs.supervisor import Supervisor
 
 CYCLES = 600  # position cycles a block
@@ -38,14 +39,6 @@ def physics_alone(model, data, ctrl, torques):
     for i in range(len(torques)):
         ctrl[0] = torques[i]
         mj_step(model, data)
-
-
-@entry
-def drive_and_physics(axes, couplings, model, data, qpos, ctrl, frictionloss, torques):
-    """The loop of a machine; records the torque of every physics step."""
-    for i in range(len(torques)):
-        loop.run(axes, couplings, model, data, qpos, ctrl, frictionloss, i, 1)
-        torques[i] = ctrl[0]
 
 
 def _moving_machine(drive: str, everything_each_step: bool):
@@ -74,13 +67,15 @@ def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, An
     snapshot = machine.snapshot()
     steps = CYCLES * (1 if everything_each_step else machine.physics_steps)
     torques = np.zeros(steps)
-    model, data = machine._addresses
-    arguments = (machine.axes, machine.couplings, model, data, *machine._views)
+    model, data = addresses(machine.model, machine.data)
+
+    def loop_of_the_machine(steps: int) -> None:
+        loop.run(machine.addresses, steps, NO_IMAGES, NO_IMAGES)
 
     def with_drive() -> float:
         machine.restore(snapshot)
         begin = time.perf_counter()
-        loop.run(*arguments, 0, steps)
+        loop_of_the_machine(steps)
         return (time.perf_counter() - begin) / steps * 1e9
 
     def alone() -> float:
@@ -90,7 +85,9 @@ def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, An
         return (time.perf_counter() - begin) / steps * 1e9
 
     machine.restore(snapshot)
-    drive_and_physics(*arguments, torques)
+    for i in range(steps):
+        loop_of_the_machine(1)
+        torques[i] = machine.data.ctrl[0]
     after = machine.data.qpos.copy()
     alone()
     if not np.array_equal(machine.data.qpos, after):

@@ -1,0 +1,42 @@
+"""Arrays by address: how compiled code reaches the memory of many machines without Python."""
+
+import ctypes
+from collections.abc import Callable
+
+import numba
+import numpy as np
+from numba import carray, types
+from numba.extending import intrinsic
+
+from ..drive.jit import DISABLED, block
+from ..drive.record import accessible
+
+
+def viewer(dtype: np.dtype) -> Callable[[int, int], np.ndarray]:
+    """A function ``(address, n)`` that gives the `n` elements at an address, shape ``(n,)``.
+
+    The caller keeps what lies there alive.
+    """
+    if DISABLED:
+        return lambda address, n: np.frombuffer(
+            (ctypes.c_char * (n * dtype.itemsize)).from_address(address), dtype
+        ).view(accessible(dtype) if dtype.names else dtype)
+    element = numba.from_dtype(dtype)
+
+    @intrinsic
+    def pointer(context, address):
+        def build(context, builder, signature, arguments):
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+        return types.CPointer(element)(types.intp), build
+
+    @block
+    def view(address, n):
+        return carray(pointer(address), (n,))
+
+    return view
+
+
+def address(array: np.ndarray) -> int:
+    """Where the elements of an array lie."""
+    return int(array.__array_interface__["data"][0])
