@@ -5,12 +5,14 @@ import gymnasium
 from .gantry import gantry
 from .linear_axis import LinearAxisParameters, linear_axis
 from .machine import Machine
+from .tasks import TASKS
 
-__all__ = ["LinearAxisParameters", "Machine", "gantry", "linear_axis"]
+__all__ = ["TASKS", "LinearAxisParameters", "Machine", "gantry", "linear_axis"]
 
-gymnasium.register(
-    "servogym/LinearAxis-v0",
-    entry_point="servogym.envs.axis_env:LinearAxisEnv",
-    vector_entry_point="servogym.envs.axis_vector_env:LinearAxisVectorEnv",
-    max_episode_steps=200,
-)
+for task in TASKS:
+    gymnasium.register(
+        task.ID,
+        entry_point=f"{task.__module__}:{task.__name__}",
+        vector_entry_point=f"{task.__module__}:vector",
+        max_episode_steps=task.STEPS,
+    )

@@ -127,16 +127,10 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
 
 def _mount_elastically(spec: mujoco.MjSpec, p: LinearAxisParameters) -> None:
     """Put the payload on a spring along the axis: the joint ``load``, a two-mass system."""
-    rigid = spec.geom("payload")
-    load_body = spec.body("carriage").add_body(name="load")
-    joint = load_body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    body = spec.body("payload")
+    joint = body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     joint.stiffness[0] = p.stiffness
     joint.damping[0] = p.structural_damping
-    load_body.add_geom(
-        name="load", type=rigid.type, size=rigid.size, pos=rigid.pos, mass=rigid.mass,
-        material=rigid.material, contype=0, conaffinity=0, group=1,
-    )  # fmt: skip
-    spec.delete(rigid)
 
 
 def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:

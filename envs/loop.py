@@ -43,8 +43,8 @@ COUPLING = np.dtype(
 # A machine as the loop sees it: where its things lie in memory. One record a machine.
 WORLD = np.dtype(
     [
-        ("model", "i8"),  # address of MjModel
-        ("data", "i8"),  # address of MjData
+        ("mj_model", "i8"),  # address of MjModel
+        ("mj_data", "i8"),  # address of MjData (a record has a `data` of its own)
         ("qpos", "i8"),  # addresses of arrays of MjData, and of MjModel.dof_frictionloss
         ("qvel", "i8"),
         ("ctrl", "i8"),
@@ -127,7 +127,7 @@ def _tick(world, axes, couplings, qpos, ctrl, frictionloss):
                 held = 0.0 if axis.brake_released else coupling.brake_friction
                 frictionloss[coupling.dof] = coupling.friction + held
     if sound:
-        mj_step(world.model, world.data)
+        mj_step(world.mj_model, world.mj_data)
     world.tick += 1
 
 
@@ -151,7 +151,6 @@ def _collect(world, image):
         pdos = pdos_at(directory[i].tpdos, directory[i].tpdo_count)
         objects = bytes_at(world.axes + i * AXIS_SIZE, AXIS_SIZE)
         at = collect(objects, pdos, image, at)
-
 
 
 @entry

@@ -75,7 +75,7 @@ class Machine:
     def _world(self) -> np.ndarray:
         """The machine as the compiled loop sees it, shape ``(1,)``."""
         world = np.zeros(1, record.accessible(loop.WORLD))
-        world["model"], world["data"] = addresses(self.model, self.data)
+        world["mj_model"], world["mj_data"] = addresses(self.model, self.data)
         for name, array in (
             ("qpos", self.data.qpos), ("qvel", self.data.qvel), ("ctrl", self.data.ctrl),
             ("frictionloss", self.model.dof_frictionloss), ("axes", self.axes),
@@ -137,8 +137,8 @@ class Machine:
                 )
             places[int(coupling.qpos)] = float(position)
         mujoco.mj_resetData(self.model, self.data)
-        for address, position in places.items():
-            self.data.qpos[address] = position
+        for place, position in places.items():
+            self.data.qpos[place] = position
         for drive in self.drives.values():
             drive.reset(keep_parameters=True)
         for coupling in self.couplings:

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
+from typing import Any
 
 import numba
 import numpy as np
@@ -18,9 +19,12 @@ def viewer(dtype: np.dtype) -> Callable[[int, int], np.ndarray]:
     The caller keeps what lies there alive.
     """
     if DISABLED:
-        return lambda address, n: np.frombuffer(
-            (ctypes.c_char * (n * dtype.itemsize)).from_address(address), dtype
-        ).view(accessible(dtype) if dtype.names else dtype)
+
+        def view_in_python(address: int, n: int) -> np.ndarray:
+            memory: Any = (ctypes.c_char * int(n * dtype.itemsize)).from_address(int(address))
+            return np.frombuffer(memory, accessible(dtype) if dtype.names else dtype)
+
+        return view_in_python
     element = numba.from_dtype(dtype)
 
     @intrinsic

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 import servogym.envs
 from servogym.drive.model import load, model_names
 from servogym.drive.words import Mode
-from servogym.envs.axis_env import LinearAxisEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
 
 ID = "servogym/LinearAxis-v0"
 assert servogym.envs
@@ -146,6 +146,22 @@ def test_vector_environments():
 def test_the_spec_can_be_pickled(env):
     again = gym.make(pickle.loads(pickle.dumps(env.spec)))
     assert again.reset(seed=2)[0] == pytest.approx(env.reset(seed=2)[0], abs=0)
+
+
+def test_a_pickled_environment_goes_on_bit_for_bit():
+    ranges = {"payload": (1.0, 9.0), "friction": (0.5, 2.0), "encoder_noise": 1e-6, "delay": (0, 9)}
+    env = LinearAxisEnv(randomise=ranges, history=3, faults={"encoder_loss": 0.01})
+    env.reset(seed=11)
+    generator = np.random.default_rng(2)
+    actions = generator.uniform(-0.2, 0.2, (60, 1)).astype(np.float32)
+    for action in actions[:30]:
+        env.step(action)
+    again = pickle.loads(pickle.dumps(env))
+    for action in actions[30:]:
+        one, other = env.step(action), again.step(action)
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1:] == other[1:]
+    np.testing.assert_array_equal(env.reset()[0], again.reset()[0])
 
 
 @pytest.mark.parametrize("action", [[2.0], [float("nan")], [0.0, 0.0], 0.0, [[0.0]]])

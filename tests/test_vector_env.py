@@ -8,8 +8,9 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import servogym.envs
-from servogym.envs.axis_env import LinearAxisEnv
-from servogym.envs.axis_vector_env import LinearAxisVectorEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.positioning import vector as make_vector
+from servogym.envs.vector_env import ServoVectorEnv
 
 ID = "servogym/LinearAxis-v0"
 assert servogym.envs
@@ -28,9 +29,7 @@ def single(**arguments):
 def test_it_is_bit_for_bit_the_environments_one_by_one(mode, threads):
     arguments = {"faults": {"encoder_loss": 0.02}, "following_error_window": 0.005}
     peers = SyncVectorEnv([lambda: single(**arguments) for _ in range(4)], autoreset_mode=mode)
-    vector = LinearAxisVectorEnv(
-        4, autoreset_mode=mode, threads=threads, max_episode_steps=25, **arguments
-    )
+    vector = make_vector(4, autoreset_mode=mode, threads=threads, max_episode_steps=25, **arguments)
     one, _ = peers.reset(seed=7)
     other, _ = vector.reset(seed=7)
     np.testing.assert_array_equal(one, other)
@@ -54,7 +53,7 @@ def test_it_is_bit_for_bit_the_environments_one_by_one(mode, threads):
 
 def test_gymnasium_makes_it_and_random_actions_never_leave_the_space():
     vector = gym.make_vec(ID, num_envs=3)
-    assert isinstance(vector.unwrapped, LinearAxisVectorEnv)
+    assert isinstance(vector.unwrapped, ServoVectorEnv)
     observations, infos = vector.reset(seed=1)
     assert set(infos) >= {"distance", "_distance", "goal", "is_success"}
     for _ in range(210):
@@ -65,7 +64,7 @@ def test_gymnasium_makes_it_and_random_actions_never_leave_the_space():
 
 
 def test_a_fault_is_told_and_ends_the_episode():
-    vector = LinearAxisVectorEnv(2, faults={"short_circuit": 1.0}, autoreset_mode="Disabled")
+    vector = make_vector(2, faults={"short_circuit": 1.0}, autoreset_mode="Disabled")
     vector.reset(seed=1)
     _, _, terminated, truncated, infos = vector.step(np.zeros((2, 1)))
     assert terminated.all()
@@ -79,7 +78,7 @@ def test_a_fault_is_told_and_ends_the_episode():
 
 
 def test_part_of_it_is_reset_by_a_mask():
-    vector = LinearAxisVectorEnv(3)
+    vector = make_vector(3)
     with pytest.raises(ValueError, match="reset_mask"):
         vector.reset(options={"reset_mask": np.array([True, False, False])})
     before, _ = vector.reset(seed=5)
@@ -95,12 +94,12 @@ def test_part_of_it_is_reset_by_a_mask():
 )
 def test_bad_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
-        LinearAxisVectorEnv(**arguments)
+        make_vector(**arguments)
 
 
 @pytest.mark.parametrize("wrong", [np.zeros(2), np.full((2, 1), np.nan), np.full((2, 1), 1.1)])
 def test_wrong_actions_are_refused(wrong):
-    vector = LinearAxisVectorEnv(2)
+    vector = make_vector(2)
     vector.reset(seed=1)
     with pytest.raises(ValueError, match="actions of shape"):
         vector.step(wrong)
@@ -108,7 +107,7 @@ def test_wrong_actions_are_refused(wrong):
 
 
 def test_a_closed_one_begins_again():
-    vector = LinearAxisVectorEnv(2, threads=2)
+    vector = make_vector(2, threads=2)
     vector.reset(seed=1)
     vector.step(np.zeros((2, 1)))
     vector.close_extras()

@@ -1,0 +1,161 @@
+"""Domain randomisation: what may differ from one episode to the next, as declared ranges.
+
+| name | meaning | unit |
+|------|---------|------|
+| payload | mass of the body ``payload`` | kg |
+| friction | Coulomb and viscous friction of the driven joints | share of the nominal |
+| stiffness | springs of joints and tendons | share of the nominal |
+| gains | position and velocity controller gains of the drives | share of the nominal |
+| delay | of an RPDO on its way to the drives | position cycles |
+| encoder_noise | standard deviation of the measured joint position | m or rad |
+
+A range is ``(low, high)``, drawn uniformly, or one number that is always taken.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from .machine import Machine
+
+PAYLOAD = "payload"
+GAINS = ("velocity_control_gain", "position_control_gain")
+
+
+class Nominal(NamedTuple):
+    """What a machine was built with, as factors refer to it."""
+
+    friction: np.ndarray  # of the couplings, shape (n_drives,), N or Nm
+    damping: np.ndarray  # of the degrees of freedom
+    joint_stiffness: np.ndarray
+    tendon_stiffness: np.ndarray
+    gains: list[dict[str, int]]  # by object, for each drive
+
+
+class Knob(NamedTuple):
+    """One row: the range allowed, and what setting a value means."""
+
+    low: float
+    high: float
+    unit: str
+    turn: Callable[[Machine, Nominal, float], None]
+
+
+def _payload(machine: Machine, nominal: Nominal, mass: float) -> None:
+    body = machine.model.body(PAYLOAD)
+    body.inertia *= mass / body.mass
+    body.mass = mass
+
+
+def _friction(machine: Machine, nominal: Nominal, share: float) -> None:
+    machine.couplings["friction"] = share * nominal.friction
+    for dof in machine.couplings["dof"]:
+        machine.model.dof_damping[dof] = share * nominal.damping[dof]
+
+
+def _stiffness(machine: Machine, nominal: Nominal, share: float) -> None:
+    machine.model.jnt_stiffness[:] = share * nominal.joint_stiffness
+    machine.model.tendon_stiffness[:] = share * nominal.tendon_stiffness
+
+
+def _gains(machine: Machine, nominal: Nominal, share: float) -> None:
+    for drive, gains in zip(machine.drives.values(), nominal.gains, strict=True):
+        drive.commission({name: gain * share for name, gain in gains.items()})
+
+
+def _delay(machine: Machine, nominal: Nominal, cycles: float) -> None:
+    machine.world["delay"] = round(cycles * machine.physics_steps)
+
+
+def _encoder_noise(machine: Machine, nominal: Nominal, deviation: float) -> None:
+    machine.couplings["noise"] = deviation
+
+
+KNOBS = {
+    "payload": Knob(1e-3, 100.0, "kg", _payload),
+    "friction": Knob(0.0, 10.0, "of the nominal friction", _friction),
+    "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness),
+    "gains": Knob(0.1, 3.0, "of the nominal gains", _gains),
+    "delay": Knob(0.0, 1000.0, "position cycles", _delay),
+    "encoder_noise": Knob(0.0, 1e-2, "m or rad", _encoder_noise),
+}
+
+
+class Randomisation:
+    """Declared ranges of one machine.
+
+    Args:
+        machine: as it was built; what it has now is the nominal.
+        ranges: numbers or ``(low, high)`` by name.
+        cycles: position cycles of a step, the longest delay there can be.
+
+    Raises:
+        ValueError: an unknown name, a range that is none, out of bounds or without effect here.
+    """
+
+    def __init__(
+        self, machine: Machine, ranges: Mapping[str, float | tuple[float, float]], cycles: int
+    ):
+        self._machine = machine
+        model = machine.model
+        self.ranges = {name: _range(name, given) for name, given in ranges.items()}
+        if self.ranges.get("delay", (0.0, 0.0))[1] > cycles:
+            raise ValueError(
+                f"randomise['delay'] = {ranges['delay']!r} is out of range 0..{cycles} position "
+                "cycles, those of a step"
+            )
+        if "payload" in ranges and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD) < 0:
+            raise ValueError("randomise['payload']: this machine has no body 'payload'")
+        springs = model.jnt_stiffness.any() or model.tendon_stiffness.any()
+        if "stiffness" in ranges and not springs:
+            raise ValueError("randomise['stiffness']: this machine has no springs")
+        self._nominal = Nominal(
+            machine.couplings["friction"].copy(),
+            model.dof_damping.copy(),
+            model.jnt_stiffness.copy(),
+            model.tendon_stiffness.copy(),
+            [
+                {name: drive.read(name) for name in GAINS if name in drive.objects.names}
+                for drive in machine.drives.values()
+            ],
+        )
+
+    def draw(self, generator: np.random.Generator) -> dict[str, float]:
+        """Draw a value for each name and set it; -> the values. The machine has to be reset."""
+        if not self.ranges:
+            return {}
+        values = {
+            name: float(generator.uniform(low, high)) if low < high else low
+            for name, (low, high) in self.ranges.items()
+        }
+        if "encoder_noise" in values:
+            for coupling in self._machine.couplings:
+                coupling.noise_state = generator.integers(1, 2**63)
+        self.set(values)
+        return values
+
+    def set(self, values: Mapping[str, float]) -> None:
+        """Give the machine these values."""
+        for name, value in values.items():
+            KNOBS[name].turn(self._machine, self._nominal, value)
+        if values:
+            mujoco.mj_setConst(self._machine.model, self._machine.data)
+
+
+def _range(name: str, given: float | tuple[float, float]) -> tuple[float, float]:
+    if name not in KNOBS:
+        raise ValueError(f"randomise: unknown name {name!r}, choose of {', '.join(KNOBS)}")
+    knob = KNOBS[name]
+    try:
+        low, high = (float(given),) * 2 if np.ndim(given) == 0 else map(float, given)  # type: ignore
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not knob.low <= low <= high <= knob.high:
+        raise ValueError(
+            f"randomise[{name!r}] = {given!r} must be a number or (low, high) within "
+            f"{knob.low:g}..{knob.high:g} {knob.unit}"
+        )
+    return low, high

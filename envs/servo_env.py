@@ -1,0 +1,347 @@
+"""ServoEnv: a Gymnasium environment in which an agent is the master of emulated drives.
+
+A task is a subclass: a machine, what the process images carry, a record that is the memory of an
+episode, and two compiled functions, `act` and `judge`. All else is here: mapping the PDOs, enabling
+and homing, the two faces of an action, randomisation, injected faults, infos, rendering, pickling.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+
+from ..drive.abort import SdoAbort
+from ..drive.model import DriveModel, load
+from ..drive.words import ENABLED, Mode, state_of
+from .batch import CONTROL, STATUS, Batch, image_type, mapping
+from .faces import FACES, FAULT, PDO
+from .machine import Machine
+from .picture import Picture
+from .randomisation import Randomisation
+from .supervisor import Supervisor
+
+STATE_MASK = 0x6F
+STATE_NAME = {  # by statusword & STATE_MASK
+    word: state.name for word in range(STATE_MASK + 1) if (state := state_of(word)) is not None
+}
+MAX_HISTORY = 100
+
+
+class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
+    """Base of the environments.
+
+    Args:
+        drive: drive model by name, folder or loaded, for all axes; it needs the modes of the task.
+        cycles_per_step: position-controller cycles a step, a whole number 1..1000.
+        action: "setpoint", or "pdo" for controlword, mode and set-points: `servogym.envs.faces`.
+        history: number of observations shown, the latest first, 1..100.
+        previous_action: whether the action taken last is shown, after the observations.
+        randomise: ranges by name, drawn for each episode: `servogym.envs.randomisation`.
+        faults: probability per step of causes of faults to be injected.
+        render_mode: None, "rgb_array" or "human".
+
+    Raises:
+        ValueError: naming the argument, its value and what is possible.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012
+
+    # what makes a task
+    MODES: ClassVar[tuple[Mode, ...]] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)  # first: its own
+    RPDO: ClassVar[tuple[str, ...]]  # objects the agent commands, beside controlword and mode
+    TPDO: ClassVar[tuple[str, ...]]  # objects it sees, beside statusword and mode displayed
+    ID: ClassVar[str]  # in the registry of Gymnasium
+    STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
+    ACTIONS: ClassVar[int]
+    OBSERVATIONS: ClassVar[int]
+    EPISODE: ClassVar[np.dtype]  # made by `episode`
+    act: ClassVar[Callable[..., None]]  # (worlds, episodes, actions, rpdos)
+    judge: ClassVar[Callable[..., None]]  # (worlds, episodes, rpdos, tpdos, observations)
+
+    machine: Machine
+    _arguments: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __init__(
+        self,
+        drive: str | Path | DriveModel = "generic",
+        *,
+        cycles_per_step: int = 10,
+        action: str = "setpoint",
+        history: int = 1,
+        previous_action: bool = False,
+        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        faults: Mapping[str, float] | None = None,
+        render_mode: str | None = None,
+    ):
+        model = load(drive)
+        for mode in self.MODES:
+            if mode not in model.modes:
+                raise ValueError(
+                    f"drive {model.name!r} has no mode {mode.name.lower()}, which this task needs: "
+                    f"it has {', '.join(m.name.lower() for m in model.modes)}"
+                )
+        for name, value, high in (
+            ("cycles_per_step", cycles_per_step, 1000),
+            ("history", history, MAX_HISTORY),
+        ):
+            if value != int(value) or not 1 <= value <= high:
+                raise ValueError(f"{name} = {value!r} must be a whole number 1..{high}")
+        if action not in FACES:
+            raise ValueError(f"action = {action!r}, use one of {', '.join(FACES)}")
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
+        self.render_mode = render_mode
+        self.face = action
+        self.cycles_per_step = int(cycles_per_step)
+        self.machine = self._make(model)
+        self.drives = list(self.machine.drives.values())
+        self.drive = self.drives[0]
+        self.step_time = self.cycles_per_step * self.machine.cycle_time
+        self._faults = _probabilities(faults or {}, self.drive.injectable)
+        self._randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
+        self._history, self._previous_action = int(history), bool(previous_action)
+        self._configure()
+        self.join(self.batch(1), 0)
+        width = self._batch.actions.shape[1]
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (width,), np.float32)
+        self.observation_space = gym.spaces.Box(-1.0, 1.0, (self._batch.width,), np.float32)
+        self.parameters: dict[str, float] = {}
+        self._injected: list[str] = []
+        self._steps = 0
+        self._picture = Picture(self) if render_mode == "human" else None
+
+    def __new__(cls, *args: Any, **arguments: Any) -> "ServoEnv":
+        """Remember the arguments, for pickling."""
+        env = super().__new__(cls)
+        env._arguments = args, arguments
+        return env
+
+    # ------------------------------------------------- what a task adds or overrides
+
+    def _make(self, model: DriveModel) -> Machine:
+        """The machine, commissioned."""
+        raise NotImplementedError
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        """Bring the machine where an episode begins, from `np_random` and the reset's options."""
+        raise NotImplementedError
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """Where bodies should be, by name: displacement (m), shape ``(3,)``; drawn translucent."""
+        return {}
+
+    # ------------------------------------------------------------------- setting up
+
+    def _configure(self) -> None:
+        """PDO mapping and interpolation period, through the objects of the drives."""
+        for drive in self.drives:
+            self._images = [
+                image_type(drive, [*CONTROL, *self.RPDO]),
+                image_type(drive, [*STATUS, *self.TPDO]),
+            ]
+            try:
+                drive.map_pdos(*(mapping(image) for image in self._images))
+            except (SdoAbort, ValueError) as error:
+                raise ValueError(f"drive {drive.model.name!r}: {error}") from None
+            if "interpolation_time_period_value" in drive.objects.names:
+                units, index = _interpolation_period(self.step_time)
+                drive.write("interpolation_time_period_value", units)
+                drive.write("interpolation_time_index", index)
+
+    def batch(self, n: int) -> Batch:
+        """Empty arrays for `n` environments like this one."""
+        rpdo, tpdo = self._images
+        return Batch(
+            type(self), n, drives=len(self.drives), rpdo=rpdo, tpdo=tpdo,
+            ticks=self.cycles_per_step * self.machine.physics_steps,
+            modes=self.MODES if self.face == PDO else (),
+            history=self._history, previous_action=self._previous_action,
+        )  # fmt: skip
+
+    def join(self, batch: Batch, row: int) -> None:
+        """Live in a row of `batch` from the next reset on."""
+        self._batch, self._row = batch, row
+        self._part = batch.part(row, row + 1)
+        self.episode: Any = batch.episodes[row]
+        batch.worlds[row] = self.machine.addresses[0]
+
+    # -------------------------------------------------------------------- the episode
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start anew; what `options` may hold is listed with the task."""
+        super().reset(seed=seed)
+        self.restart(options)
+        if self._picture:
+            self._picture.show()
+        return self._batch.observed(slice(self._row, self._row + 1))[0], self.info()
+
+    def restart(self, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode: drawn parameters, machine, first observation."""
+        self.parameters = self._randomisation.draw(self.np_random)
+        self._injected = []
+        self._steps = 0
+        for array in (self._part[1], self._part[3]):  # episode, RPDO image
+            array.view(np.ndarray).view(np.uint8)[:] = 0
+        self._begin(dict(options or {}))
+        if self.face != PDO:
+            self._part[3]["controlword"] = ENABLED
+            self._part[3]["modes_of_operation"] = self.MODES[0]
+        self._batch.look(self._part)
+        self._batch.begin(self._row)
+
+    def place(self, positions: Mapping[str, float], homing: int | None = None) -> None:
+        """Power on with the joints at `positions` (m or rad), and reference them there.
+
+        With ``action="pdo"`` the drives are left disabled, else enabled in the mode of the task.
+        """
+        self.machine.reset(positions=positions)
+        for name, position in positions.items():
+            supervisor = Supervisor(self.machine, name)
+            drive = supervisor.drive
+            drive.write("home_offset", -round(position * 1e6))
+            supervisor.enable()
+            supervisor.home(37 if 37 in drive.model.homing_methods else 35)
+            if self.face == PDO:
+                supervisor.control(0)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One step of the agent. Raises ValueError for an action out of the space."""
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(self._refusal(action))
+        for i, value in enumerate(action):
+            value = float(value)
+            if not abs(value) <= 1.0 + 1e-6:
+                raise ValueError(self._refusal(action))
+            self._part[2][0, i] = value
+        self.inject_faults()
+        self._batch.run(self._part)
+        rows = slice(self._row, self._row + 1)
+        self._batch.remember(rows)
+        self._steps += 1
+        if self._picture:
+            self._picture.show()
+        info = self.info()
+        observation = self._batch.observed(rows)[0]
+        return observation, info["reward"], self._terminated, False, info
+
+    def _refusal(self, action: Any) -> str:
+        return (
+            f"action = {action!r} is not in {self.action_space}: "
+            "clip it, and see that the policy's output is finite"
+        )
+
+    def inject_faults(self) -> None:
+        """Let the declared faults happen with their probabilities."""
+        for cause, probability in self._faults.items():
+            if self.np_random.random() < probability:
+                self.drive.inject(cause)
+                self._injected.append(cause)
+
+    def info(self) -> dict[str, Any]:
+        """What is known of the present, with the same keys at any time."""
+        values = self._part[1].item(0)
+        self._terminated = values[self._TERMINATED]
+        words = self._part[4]["statusword"][0].tolist()
+        info = {name: values[i] for i, name in self._SHOWN}
+        info["fault"] = self.faults(words)
+        info["injected"] = tuple(self._injected)
+        info["state"] = STATE_NAME.get(words[0] & STATE_MASK, "INVALID")
+        info["time"] = self._steps * self.step_time
+        info["parameters"] = dict(self.parameters)
+        return info
+
+    def faults(self, words: list[int]) -> str:
+        """Code and meaning of the first fault of a drive, empty without one."""
+        for drive, word in zip(self.drives, words, strict=True):
+            if word & FAULT:
+                return drive.fault
+        return ""
+
+    def __init_subclass__(cls, **arguments: Any):
+        super().__init_subclass__(**arguments)
+        names = cls.EPISODE.names or ()
+        cls._TERMINATED = names.index("_terminated")
+        cls._SHOWN = [(i, name) for i, name in enumerate(names) if not name.startswith("_")]
+
+    _TERMINATED: ClassVar[int]
+    _SHOWN: ClassVar[list[tuple[int, str]]]
+
+    # ------------------------------------------------------------------ keeping, seeing
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As built, and everything that has happened since; a window is not kept."""
+        kept = (
+            self.parameters, self.machine.snapshot(), [array.tobytes() for array in self._part],
+            self._batch.history(self._row), self._injected, self._steps, self._np_random,
+        )  # fmt: skip
+        return _rebuild, (type(self), *self._arguments, kept)
+
+    def _resume(self, kept: tuple[Any, ...]) -> None:
+        parameters, machine, rows, history, self._injected, self._steps, generator = kept
+        self._randomisation.set(parameters)
+        self.parameters = parameters
+        self.machine.restore(machine)
+        for array, row in zip(self._part[1:], rows[1:], strict=True):
+            array.view(np.ndarray).view(np.uint8).reshape(-1)[:] = np.frombuffer(row, np.uint8)
+        self._batch.set_history(self._row, history)
+        self._np_random = generator
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """An image, shape ``(540, 960, 3)`` uint8, with a ghost where the machine should be."""
+        if self.render_mode != "rgb_array":
+            return None
+        if self._picture is None:
+            self._picture = Picture(self)
+        return self._picture.image()
+
+    def close(self) -> None:
+        """Close window and renderer; may be called more than once."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
+
+
+def _rebuild(task: type[ServoEnv], args: tuple, arguments: dict, kept: tuple) -> ServoEnv:
+    env = task(*args, **arguments)
+    env._resume(kept)
+    return env
+
+
+def _probabilities(faults: Mapping[str, float], known: tuple[str, ...]) -> dict[str, float]:
+    for cause, probability in faults.items():
+        if cause not in known:
+            raise ValueError(f"faults: unknown cause {cause!r}, choose of {', '.join(known)}")
+        if not 0.0 <= probability <= 1.0:
+            raise ValueError(f"faults[{cause!r}] = {probability!r} is out of range 0..1")
+    return dict(faults)
+
+
+def in_range(name: str, value: float, low: float, high: float, unit: str) -> float:
+    """`value` as a float. Raises ValueError naming it, its range and its unit."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not low <= number <= high:
+        raise ValueError(f"{name} = {value!r} is out of range {low:g}..{high:g} {unit}")
+    return number
+
+
+def _interpolation_period(step_time: float) -> tuple[int, int]:
+    """60C2h: value and index with value × 10^index = `step_time` (s) exactly.
+
+    Raises ValueError where UNSIGNED8 cannot express it.
+    """
+    for index in range(0, -7, -1):
+        value = step_time / 10.0**index
+        if 1 <= round(value) <= 255 and abs(value - round(value)) < 1e-6:
+            return round(value), index
+    raise ValueError(
+        f"cycles_per_step: the step time {step_time * 1e3:g} ms cannot be written to 60C2h "
+        "(1..255 times a power of ten): choose another number of cycles"
+    )

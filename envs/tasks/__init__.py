@@ -1,0 +1,5 @@
+"""The tasks: one file an environment, the docstring of its class is its page."""
+
+from .positioning import LinearAxisEnv
+
+TASKS = (LinearAxisEnv,)

@@ -1,0 +1,175 @@
+"""servogym/LinearAxis-v0: bring the carriage of a linear axis to a goal, and hold it there."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...drive.jit import entry
+from ...drive.model import DriveModel
+from ..batch import episode
+from ..faces import clip, faulted, limited
+from ..linear_axis import LinearAxisParameters, linear_axis
+from ..machine import Machine
+from ..servo_env import ServoEnv, in_range
+from ..vector_env import ServoVectorEnv
+
+STROKE = 0.5  # m
+MARGIN = 0.02  # m, starts and goals keep away from the ends
+NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
+RESTING = 5e-3  # m/s, slower counts as settled
+METRE = 1e6  # position units
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Move the set-point by action × maximum velocity × step time, within the stroke."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
+        target = episode._target + actions[w, 0] * episode._way
+        episode._target = min(max(target, 0.0), STROKE)
+        rpdos[w, 0].target_position = round(episode._target * METRE)
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation and reward of what the TPDOs brought back."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
+        position = tpdo.position_actual_value / METRE
+        velocity = tpdo.velocity_actual_value / METRE
+        distance = episode.goal - position
+        seen[0] = clip(distance / STROKE)
+        seen[1] = clip(2.0 * position / STROKE - 1.0)
+        seen[2] = clip(velocity / episode._speed)
+        seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
+        seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen[5] = clip((episode._target - position) / episode._window)
+        away = distance / NEAR
+        near = 1.0 / (1.0 + away * away)
+        settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
+        episode.distance = distance
+        episode.reward_near = near
+        episode.reward_settled = 1.0 if settled else 0.0
+        episode.reward = 0.5 * near + 0.5 * episode.reward_settled
+        episode.cost = limited(tpdos[w])
+        episode.is_success = settled
+        episode._terminated = faulted(tpdos[w])
+
+
+class LinearAxisEnv(ServoEnv):
+    """Bring the carriage of a linear axis to a goal and hold it there.
+
+    The agent is the master of a drive in cyclic synchronous position mode: each step it moves the
+    target position 607Ah in the RPDO, and sees what the TPDOs bring back. Before the first step the
+    drive is enabled and referenced. What the agent asks for is limited as a real drive limits it:
+    too steep a set-point ends in a following error, and the fault ends the episode.
+
+    ## Action space
+    `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0 | velocity of the set-point | 607Ah target_position | 1 is the maximum velocity 607Fh |
+
+    The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
+
+    ## Observation space
+    `Box(-1, 1, (6,), float32)`, clipped
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0 | goal minus position | 6064h position_actual_value | the stroke, 0.5 m |
+    | 1 | position, -1 and 1 at the ends | 6064h position_actual_value | half the stroke |
+    | 2 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
+    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
+
+    ## Reward
+    In [0, 1]: half for nearness, ``1 / (1 + (distance / 20 mm)²)``, half for being settled: closer
+    than `tolerance` and slower than 5 mm/s. The terms are in ``info``, and ``info["cost"]``, 1
+    while an internal limit is active.
+
+    ## Episode
+    Starts at rest at a random position, with a random goal, both from ``np_random`` unless the
+    reset's options give ``start`` and ``goal`` (m). A fault of the drive terminates
+    (``info["fault"]``: code and meaning). Time truncates, after 200 steps (1 s).
+
+    ## Arguments
+    Those of `ServoEnv`, and `payload` (kg), `tolerance` (m), `following_error_window` (m),
+    `parameters`: `LinearAxisParameters` instead of `payload`.
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/LinearAxis-v0"
+    RPDO = ("target_position",)
+    TPDO = (
+        "position_actual_value", "torque_actual_value", "velocity_actual_value",
+        "following_error_actual_value",
+    )  # fmt: skip
+    ACTIONS = 1
+    OBSERVATIONS = 6
+    EPISODE = episode(
+        ("goal", "f8"),  # m
+        ("distance", "f8"),  # goal minus position (m)
+        ("reward_near", "f8"),
+        ("reward_settled", "f8"),
+        ("_target", "f8"),  # set-point (m)
+        ("_way", "f8"),  # farthest the set-point goes in a step (m)
+        ("_speed", "f8"),  # maximum profile velocity (m/s)
+        ("_window", "f8"),  # of the following error (m)
+        ("_max_torque", "f8"),  # per mille
+        ("_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        payload: float = 5.0,
+        parameters: LinearAxisParameters | None = None,
+        tolerance: float = 50e-6,
+        following_error_window: float = 0.02,
+        **arguments: Any,
+    ):
+        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
+        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
+        self._window = window
+        super().__init__(drive, **arguments)
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = linear_axis(model, parameters=self._parameters)
+        machine.drives["x"].write("following_error_window", round(self._window * METRE))
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start, goal = self.np_random.uniform(MARGIN, STROKE - MARGIN, 2)
+        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
+        goal = in_range("options['goal']", options.get("goal", goal), 0.0, STROKE, "m")
+        self.place({"x": start})
+        episode, x = self.episode, self.drive
+        episode.goal = goal
+        episode._target = x.read("position_actual_value") / METRE
+        episode._speed = x.read("max_profile_velocity") / METRE
+        episode._way = episode._speed * self.step_time
+        episode._window = self._window
+        episode._max_torque = x.read("max_torque")
+        episode._tolerance = self.tolerance
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The carriage at the goal."""
+        away = self.episode.goal - self.machine.data.qpos[0]
+        return {"carriage": np.array([away, 0.0, 0.0])}
+
+
+vector = partial(ServoVectorEnv, LinearAxisEnv)

@@ -1,0 +1,173 @@
+"""Many environments of one task: the compiled loops run side by side on threads."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from .faces import FAULT
+from .servo_env import ServoEnv
+
+
+class ServoVectorEnv(gym.vector.VectorEnv):
+    """`num_envs` environments of a task, stepped together, bit for bit as one by one.
+
+    Each has its own machine, drives and generator. A step is three compiled calls a thread, for
+    all its environments: actions to RPDO images, machines, TPDO images to observations.
+
+    Args:
+        task: class of the environments.
+        num_envs: how many.
+        autoreset_mode: NEXT_STEP (the step after the end resets and ignores the action), SAME_STEP
+            (``final_obs`` and ``final_info`` in the infos) or DISABLED; or their names.
+        threads: of the pool; one a core if not given.
+        max_episode_steps: steps until an episode is truncated; those of the task if not given.
+        **arguments: of the task.
+
+    Raises:
+        ValueError: as the task does, and for wrong actions.
+    """
+
+    def __init__(
+        self,
+        task: type[ServoEnv],
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        max_episode_steps: int | None = None,
+        **arguments: Any,
+    ):
+        if num_envs != int(num_envs) or num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs!r} must be a whole number from 1 on")
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads = {threads!r} must be a whole number from 1 on")
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = task.metadata | {"autoreset_mode": self.autoreset_mode}
+        self.num_envs = int(num_envs)
+        self.envs = [task(**arguments) for _ in range(self.num_envs)]
+        first = self.envs[0]
+        self.render_mode = first.render_mode
+        self.single_observation_space = first.observation_space
+        self.single_action_space = first.action_space
+        space = gym.vector.utils.batch_space
+        self.observation_space = space(self.single_observation_space, self.num_envs)
+        self.action_space = space(self.single_action_space, self.num_envs)
+        self.max_episode_steps = max_episode_steps or task.STEPS
+        self._batch = first.batch(self.num_envs)
+        for row, env in enumerate(self.envs):
+            env.join(self._batch, row)
+        self._worlds = self._batch.worlds.copy()
+        workers = min(threads or os.cpu_count() or 1, self.num_envs)
+        edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
+        self._parts = [self._batch.part(*edge) for edge in pairwise(edges)]
+        self._pool: ThreadPoolExecutor | None = None
+        self._steps = np.full(self.num_envs, -1, np.int64)  # -1: not begun
+        self._ended = np.zeros(self.num_envs, bool)
+        self._all = np.ones(self.num_envs, bool)
+
+    def reset(  # type: ignore[override]
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin anew, all, or those of ``options["reset_mask"]``; seed + i is that of the i-th."""
+        options = dict(options or {})
+        mask = options.pop("reset_mask", self._all)
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seed: {len(seeds)} are given for {self.num_envs} environments")
+        for i in np.flatnonzero(mask).tolist():
+            if seeds:
+                gym.Env.reset(self.envs[i], seed=seeds[i])
+            self._restart(i, options)
+        if (self._steps < 0).any():
+            raise ValueError("options['reset_mask']: the first reset has to be one of all")
+        return self._batch.observed(slice(None)), self._infos()
+
+    def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
+        self.envs[i].restart(options)
+        self._steps[i], self._ended[i] = 0, False
+
+    def step(  # type: ignore[override]
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One step of each. Raises ValueError for actions out of the space."""
+        batch = self._batch
+        given = np.asarray(actions, np.float64)
+        if given.shape != batch.actions.shape or not (np.abs(given) <= 1.0 + 1e-6).all():
+            raise ValueError(
+                f"actions of shape {given.shape} are not in {self.action_space}: "
+                "clip them, and see that the policy's output is finite"
+            )
+        if (self._steps < 0).any():
+            raise gym.error.ResetNeeded("call reset() before the first step")
+        resting = self._ended.copy()  # these are reset instead, or wait for their reset
+        moving = ~resting
+        batch.worlds[:] = np.where(resting, 0, self._worlds)
+        batch.actions[moving] = given[moving]
+        self._run(moving)
+        batch.worlds[:] = self._worlds
+        batch.remember(moving if resting.any() else slice(None))
+        self._steps += moving
+        rewards = np.where(resting, 0.0, batch.episodes["reward"])
+        terminations = batch.episodes["_terminated"] & moving
+        truncations = (self._steps >= self.max_episode_steps) & moving
+        self._ended = terminations | truncations
+        infos: dict[str, Any] = {}
+        anew = self._ended & False
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            anew = resting
+        elif self.autoreset_mode == AutoresetMode.SAME_STEP:
+            anew = self._ended.copy()
+            if anew.any():
+                infos = {"final_obs": batch.observed(slice(None)), "_final_obs": anew,
+                         "final_info": self._infos(), "_final_info": anew}  # fmt: skip
+        else:
+            self._ended |= resting
+        for i in np.flatnonzero(anew).tolist():
+            self._restart(i)
+        infos |= self._infos()
+        return batch.observed(slice(None)), rewards, terminations, truncations, infos
+
+    def _run(self, moving: np.ndarray) -> None:
+        for i, env in enumerate(self.envs):
+            if moving[i]:
+                env.inject_faults()
+        if len(self._parts) == 1:
+            self._batch.run(self._parts[0])
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(len(self._parts), "servogym")
+        list(self._pool.map(self._batch.run, self._parts))
+
+    def _infos(self) -> dict[str, Any]:
+        batch = self._batch
+        names = [name for name in batch.episodes.dtype.names if not name.startswith("_")]
+        infos: dict[str, Any] = {name: np.array(batch.episodes[name]) for name in names}
+        if self.envs[0].parameters:
+            infos["parameters"] = {
+                name: np.array([env.parameters[name] for env in self.envs])
+                for name in self.envs[0].parameters
+            }
+        infos |= {f"_{name}": self._all.copy() for name in infos}
+        faulty = (batch.words & FAULT != 0).any(axis=1)
+        if faulty.any():
+            words = batch.words.tolist()
+            faults = [env.faults(word) for env, word in zip(self.envs, words, strict=True)]
+            infos |= {"fault": np.array(faults, object), "_fault": faulty}
+        return infos
+
+    def render(self) -> tuple[Any, ...] | None:
+        """An image of each environment."""
+        return tuple(env.render() for env in self.envs) if self.render_mode == "rgb_array" else None
+
+    def close_extras(self, **arguments: Any) -> None:
+        """Stop the threads, close what was rendered."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+        for env in self.envs:
+            env.close()
