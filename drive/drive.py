@@ -24,6 +24,7 @@ from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
 from .parameters import Parameters
 from .process_data import INVALID
+from .store import Values
 from .words import Command, Mode, State
 
 VERSION = 1  # of the snapshot layout
@@ -77,6 +78,8 @@ class Drive:
             },
         )
         self.parameters = Parameters(self, parameter_file)
+        self._kept = self.parameters.kept_bytes()
+        self._powered_on: tuple[int, np.ndarray] = 0, np.empty(0)  # by node-id
         self.reset()
 
     # ------------------------------------------------------------------ power
@@ -87,7 +90,22 @@ class Drive:
         With `keep_parameters` the storable objects and the PDO mapping stay as they are now, as if
         they had been stored before.
         """
-        values = self.parameters.values() if keep_parameters else self.parameters.stored()
+        if keep_parameters and self._powered_on[0] == self.node_id:
+            record = self.memory[self.index]
+            kept = record[self._kept]
+            record[:] = self._powered_on[1]
+            record[self._kept] = kept
+        else:
+            self._power_on(
+                self.parameters.values() if keep_parameters else self.parameters.stored()
+            )
+            self._compile_pdos()
+        for name in {row.hook for row in self.model.objects.values() if row.hook}:
+            if power_on := HOOKS[name].power_on:
+                power_on(self)
+
+    def _power_on(self, values: Values) -> None:
+        """Fill the record: defaults, then `values`; `reset` begins from its bytes next time."""
         self._record[:] = bytes(len(self._record))
         if self.model.name != "generic":
             self.parameters.standard_defaults()
@@ -96,10 +114,7 @@ class Drive:
             setattr(self.axis.od, name, value)
         self.parameters.defaults()
         self.parameters.restore(values)
-        for name in {row.hook for row in self.model.objects.values() if row.hook}:
-            if power_on := HOOKS[name].power_on:
-                power_on(self)
-        self._compile_pdos()
+        self._powered_on = self.node_id, self.memory[self.index].copy()
 
     def _compile_pdos(self) -> None:
         for pdos, receive in ((self.rpdos, True), (self.tpdos, False)):
@@ -131,6 +146,7 @@ class Drive:
                 self._commissioned[name] = round(value)
                 setattr(self.axis.od, name, round(value))
         self.axis.parameters_changed = 1
+        self._powered_on = 0, np.empty(0)
 
     # ---------------------------------------------------------------- objects
 

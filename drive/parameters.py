@@ -7,10 +7,13 @@ or, without one, in the drive itself.
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from . import store
 from .hooks.ars import KEPT, set_reaction
 from .model import load
 from .objects import Slot
+from .record import AXIS, OD
 from .rows import Mapping
 
 if TYPE_CHECKING:
@@ -90,6 +93,24 @@ class Parameters:
             if code:
                 values[f"{REACTION}:{main}"] = code - 1
         return values
+
+    def kept_bytes(self) -> np.ndarray:
+        """Where in the record the storable objects are, and what 2100h sets."""
+        od = AXIS.fields["od"][1]  # type: ignore[index]
+        spans = [
+            (slot.offset, slot.row.size)
+            for slot in self._drive.objects.slots.values()
+            if slot.row.storable and slot.row.area == "axis" and slot.row.format
+        ]
+        field, offset = OD.fields["reaction_code"][:2]  # type: ignore[index]
+        spans.append((offset, field.itemsize))
+        return np.concatenate([np.arange(od + at, od + at + size) for at, size in spans])
+
+    def react(self) -> None:
+        """Put the reactions in force that 2100h has set."""
+        codes = self._drive.axis.od.reaction_code
+        for main in np.flatnonzero(codes).tolist():
+            set_reaction(self._drive, main, int(codes[main]) - 1)
 
     def stored(self) -> store.Values:
         """What was saved, empty without it."""

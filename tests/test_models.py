@@ -1,5 +1,6 @@
 """Every drive model and every row of it, as a master meets them."""
 
+import random
 import struct
 
 import numpy as np
@@ -128,3 +129,24 @@ def test_a_snapshot_continues_bit_by_bit(name):
         assert other.cycle(0.1, 0.2) == shaft.drive.cycle(0.1, 0.2)
     assert other.snapshot() == shaft.drive.snapshot()
     assert np.isfinite(shaft.torque)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_powering_off_and_on_quickly_is_powering_off_and_on(name):
+    """`reset` copies a remembered record instead of filling it anew; nothing tells them apart."""
+    chance = random.Random(3)
+    one, other = Drive(name), Drive(name)
+    other.commission({})  # forgets what is remembered
+    writable = [slot for slot in one.objects.slots.values() if slot.row.access == "rw"]
+    for slot in chance.sample(writable, len(writable) // 2):
+        if slot.row.format in ("", "f") or slot.row.index in (0x1010, 0x1011):
+            continue
+        low, high = int(slot.row.minimum), int(slot.row.maximum)
+        value = chance.choice((low, high, chance.randint(low, high)))
+        for drive in (one, other):
+            drive.objects.store(drive.objects.slots[slot.row.index, slot.row.subindex], value)
+    for drive in (one, other):
+        drive.inject(drive.injectable[-1])
+        drive.cycle(0.1)
+        drive.reset(keep_parameters=True)
+    assert one.snapshot() == other.snapshot()
