@@ -22,7 +22,7 @@ from .hooks.ars import reaction_to
 from .hooks.ethercat import ASSIGNMENTS, FLEXIBLE, assign
 from .model import DriveModel, load
 from .objects import ObjectDictionary, Slot, compile_default
-from .parameters import Parameters
+from .parameters import Parameters, kept_bytes
 from .process_data import INVALID
 from .store import Values
 from .words import Command, Mode, State
@@ -78,7 +78,7 @@ class Drive:
             },
         )
         self.parameters = Parameters(self, parameter_file)
-        self._kept = self.parameters.kept_bytes()
+        self._kept = kept_bytes(self.model)
         self._powered_on: tuple[int, np.ndarray] = 0, np.empty(0)  # by node-id
         self.reset()
 

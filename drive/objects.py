@@ -4,9 +4,10 @@ Order of the checks: object, sub-index, access, length, range, device state, sid
 write changes nothing. What a write does beside storing its bytes is a row of `HOOKS`.
 """
 
+import functools
 import struct
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 from .abort import Abort, SdoAbort
 from .communication import PDO_COB_ID, RULES, sdo_server
@@ -26,7 +27,7 @@ SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 
 
 class Slot:
-    """An object and where its bytes are."""
+    """An object and where its bytes are; without a `view`, the pattern of it in every drive."""
 
     __slots__ = ("code", "hook", "offset", "raw", "reads", "row", "view", "writable")
 
@@ -41,6 +42,16 @@ class Slot:
         self.raw = HOOKS[row.hook].raw if row.hook else None
         self.hook = self.hook or RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00)
 
+    def of(self, views: Mapping[str, memoryview | None]) -> "Slot":
+        """The same object in the memory of one drive, by area."""
+        slot = Slot.__new__(Slot)
+        slot.row, slot.offset, slot.code, slot.writable = (
+            self.row, self.offset, self.code, self.writable
+        )  # fmt: skip
+        slot.reads, slot.hook, slot.raw = self.reads, self.hook, self.raw
+        slot.view = views[self.row.area]
+        return slot
+
     def get(self) -> int | float | str:
         """The value as it stands."""
         if self.view is None:
@@ -51,6 +62,82 @@ class Slot:
         """Store a checked value."""
         assert self.view is not None
         self.code.pack_into(self.view, self.offset, value)
+
+
+@functools.cache
+def patterns(model: "DriveModel") -> tuple[dict[tuple[int, int], Slot], dict[str, tuple[int, int]]]:
+    """The objects of a model by address, which all its drives share, and addresses by name."""
+    rows = all_objects(model)
+    slots = {(row.index, row.subindex): Slot(row, None, row.offset) for row in rows}
+    return slots, {row.name: (row.index, row.subindex) for row in rows}
+
+
+@functools.cache
+def indices(model: "DriveModel") -> frozenset[int]:
+    """The indices of a model's objects."""
+    return frozenset(index for index, _ in patterns(model)[0])
+
+
+class Slots(Mapping[tuple[int, int], Slot]):
+    """The slots of one drive by address; kept are those that were asked for one by one."""
+
+    def __init__(self, shared: dict[tuple[int, int], Slot], views: Mapping[str, memoryview | None]):
+        self._shared = shared
+        self._views = views
+        self._made: dict[tuple[int, int], Slot] = {}
+
+    def get(self, address: tuple[int, int], default: Any = None) -> Any:
+        """The slot of an address, `default` where there is none."""
+        slot = self._made.get(address)
+        if slot is None:
+            pattern = self._shared.get(address)
+            if pattern is None:
+                return default
+            slot = self._made[address] = pattern.of(self._views)
+        return slot
+
+    def __getitem__(self, address: tuple[int, int]) -> Slot:
+        slot = self.get(address)
+        if slot is None:
+            raise KeyError(address)
+        return slot
+
+    def __contains__(self, address: object) -> bool:
+        return address in self._shared
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter(self._shared)
+
+    def __len__(self) -> int:
+        return len(self._shared)
+
+    def items(self) -> Any:
+        """Addresses and slots, for one pass."""
+        return ((address, slot.of(self._views)) for address, slot in self._shared.items())
+
+    def values(self) -> Any:
+        """Slots, for one pass."""
+        return (slot.of(self._views) for slot in self._shared.values())
+
+
+class Names(Mapping[str, Slot]):
+    """The slots of one drive by name."""
+
+    def __init__(self, shared: dict[str, tuple[int, int]], slots: Slots):
+        self._shared = shared
+        self._slots = slots
+
+    def __getitem__(self, name: str) -> Slot:
+        return self._slots[self._shared[name]]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._shared
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shared)
+
+    def __len__(self) -> int:
+        return len(self._shared)
 
 
 def pdo_objects(n_rpdo: int, n_tpdo: int) -> list[Object]:
@@ -101,15 +188,12 @@ def _constant(index, name, value) -> Object:
 class ObjectDictionary:
     """The objects of one drive. `read` and `write` speak bytes and abort codes, never raise."""
 
-    def __init__(self, drive: "Drive", views: dict[str, memoryview | None]):
+    def __init__(self, drive: "Drive", views: Mapping[str, memoryview | None]):
         self.drive = drive
-        rows = all_objects(drive.model)
-        self.slots = {
-            (row.index, row.subindex): Slot(row, views[row.area], row.offset) for row in rows
-        }
-        self.names = {slot.row.name: slot for slot in self.slots.values()}
+        shared, names = patterns(drive.model)
+        self.slots = Slots(shared, views)
+        self.names = Names(names, self.slots)
         self.results: dict[int, bytes] = {}  # of a parameter channel, by sub-index
-        self.indices = {index for index, _ in self.slots}
         self._changed = drive.axes["parameters_changed"][drive.index : drive.index + 1]
 
     def find(self, index: int, subindex: int) -> tuple[Slot | None, Abort]:
@@ -117,7 +201,8 @@ class ObjectDictionary:
         slot = self.slots.get((index, subindex))
         if slot is not None:
             return slot, Abort.NONE
-        return None, Abort.NO_SUBINDEX if index in self.indices else Abort.NO_OBJECT
+        known = index in indices(self.drive.model)
+        return None, Abort.NO_SUBINDEX if known else Abort.NO_OBJECT
 
     def value(self, index: int, subindex: int = 0, default: int = 0) -> int:
         """Value of a communication object, `default` where the model does not have it."""

@@ -4,6 +4,7 @@ Power-on fills the record with the model's defaults and then with what was store
 or, without one, in the drive itself.
 """
 
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,8 @@ import numpy as np
 
 from . import store
 from .hooks.ars import KEPT, set_reaction
-from .model import load
-from .objects import Slot
+from .model import DriveModel, load
+from .objects import Slot, all_objects
 from .record import AXIS, OD
 from .rows import Mapping
 
@@ -20,6 +21,20 @@ if TYPE_CHECKING:
     from .drive import Drive
 
 REACTION = "reaction"  # in a parameter file: changed reaction to a main fault number
+
+
+@functools.cache
+def kept_bytes(model: DriveModel) -> np.ndarray:
+    """Where in the record the storable objects of a model are, and what 2100h sets."""
+    od = AXIS.fields["od"][1]  # type: ignore[index]
+    spans = [
+        (row.offset, row.size)
+        for row in all_objects(model)
+        if row.storable and row.area == "axis" and row.format
+    ]
+    field, offset = OD.fields["reaction_code"][:2]  # type: ignore[index]
+    spans.append((offset, field.itemsize))
+    return np.concatenate([np.arange(od + at, od + at + size) for at, size in spans])
 
 
 class Parameters:
@@ -93,18 +108,6 @@ class Parameters:
             if code:
                 values[f"{REACTION}:{main}"] = code - 1
         return values
-
-    def kept_bytes(self) -> np.ndarray:
-        """Where in the record the storable objects are, and what 2100h sets."""
-        od = AXIS.fields["od"][1]  # type: ignore[index]
-        spans = [
-            (slot.offset, slot.row.size)
-            for slot in self._drive.objects.slots.values()
-            if slot.row.storable and slot.row.area == "axis" and slot.row.format
-        ]
-        field, offset = OD.fields["reaction_code"][:2]  # type: ignore[index]
-        spans.append((offset, field.itemsize))
-        return np.concatenate([np.arange(od + at, od + at + size) for at, size in spans])
 
     def react(self) -> None:
         """Put the reactions in force that 2100h has set."""

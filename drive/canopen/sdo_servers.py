@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from ..drive import Drive
+from ..objects import indices
 from .frame import Base, Route
 from .sdo import SdoServer
 
@@ -15,8 +16,8 @@ class SdoServers:
     def __init__(self, drive: Drive, sender: Callable[[int], Callable[[bytes], None]]):
         self._drive = drive
         self._sender = sender
-        indices = drive.objects.indices
-        self._numbers = [0, *(n for n in range(1, 128) if 0x1200 + n in indices)]
+        known = indices(drive.model)
+        self._numbers = [0, *(n for n in range(1, 128) if 0x1200 + n in known)]
         self.reset()
 
     def reset(self) -> None:
