@@ -13,8 +13,8 @@ from ..drive.cycle import velocity_cycle
 from ..drive.jit import block, entry
 from ..drive.process_data import PDO, collect, latch
 from ..drive.record import AXIS
-from .memory import viewer
-from .physics import mj_step
+from .memory import bytes_at, floats_at, integers_at, viewer
+from .physics import STATE, mj_get_state, mj_set_state, mj_step
 
 AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
@@ -58,6 +58,8 @@ WORLD = np.dtype(
         ("drives", "i8"),
         ("tick", "i8"),  # physics steps since the reset
         ("delay", "i8"),  # physics steps an RPDO image is late
+        ("state", "i8"),  # address of its state while others live in its MjData; 0: it lives alone
+        ("resident", "i8"),  # address of the number that is the address of who lives there now
     ],
     align=True,
 )
@@ -70,8 +72,6 @@ axes_at = viewer(AXIS)
 couplings_at = viewer(COUPLING)
 directory_at = viewer(PDOS)
 pdos_at = viewer(PDO)
-floats_at = viewer(np.dtype("f8"))
-bytes_at = viewer(np.dtype("u1"))
 
 
 @block
@@ -153,6 +153,27 @@ def _collect(world, image):
         at = collect(objects, pdos, image, at)
 
 
+@block
+def _enter(address, world):
+    """Take over the MjData that several machines share; who lived there keeps its state."""
+    if world.state == 0:
+        return
+    resident = integers_at(world.resident, 1)
+    if resident[0] == address:
+        return
+    if resident[0] != 0:
+        other = world_at(resident[0], 1)[0]
+        mj_get_state(other.mj_model, other.mj_data, other.state, STATE)
+    mj_set_state(world.mj_model, world.mj_data, world.state, STATE)
+    resident[0] = address
+
+
+@entry
+def enter(worlds):
+    """Let the machine of the one world of `worlds` take over the MjData it shares."""
+    _enter(worlds[0], world_at(worlds[0], 1)[0])
+
+
 @entry
 def run(worlds, ticks, rpdos, tpdos):
     """Advance machines by `ticks` physics steps, exchanging the process images of their drives.
@@ -168,6 +189,7 @@ def run(worlds, ticks, rpdos, tpdos):
         if worlds[w] == 0:
             continue
         world = world_at(worlds[w], 1)[0]
+        _enter(worlds[w], world)
         axes = axes_at(world.axes, world.drives)
         couplings = couplings_at(world.couplings, world.drives)
         qpos = floats_at(world.qpos, world.nq)

@@ -13,9 +13,8 @@ from ..drive.drive import Drive
 from ..drive.model import DriveModel
 from . import loop
 from .memory import address
-from .physics import addresses
+from .physics import STATE, addresses
 
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 VERSION = 1  # of the snapshot layout
 NO_IMAGES = np.zeros((1, 0), np.uint8)
@@ -52,7 +51,7 @@ class Machine:
         self.model = model
         # A state that is not finite must reach the drive as a dead encoder, not vanish in a reset.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.data = mujoco.MjData(model)
+        self._data = mujoco.MjData(model)
         self.axes = record.make(len(drives))
         self.drives = {
             name: Drive(drive, axes=self.axes, index=i, node_id=i + 1)
@@ -68,23 +67,48 @@ class Machine:
             for name, pdos in (("rpdo", drive.rpdos), ("tpdo", drive.tpdos)):
                 self._directory[f"{name}s"][i] = address(pdos)
                 self._directory[f"{name}_count"][i] = len(pdos)
-        self.world = self._world()
+        self.world = np.zeros(1, record.accessible(loop.WORLD))
         self.addresses = np.array([address(self.world)])
+        self._state = np.empty(0)
+        self._settle()
         self.reset()
 
-    def _world(self) -> np.ndarray:
-        """The machine as the compiled loop sees it, shape ``(1,)``."""
-        world = np.zeros(1, record.accessible(loop.WORLD))
-        world["mj_model"], world["mj_data"] = addresses(self.model, self.data)
+    def _settle(self) -> None:
+        """Tell the compiled loop where everything is."""
+        world = self.world
+        world["mj_model"], world["mj_data"] = addresses(self.model, self._data)
         for name, array in (
-            ("qpos", self.data.qpos), ("qvel", self.data.qvel), ("ctrl", self.data.ctrl),
+            ("qpos", self._data.qpos), ("qvel", self._data.qvel), ("ctrl", self._data.ctrl),
             ("frictionloss", self.model.dof_frictionloss), ("axes", self.axes),
             ("couplings", self.couplings), ("pdos", self._directory),
         ):  # fmt: skip
             world[name] = address(array)
         world["nq"], world["nv"], world["nu"] = self.model.nq, self.model.nv, self.model.nu
         world["drives"] = len(self.drives)
-        return world
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state of the physics."""
+        if self._state.size:
+            loop.enter(self.addresses)
+        return self._data
+
+    def share(self, data: mujoco.MjData, resident: np.ndarray) -> None:
+        """Live in `data` by turns with other machines of the same structure, each bit by bit alone.
+
+        MjData takes half a megabyte, the state of an axis a few hundred bytes.
+
+        Args:
+            data: of one of these machines.
+            resident: who lives there now, shape ``(1,)`` int64, one array for all of them; 0 at
+                the beginning.
+        """
+        self._state = np.empty(mujoco.mj_stateSize(self.model, STATE))
+        mujoco.mj_getState(self.model, self._data, self._state, STATE)
+        self._data = data
+        self._residents = resident
+        self.world["state"], self.world["resident"] = address(self._state), address(resident)
+        self._settle()
 
     @classmethod
     def from_mjcf(

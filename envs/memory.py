@@ -44,3 +44,8 @@ def viewer(dtype: np.dtype) -> Callable[[int, int], np.ndarray]:
 def address(array: np.ndarray) -> int:
     """Where the elements of an array lie."""
     return int(array.__array_interface__["data"][0])
+
+
+floats_at = viewer(np.dtype("f8"))
+integers_at = viewer(np.dtype("i8"))
+bytes_at = viewer(np.dtype("u1"))

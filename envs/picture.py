@@ -25,6 +25,7 @@ class Picture:
         machine = self._env.machine
         if self._renderer is None:
             self._renderer = mujoco.Renderer(machine.model, HEIGHT, WIDTH)
+        mujoco.mj_fwdPosition(machine.model, machine.data)
         self._renderer.update_scene(machine.data)
         self._ghosts(self._renderer.scene)
         return self._renderer.render()

@@ -49,7 +49,14 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = task.metadata | {"autoreset_mode": self.autoreset_mode}
         self.num_envs = int(num_envs)
-        self.envs = [task(**arguments) for _ in range(self.num_envs)]
+        workers = min(threads or os.cpu_count() or 1, self.num_envs)
+        edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
+        self.envs: list[ServoEnv] = []
+        for begin, end in pairwise(edges):
+            resident = np.zeros(1, np.int64)
+            for _ in range(begin, end):
+                self.envs.append(task(**arguments))
+                self.envs[-1].machine.share(self.envs[begin].machine.data, resident)
         first = self.envs[0]
         self.render_mode = first.render_mode
         self.single_observation_space = first.observation_space
@@ -62,8 +69,6 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         for row, env in enumerate(self.envs):
             env.join(self._batch, row)
         self._worlds = self._batch.worlds.copy()
-        workers = min(threads or os.cpu_count() or 1, self.num_envs)
-        edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
         self._parts = [self._batch.part(*edge) for edge in pairwise(edges)]
         self._pool: ThreadPoolExecutor | None = None
         self._steps = np.full(self.num_envs, -1, np.int64)  # -1: not begun
