@@ -96,6 +96,11 @@ class Slots(Mapping[tuple[int, int], Slot]):
             slot = self._made[address] = pattern.of(self._views)
         return slot
 
+    def once(self, address: tuple[int, int]) -> Slot | None:
+        """The slot of an address, if there is one, for a single use: it is not kept."""
+        pattern = self._shared.get(address)
+        return pattern and pattern.of(self._views)
+
     def __getitem__(self, address: tuple[int, int]) -> Slot:
         slot = self.get(address)
         if slot is None:

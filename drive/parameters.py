@@ -129,7 +129,7 @@ class Parameters:
                 set_reaction(self._drive, int(second), int(value))
                 continue
             index, subindex = int(first, 16), int(second, 16)
-            slot = self._drive.objects.slots.get((index, subindex))
+            slot = self._drive.objects.slots.once((index, subindex))
             if slot is not None and slot.view is not None and slot.row.storable:
                 slot.put(value)
 
