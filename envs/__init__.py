@@ -2,12 +2,13 @@
 
 import gymnasium
 
+from .commissioning import commission_joint
 from .gantry import gantry
 from .linear_axis import LinearAxisParameters, linear_axis
 from .machine import Machine
 from .tasks import TASKS
 
-__all__ = ["TASKS", "LinearAxisParameters", "Machine", "gantry", "linear_axis"]
+__all__ = ["TASKS", "LinearAxisParameters", "Machine", "commission_joint", "gantry", "linear_axis"]
 
 for task in TASKS:
     gymnasium.register(

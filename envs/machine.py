@@ -10,9 +10,10 @@ import numpy as np
 
 from ..drive import record
 from ..drive.drive import Drive
-from ..drive.model import DriveModel
+from ..drive.model import DriveModel, load
 from . import loop
 from .memory import address
+from .mjcf import actuator_of, attach
 from .physics import STATE, addresses
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
@@ -24,7 +25,8 @@ BRAKE_IMPEDANCE = 0.9999  # of the friction constraint of a braked joint: else i
 class Machine:
     """Drives attached to named actuators of a MuJoCo model, stepped in one compiled loop.
 
-    An actuator that gets a drive is a plain motor on a slide or hinge joint. Its gear is the
+    A joint's name stands for the actuator on it; switches and brake go by the drive's name. An
+    actuator that gets a drive is a plain motor on a slide or hinge joint. Its gear is the
     mechanics: rad of motor shaft per m or rad of joint, so the drive sees a shaft and gives a
     torque in Nm. Its control range is lifted, because the drive has limits of its own. The MJCF
     may wire switches and a holding brake to an actuator by name::
@@ -37,7 +39,7 @@ class Machine:
 
     Args:
         model: the MuJoCo model; its own from now on.
-        drives: drive model (name, folder or `DriveModel`) by actuator name.
+        drives: drive model (name, folder or `DriveModel`) by actuator or joint name.
 
     Raises:
         ValueError: names what does not fit and how to mend it, before the first cycle.
@@ -112,16 +114,39 @@ class Machine:
 
     @classmethod
     def from_mjcf(
-        cls, mjcf: str | Path, drives: Mapping[str, str | Path | DriveModel]
+        cls,
+        mjcf: str | Path,
+        drives: Mapping[str, str | Path | DriveModel],
+        *,
+        gears: Mapping[str, float] | None = None,
     ) -> "Machine":
-        """A machine from an MJCF file, or from MJCF text (anything that begins with ``<``)."""
+        """A machine from any robot's MJCF: a file, or text (anything that begins with ``<``).
+
+        Position, velocity and other actuators become motors, a joint without one gets one, and the
+        timestep is shortened to fit the drives; `mjcf` says it in full. `commission_joint` sets
+        the drive's parameters for the joint.
+
+        Args:
+            mjcf: the model.
+            drives: drive model (name, folder or `DriveModel`) by actuator or joint name.
+            gears: rad of motor shaft per m (slide) or rad (hinge), by drive name; if not given that
+                of a plain motor, else 100 rad/rad or a ball screw of 20 mm lead.
+
+        Raises:
+            ValueError: names what does not fit and how to mend it, before the first cycle.
+        """
         text = str(mjcf)
         try:
             if text.lstrip().startswith("<"):
-                return cls(mujoco.MjModel.from_xml_string(text), drives)
-            if not Path(text).is_file():
+                spec = mujoco.MjSpec.from_string(text)
+            elif Path(text).is_file():
+                spec = mujoco.MjSpec.from_file(text)
+            else:
                 raise ValueError(f"there is no MJCF file {text}")
-            return cls(mujoco.MjModel.from_xml_path(text), drives)
+            models = {name: load(drive) for name, drive in drives.items()}
+            if models:
+                attach(spec, models, gears or {})
+            return cls(spec.compile(), models)
         except ValueError as error:
             raise ValueError(f"{text if len(text) < 200 else 'MJCF'}: {error}") from None
 
@@ -223,9 +248,7 @@ def _identity(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> int:
 
 def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
     """Fill the coupling of the drive on actuator `name`."""
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-    if number < 0:
-        raise ValueError(f"there is no actuator {name!r}: the model has {_actuators(model)}")
+    number = actuator_of(model, name)
     joint = model.actuator_trnid[number, 0]
     on_joint = model.actuator_trntype[number] == int(mujoco.mjtTrn.mjTRN_JOINT)
     sliding = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
@@ -284,13 +307,13 @@ def _numeric(model: mujoco.MjModel, name: str, size: int) -> list[float]:
     return data
 
 
-def _whole(slow: float, fast: float, slow_name: str, fast_name: str) -> int:
+def _whole(slow: float, fast: float, slow_name: str, fast_name: str, remedy: str = "") -> int:
     """How many times `fast` (s) fits into `slow` (s)."""
     ratio = round(slow / fast)
     if ratio < 1 or abs(ratio * fast - slow) > 1e-9 * slow:
         raise ValueError(
             f"{slow_name} = {slow * 1e6:g} µs is not a whole multiple of the {fast_name} = "
-            f"{fast * 1e6:g} µs: choose another {fast_name}"
+            f"{fast * 1e6:g} µs: choose another {remedy or fast_name}"
         )
     return ratio
 
@@ -305,6 +328,7 @@ def _rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, i
             cycle,
             f"position cycle of drive {longest!r}",
             f"position cycle of drive {name!r}",
+            "drive model for one of them",
         )
     steps = _whole(cycles[longest], model.opt.timestep, "machine cycle", "physics step")
     return cycles[longest], steps
