@@ -12,11 +12,13 @@ import numpy as np
 
 from ..drive.abort import SdoAbort
 from ..drive.drive import Drive
+from ..drive.model import load
 from .linear_axis import MOTOR
 from .machine import Machine
-from .tuning import gains, inertia_at_shaft
+from .tuning import gains
 
 RATED_SPEED = 3000 * 2 * math.pi / 60  # rad/s, usual of servo motors of this size
+TRAVEL_TIME = 0.5  # s, over the whole range, if the motor is that fast (inferred)
 RAMP_TIME = 0.2  # s, from standstill to the highest speed, if the motor can (inferred)
 POSES = 17  # places on the joint's range where its load is looked at
 # rad or rad/s at the shaft; of linear_axis: 1 mm, 20 µm, 5 mm/s at 60 mm a turn, wider where a
@@ -25,7 +27,7 @@ FOLLOWING_ERROR_WINDOW = 0.5
 POSITION_WINDOW = 0.005
 VELOCITY_WINDOW = 0.5
 INCREMENTS = 4  # of the encoder, the smallest position window
-UNSIGNED16 = 0xFFFF
+UNSIGNED16, INTEGER32 = 0xFFFF, 0x7FFFFFFF
 
 
 def commission_joint(
@@ -48,7 +50,8 @@ def commission_joint(
     Args:
         machine: a machine at rest, none of its drives in operation.
         name: of the drive.
-        max_velocity: profile velocity (m/s or rad/s); 3000 1/min of the motor if not given.
+        max_velocity: profile velocity (m/s or rad/s); if not given 3000 1/min of the motor, or what
+            crosses the range in 0.5 s.
         max_acceleration: profile acceleration and deceleration (m/s² or rad/s²); what twice the
             rated torque gives, up to full speed in 0.2 s, if not given.
         position_unit: one unit of the drive's positions (m or rad).
@@ -68,15 +71,15 @@ def commission_joint(
     for argument, value in {**given, "position_unit": position_unit}.items():
         if value is not None and not (isinstance(value, Real) and 0.0 < value < math.inf):
             raise ValueError(f"{argument} = {value!r} must be a finite number above 0")
-    speed = RATED_SPEED if max_velocity is None else max_velocity * gear
-    load = _load(machine, coupling, speed / gear)
-    inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, gear)
-    rated = max(MOTOR["motor_rated_torque"] * 1e-3, 2 * load)
+    speed = _speed(machine, coupling) if max_velocity is None else max_velocity * gear
+    torque = _load(machine, coupling, speed / gear)
+    inertia = _inertia(machine, coupling)
+    rated = max(MOTOR["motor_rated_torque"] * 1e-3, 2 * torque)
     if max_acceleration is None:
-        acceleration = min(speed / RAMP_TIME, (2 * rated - load) / inertia)
+        acceleration = min(speed / RAMP_TIME, (2 * rated - torque) / inertia)
     else:
         acceleration = max_acceleration * gear
-        rated = max(rated, (load + inertia * acceleration) / 2)
+        rated = max(rated, (torque + inertia * acceleration) / 2)
     try:
         drive.commission(_motor(rated) | factor_group(drive, gear * position_unit))
         per_unit = gear * position_unit  # rad of the shaft
@@ -87,7 +90,7 @@ def commission_joint(
             | _places(machine, drive, coupling, position_unit)
         )
         drive.commission(gains(drive, inertia))
-    except SdoAbort as error:
+    except (SdoAbort, OverflowError) as error:
         raise ValueError(
             f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "
             f"shaft {inertia:.3g} kg·m², {speed:.4g} rad/s, position_unit {position_unit:g}: "
@@ -122,6 +125,26 @@ def factor_group(drive: Drive, angle: float) -> dict[str, float]:
     }
 
 
+def _speed(machine: Machine, coupling) -> float:
+    """Speed of the shaft (rad/s) that suits motor and range."""
+    joint = machine.model.dof_jntid[coupling.dof]
+    if not machine.model.jnt_limited[joint]:
+        return RATED_SPEED
+    low, high = machine.model.jnt_range[joint]
+    return min(RATED_SPEED, abs(float(coupling.gear)) * float(high - low) / TRAVEL_TIME)
+
+
+def _inertia(machine: Machine, coupling) -> float:
+    """Inertia at the shaft (kg·m²) while the other drives hold and joints without one are free."""
+    model = machine.model
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, machine.data, mass)
+    driven = {int(other.dof) for other in machine.couplings}
+    free = [int(coupling.dof), *(dof for dof in range(model.nv) if dof not in driven)]
+    mobility = np.linalg.inv(mass[np.ix_(free, free)])
+    return float(1.0 / mobility[0, 0] / coupling.gear**2)
+
+
 def _load(machine: Machine, coupling, speed: float) -> float:
     """Largest torque at the shaft (Nm) that gravity, springs, damping and friction ask for.
 
@@ -147,10 +170,19 @@ def _load(machine: Machine, coupling, speed: float) -> float:
 
 
 def _motor(rated_torque: float) -> dict[str, float]:
-    """`MOTOR` with another rated torque (Nm) at the same torque constant."""
+    """`MOTOR` with another rated torque (Nm), its torque constant and DC link of the same design.
+
+    A larger drive has the larger capacitor and brake resistor that its motor needs.
+    """
     scale = rated_torque * 1e3 / MOTOR["motor_rated_torque"]
-    rated = ("motor_rated_current", "motor_rated_torque")
-    return MOTOR | {name: math.ceil(MOTOR[name] * scale) for name in rated}
+    size = {"motor_rated_current": scale, "motor_rated_torque": scale}
+    link = {"link_capacitance": scale, "chopper_resistance": 1 / scale}
+    default = load("generic").names
+    return (
+        MOTOR
+        | {name: math.ceil(MOTOR[name] * factor) for name, factor in size.items()}
+        | {name: max(default[name].default * factor, 1) for name, factor in link.items()}
+    )
 
 
 def _profile(velocity: float, acceleration: float) -> dict[str, float]:
@@ -161,7 +193,7 @@ def _profile(velocity: float, acceleration: float) -> dict[str, float]:
         "profile_acceleration": acceleration,
         "profile_deceleration": acceleration,
         "quick_stop_deceleration": 2 * acceleration,
-        "limit_switch_deceleration": 2 * acceleration,
+        "limit_switch_deceleration": min(2 * acceleration, INTEGER32),
         "position_control_v_max": 2 * velocity,
         "speed_during_search_for_switch": max(0.1 * velocity, 1),
         "speed_during_search_for_zero": max(0.01 * velocity, 1),
@@ -191,10 +223,16 @@ def _places(machine: Machine, drive: Drive, coupling, position_unit: float) -> d
     joint = model.dof_jntid[coupling.dof]
     low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (0.0, 0.0)  # equal: none
     here = float(machine.data.qpos[coupling.qpos])
+    name = model.joint(joint).name
+    if low < high and not low - 1e-6 <= here <= high + 1e-6:
+        raise ValueError(
+            f"joint {name!r} stands at {here:g}, out of its range {low:g}..{high:g}: "
+            "choose a pose with machine.reset(positions=...) first"
+        )
     for place in (low, high, here):
-        if abs(place) / position_unit >= 2**31:
+        if abs(place) / position_unit > INTEGER32:
             raise ValueError(
-                f"joint {model.joint(joint).name!r} at {place:g}: an INTEGER32 has no place for it "
+                f"joint {name!r} at {place:g}: an INTEGER32 has no place for it "
                 f"in units of {position_unit:g}: choose a larger position_unit"
             )
     return {

@@ -69,6 +69,7 @@ def attach(
             _install(spec, joint, actuator, gear)
             joint.armature = drive.rotor_inertia * gear**2
         else:
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT  # on such a joint the same as in its parent
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     spec.option.timestep = fitting_timestep(spec.option.timestep, drives)
@@ -170,13 +171,13 @@ def _install(spec: mujoco.MjSpec, joint, actuator, gear: float) -> None:
     number = len(spec.actuators) if actuator is None else spec.actuators.index(actuator)
     if actuator is None:
         actuator = spec.add_actuator(name=joint.name, target=joint.name)
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     stateful = actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE
     # `set_to_motor` leaves limits, delays and the like; an actuator of an empty model has none
     pristine = mujoco.MjSpec().add_actuator()
     for field in dir(pristine):
         if not field.startswith(("_", "set_")) and field not in (*_IDENTITY, *_OBJECTS):
             setattr(actuator, field, getattr(pristine, field))
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.plugin.active = False
     actuator.ctrllimited = actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
     actuator.gear = [gear, 0.0, 0.0, 0.0, 0.0, 0.0]
