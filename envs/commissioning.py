@@ -81,7 +81,7 @@ def commission_joint(
         acceleration = max_acceleration * gear
         rated = max(rated, (torque + inertia * acceleration) / 2)
     try:
-        drive.commission(_motor(rated) | factor_group(drive, gear * position_unit))
+        drive.commission(_motor(drive, rated) | factor_group(drive, gear * position_unit))
         per_unit = gear * position_unit  # rad of the shaft
         drive.commission(
             {"polarity": 0xC0 if coupling.gear < 0 else 0}
@@ -169,20 +169,20 @@ def _load(machine: Machine, coupling, speed: float) -> float:
     return (force + float(coupling.friction)) / abs(float(coupling.gear))
 
 
-def _motor(rated_torque: float) -> dict[str, float]:
+def _motor(drive: Drive, rated_torque: float) -> dict[str, float]:
     """`MOTOR` with another rated torque (Nm), its torque constant and DC link of the same design.
 
     A larger drive has the larger capacitor and brake resistor that its motor needs.
     """
     scale = rated_torque * 1e3 / MOTOR["motor_rated_torque"]
-    size = {"motor_rated_current": scale, "motor_rated_torque": scale}
-    link = {"link_capacitance": scale, "chopper_resistance": 1 / scale}
-    default = load("generic").names
-    return (
-        MOTOR
-        | {name: math.ceil(MOTOR[name] * factor) for name, factor in size.items()}
-        | {name: max(default[name].default * factor, 1) for name, factor in link.items()}
-    )
+    values: dict[str, float] = {**MOTOR}
+    for name in ("motor_rated_current", "motor_rated_torque"):
+        values[name] = math.ceil(MOTOR[name] * scale)
+    for name, factor in (("link_capacitance", scale), ("chopper_resistance", 1 / scale)):
+        row = drive.model.names.get(name) or load("generic").names[name]
+        default = drive.model.fixed.get(name, row.default)
+        values[name] = math.ceil(float(default) * factor)
+    return values
 
 
 def _profile(velocity: float, acceleration: float) -> dict[str, float]:

@@ -69,7 +69,7 @@ def attach(
             _install(spec, joint, actuator, gear)
             joint.armature = drive.rotor_inertia * gear**2
         else:
-            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT  # on such a joint the same as in its parent
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT  # in its parent it is the same
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     spec.option.timestep = fitting_timestep(spec.option.timestep, drives)

@@ -61,6 +61,7 @@ ROBOTS = {
         {"ankle_1": 0.8, "ankle_2": -0.8, "ankle_3": -0.8, "ankle_4": 0.8},
         {"hip_1": 0.2, "ankle_1": 0.9, "ankle_2": -0.7, "ankle_3": -0.8, "ankle_4": 0.7},
     ),
+    "swimmer": ("swimmer.xml", {}, {"motor1_rot": 0.5}),  # in a fluid that asks for a large motor
     "cartpole": ("cartpole.xml", {}, {"slider": -0.5}),
     "acrobot": ("acrobot.xml", {"shoulder": 3.0}, {"shoulder": 2.5, "elbow": 0.4}),
     "manipulator": ("manipulator.xml", {}, {"root": 0.7, "arm_shoulder": -0.5, "elbow": 0.6}),
