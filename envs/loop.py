@@ -15,6 +15,8 @@ from ..drive.process_data import PDO, collect, latch
 from ..drive.record import AXIS
 from .memory import bytes_at, floats_at, integers_at, viewer
 from .physics import STATE, mj_get_state, mj_set_state, mj_step
+from . import mechanics
+from .mechanics import MECHANICS
 
 AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
@@ -49,11 +51,17 @@ WORLD = np.dtype(
         ("qvel", "i8"),
         ("ctrl", "i8"),
         ("frictionloss", "i8"),
+        ("inertia", "i8"),  # MjData.M
+        ("applied", "i8"),  # MjData.qfrc_applied
+        ("stiffness", "i8"),  # MjModel.jnt_stiffness
+        ("damping", "i8"),  # MjModel.dof_damping
+        ("guide_friction", "i8"),  # MjModel.tendon_frictionloss
         ("nq", "i8"),  # their lengths
         ("nv", "i8"),
         ("nu", "i8"),
         ("axes", "i8"),  # addresses of the records of its drives, and how many they are
         ("couplings", "i8"),
+        ("mechanics", "i8"),
         ("pdos", "i8"),
         ("drives", "i8"),
         ("tick", "i8"),  # physics steps since the reset
@@ -70,6 +78,7 @@ PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_
 world_at = viewer(WORLD)
 axes_at = viewer(AXIS)
 couplings_at = viewer(COUPLING)
+mechanics_at = viewer(MECHANICS)
 directory_at = viewer(PDOS)
 pdos_at = viewer(PDO)
 
@@ -96,15 +105,19 @@ def _uniform(coupling):
 
 
 @block
-def sense(axis, coupling, position):
-    """Feed shaft angle and switches of a joint at `position` to the drive."""
-    measured = position
+def sense(axis, coupling, m, qpos):
+    """Feed the shaft angle of a joint and the switches at its carriage to the drive."""
+    measured = qpos[coupling.qpos]
     if coupling.noise > 0.0:
         measured += coupling.noise * _normal(coupling)
     axis.shaft_angle = measured * coupling.gear
+    place = mechanics.carriage(m, coupling, qpos)
     for i in range(3):
+        at = place - m.switch_offset[i] - m.switch_shift[i]
         slack = coupling.switch_hysteresis[i] if coupling.switch_active[i] else 0.0
-        inside = coupling.switch_from[i] - slack <= position <= coupling.switch_to[i] + slack
+        inside = coupling.switch_from[i] - slack <= at <= coupling.switch_to[i] + slack
+        if m.switch_scatter > 0.0 and coupling.switch_active[i] and not inside:
+            m.switch_shift[i] = m.switch_scatter * _normal(m)
         coupling.switch_active[i] = 1 if inside else 0
     axis.negative_limit_switch = coupling.switch_active[NEGATIVE]
     axis.positive_limit_switch = coupling.switch_active[POSITIVE]
@@ -112,7 +125,7 @@ def sense(axis, coupling, position):
 
 
 @block
-def _tick(world, axes, couplings, qpos, ctrl, frictionloss):
+def _tick(world, axes, couplings, joints, qpos, qvel, ctrl, frictionloss):
     """One physics step and the control cycles that begin with it."""
     sound = True
     for i in range(len(axes)):
@@ -120,13 +133,12 @@ def _tick(world, axes, couplings, qpos, ctrl, frictionloss):
         sound = sound and abs(qpos[coupling.qpos]) < FARTHEST
         if world.tick % coupling.velocity_steps == 0:
             axis = axes[i]
-            sense(axis, coupling, qpos[coupling.qpos])
+            sense(axis, coupling, joints[i], qpos)
             velocity_cycle(axis)
             ctrl[coupling.ctrl] = axis.torque
-            if coupling.brake_friction > 0.0:
-                held = 0.0 if axis.brake_released else coupling.brake_friction
-                frictionloss[coupling.dof] = coupling.friction + held
     if sound:
+        for i in range(len(axes)):
+            mechanics.run(world, axes[i], couplings[i], joints[i], qpos, qvel, frictionloss)
         mj_step(world.mj_model, world.mj_data)
     world.tick += 1
 
@@ -192,14 +204,16 @@ def run(worlds, ticks, rpdos, tpdos):
         _enter(worlds[w], world)
         axes = axes_at(world.axes, world.drives)
         couplings = couplings_at(world.couplings, world.drives)
+        joints = mechanics_at(world.mechanics, world.drives)
         qpos = floats_at(world.qpos, world.nq)
+        qvel = floats_at(world.qvel, world.nv)
         ctrl = floats_at(world.ctrl, world.nu)
         frictionloss = floats_at(world.frictionloss, world.nv)
         latched_at = min(world.delay, ticks) if rpdos.shape[1] else -1
         for now in range(ticks):
             if now == latched_at:
                 _latch(world, axes, rpdos[w])
-            _tick(world, axes, couplings, qpos, ctrl, frictionloss)
+            _tick(world, axes, couplings, joints, qpos, qvel, ctrl, frictionloss)
         if latched_at == ticks:
             _latch(world, axes, rpdos[w])
         if tpdos.shape[1]:
@@ -207,8 +221,12 @@ def run(worlds, ticks, rpdos, tpdos):
 
 
 @entry
-def sense_all(axes, couplings, qpos):
-    """Set the switches for the present positions, without history."""
+def settle(axes, couplings, joints, qpos):
+    """Set switches and their tolerance for the present positions, without history."""
     for i in range(len(axes)):
+        m = joints[i]
+        m.noise_state = m.switch_seed
+        for k in range(3):
+            m.switch_shift[k] = m.switch_scatter * _normal(m) if m.switch_scatter > 0.0 else 0.0
         couplings[i].switch_active[:] = 0
-        sense(axes[i], couplings[i], qpos[couplings[i].qpos])
+        sense(axes[i], couplings[i], m, qpos)

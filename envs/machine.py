@@ -11,13 +11,14 @@ import numpy as np
 from ..drive import record
 from ..drive.drive import Drive
 from ..drive.model import DriveModel, load
-from . import loop
+from . import loop, mechanics
+from .mechanics import numeric
 from .memory import address
 from .mjcf import actuator_of, attach
 from .physics import STATE, addresses
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
-VERSION = 1  # of the snapshot layout
+VERSION = 2  # of the snapshot layout
 NO_IMAGES = np.zeros((1, 0), np.uint8)
 BRAKE_IMPEDANCE = 0.9999  # of the friction constraint of a braked joint: else it creeps under load
 
@@ -36,6 +37,9 @@ class Machine:
           <numeric name="x.home_switch" data="0.2 0.23 0.0003"/>
           <numeric name="z.brake_torque" data="3"/>                          Nm at the shaft
         </custom>
+
+    What else there may be, friction, backlash and more, is in `mechanics`; ``mechanics`` of a
+    machine is its MECHANICS records, one a drive, with the energy of impacts on the end stops.
 
     Args:
         model: the MuJoCo model; its own from now on.
@@ -62,6 +66,9 @@ class Machine:
         self.couplings = np.zeros(len(drives), record.accessible(loop.COUPLING))
         for (name, drive), coupling in zip(self.drives.items(), self.couplings, strict=True):
             _couple(model, name, drive, coupling)
+        self.mechanics = np.zeros(len(drives), record.accessible(mechanics.MECHANICS))
+        for name, coupling, joint in zip(drives, self.couplings, self.mechanics, strict=True):
+            mechanics.fit(model, name, coupling, joint)
         self.cycle_time, self.physics_steps = _rates(model, self.drives)
         self._identity = _identity(model, self.drives)
         self._directory = np.zeros(len(drives), loop.PDOS)
@@ -82,7 +89,11 @@ class Machine:
         for name, array in (
             ("qpos", self._data.qpos), ("qvel", self._data.qvel), ("ctrl", self._data.ctrl),
             ("frictionloss", self.model.dof_frictionloss), ("axes", self.axes),
-            ("couplings", self.couplings), ("pdos", self._directory),
+            ("couplings", self.couplings), ("mechanics", self.mechanics),
+            ("pdos", self._directory), ("inertia", self._data.M),
+            ("applied", self._data.qfrc_applied), ("stiffness", self.model.jnt_stiffness),
+            ("damping", self.model.dof_damping),
+            ("guide_friction", self.model.tendon_frictionloss),
         ):  # fmt: skip
             world[name] = address(array)
         world["nq"], world["nv"], world["nu"] = self.model.nq, self.model.nv, self.model.nu
@@ -176,9 +187,8 @@ class Machine:
                 raise ValueError(f"positions: there is no drive {name!r}, only {[*self.drives]}")
             coupling = self.couplings[list(self.drives).index(name)]
             joint = self.model.dof_jntid[coupling.dof]
-            low, high = self.model.jnt_range[joint]
-            if not self.model.jnt_limited[joint]:
-                low, high = -math.inf, math.inf
+            number = list(self.drives).index(name)
+            low, high = (float(self.mechanics[end][number]) for end in ("low", "high"))
             if not math.isfinite(position) or not low <= position <= high:
                 raise ValueError(
                     f"positions[{name!r}] = {position} is out of the joint's range "
@@ -190,9 +200,13 @@ class Machine:
             self.data.qpos[place] = position
         for drive in self.drives.values():
             drive.reset(keep_parameters=True)
-        for coupling in self.couplings:
-            self.model.dof_frictionloss[coupling.dof] = coupling.friction + coupling.brake_friction
-        loop.sense_all(self.axes, self.couplings, self.data.qpos)
+        for coupling, joint in zip(self.couplings, self.mechanics, strict=True):
+            guided = joint.guide >= 0
+            friction = coupling.brake_friction + (0.0 if guided else coupling.friction)
+            self.model.dof_frictionloss[coupling.dof] = friction
+        for field in mechanics.WATCHED:
+            self.mechanics[field] = 0
+        loop.settle(self.axes, self.couplings, self.mechanics, self.data.qpos)
         mujoco.mj_forward(self.model, self.data)
         self.world["tick"] = 0
 
@@ -201,7 +215,8 @@ class Machine:
         state = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, state, STATE)
         parts = [drive.snapshot() for drive in self.drives.values()]
-        parts += [self.couplings.tobytes(), self.model.dof_frictionloss.tobytes(), state.tobytes()]
+        parts += [self.couplings.tobytes(), self.mechanics.tobytes()]
+        parts += [self.model.dof_frictionloss.tobytes(), state.tobytes()]
         head = [VERSION, int(self.world["tick"][0]), self._identity, *(len(part) for part in parts)]
         return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
 
@@ -223,8 +238,9 @@ class Machine:
             raise ValueError(f"this snapshot has {len(body)} bytes, {at} were expected")
         for drive, part in zip(self.drives.values(), parts, strict=False):
             drive.restore(part)
-        couplings, friction, state = parts[len(self.drives) :]
+        couplings, joints, friction, state = parts[len(self.drives) :]
         self.couplings[:] = np.frombuffer(couplings, loop.COUPLING)
+        self.mechanics[:] = np.frombuffer(joints, mechanics.MECHANICS)
         self.model.dof_frictionloss[:] = np.frombuffer(friction)
         mujoco.mj_setState(self.model, self.data, np.frombuffer(state), STATE)
         self.world["tick"] = int(numbers[1])
@@ -285,26 +301,14 @@ def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
         velocity_cycle, model.opt.timestep, f"velocity cycle of drive {name!r}", "physics step"
     )
     for i, switch in enumerate(SWITCHES):
-        span = _numeric(model, f"{name}.{switch}", 3)
+        span = numeric(model, f"{name}.{switch}", 3)
         coupling.switch_from[i], coupling.switch_to[i] = span[:2] if span else (1.0, -1.0)
         coupling.switch_hysteresis[i] = span[2] if span else 0.0
-    brake = _numeric(model, f"{name}.brake_torque", 1)
+    brake = numeric(model, f"{name}.brake_torque", 1)
     if brake:
         coupling.brake_friction = brake[0] * abs(gear)
         model.dof_solimp[coupling.dof, :2] = BRAKE_IMPEDANCE
         drive.commission({"brake_fitted": 1})
-
-
-def _numeric(model: mujoco.MjModel, name: str, size: int) -> list[float]:
-    """Data of a custom numeric, empty where there is none."""
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
-    if number < 0:
-        return []
-    start = model.numeric_adr[number]
-    data = model.numeric_data[start : start + model.numeric_size[number]].tolist()
-    if len(data) != size or not all(map(math.isfinite, data)):
-        raise ValueError(f"numeric {name!r} needs {size} finite numbers, it has {data}")
-    return data
 
 
 def _whole(slow: float, fast: float, slow_name: str, fast_name: str, remedy: str = "") -> int:
