@@ -3,12 +3,13 @@
 import gymnasium
 
 from .commissioning import commission_joint
+from .axis_parameters import FAMILY, LinearAxisParameters
 from .gantry import gantry
-from .linear_axis import LinearAxisParameters, linear_axis
+from .linear_axis import linear_axis
 from .machine import Machine
 from .tasks import TASKS
 
-__all__ = ["TASKS", "LinearAxisParameters", "Machine", "commission_joint", "gantry", "linear_axis"]
+__all__ = ["FAMILY", "TASKS", "LinearAxisParameters", "Machine", "commission_joint", "gantry", "linear_axis"]
 
 for task in TASKS:
     gymnasium.register(

@@ -1,7 +1,6 @@
 """A linear axis with one drive, commissioned as a user would: through its objects."""
 
 import math
-from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
 
@@ -9,8 +8,9 @@ import mujoco
 
 from ..drive.drive import Drive
 from ..drive.model import DriveModel, load
+from .axis_parameters import LinearAxisParameters, family
 from .machine import Machine
-from .tuning import gains, inertia_at_shaft
+from .tuning import gains, inertia_at_shaft, inertia_of_motor_side
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
@@ -22,58 +22,17 @@ MOTOR = {
     "max_torque": 3000,
 }
 GRAVITY = 9.81  # m/s²
-# lowest, highest, unit
-RANGES = {
-    "payload": (0.0, 100.0, "kg"),
-    "feed_constant": (1e-3, 1.0, "m per motor revolution"),
-    "coulomb_friction": (0.0, 200.0, "N"),
-    "viscous_friction": (0.0, 2000.0, "N·s/m"),
-    "max_velocity": (1e-3, 10.0, "m/s"),
-    "max_acceleration": (1e-2, 200.0, "m/s²"),
-    "max_jerk": (1.0, 4000.0, "m/s³"),
-    "stiffness": (0.0, 1e8, "N/m"),
-    "structural_damping": (0.0, 1e5, "N·s/m"),
-    "inclination": (-90.0, 90.0, "degree"),
-    "brake_torque": (0.0, 100.0, "Nm"),
-}
-
-
-@dataclass(frozen=True)
-class LinearAxisParameters:
-    """What can be chosen about the axis. Raises ValueError naming field, value, range and unit."""
-
-    payload: float = 5.0  # kg, on a carriage of 1.5 kg
-    feed_constant: float = 0.06  # m per motor revolution
-    coulomb_friction: float = 12.0  # N
-    viscous_friction: float = 20.0  # N·s/m
-    max_velocity: float = 1.0  # m/s, profile velocity
-    max_acceleration: float = 10.0  # m/s², profile acceleration and deceleration
-    max_jerk: float = 1000.0  # m/s³, profile jerk
-    stiffness: float = 0.0  # N/m, between carriage and payload; 0: rigid
-    structural_damping: float = 0.0  # N·s/m, between carriage and payload
-    inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
-    brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            low, high, unit = RANGES[field.name]
-            try:
-                inside = low <= float(value) <= high
-            except (TypeError, ValueError):
-                inside = False
-            if not inside:
-                raise ValueError(
-                    f"{field.name} = {value!r} is out of range {low:g}..{high:g} {unit}"
-                )
+MOTOR_SIDE_MASS = 1e-3  # kg; MuJoCo wants some for a moving body, the inertia is the armature
+FASTEST = 1.5  # rad of a vibration in one physics step; from 2 on the integrator diverges
 
 
 def linear_axis(
     drive: str | Path | DriveModel = "generic",
     *,
+    mechanics: str = "rigid",
     timestep: float | None = None,
     parameters: LinearAxisParameters | None = None,
-    **values: float,
+    **values: float | None,
 ) -> Machine:
     """A `Machine` with one linear axis, its drive called ``x``, stroke 0..0.5 m.
 
@@ -82,16 +41,20 @@ def linear_axis(
 
     Args:
         drive: drive model by name, folder or loaded.
+        mechanics: preset of the family: ``rigid``, ``toothed_belt``, ``ball_screw``,
+            ``linear_motor`` or ``vertical``, see `axis_parameters`.
         timestep: physics step (s); the velocity cycle of the drive if not given.
-        parameters: `LinearAxisParameters`, or its fields as keywords.
+        parameters: `LinearAxisParameters`, or its fields as keywords instead of the preset's.
 
     Raises:
-        ValueError: unknown model, a parameter out of range, a timestep the rates do not allow.
+        ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
+            do not allow or that is too long for the elastic mechanics.
     """
     if parameters is None:
-        parameters = LinearAxisParameters(**values)
-    elif values:
-        raise ValueError(f"parameters and {', '.join(values)} are both given: choose one way")
+        parameters = family(mechanics, **values)
+    elif values or mechanics != "rigid":
+        given = [*values, *(["mechanics"] if mechanics != "rigid" else [])]
+        raise ValueError(f"parameters and {', '.join(given)} are both given: choose one way")
     drive_model = load(drive)
     if timestep is None:
         timestep = drive_model.cycle_time["velocity"]
@@ -108,29 +71,86 @@ def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) ->
     gear = 2 * math.pi / p.feed_constant
     spec.option.timestep = timestep
     joint = spec.joint("x")
-    joint.armature = drive_model.rotor_inertia * gear**2
+    rotor = drive_model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+    joint.armature = (rotor + p.transmission_inertia) * gear**2
     joint.frictionloss = p.coulomb_friction
     joint.damping[0] = p.viscous_friction
     spec.actuator("x").gear[0] = gear
     slope = math.radians(p.inclination)
     spec.option.gravity = [-GRAVITY * math.sin(slope), 0.0, -GRAVITY * math.cos(slope)]
-    if p.brake_torque > 0.0:
-        spec.add_numeric(name="x.brake_torque", size=1, data=[p.brake_torque])
+    spec.geom("carriage").mass = p.carriage_mass
     payload = spec.geom("payload")
     payload.mass = p.payload
     payload.size = [0.02 + 0.01 * min(p.payload, 5.0) ** (1 / 3)] * 3
     payload.pos[2] = 0.014 + payload.size[2]
+    for name, values in {
+        "brake_torque": [p.brake_torque] if p.brake_torque > 0.0 else [],
+        "stribeck": [p.static_friction, p.stribeck_velocity] if p.static_friction > 0.0 else [],
+        "cable_chain": [p.chain_drag, p.chain_drag_growth],
+        "cogging": [p.cogging_torque, p.cogging_order],
+        "torque_ripple": [p.torque_ripple, p.ripple_order],
+        "backlash": [p.backlash],
+        "switch_offset": [p.switch_offset] * 3,
+        "switch_scatter": [p.switch_scatter],
+    }.items():
+        if values:
+            spec.add_numeric(name=f"x.{name}", size=len(values), data=values)
+    carried = p.carriage_mass + p.payload
     if p.stiffness > 0.0 and p.payload > 0.0:
-        _mount_elastically(spec, p)
+        _spring(spec, "payload", "load", p.stiffness, p.structural_damping)
+        rest = joint.armature + p.carriage_mass
+        if p.transmission_stiffness > 0.0:
+            rest = p.carriage_mass
+        _slow_enough("stiffness", p.stiffness, rest, p.payload, timestep)
+    if p.transmission_stiffness > 0.0:
+        _drive_elastically(spec, p)
+        motor = joint.armature + MOTOR_SIDE_MASS
+        _slow_enough("transmission_stiffness", p.transmission_stiffness, motor, carried, timestep)
     return spec.compile()
 
 
-def _mount_elastically(spec: mujoco.MjSpec, p: LinearAxisParameters) -> None:
-    """Put the payload on a spring along the axis: the joint ``load``, a two-mass system."""
-    body = spec.body("payload")
-    joint = body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
-    joint.stiffness[0] = p.stiffness
-    joint.damping[0] = p.structural_damping
+def _spring(spec: mujoco.MjSpec, body: str, name: str, stiffness: float, damping: float) -> None:
+    """Put a body on a spring along the axis: the joint `name`."""
+    joint = spec.body(body).add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    joint.stiffness[0] = stiffness
+    joint.damping[0] = damping
+
+
+def _drive_elastically(spec: mujoco.MjSpec, p: LinearAxisParameters) -> None:
+    """A spring, the joint ``carriage``, between the motor side and the carriage.
+
+    Friction and end stops go from the motor's joint to the carriage, which is the tendon
+    ``x.guide``, the sum of the joints. The viscous friction stays: both move at nearly one speed.
+    """
+    _spring(spec, "carriage", "carriage", p.transmission_stiffness, p.transmission_damping)
+    motor_side, motor = spec.body("motor_side"), spec.joint("x")
+    motor_side.mass = MOTOR_SIDE_MASS
+    motor_side.inertia = [MOTOR_SIDE_MASS * 1e-4] * 3
+    motor_side.explicitinertial = True
+    guide = spec.add_tendon(
+        name="x.guide",
+        limited=True,
+        range=motor.range,
+        frictionloss=motor.frictionloss,
+        solref_limit=motor.solref_limit,
+        solimp_limit=motor.solimp_limit,
+    )
+    guide.wrap_joint("x", 1.0)
+    guide.wrap_joint("carriage", 1.0)
+    motor.limited = False
+    motor.frictionloss = 0.0
+
+
+def _slow_enough(name: str, stiffness: float, a: float, b: float, timestep: float) -> None:
+    """Refuse a spring between two masses (kg) that vibrates too fast for the physics step."""
+    rate = math.sqrt(stiffness * (1.0 / a + 1.0 / b))
+    if rate * timestep > FASTEST:
+        raise ValueError(
+            f"{name} = {stiffness:g} N/m between {a:.3g} kg and {b:.3g} kg resonates at "
+            f"{rate / (2 * math.pi):.0f} Hz, too fast for a timestep of {timestep * 1e6:g} µs: at "
+            f"most {FASTEST / rate * 1e6:.0f} µs, as a whole fraction of the velocity cycle, or a "
+            "softer spring"
+        )
 
 
 def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
@@ -167,8 +187,8 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
     }
     x.commission(parameters)
     coupling = machine.couplings[list(machine.drives).index(name)]
-    inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
-    tune(x, inertia)
+    place = machine.model, machine.data, coupling.dof, coupling.gear
+    tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))
 
 
 def _units(drive: Drive, turn: float) -> dict[str, float]:
@@ -188,6 +208,6 @@ def _units(drive: Drive, turn: float) -> dict[str, float]:
     }
 
 
-def tune(drive: Drive, inertia: float) -> None:
-    """Set the gains for `inertia` (kg·m² at the shaft)."""
-    drive.commission(gains(drive, inertia))
+def tune(drive: Drive, inertia: float, motor_side: float | None = None) -> None:
+    """Set the gains for `inertia` (kg·m² at the shaft), `motor_side` of it before any spring."""
+    drive.commission(gains(drive, inertia, motor_side))

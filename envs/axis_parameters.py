@@ -1,0 +1,175 @@
+"""What can be chosen about a linear axis, and the family: presets by the kind of mechanics.
+
+Values marked `inferred` are of the size catalogues give for axes of this class, not of one product.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+# lowest, highest, unit
+RANGES = {
+    "payload": (0.0, 100.0, "kg"),
+    "carriage_mass": (1e-3, 100.0, "kg"),
+    "feed_constant": (1e-3, 1.0, "m per motor revolution"),
+    "rotor_inertia": (0.0, 1.0, "kg·m²"),
+    "transmission_inertia": (0.0, 1.0, "kg·m² at the shaft"),
+    "coulomb_friction": (0.0, 200.0, "N"),
+    "static_friction": (0.0, 400.0, "N"),
+    "stribeck_velocity": (1e-4, 1.0, "m/s"),
+    "viscous_friction": (0.0, 2000.0, "N·s/m"),
+    "chain_drag": (0.0, 100.0, "N"),
+    "chain_drag_growth": (0.0, 1000.0, "N per m of travel"),
+    "cogging_torque": (0.0, 10.0, "Nm at the shaft"),
+    "cogging_order": (0.0, 1000.0, "periods per motor revolution"),
+    "torque_ripple": (0.0, 0.5, "share of the motor torque"),
+    "ripple_order": (0.0, 1000.0, "periods per motor revolution"),
+    "max_velocity": (1e-3, 10.0, "m/s"),
+    "max_acceleration": (1e-2, 200.0, "m/s²"),
+    "max_jerk": (1.0, 4000.0, "m/s³"),
+    "stiffness": (0.0, 1e8, "N/m"),
+    "structural_damping": (0.0, 1e5, "N·s/m"),
+    "transmission_stiffness": (0.0, 1e9, "N/m"),
+    "transmission_damping": (0.0, 1e6, "N·s/m"),
+    "backlash": (0.0, 0.01, "m"),
+    "switch_offset": (-0.01, 0.01, "m"),
+    "switch_scatter": (0.0, 0.01, "m"),
+    "inclination": (-90.0, 90.0, "degree"),
+    "brake_torque": (0.0, 100.0, "Nm"),
+}
+
+
+@dataclass(frozen=True)
+class LinearAxisParameters:
+    """One linear axis. Raises ValueError naming field, value, range and unit.
+
+    An effect is off where its parameter is 0, `static_friction` also where it is the Coulomb one.
+    With a `transmission_stiffness` the carriage moves against the motor side: the drive sees the
+    motor; friction, end stops and switches are the carriage's.
+    """
+
+    payload: float = 5.0  # kg, on the carriage
+    carriage_mass: float = 1.5  # kg
+    feed_constant: float = 0.06  # m per motor revolution
+    rotor_inertia: float | None = None  # kg·m²; None: of the drive model's motor
+    transmission_inertia: float = 0.0  # kg·m² at the shaft, of pulleys, coupling, spindle
+    coulomb_friction: float = 12.0  # N
+    static_friction: float = 0.0  # N, at standstill; not below the Coulomb friction, or 0
+    stribeck_velocity: float = 0.01  # m/s, where friction has come down by 63 %; inferred
+    viscous_friction: float = 20.0  # N·s/m
+    chain_drag: float = 0.0  # N, of a cable chain
+    chain_drag_growth: float = 0.0  # N/m, with the travel from the left end stop
+    cogging_torque: float = 0.0  # Nm at the shaft, amplitude
+    cogging_order: float = 24.0  # periods a revolution; 24: of 12 slots and 8 poles
+    torque_ripple: float = 0.0  # share of the motor torque, amplitude
+    ripple_order: float = 24.0  # periods a revolution; 24: six times 4 pole pairs
+    max_velocity: float = 1.0  # m/s, profile velocity
+    max_acceleration: float = 10.0  # m/s², profile acceleration and deceleration
+    max_jerk: float = 1000.0  # m/s³, profile jerk
+    stiffness: float = 0.0  # N/m, between carriage and payload; 0: rigid
+    structural_damping: float = 0.0  # N·s/m, between carriage and payload
+    transmission_stiffness: float = 0.0  # N/m, between motor side and carriage; 0: rigid
+    transmission_damping: float = 0.0  # N·s/m, between motor side and carriage
+    backlash: float = 0.0  # m, whole gap between motor side and carriage
+    switch_offset: float = 0.0  # m, all switches are mounted this much farther right
+    switch_scatter: float = 0.0  # m, standard deviation of where a switch answers
+    inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
+    brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None and field.default is None:
+                continue
+            low, high, unit = RANGES[field.name]
+            try:
+                inside = low <= float(value) <= high
+            except (TypeError, ValueError):
+                inside = False
+            if not inside:
+                raise ValueError(
+                    f"{field.name} = {value!r} is out of range {low:g}..{high:g} {unit}"
+                )
+        if self.static_friction and not 0.0 < self.coulomb_friction <= self.static_friction:
+            raise ValueError(
+                f"static_friction = {self.static_friction:g} N needs a coulomb_friction above "
+                f"0 and not above it, which is {self.coulomb_friction:g} N; 0 is off"
+            )
+        if self.backlash > 0.0 and self.transmission_stiffness == 0.0:
+            raise ValueError(
+                f"backlash = {self.backlash:g} m needs a transmission_stiffness above 0 N/m: the "
+                "gap lies in the spring between motor side and carriage"
+            )
+
+
+# 16 mm belt, both spans in parallel, at the middle of the stroke: Gates, Synchroflex: specific
+# stiffness of AT5 with steel tension members about 1e5 N per unit strain and spans of 0.5 m:
+# 4e5 N/m (inferred). Damping ratio 2 %, pulleys 0.1e-4 kg·m², repeatability of a proximity switch
+# 20 µm (inferred).
+TOOTHED_BELT = LinearAxisParameters(
+    transmission_inertia=0.1e-4,
+    transmission_stiffness=4e5,
+    transmission_damping=25.0,
+    static_friction=16.0,
+    chain_drag=2.0,
+    chain_drag_growth=3.0,
+    cogging_torque=0.013,  # 1 % of the rated torque, a usual limit for servo motors (inferred)
+    switch_scatter=20e-6,
+)
+# 16 x 10 mm ball screw, 0.65 m long: E A / L = 2.1e11 · 1.5e-4 / 0.65 = 48 N/µm, in series with
+# nut and bearings of about 80 N/µm: 30 N/µm. Rolled, ISO 3408 T7, without preload: axial play
+# 20 µm. Inertia of the steel spindle: pi/32 · 7850 · 0.65 · 0.016⁴ = 0.33e-4 kg·m² (inferred).
+BALL_SCREW = LinearAxisParameters(
+    feed_constant=0.01,
+    transmission_inertia=0.33e-4,
+    transmission_stiffness=3e7,
+    transmission_damping=450.0,
+    backlash=20e-6,
+    coulomb_friction=40.0,
+    static_friction=50.0,
+    viscous_friction=150.0,
+    chain_drag=2.0,
+    chain_drag_growth=3.0,
+    cogging_torque=0.013,
+    switch_scatter=20e-6,
+    max_velocity=0.4,
+    max_acceleration=5.0,
+)
+# Iron core, pole pair 30 mm: a "revolution" of the drive is a pole pair. The moving coil rides on
+# the carriage. Cogging 1.5 N amplitude per 100 N of rated force, twice a pole pair (inferred).
+LINEAR_MOTOR = LinearAxisParameters(
+    feed_constant=0.03,
+    carriage_mass=3.5,
+    rotor_inertia=0.0,
+    coulomb_friction=8.0,
+    static_friction=10.0,
+    viscous_friction=10.0,
+    chain_drag=3.0,
+    chain_drag_growth=4.0,
+    cogging_torque=0.02,
+    cogging_order=2.0,
+    torque_ripple=0.01,
+    ripple_order=6.0,
+    max_velocity=2.0,
+    max_acceleration=20.0,
+    switch_scatter=20e-6,
+)
+# The screw hangs its load on one flank. Brake: 1.3 Nm is usual for a motor of 400 W.
+VERTICAL = replace(BALL_SCREW, inclination=90.0, brake_torque=1.3, chain_drag_growth=8.0)
+
+FAMILY = {
+    "rigid": LinearAxisParameters(),
+    "toothed_belt": TOOTHED_BELT,
+    "ball_screw": BALL_SCREW,
+    "linear_motor": LINEAR_MOTOR,
+    "vertical": VERTICAL,
+}
+
+
+def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
+    """The preset called `mechanics`, with `values` instead of its own.
+
+    Raises:
+        ValueError: an unknown name, or a parameter out of range.
+    """
+    if mechanics not in FAMILY:
+        raise ValueError(f"mechanics = {mechanics!r} is unknown, choose of {', '.join(FAMILY)}")
+    return replace(FAMILY[mechanics], **values)
