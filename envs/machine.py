@@ -20,7 +20,6 @@ from .physics import STATE, addresses
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 VERSION = 2  # of the snapshot layout
 NO_IMAGES = np.zeros((1, 0), np.uint8)
-BRAKE_IMPEDANCE = 0.9999  # of the friction constraint of a braked joint: else it creeps under load
 
 
 class Machine:
@@ -307,7 +306,7 @@ def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
     brake = numeric(model, f"{name}.brake_torque", 1)
     if brake:
         coupling.brake_friction = brake[0] * abs(gear)
-        model.dof_solimp[coupling.dof, :2] = BRAKE_IMPEDANCE
+        model.dof_solimp[coupling.dof, :2] = mechanics.STIFF
         drive.commission({"brake_fitted": 1})
 
 

@@ -39,7 +39,7 @@ MECHANICS = np.dtype(
         ("elastic_joint", "i8"),  # number, coordinate and degree of freedom of the transmission
         ("elastic_qpos", "i8"),
         ("elastic_dof", "i8"),
-        ("diagonal", "i8"),  # place of the joint's own inertia in MjData.M
+        ("inertia_at", "i8"),  # place of the joint's own inertia in MjData.M
         ("low", "f8"),  # end stops (m), infinite where there is none
         ("high", "f8"),
         ("static_ratio", "f8"),  # static over Coulomb friction; 1 = no Stribeck effect
@@ -66,6 +66,7 @@ MECHANICS = np.dtype(
 )
 
 
+STIFF = 0.9999  # impedance of a friction that must hold: MuJoCo's default creeps by mm/s under load
 WATCHED = ("stop", "impacts", "impact_last", "impact_largest", "impact_sum")  # zero by a reset
 
 # MJCF name after "<drive>.": the fields its numbers fill, the largest number, units
@@ -110,7 +111,7 @@ def run(world, axis, coupling, m, qpos, qvel, frictionloss):
     if stop != m.stop:
         m.stop = stop
         if stop != 0:
-            inertia = floats_at(world.inertia, m.diagonal + 1)[m.diagonal]
+            inertia = floats_at(world.inertia, m.inertia_at + 1)[m.inertia_at]
             _impact(m, 0.5 * inertia * velocity * velocity)
 
 
@@ -161,7 +162,7 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
     dof = int(coupling.dof)
     joint = model.dof_jntid[dof]
     m.guide = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, f"{name}.guide")
-    m.diagonal = model.M_rowadr[dof] + model.M_rownnz[dof] - 1
+    m.inertia_at = model.M_rowadr[dof] + model.M_rownnz[dof] - 1
     m.static_ratio, m.stribeck_velocity, m.switch_seed = 1.0, 1.0, 1
     limited, span = model.jnt_limited[joint], model.jnt_range[joint]
     if m.guide >= 0:
@@ -170,6 +171,7 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
         m.elastic_qpos, m.elastic_dof = model.jnt_qposadr[elastic], model.jnt_dofadr[elastic]
         limited, span = model.tendon_limited[m.guide], model.tendon_range[m.guide]
         coupling.friction = model.tendon_frictionloss[m.guide]
+        model.tendon_solimp_fri[m.guide, :2] = STIFF
     m.low, m.high = span if limited else (-math.inf, math.inf)
     for effect, (names, highest, unit) in NUMERICS.items():
         for field, value, high in zip(
@@ -182,7 +184,7 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
             m[field] = value
     m.switch_offset[:] = numeric(model, f"{name}.switch_offset", 3) or 0.0
     if numeric(model, f"{name}.stribeck", 2):
-        _stribeck(name, coupling, m)
+        _stribeck(model, name, coupling, m)
     if m.chain_drag_growth > 0.0 and not limited:
         raise ValueError(
             f"numeric '{name}.cable_chain': a drag growing with the travel needs the joint's "
@@ -195,7 +197,7 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
         )
 
 
-def _stribeck(name: str, coupling, m) -> None:
+def _stribeck(model: mujoco.MjModel, name: str, coupling, m) -> None:
     """The static friction came in N; it is kept as a ratio, so that it follows the Coulomb one."""
     static, coulomb = float(m.static_ratio), float(coupling.friction)
     if static < coulomb or coulomb <= 0.0 or m.stribeck_velocity <= 0.0:
@@ -205,6 +207,7 @@ def _stribeck(name: str, coupling, m) -> None:
             f"Stribeck velocity {m.stribeck_velocity:g} m/s"
         )
     m.static_ratio = static / coulomb
+    model.dof_solimp[coupling.dof, :2] = STIFF
 
 
 def _other_joint(model: mujoco.MjModel, name: str, tendon: int, joint: int) -> int:
