@@ -2,14 +2,22 @@
 
 import gymnasium
 
-from .commissioning import commission_joint
 from .axis_parameters import FAMILY, LinearAxisParameters
+from .commissioning import commission_joint
 from .gantry import gantry
 from .linear_axis import linear_axis
 from .machine import Machine
 from .tasks import TASKS
 
-__all__ = ["FAMILY", "TASKS", "LinearAxisParameters", "Machine", "commission_joint", "gantry", "linear_axis"]
+__all__ = [
+    "FAMILY",
+    "TASKS",
+    "LinearAxisParameters",
+    "Machine",
+    "commission_joint",
+    "gantry",
+    "linear_axis",
+]
 
 for task in TASKS:
     gymnasium.register(

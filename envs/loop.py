@@ -13,10 +13,10 @@ from ..drive.cycle import velocity_cycle
 from ..drive.jit import block, entry
 from ..drive.process_data import PDO, collect, latch
 from ..drive.record import AXIS
-from .memory import bytes_at, floats_at, integers_at, viewer
-from .physics import STATE, mj_get_state, mj_set_state, mj_step
 from . import mechanics
 from .mechanics import MECHANICS
+from .memory import bytes_at, floats_at, integers_at, viewer
+from .physics import STATE, mj_get_state, mj_set_state, mj_step
 
 AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
@@ -140,6 +140,8 @@ def _tick(world, axes, couplings, joints, qpos, qvel, ctrl, frictionloss):
         for i in range(len(axes)):
             mechanics.run(world, axes[i], couplings[i], joints[i], qpos, qvel, frictionloss)
         mj_step(world.mj_model, world.mj_data)
+        for i in range(len(axes)):
+            mechanics.watch(world, couplings[i], joints[i], qpos, qvel)
     world.tick += 1
 
 

@@ -82,7 +82,7 @@ NUMERICS = {
 
 @block
 def run(world, axis, coupling, m, qpos, qvel, frictionloss):
-    """Set friction and forces of one driven joint for this physics step, and watch its stops."""
+    """Set friction and forces of one driven joint for this physics step."""
     position, velocity = qpos[coupling.qpos], qvel[coupling.dof]
     if m.cogging_torque != 0.0 or m.torque_ripple != 0.0:
         angle = position * coupling.gear
@@ -107,6 +107,15 @@ def run(world, axis, coupling, m, qpos, qvel, frictionloss):
         frictionloss[coupling.dof] = held
     else:
         frictionloss[coupling.dof] = friction + held
+
+
+@block
+def watch(world, coupling, m, qpos, qvel):
+    """Measure the impact when the joint, or its carriage, has met an end stop in this step."""
+    position, velocity = qpos[coupling.qpos], qvel[coupling.dof]
+    if m.guide >= 0:
+        position += qpos[m.elastic_qpos]
+        velocity += qvel[m.elastic_dof]
     stop = -1 if position < m.low else 1 if position > m.high else 0
     if stop != m.stop:
         m.stop = stop

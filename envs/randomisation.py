@@ -5,6 +5,7 @@
 | payload | mass of the body ``payload`` | kg |
 | friction | Coulomb and viscous friction of the driven joints | share of the nominal |
 | stiffness | springs of joints and tendons | share of the nominal |
+| backlash | gap of the transmission | m |
 | gains | position and velocity controller gains of the drives | share of the nominal |
 | delay | of an RPDO on its way to the drives | position cycles |
 | encoder_noise | standard deviation of the measured joint position | m or rad |
@@ -61,6 +62,10 @@ def _stiffness(machine: Machine, nominal: Nominal, share: float) -> None:
     machine.model.tendon_stiffness[:] = share * nominal.tendon_stiffness
 
 
+def _backlash(machine: Machine, nominal: Nominal, gap: float) -> None:
+    machine.mechanics["backlash"] = gap
+
+
 def _gains(machine: Machine, nominal: Nominal, share: float) -> None:
     for drive, gains in zip(machine.drives.values(), nominal.gains, strict=True):
         drive.commission({name: gain * share for name, gain in gains.items()})
@@ -78,6 +83,7 @@ KNOBS = {
     "payload": Knob(1e-3, 100.0, "kg", _payload),
     "friction": Knob(0.0, 10.0, "of the nominal friction", _friction),
     "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness),
+    "backlash": Knob(0.0, 0.01, "m", _backlash),
     "gains": Knob(0.1, 3.0, "of the nominal gains", _gains),
     "delay": Knob(0.0, 1000.0, "position cycles", _delay),
     "encoder_noise": Knob(0.0, 1e-2, "m or rad", _encoder_noise),
@@ -112,6 +118,11 @@ class Randomisation:
         springs = model.jnt_stiffness.any() or model.tendon_stiffness.any()
         if "stiffness" in ranges and not springs:
             raise ValueError("randomise['stiffness']: this machine has no springs")
+        if "backlash" in ranges and (machine.mechanics["guide"] < 0).any():
+            raise ValueError(
+                "randomise['backlash']: this machine has no elastic transmission "
+                "(transmission_stiffness) the gap could lie in"
+            )
         self._nominal = Nominal(
             machine.couplings["friction"].copy(),
             model.dof_damping.copy(),
