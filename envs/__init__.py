@@ -4,14 +4,17 @@ import gymnasium
 
 from .axis_parameters import FAMILY, LinearAxisParameters
 from .commissioning import commission_joint
-from .gantry import gantry
 from .linear_axis import linear_axis
+from .gantry import Gantry, GantryParameters, gantry
+
 from .machine import Machine
 from .tasks import TASKS
 
 __all__ = [
     "FAMILY",
     "TASKS",
+    "Gantry",
+    "GantryParameters",
     "LinearAxisParameters",
     "Machine",
     "commission_joint",

@@ -105,8 +105,22 @@ class Group:
         self.until(enabled, timeout, "enable")
         self.control(ENABLED)
 
+    def require(self, mode: Mode) -> None:
+        """Raise ValueError, naming the drives, where a mode of operation is not supported."""
+        without = [x for x, master in self.masters.items() if mode not in master.drive.model.modes]
+        if without:
+            model = self.masters[without[0]].drive.model.name
+            raise ValueError(
+                f"drive = {model!r} of {', '.join(without)} has no mode {mode.name}: choose a "
+                "drive model that has it, see `servogym drives`"
+            )
+
     def mode(self, mode: Mode, timeout: float = 0.1) -> None:
-        """Select a mode of operation in all drives and wait until 6061h shows it."""
+        """Select a mode of operation in all drives and wait until 6061h shows it.
+
+        Raises ValueError for a mode that a drive does not have.
+        """
+        self.require(mode)
         for master in self.masters.values():
             master.drive.write("modes_of_operation", mode)
         self.until(lambda master: master.drive.mode == mode, timeout, f"mode {mode.name}")
@@ -136,7 +150,8 @@ class Group:
             targets: target position by drive name, for every drive of the group (position units).
             timeout: for the whole move (s).
 
-        Raises ValueError if `targets` does not name just the drives of the group.
+        Raises ValueError if `targets` does not name just the drives of the group, or one of them
+        has no profile position mode.
         """
         if targets.keys() != self.masters.keys():
             raise ValueError(f"targets = {[*targets]}: give one for each of {[*self.masters]}")
@@ -188,7 +203,7 @@ def square(
         on_step: called after every cycle.
 
     Raises:
-        ValueError: no drives x1 and x2, or `max_twist` is not above 0 m.
+        ValueError: no drives x1 and x2, or without a mode, or `max_twist` is not above 0 m.
         RuntimeError: twisted too far, homing failed, or a drive is in FAULT.
         TimeoutError: naming the drives that have not found home.
     """
@@ -201,6 +216,8 @@ def square(
         twist = abs(gantry.skew - begin)
         return f"the bridge is twisted by {twist * 1e3:.1f} mm" if twist > max_twist else ""
 
+    pair.require(Mode.HOMING)
+    pair.require(Mode.PROFILE_POSITION)
     pair.enable()
     pair.home(timeout, alarm)
     pair.move({"x1": 0, "x2": 0})

@@ -148,5 +148,7 @@ def test_what_cannot_be_coordinated_is_refused(machine):
         Group(machine, ["x1", "x2"]).move({"x1": 0})
     with pytest.raises(ValueError, match=r"names = \['x1', 'x2'\]"):
         square(gantry())
+    with pytest.raises(ValueError, match=r"'bonfiglioli_act' of x1, x2 has no mode HOMING"):
+        square(gantry("bonfiglioli_act", x_drives=2))
     with pytest.raises(ValueError, match="max_twist = 0"):
         square(machine, max_twist=0)

@@ -80,6 +80,8 @@ def test_node_ids_run_through_axes_and_machines():
     machine = axis_for("generic", 5, "gantry")
     assert [drive.node_id for drive in machine.drives.values()] == [5, 6, 7]
     assert machine.drives["y"].read(0x1014) == 0x86
+    two = axis_for("generic", 5, "gantry-x1x2")
+    assert {x: d.node_id for x, d in two.drives.items()} == {"x1": 5, "x2": 6, "y": 7, "z": 8}
     pair = machines_for("festo_cmmd", [10], "vertical")
     assert [x.node_id for m in pair for x in m.drives.values()] == [10, 11]
     with pytest.raises(ValueError, match="some twice"):

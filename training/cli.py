@@ -39,7 +39,9 @@ def _parser() -> argparse.ArgumentParser:
     node = commands.add_parser("node", help="serve drives as CANopen nodes on a bus, in real time")
     node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
-    node.add_argument("--axis", default="linear", help="linear, vertical or gantry (linear)")
+    node.add_argument(
+        "--axis", default="linear", help="linear, vertical, gantry or gantry-x1x2 (linear)"
+    )
     node.add_argument("-i", "--interface", default="udp_multicast", help="of python-can")
     node.add_argument("-c", "--channel", default="239.74.163.2", help="of python-can")
     node.add_argument("-b", "--bitrate", type=int, default=1_000_000, help="bit/s (1000000)")

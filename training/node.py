@@ -22,6 +22,10 @@ AXES: dict[str, tuple[Callable[[str], Machine], dict[str, float]]] = {
     "linear": (linear_axis, {"x": 0.12}),
     "vertical": (lambda drive: linear_axis(drive, inclination=90, brake_torque=4.0), {"x": 0.12}),
     "gantry": (gantry, {"x": 0.1, "y": 0.1, "z": -0.1}),
+    "gantry-x1x2": (
+        lambda drive: gantry(drive, x_drives=2),
+        {"x1": 0.1, "x2": 0.101, "y": 0.1, "z": -0.1},
+    ),
 }
 SDO_REQUESTS = range(0x601, 0x680)
 ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
