@@ -24,6 +24,10 @@ MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "gantry.xml"
 FEED_CONSTANT = 0.06  # m per motor revolution
 SPAN = 0.6  # m between the rails, as in the MJCF
 PAIR = ("x1", "x2")
+MAX_SKEW = 0.03  # m; small angles, and more would tear the joints of the bridge (inferred)
+# kg, between a carriage and its end of the bridge in their fastest vibration, at least: 2 kg and
+# the rotor, against the 0.35 kg·m² of bridge, slide and gripper seen at the rails
+VIBRATING_MASS = 1.0
 # axis: (end of the stroke (m), homing method)
 AXES = {"x": (0.8, 17), "x1": (0.8, 17), "x2": (0.8, 17), "y": (0.5, 17), "z": (-0.3, 18)}
 # lowest, highest, unit
@@ -62,7 +66,7 @@ class GantryParameters:
     # which the friction of the guides can hold the bridge skew by 2 mm, as a pinned bridge does
     skew_stiffness: float = 2000.0
     skew_damping: float = 5.0
-    squaring_offset: float = 0.0  # m, how far the limit switches of x2 lie ahead of those of x1
+    squaring_offset: float = 0.0  # m, how far the switches of x2 lie ahead of those of x1
     cable_length: float = 0.0  # m, from gripper to the middle of the payload; 0: in the gripper
     sway_damping: float = 0.01  # Nm·s/rad. inferred: 0.2 % of critical for 2 kg on 0.5 m
 
@@ -89,7 +93,16 @@ class Gantry(Machine):
     """A `Machine` that knows its bridge and its hanging load."""
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """As `Machine.reset`; the bridge lies on its carriages without tension in its joints."""
+        """As `Machine.reset`; the bridge lies on its carriages without tension in their coupling.
+
+        Raises ValueError also where `positions` of x1 and x2 are more than 30 mm apart.
+        """
+        x1, x2 = ((positions or {}).get(name, 0.0) for name in PAIR)
+        if abs(x2 - x1) > MAX_SKEW:
+            raise ValueError(
+                f"positions: x1 = {x1} m and x2 = {x2} m would tear the bridge: give both, at most "
+                f"{MAX_SKEW:g} m apart"
+            )
         super().reset(positions)
         if all(name in self.drives for name in PAIR):
             x1, x2 = (self._joint(name) for name in PAIR)
@@ -142,6 +155,14 @@ def gantry(
     model = load(drive)
     names = ("x", "y", "z") if parameters.x_drives == 1 else (*PAIR, "y", "z")
     timestep = model.cycle_time["velocity"] if timestep is None else timestep
+    if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
+        raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
+    stiffest = VIBRATING_MASS * (1.5 / timestep) ** 2  # the integrator diverges at 2
+    if parameters.x_drives == 2 and parameters.coupling_stiffness > stiffest:
+        raise ValueError(
+            f"coupling_stiffness = {parameters.coupling_stiffness:g} N/m is too stiff for "
+            f"timestep = {timestep:g} s: use {stiffest:.3g} N/m at most, or a shorter timestep"
+        )
     plant = _plant(parameters, model, timestep, names)
     machine = Gantry(plant, dict.fromkeys(names, model))
     for name, axis in machine.drives.items():
@@ -193,7 +214,7 @@ def _lay_bridge_on_carriages(spec: mujoco.MjSpec, p: GantryParameters) -> None:
         end.stiffness[0], end.damping[0] = p.coupling_stiffness, p.coupling_damping
         end.springlength = [0.0, 0.0]  # else the skew of qpos0 would be its rest
     for numeric in spec.numerics:
-        if numeric.name in ("x2.negative_limit_switch", "x2.positive_limit_switch"):
+        if numeric.name.startswith("x2."):
             low, high, hysteresis = numeric.data
             numeric.data = [low + p.squaring_offset, high + p.squaring_offset, hysteresis]
 

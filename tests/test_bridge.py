@@ -214,8 +214,28 @@ def test_a_gantry_is_small_in_memory(values):
         ({"cable_length": 0.5, "payload": 0.0}, "payload = 0.0 kg cannot hang"),
         ({"squaring_offset": 0.01}, "squaring_offset"),
         ({"payload": "2"}, "payload = '2'"),
+        ({"timestep": math.nan}, "timestep = nan"),
+        (
+            {"x_drives": 2, "drive": "bonfiglioli_act", "coupling_stiffness": 2e7},
+            r"coupling_stiffness = 2e\+07 N/m is too stiff for timestep = 0.0005 s: use 9e\+06",
+        ),
     ],
 )
 def test_a_gantry_that_cannot_be_is_refused_by_name(values, text):
     with pytest.raises(ValueError, match=text):
         gantry(**values)
+
+
+def test_carriages_that_would_tear_the_bridge_are_refused():
+    machine = gantry(x_drives=2)
+    with pytest.raises(ValueError, match=r"x1 = 0.3 m and x2 = 0.0 m would tear .* give both"):
+        machine.reset(positions={"x1": 0.3})
+
+
+def test_the_stiffest_bridge_is_stable_at_the_longest_timestep():
+    machine = gantry("bonfiglioli_act", x_drives=2, coupling_stiffness=9e6, coupling_damping=0.0)
+    machine.reset(positions={"x1": 0.3, "x2": 0.3, "y": 0.25})
+    machine.data.joint("skew").qpos[0] = 1e-4
+    seen = record(machine, lambda: machine.skew, 1000)
+    assert np.abs(seen).max() < 2e-4 * SPAN, "an unstable one grows without bound"
+    assert np.abs(seen[-100:]).max() < 1e-4 * SPAN

@@ -40,6 +40,15 @@ def test_switches_that_are_not_in_line_are_corrected_by_the_home_offset(drive, o
     assert before == round(offset * 1e6)
 
 
+def test_the_home_switches_square_the_bridge_too():
+    machine = gantry(x_drives=2, squaring_offset=1e-3)
+    machine.reset(positions={"x1": 0.15, "x2": 0.1515, "y": 0.25, "z": -0.1})
+    for name in ("x1", "x2"):
+        machine.drives[name].write("homing_method", 20)
+    assert abs(square(machine)) < SQUARE
+    assert machine.data.joint("x1").qpos[0] == pytest.approx(0.205, abs=0.4e-3)
+
+
 def test_a_side_that_misses_its_switch_stops_both_before_the_bridge_is_torn():
     machine = gantry(x_drives=2)
     machine.couplings["switch_to"][1][0] = -2.0  # x2's negative limit switch
