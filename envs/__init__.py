@@ -4,9 +4,8 @@ import gymnasium
 
 from .axis_parameters import FAMILY, LinearAxisParameters
 from .commissioning import commission_joint
-from .linear_axis import linear_axis
 from .gantry import Gantry, GantryParameters, gantry
-
+from .linear_axis import linear_axis
 from .machine import Machine
 from .tasks import TASKS
 
