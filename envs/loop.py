@@ -66,8 +66,12 @@ WORLD = np.dtype(
         ("drives", "i8"),
         ("tick", "i8"),  # physics steps since the reset
         ("delay", "i8"),  # physics steps an RPDO image is late
-        ("state", "i8"),  # address of its state while others live in its MjData; 0: it lives alone
-        ("resident", "i8"),  # address of the number that is the address of who lives there now
+        # of a machine that shares MjModel and MjData with others, addresses of
+        ("state", "i8"),  # its state while others live there; 0: it lives alone
+        ("kept", "i8"),  # its values of the fields of MjModel
+        ("fields", "i8"),  # where these fields are
+        ("field_count", "i8"),
+        ("resident", "i8"),  # the number that is the address of who lives there now
     ],
     align=True,
 )
@@ -75,11 +79,15 @@ WORLD = np.dtype(
 # Where the PDOs of a drive lie, and how many they are.
 PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_count", "i8")])
 
+# A field of MjModel that differs between machines that share it.
+FIELD = np.dtype([("address", "i8"), ("length", "i8")])
+
 world_at = viewer(WORLD)
 axes_at = viewer(AXIS)
 couplings_at = viewer(COUPLING)
 mechanics_at = viewer(MECHANICS)
 directory_at = viewer(PDOS)
+fields_at = viewer(FIELD)
 pdos_at = viewer(PDO)
 
 
@@ -169,7 +177,7 @@ def _collect(world, image):
 
 @block
 def _enter(address, world):
-    """Take over the MjData that several machines share; who lived there keeps its state."""
+    """Take over the MjModel and MjData that several machines share; who lived there is kept."""
     if world.state == 0:
         return
     resident = integers_at(world.resident, 1)
@@ -178,8 +186,26 @@ def _enter(address, world):
     if resident[0] != 0:
         other = world_at(resident[0], 1)[0]
         mj_get_state(other.mj_model, other.mj_data, other.state, STATE)
+        _move_fields(other, False)
+    _move_fields(world, True)
     mj_set_state(world.mj_model, world.mj_data, world.state, STATE)
     resident[0] = address
+
+
+@block
+def _move_fields(world, enters):
+    """Fields of MjModel, from what is kept of a world or to it."""
+    fields = fields_at(world.fields, world.field_count)
+    kept = world.kept
+    for i in range(len(fields)):
+        size = fields[i].length
+        own, shared = floats_at(kept, size), floats_at(fields[i].address, size)
+        for k in range(size):
+            if enters:
+                shared[k] = own[k]
+            else:
+                own[k] = shared[k]
+        kept += 8 * size
 
 
 @entry

@@ -19,6 +19,13 @@ from .physics import STATE, addresses
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 VERSION = 2  # of the snapshot layout
+# of MjModel, what may differ between machines that share one
+VARIABLE = (
+    "body_pos", "body_ipos", "body_mass", "body_subtreemass", "body_inertia", "body_invweight0",
+    "jnt_stiffness", "dof_damping", "dof_frictionloss", "dof_invweight0", "dof_M0", "geom_pos",
+    "tendon_stiffness", "tendon_frictionloss", "tendon_length0", "tendon_invweight0",
+    "actuator_acc0",
+)  # fmt: skip
 NO_IMAGES = np.zeros((1, 0), np.uint8)
 
 
@@ -53,7 +60,7 @@ class Machine:
     ) -> None:
         if not drives:
             raise ValueError(f"drives is empty: name at least one actuator of {_actuators(model)}")
-        self.model = model
+        self._model = model
         # A state that is not finite must reach the drive as a dead encoder, not vanish in a reset.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._data = mujoco.MjData(model)
@@ -77,49 +84,64 @@ class Machine:
                 self._directory[f"{name}_count"][i] = len(pdos)
         self.world = np.zeros(1, record.accessible(loop.WORLD))
         self.addresses = np.array([address(self.world)])
-        self._state = np.empty(0)
+        self._shared: tuple[np.ndarray, ...] = ()
         self._settle()
         self.reset()
 
     def _settle(self) -> None:
         """Tell the compiled loop where everything is."""
         world = self.world
-        world["mj_model"], world["mj_data"] = addresses(self.model, self._data)
+        world["mj_model"], world["mj_data"] = addresses(self._model, self._data)
         for name, array in (
             ("qpos", self._data.qpos), ("qvel", self._data.qvel), ("ctrl", self._data.ctrl),
-            ("frictionloss", self.model.dof_frictionloss), ("axes", self.axes),
+            ("frictionloss", self._model.dof_frictionloss), ("axes", self.axes),
             ("couplings", self.couplings), ("mechanics", self.mechanics),
             ("pdos", self._directory), ("inertia", self._data.M),
-            ("applied", self._data.qfrc_applied), ("stiffness", self.model.jnt_stiffness),
-            ("damping", self.model.dof_damping),
-            ("guide_friction", self.model.tendon_frictionloss),
+            ("applied", self._data.qfrc_applied), ("stiffness", self._model.jnt_stiffness),
+            ("damping", self._model.dof_damping),
+            ("guide_friction", self._model.tendon_frictionloss),
         ):  # fmt: skip
             world[name] = address(array)
-        world["nq"], world["nv"], world["nu"] = self.model.nq, self.model.nv, self.model.nu
+        world["nq"], world["nv"], world["nu"] = self._model.nq, self._model.nv, self._model.nu
         world["drives"] = len(self.drives)
 
     @property
     def data(self) -> mujoco.MjData:
         """The state of the physics."""
-        if self._state.size:
+        if self._shared:
             loop.enter(self.addresses)
         return self._data
 
-    def share(self, data: mujoco.MjData, resident: np.ndarray) -> None:
-        """Live in `data` by turns with other machines of the same structure, each bit by bit alone.
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model; what depends on its masses is up to date after `mujoco.mj_setConst`."""
+        if self._shared:
+            loop.enter(self.addresses)
+        return self._model
 
-        MjData takes half a megabyte, the state of an axis a few hundred bytes.
+    def share(self, other: "Machine", resident: np.ndarray) -> None:
+        """Live in MjModel and MjData of `other` by turns, bit by bit as if alone.
+
+        MjData takes half a megabyte and MjModel a tenth, an axis with its state some kilobytes.
 
         Args:
-            data: of one of these machines.
+            other: a machine of the same structure, or this one.
             resident: who lives there now, shape ``(1,)`` int64, one array for all of them; 0 at
                 the beginning.
         """
-        self._state = np.empty(mujoco.mj_stateSize(self.model, STATE))
-        mujoco.mj_getState(self.model, self._data, self._state, STATE)
-        self._data = data
-        self._residents = resident
-        self.world["state"], self.world["resident"] = address(self._state), address(resident)
+        state = np.empty(mujoco.mj_stateSize(self._model, STATE))
+        mujoco.mj_getState(self._model, self._data, state, STATE)
+        own = [getattr(self._model, name) for name in VARIABLE]
+        kept = np.concatenate([array.ravel() for array in own])
+        self._model, self._data = other.model, other.data
+        fields = np.zeros(len(VARIABLE), loop.FIELD)
+        for field, name in zip(fields, VARIABLE, strict=True):
+            array = getattr(self._model, name)
+            field["address"], field["length"] = address(array), array.size
+        self._shared = state, kept, fields, resident
+        for name, array in zip(("state", "kept", "fields", "resident"), self._shared, strict=True):
+            self.world[name] = address(array)
+        self.world["field_count"] = len(fields)
         self._settle()
 
     @classmethod

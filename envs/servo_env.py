@@ -101,7 +101,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.drive = self.drives[0]
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self._faults = _probabilities(faults or {}, self.drive.injectable)
-        self._randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
+        self.randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
         self._history, self._previous_action = int(history), bool(previous_action)
         self._configure()
         self.join(self.batch(1), 0)
@@ -182,7 +182,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def restart(self, options: dict[str, Any] | None = None) -> None:
         """Begin an episode: drawn parameters, machine, first observation."""
-        self.parameters = self._randomisation.draw(self.np_random)
+        self.parameters = self.randomisation.draw(self.np_random)
         self._injected = []
         self._steps = 0
         for array in (self._part[1], self._part[3]):  # episode, RPDO image
@@ -283,7 +283,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def _resume(self, kept: tuple[Any, ...]) -> None:
         parameters, machine, rows, history, self._injected, self._steps, generator = kept
-        self._randomisation.set(parameters)
+        self.randomisation.set(parameters)
         self.parameters = parameters
         self.machine.restore(machine)
         for array, row in zip(self._part[1:], rows[1:], strict=True):

@@ -55,8 +55,9 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         for begin, end in pairwise(edges):
             resident = np.zeros(1, np.int64)
             for _ in range(begin, end):
-                self.envs.append(task(**arguments))
-                self.envs[-1].machine.share(self.envs[begin].machine.data, resident)
+                env = task(**arguments)
+                self.envs.append(env)
+                env.machine.share(self.envs[begin].machine, resident)
         first = self.envs[0]
         self.render_mode = first.render_mode
         self.single_observation_space = first.observation_space

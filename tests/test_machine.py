@@ -220,3 +220,27 @@ def test_an_engaged_brake_holds_a_vertical_axis():
     z.write("bit_mask", 1)  # released by hand: it falls
     machine.step(1000)
     assert machine.data.qpos[0] < -0.5
+
+
+def test_machines_that_share_model_and_data_are_bit_for_bit_alone():
+    def machines():
+        return [linear_axis(payload=payload, stiffness=2e4) for payload in (1.0, 5.0, 9.0)]
+
+    def run(group):
+        for k in range(30):
+            for i, machine in enumerate(group):
+                if k == 0:
+                    machine.reset(positions={"x": 0.1 + 0.1 * i})
+                machine.drives["x"].write("controlword", (0x06, 0x07, 0x0F)[min(k, 2)])
+                machine.step(1 + (k + i) % 3)
+        return [machine.snapshot() for machine in group]
+
+    alone, together = machines(), machines()
+    resident = np.zeros(1, np.int64)
+    for machine in together:
+        machine.share(together[0], resident)
+    body = together[2].model.body("payload").id
+    assert [float(m.model.body_mass[body]) for m in together] == [1.0, 5.0, 9.0]
+    one, other = run(alone), run(together)
+    for a, b in zip(one, other, strict=True):
+        assert a.partition(b"\n")[2] == b.partition(b"\n")[2]
