@@ -1,5 +1,6 @@
 """The tasks: one file an environment, the docstring of its class is its page."""
 
 from .positioning import LinearAxisEnv
+from .tracking import LinearAxisTrackingEnv
 
-TASKS = (LinearAxisEnv,)
+TASKS = (LinearAxisEnv, LinearAxisTrackingEnv)

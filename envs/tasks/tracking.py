@@ -1,0 +1,247 @@
+"""servogym/LinearAxisTracking-v0: follow a trajectory with unknown friction and payload."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...drive.jit import entry
+from ...drive.model import DriveModel
+from ...drive.words import Mode
+from ..batch import episode
+from ..faces import clip, faulted, limited
+from ..linear_axis import LinearAxisParameters, linear_axis
+from ..machine import Machine
+from ..references import REFERENCES, Limits, make_reference
+from ..servo_env import ServoEnv, in_range
+from ..vector_env import ServoVectorEnv
+from .positioning import MARGIN, METRE, STROKE
+
+STEPS = 400
+PREVIEW = 4  # points of the reference ahead
+STRIDE = 2  # steps from one of them to the next
+SAMPLES = STEPS + 1 + PREVIEW * STRIDE
+CLOSE = 30e-6  # m, tracking error at which the reward for closeness has fallen to one half
+SMOOTH = 0.05  # of the maximum torque, change in a step at which smoothness has fallen to one half
+RANDOMISE = {"payload": (1.0, 10.0), "friction": (0.5, 2.0)}
+CSP = int(Mode.CYCLIC_SYNC_POSITION)
+STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Set-point: the next point of the reference, corrected; and the torque feed-forward."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
+        if episode._running and episode._now < STEPS:
+            episode._now += 1
+        target = episode._position[episode._now] + actions[w, 0] * episode._correction
+        rpdos[w, 0].target_position = round(min(max(target, 0.0), STROKE) * METRE)
+        rpdos[w, 0].torque_offset = round(actions[w, 1] * episode._max_torque)
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation and reward of what the TPDOs brought back."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, rpdo, tpdo, seen = episodes[w], rpdos[w, 0], tpdos[w, 0], observations[w]
+        now = episode._now
+        reference = episode._position[now]
+        position = tpdo.position_actual_value / METRE
+        torque = tpdo.torque_actual_value / episode._max_torque
+        error = reference - position
+        seen[0] = clip(error / episode._correction)
+        seen[1] = clip(2.0 * reference / STROKE - 1.0)
+        seen[2] = clip(episode._velocity[now] / episode._speed)
+        seen[3] = clip(episode._acceleration[now] / episode._max_acceleration)
+        seen[4] = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+        seen[5] = clip(tpdo.following_error_actual_value / METRE / episode._window)
+        seen[6] = clip(torque)
+        for i in range(PREVIEW):
+            ahead = (i + 1) * STRIDE
+            way = episode._position[now + ahead] - reference
+            seen[7 + i] = clip(way / (ahead * episode._way))
+        enabled = tpdo.statusword & STATE_MASK == OPERATION_ENABLED
+        was_running = episode._running
+        episode._running = enabled and rpdo.modes_of_operation == CSP
+        away = error / CLOSE
+        change = (torque - episode._torque) / SMOOTH
+        episode.error = error
+        episode.reward_close = 1.0 / (1.0 + away * away) if episode._running else 0.0
+        episode.reward_smooth = 1.0 / (1.0 + change * change) if episode._running else 0.0
+        episode.reward = 0.8 * episode.reward_close + 0.2 * episode.reward_smooth
+        if was_running:
+            episode._squares += error * error
+            episode._count += 1
+            episode.rms_error = (episode._squares / episode._count) ** 0.5
+        episode._torque = torque
+        episode.cost = limited(tpdos[w])
+        episode.is_success = episode._count > 0 and episode.rms_error <= episode._tolerance
+        episode._terminated = faulted(tpdos[w])
+
+
+class LinearAxisTrackingEnv(ServoEnv):
+    """Follow a reference trajectory on a linear axis whose friction and payload are not known.
+
+    The drive follows the reference in cyclic synchronous position mode with its own cascade, tuned
+    for the nominal payload: with actions of 0 that is all. The agent corrects the target position
+    and adds torque. Before the first step the drive is enabled and referenced.
+
+    ## Action space
+    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0 | correction of the set-point | 607Ah target_position | 1 is `correction`, 1 mm |
+    | 1 | torque feed-forward | 60B2h torque_offset | 1 is the maximum torque 6072h |
+
+    The target position (1 µm) is the point of the reference at the end of the step, plus the
+    correction, within the stroke.
+
+    ## Observation space
+    `Box(-1, 1, (11,), float32)`, clipped
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0 | tracking error: reference minus position | 6064h position_actual_value | `correction` |
+    | 1 | reference, -1 and 1 at the ends of the stroke | | half the stroke |
+    | 2 | velocity of the reference | | the maximum profile velocity 607Fh |
+    | 3 | acceleration of the reference | | that of the profile 6083h |
+    | 4 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 5 | following error | 60F4h following_error_actual_value | its window 6065h |
+    | 6 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 7–10 | way of the reference in the next 2, 4, 6, 8 steps | | 607Fh times that time |
+
+    ## Reward
+    In [0, 1]: ``0.8 / (1 + (tracking error / 30 µm)²)`` for closeness, and for smoothness
+    ``0.2 / (1 + (change of the torque in the step / 5 % of 6072h)²)``. The terms are in ``info``,
+    with the tracking error ``error`` (m), its root mean square so far ``rms_error`` (m),
+    ``is_success`` while that is within `tolerance`, and ``info["cost"]``, 1 while an internal limit
+    is active.
+
+    ## Episode
+    Starts at rest at a random position. The reference is one of `servogym.envs.references`, within
+    the stroke and the profile velocity, acceleration and jerk of the axis; at its end, after 400
+    steps, it holds. It waits, and there is no reward, while the drive is not enabled in its mode.
+    The reset's options may give ``start`` (m), ``reference`` (name) and ``way_points`` (m). A fault
+    of the drive terminates (``info["fault"]``: code and meaning). Time truncates, after 400 steps
+    (2 s).
+
+    ## Arguments
+    Those of `ServoEnv`, with payload 1..10 kg and friction 0.5..2 of the nominal as the default of
+    `randomise`, and `reference` (name; drawn for each episode if not given), `correction` (m),
+    `payload` (kg, nominal), `tolerance` (m, of the root mean square), `following_error_window` (m),
+    `parameters`: `LinearAxisParameters` instead of `payload`.
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/LinearAxisTracking-v0"
+    STEPS = STEPS
+    RPDO = ("target_position", "torque_offset")
+    TPDO = (
+        "position_actual_value", "torque_actual_value", "velocity_actual_value",
+        "following_error_actual_value",
+    )  # fmt: skip
+    ACTIONS = 2
+    OBSERVATIONS = 7 + PREVIEW
+    EPISODE = episode(
+        ("error", "f8"),  # reference minus position (m)
+        ("rms_error", "f8"),  # m
+        ("reward_close", "f8"),
+        ("reward_smooth", "f8"),
+        ("_position", "f8", (SAMPLES,)),  # of the reference at each step (m)
+        ("_velocity", "f8", (SAMPLES,)),  # m/s
+        ("_acceleration", "f8", (SAMPLES,)),  # m/s²
+        ("_now", "i8"),  # sample of the reference
+        ("_running", "?"),  # the drive is enabled, so the reference goes on
+        ("_squares", "f8"),  # sum of error² (m²) over `_count` steps
+        ("_count", "i8"),
+        ("_torque", "f8"),  # a step before, as a share of the maximum
+        ("_correction", "f8"),  # m
+        ("_speed", "f8"),  # maximum profile velocity (m/s)
+        ("_way", "f8"),  # at that velocity in a step (m)
+        ("_max_acceleration", "f8"),  # of the profile (m/s²)
+        ("_window", "f8"),  # of the following error (m)
+        ("_max_torque", "f8"),  # per mille
+        ("_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        reference: str | None = None,
+        correction: float = 1e-3,
+        payload: float = 5.0,
+        parameters: LinearAxisParameters | None = None,
+        tolerance: float = 20e-6,
+        following_error_window: float = 5e-3,
+        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        **arguments: Any,
+    ):
+        self.reference = None if reference is None else _known("reference", reference)
+        self.correction = in_range("correction", correction, 1e-6, 0.1, "m")
+        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
+        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
+        self._window = window
+        ranges = RANDOMISE if randomise is None else randomise
+        super().__init__(drive, randomise=ranges, **arguments)
+        self._times = np.arange(STEPS + 1) * self.step_time
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = linear_axis(model, parameters=self._parameters)
+        machine.drives["x"].write("following_error_window", round(self._window * METRE))
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start = self.np_random.uniform(MARGIN, STROKE - MARGIN)
+        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
+        self.place({"x": start})
+        episode, x, p = self.episode, self.drive, self._parameters
+        limits = Limits(0.0, STROKE, p.max_velocity, p.max_acceleration, p.max_jerk)
+        points = options.get("way_points")
+        if points is not None:
+            points = [in_range("options['way_points']", z, 0.0, STROKE, "m") for z in points]
+        kind = _known("options['reference']", options.get("reference") or self._kind())
+        here = x.read("position_actual_value") / METRE
+        made = make_reference(kind, self.np_random, limits, here, self._times, points)
+        episode._position[:STEPS] = made.position[:STEPS]
+        episode._position[STEPS:] = made.position[STEPS]
+        episode._velocity[: STEPS + 1] = made.velocity
+        episode._acceleration[: STEPS + 1] = made.acceleration
+        episode._correction = self.correction
+        episode._speed = x.read("max_profile_velocity") / METRE
+        episode._way = episode._speed * self.step_time
+        episode._max_acceleration = p.max_acceleration
+        episode._window = self._window
+        episode._max_torque = x.read("max_torque")
+        episode._tolerance = self.tolerance
+
+    def _kind(self) -> str:
+        if self.reference is not None:
+            return self.reference
+        return list(REFERENCES)[self.np_random.integers(len(REFERENCES))]
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The carriage where the reference is."""
+        away = self.episode._position[self.episode._now] - self.machine.data.qpos[0]
+        return {"carriage": np.array([away, 0.0, 0.0])}
+
+
+def _known(argument: str, name: str) -> str:
+    if name not in REFERENCES:
+        raise ValueError(f"{argument} = {name!r}, choose of {', '.join(REFERENCES)}")
+    return name
+
+
+vector = partial(ServoVectorEnv, LinearAxisTrackingEnv)
