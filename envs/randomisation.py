@@ -6,6 +6,7 @@
 | friction | Coulomb and viscous friction of the driven joints | share of the nominal |
 | stiffness | springs of joints and tendons | share of the nominal |
 | backlash | gap of the transmission | m |
+| structural_damping | viscous damping of the joints without a drive | share of the nominal |
 | gains | position and velocity controller gains of the drives | share of the nominal |
 | delay | of an RPDO on its way to the drives | position cycles |
 | encoder_noise | standard deviation of the measured joint position | m or rad |
@@ -66,6 +67,16 @@ def _backlash(machine: Machine, nominal: Nominal, gap: float) -> None:
     machine.mechanics["backlash"] = gap
 
 
+def _structural_damping(machine: Machine, nominal: Nominal, share: float) -> None:
+    free = _without_drive(machine)
+    machine.model.dof_damping[free] = share * nominal.damping[free]
+
+
+def _without_drive(machine: Machine) -> np.ndarray:
+    """The degrees of freedom no drive moves."""
+    return np.setdiff1d(np.arange(machine.model.nv), machine.couplings["dof"])
+
+
 def _gains(machine: Machine, nominal: Nominal, share: float) -> None:
     for drive, gains in zip(machine.drives.values(), nominal.gains, strict=True):
         drive.commission({name: gain * share for name, gain in gains.items()})
@@ -84,6 +95,7 @@ KNOBS = {
     "friction": Knob(0.0, 10.0, "of the nominal friction", _friction),
     "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness),
     "backlash": Knob(0.0, 0.01, "m", _backlash),
+    "structural_damping": Knob(0.0, 10.0, "of the nominal damping", _structural_damping),
     "gains": Knob(0.1, 3.0, "of the nominal gains", _gains),
     "delay": Knob(0.0, 1000.0, "position cycles", _delay),
     "encoder_noise": Knob(0.0, 1e-2, "m or rad", _encoder_noise),
@@ -122,6 +134,10 @@ class Randomisation:
             raise ValueError(
                 "randomise['backlash']: this machine has no elastic transmission "
                 "(transmission_stiffness) the gap could lie in"
+            )
+        if "structural_damping" in ranges and not model.dof_damping[_without_drive(machine)].any():
+            raise ValueError(
+                "randomise['structural_damping']: no joint without a drive has damping here"
             )
         self._nominal = Nominal(
             machine.couplings["friction"].copy(),

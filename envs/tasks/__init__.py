@@ -1,6 +1,7 @@
 """The tasks: one file an environment, the docstring of its class is its page."""
 
+from .compliant import CompliantAxisEnv
 from .positioning import LinearAxisEnv
 from .tracking import LinearAxisTrackingEnv
 
-TASKS = (LinearAxisEnv, LinearAxisTrackingEnv)
+TASKS = (LinearAxisEnv, LinearAxisTrackingEnv, CompliantAxisEnv)

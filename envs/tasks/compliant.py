@@ -1,0 +1,251 @@
+"""servogym/CompliantAxis-v0: move a load on a spring to a goal without leaving it swinging."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...drive.jit import block, entry
+from ...drive.model import DriveModel
+from ..batch import episode
+from ..faces import clip, faulted, limited
+from ..linear_axis import LinearAxisParameters, linear_axis
+from ..loop import FARTHEST, floats_at, world_at
+from ..machine import Machine
+from ..servo_env import ServoEnv, in_range
+from ..vector_env import ServoVectorEnv
+from .positioning import MARGIN, METRE, NEAR, RESTING, STROKE
+
+DEFLECTION = 5e-3  # m, of the spring, that is 1.0 for the load sensor
+RATE = 0.3  # m/s, of the deflection: that amplitude at 10 Hz
+GENTLE = 0.05  # J, vibration energy at which the reward for gentleness has fallen to one half
+# A load of 5 kg swings at 10 Hz on a carriage that is held. The damping ratio of 0.01 is typical of
+# bolted steel structures (0.005..0.02, inferred).
+PARAMETERS = LinearAxisParameters(payload=5.0, stiffness=20_000.0, structural_damping=6.3)
+RANDOMISE = {"payload": (2.0, 8.0), "stiffness": (0.5, 2.0), "structural_damping": (0.5, 2.0)}
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Move the set-point by action × maximum velocity × step time; add torque."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
+        target = episode._target + actions[w, 0] * episode._way
+        episode._target = min(max(target, 0.0), STROKE)
+        rpdos[w, 0].target_position = round(episode._target * METRE)
+        rpdos[w, 0].torque_offset = round(actions[w, 1] * episode._torque_range)
+
+
+@block
+def _finite(x):
+    """`x`, or where the physics has failed a number so large that it earns nothing."""
+    return x if abs(x) < FARTHEST else FARTHEST
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation of the TPDOs and the load sensor; reward of where the load really is."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
+        world = world_at(worlds[w], 1)[0]
+        qpos, qvel = floats_at(world.qpos, world.nq), floats_at(world.qvel, world.nv)
+        deflection = _finite(qpos[episode._load])
+        rate = _finite(qvel[episode._load])
+        distance = episode.goal - _finite(qpos[episode._x]) - deflection
+        velocity = _finite(qvel[episode._x]) + rate
+        position = tpdo.position_actual_value / METRE
+        seen[0] = clip((episode.goal - position) / STROKE)
+        seen[1] = clip(2.0 * position / STROKE - 1.0)
+        seen[2] = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+        seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
+        seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen[5] = clip((episode._target - position) / episode._window)
+        seen[6] = clip(deflection / DEFLECTION) if episode._sensor else 0.0
+        seen[7] = clip(rate / RATE) if episode._sensor else 0.0
+        sag = deflection - episode._rest
+        energy = 0.5 * (episode._stiffness * sag * sag + episode._mass * rate * rate)
+        away = distance / NEAR
+        settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
+        episode.distance = distance
+        episode.deflection = deflection
+        episode.energy = energy
+        episode.reward_near = 1.0 / (1.0 + away * away)
+        episode.reward_settled = 1.0 if settled else 0.0
+        episode.reward_gentle = 1.0 / (1.0 + energy / GENTLE)
+        kept = 0.4 * episode.reward_near + 0.4 * episode.reward_settled
+        episode.reward = kept + 0.2 * episode.reward_near * episode.reward_gentle
+        episode.cost = limited(tpdos[w])
+        episode.is_success = settled
+        episode._terminated = faulted(tpdos[w])
+
+
+class CompliantAxisEnv(ServoEnv):
+    """Bring a load that stands on a spring to a goal, and have it at rest there.
+
+    The motor moves a carriage, the load is mounted elastically on it: a two-mass system whose
+    resonance is not known, because payload, stiffness and damping differ from episode to episode.
+    The agent is the master of a drive in cyclic synchronous position mode; before the first step
+    the drive is enabled and referenced. The drive measures the carriage only.
+
+    ## Action space
+    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0 | velocity of the set-point | 607Ah target_position | 1 is the maximum velocity 607Fh |
+    | 1 | torque feed-forward | 60B2h torque_offset | 1 is `torque_range` × maximum torque 6072h |
+
+    The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
+
+    ## Observation space
+    `Box(-1, 1, (8,), float32)`, clipped; `history` and `previous_action` let an agent recognise the
+    resonance
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0 | goal minus position | 6064h position_actual_value | the stroke, 0.5 m |
+    | 1 | position, -1 and 1 at the ends | 6064h position_actual_value | half the stroke |
+    | 2 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
+    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
+    | 6 | deflection of the load from the carriage | load sensor | 5 mm |
+    | 7 | velocity of the deflection | load sensor | 0.3 m/s |
+
+    The load sensor is an encoder or an integrated accelerometer on the load, wired to the master
+    and not to the drive; without it (``load_sensor=False``) 6 and 7 are 0.
+
+    ## Reward
+    In [0, 1], of the true motion of the load: 0.4 for nearness, ``1 / (1 + (distance / 20 mm)²)``,
+    0.4 for being settled: closer than `tolerance` and slower than 5 mm/s, and 0.2 for nearness ×
+    gentleness, ``1 / (1 + energy / 0.05 J)`` with the energy of spring and load relative to the
+    carriage. The terms are in ``info``, with ``distance`` and ``deflection`` (m) of the load,
+    ``energy`` (J), and ``info["cost"]``, 1 while an internal limit is active.
+
+    ## Episode
+    Starts at rest at a random position, with a random goal, both from ``np_random`` unless the
+    reset's options give ``start`` and ``goal`` (m, of the load). A fault of the drive terminates
+    (``info["fault"]``: code and meaning). Time truncates, after 400 steps (2 s).
+
+    ## Arguments
+    Those of `ServoEnv`, with payload 2..8 kg, stiffness and structural damping 0.5..2 of the
+    nominal as the default of `randomise`, and `load_sensor`, `torque_range` (0..1; 0: action 1 has
+    no effect), `tolerance` (m), `following_error_window` (m), `parameters`: `LinearAxisParameters`
+    with a stiffness; nominal are 5 kg on 20 kN/m with 6.3 N·s/m.
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/CompliantAxis-v0"
+    STEPS = 400
+    RPDO = ("target_position", "torque_offset")
+    TPDO = (
+        "position_actual_value", "torque_actual_value", "velocity_actual_value",
+        "following_error_actual_value",
+    )  # fmt: skip
+    ACTIONS = 2
+    OBSERVATIONS = 8
+    EPISODE = episode(
+        ("goal", "f8"),  # of the load (m)
+        ("distance", "f8"),  # goal minus position of the load (m)
+        ("deflection", "f8"),  # of the load from the carriage (m)
+        ("energy", "f8"),  # of the vibration (J)
+        ("reward_near", "f8"),
+        ("reward_settled", "f8"),
+        ("reward_gentle", "f8"),
+        ("_x", "i8"),  # places of the carriage and of the load in qpos and qvel
+        ("_load", "i8"),
+        ("_mass", "f8"),  # of the load (kg)
+        ("_stiffness", "f8"),  # N/m
+        ("_rest", "f8"),  # deflection by the weight on an inclined axis (m)
+        ("_sensor", "?"),
+        ("_target", "f8"),  # set-point (m)
+        ("_way", "f8"),  # farthest the set-point goes in a step (m)
+        ("_speed", "f8"),  # maximum profile velocity (m/s)
+        ("_window", "f8"),  # of the following error (m)
+        ("_max_torque", "f8"),  # per mille
+        ("_torque_range", "f8"),  # per mille, of action 1
+        ("_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        load_sensor: bool = True,
+        torque_range: float = 0.1,
+        parameters: LinearAxisParameters = PARAMETERS,
+        tolerance: float = 100e-6,
+        following_error_window: float = 0.02,
+        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        **arguments: Any,
+    ):
+        if not (parameters.stiffness > 0.0 and parameters.payload > 0.0):
+            raise ValueError(
+                f"parameters: stiffness = {parameters.stiffness!r} N/m and payload = "
+                f"{parameters.payload!r} kg must both be above 0: this task needs a load on a "
+                "spring, for a rigid one take servogym/LinearAxis-v0"
+            )
+        self._parameters = parameters
+        self.load_sensor = bool(load_sensor)
+        self.torque_range = in_range("torque_range", torque_range, 0.0, 1.0, "of 6072h")
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
+        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
+        self._window = window
+        ranges = _possible(parameters) if randomise is None else randomise
+        super().__init__(drive, randomise=ranges, **arguments)
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = linear_axis(model, parameters=self._parameters)
+        machine.drives["x"].write("following_error_window", round(self._window * METRE))
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start, goal = self.np_random.uniform(MARGIN, STROKE - MARGIN, 2)
+        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
+        goal = in_range("options['goal']", options.get("goal", goal), 0.0, STROKE, "m")
+        self.place({"x": start})
+        episode, x, model = self.episode, self.drive, self.machine.model
+        load = model.joint("load")
+        episode.goal = goal
+        episode._x = self.machine.couplings[0].qpos
+        episode._load = load.qposadr[0]
+        episode._mass = model.body("payload").mass[0]
+        episode._stiffness = load.stiffness[0]
+        episode._rest = episode._mass * model.opt.gravity[0] / episode._stiffness
+        episode._sensor = self.load_sensor
+        episode._target = x.read("position_actual_value") / METRE
+        episode._speed = x.read("max_profile_velocity") / METRE
+        episode._way = episode._speed * self.step_time
+        episode._window = self._window
+        episode._max_torque = x.read("max_torque")
+        episode._torque_range = self.torque_range * episode._max_torque
+        episode._tolerance = self.tolerance
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The carriage and the load at the goal."""
+        x, deflection = self.machine.data.qpos[self.episode._x], self.episode.deflection
+        away = self.episode.goal - x - self.episode._rest
+        return {
+            "carriage": np.array([away, 0.0, 0.0]),
+            "payload": np.array([away + self.episode._rest - deflection, 0.0, 0.0]),
+        }
+
+
+def _possible(parameters: LinearAxisParameters) -> dict[str, tuple[float, float]]:
+    """The default ranges; without damping there is none to scale."""
+    ranges = dict(RANDOMISE)
+    if parameters.structural_damping == 0.0:
+        del ranges["structural_damping"]
+    return ranges
+
+
+vector = partial(ServoVectorEnv, CompliantAxisEnv)
