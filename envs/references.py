@@ -66,8 +66,9 @@ def visit(
 ) -> Reference:
     """From goal to goal with a `pause` (s) before each, as many as end within `times` (s).
 
-    The first goal is drawn nearer until it can be reached in time.
+    The first goal is drawn nearer until it is reached in time; a pause is a tenth of it at most.
     """
+    pause = min(pause, 0.1 * times[-1])
     reference = Reference(np.full(len(times), start), np.zeros(len(times)), np.zeros(len(times)))
     begin, place = pause, start
     for goal in goals:
@@ -134,8 +135,8 @@ def _oscillate(generator, limits, start, times, first, last):
 
 def _frequencies(generator, times):
     """Two for which a period fits into `times` and has enough samples (Hz), the lower first."""
-    high = min(FREQUENCIES[1], 1 / (SAMPLES_PER_PERIOD * (times[1] - times[0])))
-    low = min(max(FREQUENCIES[0], 1 / times[-1]), high)
+    finest = 1 / (SAMPLES_PER_PERIOD * (times[1] - times[0]))
+    low, high = (max(min(f, finest), 1 / times[-1]) for f in FREQUENCIES)
     return np.sort(np.exp(generator.uniform(math.log(low), math.log(high), 2)))
 
 

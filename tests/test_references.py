@@ -7,7 +7,7 @@ from servogym.envs.references import REFERENCES, Limits, make_reference
 
 LIMITS = Limits(low=0.0, high=0.5, velocity=1.0, acceleration=10.0, jerk=1000.0)
 SLACK = 1 + 1e-9
-TIMES = {"0.2 s": np.arange(401) * 0.5e-3, "2 s": np.arange(401) * 5e-3, "20 s": np.arange(401.0)}
+TIMES = {f"{400 * step:g} s": np.arange(401) * step for step in (0.25e-3, 5e-3, 1.0)}
 SMOOTH = [name for name in REFERENCES if name != "step"]
 
 

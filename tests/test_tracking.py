@@ -213,7 +213,7 @@ def test_wrong_arguments_are_named(arguments, message):
         LinearAxisTrackingEnv(**arguments)
 
 
-@pytest.mark.parametrize("options", [{"start": 7}, {"reference": "spiral"}, {"way_points": [0.9]}])
+@pytest.mark.parametrize("options", [{"start": 7}, {"reference": "spiral"}, {"way_points": 0.9}])
 def test_wrong_options_are_named(options, env):
     with pytest.raises(ValueError, match=next(iter(options))):
         env.reset(options=options)

@@ -211,7 +211,10 @@ class LinearAxisTrackingEnv(ServoEnv):
         limits = Limits(0.0, STROKE, p.max_velocity, p.max_acceleration, p.max_jerk)
         points = options.get("way_points")
         if points is not None:
-            points = [in_range("options['way_points']", z, 0.0, STROKE, "m") for z in points]
+            points = [
+                in_range("options['way_points']", point, 0.0, STROKE, "m")
+                for point in np.atleast_1d(points)
+            ]
         kind = _known("options['reference']", options.get("reference") or self._kind())
         here = x.read("position_actual_value") / METRE
         made = make_reference(kind, self.np_random, limits, here, self._times, points)
