@@ -47,8 +47,10 @@ WORLD = np.dtype(
     [
         ("mj_model", "i8"),  # address of MjModel
         ("mj_data", "i8"),  # address of MjData (a record has a `data` of its own)
-        ("qpos", "i8"),  # addresses of arrays of MjData, and of MjModel.dof_frictionloss
+        ("qpos", "i8"),  # addresses of the coordinates as the last run left them, for the tasks
         ("qvel", "i8"),
+        ("mj_qpos", "i8"),  # addresses of arrays of MjData, and of MjModel.dof_frictionloss
+        ("mj_qvel", "i8"),
         ("ctrl", "i8"),
         ("frictionloss", "i8"),
         ("inertia", "i8"),  # MjData.M
@@ -233,8 +235,8 @@ def run(worlds, ticks, rpdos, tpdos):
         axes = axes_at(world.axes, world.drives)
         couplings = couplings_at(world.couplings, world.drives)
         joints = mechanics_at(world.mechanics, world.drives)
-        qpos = floats_at(world.qpos, world.nq)
-        qvel = floats_at(world.qvel, world.nv)
+        qpos = floats_at(world.mj_qpos, world.nq)
+        qvel = floats_at(world.mj_qvel, world.nv)
         ctrl = floats_at(world.ctrl, world.nu)
         frictionloss = floats_at(world.frictionloss, world.nv)
         latched_at = min(world.delay, ticks) if rpdos.shape[1] else -1
@@ -246,6 +248,8 @@ def run(worlds, ticks, rpdos, tpdos):
             _latch(world, axes, rpdos[w])
         if tpdos.shape[1]:
             _collect(world, tpdos[w])
+        floats_at(world.qpos, world.nq)[:] = qpos
+        floats_at(world.qvel, world.nv)[:] = qvel
 
 
 @entry

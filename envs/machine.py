@@ -84,6 +84,7 @@ class Machine:
                 self._directory[f"{name}_count"][i] = len(pdos)
         self.world = np.zeros(1, record.accessible(loop.WORLD))
         self.addresses = np.array([address(self.world)])
+        self._coordinates = np.zeros(model.nq), np.zeros(model.nv)
         self._shared: tuple[np.ndarray, ...] = ()
         self._settle()
         self.reset()
@@ -93,7 +94,8 @@ class Machine:
         world = self.world
         world["mj_model"], world["mj_data"] = addresses(self._model, self._data)
         for name, array in (
-            ("qpos", self._data.qpos), ("qvel", self._data.qvel), ("ctrl", self._data.ctrl),
+            ("qpos", self._coordinates[0]), ("qvel", self._coordinates[1]),
+            ("mj_qpos", self._data.qpos), ("mj_qvel", self._data.qvel), ("ctrl", self._data.ctrl),
             ("frictionloss", self._model.dof_frictionloss), ("axes", self.axes),
             ("couplings", self.couplings), ("mechanics", self.mechanics),
             ("pdos", self._directory), ("inertia", self._data.M),

@@ -125,8 +125,11 @@ class Randomisation:
                 f"randomise['delay'] = {ranges['delay']!r} is out of range 0..{cycles} position "
                 "cycles, those of a step"
             )
-        if "payload" in ranges and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD) < 0:
-            raise ValueError("randomise['payload']: this machine has no body 'payload'")
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD)
+        if "payload" in ranges and (body < 0 or model.body_mass[body] == 0.0):
+            raise ValueError(
+                "randomise['payload']: this machine has no body 'payload' with a mass to change"
+            )
         springs = model.jnt_stiffness.any() or model.tendon_stiffness.any()
         if "stiffness" in ranges and not springs:
             raise ValueError("randomise['stiffness']: this machine has no springs")
