@@ -28,6 +28,10 @@ STATE_NAME = {  # by statusword & STATE_MASK
     word: state.name for word in range(STATE_MASK + 1) if (state := state_of(word)) is not None
 }
 MAX_HISTORY = 100
+INTERPOLATING = {  # modes in which the drive has to know the period of the set-points, 60C2h
+    Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY,
+    Mode.CYCLIC_SYNC_TORQUE,
+}  # fmt: skip
 
 
 class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -50,7 +54,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012
 
     # what makes a task
-    MODES: ClassVar[tuple[Mode, ...]] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)  # first: its own
+    # the first is its own; one that depends on the drive is set before `ServoEnv.__init__`
+    MODES: tuple[Mode, ...] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)
     RPDO: ClassVar[tuple[str, ...]]  # objects the agent commands, beside controlword and mode
     TPDO: ClassVar[tuple[str, ...]]  # objects it sees, beside statusword and mode displayed
     ID: ClassVar[str]  # in the registry of Gymnasium
@@ -146,7 +151,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
                 drive.map_pdos(*(mapping(image) for image in self._images))
             except (SdoAbort, ValueError) as error:
                 raise ValueError(f"drive {drive.model.name!r}: {error}") from None
-            if "interpolation_time_period_value" in drive.objects.names:
+            cyclic = not INTERPOLATING.isdisjoint(self.MODES)
+            if cyclic and "interpolation_time_period_value" in drive.objects.names:
                 units, index = _interpolation_period(self.step_time)
                 drive.write("interpolation_time_period_value", units)
                 drive.write("interpolation_time_index", index)

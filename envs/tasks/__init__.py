@@ -1,7 +1,8 @@
 """The tasks: one file an environment, the docstring of its class is its page."""
 
 from .compliant import CompliantAxisEnv
+from .homing import HomingEnv
 from .positioning import LinearAxisEnv
 from .tracking import LinearAxisTrackingEnv
 
-TASKS = (LinearAxisEnv, LinearAxisTrackingEnv, CompliantAxisEnv)
+TASKS = (LinearAxisEnv, LinearAxisTrackingEnv, CompliantAxisEnv, HomingEnv)

@@ -1,0 +1,264 @@
+"""servogym/Homing-v0: find the reference of an axis fast, gently and repeatably."""
+
+from functools import partial
+from typing import Any
+
+from ...drive.jit import entry
+from ...drive.model import DriveModel, load
+from ...drive.words import ENABLED, Mode
+from ...drive.words import Controlword as C
+from ..batch import episode
+from ..faces import PDO, clip, faulted, limited
+from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
+from ..linear_axis import LinearAxisParameters, linear_axis
+from ..loop import HOME, NEGATIVE, POSITIVE, world_at
+from ..machine import Machine
+from ..servo_env import ServoEnv, in_range
+from ..supervisor import Supervisor
+from ..vector_env import ServoVectorEnv
+
+# reference -> the built-in method that looks for the very same place
+REFERENCES = {"home_switch": 23, "negative_limit_switch": 17, "stop": -17}
+STROKE = 0.5  # m
+MARGIN = 0.02  # m, starts keep away from the ends
+METRE = 1e6  # position units
+HOMING = int(Mode.HOMING)
+START = int(ENABLED | C.NEW_SET_POINT)  # homing operation start
+THRESHOLD = 0.5  # of the action "reference here"
+LEAST_TORQUE = 0.05  # share of the maximum torque that the agent cannot go below
+FOUND = 1e-3  # m beyond the reference that counts as having found it
+DURATION = 2.0  # s, at which the reward for speed has fallen to one half
+IMPACT = 0.1  # J, at which the reward for gentleness has lost half of what impacts take
+NOWHERE = (1.0, -1.0)  # of a switch that is not there
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Velocity, torque limit, and above the threshold mode hm with bit 4: home is here."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, rpdo = episodes[w], rpdos[w, 0]
+        rpdo.target_velocity = round(actions[w, 0] * episode._max_velocity * METRE)
+        share = LEAST_TORQUE + (1.0 - LEAST_TORQUE) * 0.5 * (1.0 + actions[w, 1])
+        rpdo.max_torque = round(share * episode._max_torque)
+        declared = actions[w, 2] > THRESHOLD
+        rpdo.controlword = START if declared else ENABLED
+        rpdo.modes_of_operation = HOMING if declared else episode._mode
+        episode._time += episode._step_time
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Figures of the run so far; the reward comes when the reference is found, and at the end."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
+        velocity = tpdo.velocity_actual_value / METRE
+        behind = tpdo.velocity_demand_value / METRE - velocity
+        inputs = int(tpdo.digital_inputs)
+        seen[0] = inputs & 1
+        seen[1] = inputs >> 1 & 1
+        seen[2] = inputs >> 2 & 1
+        seen[3] = clip(velocity / episode._max_velocity)
+        seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen[5] = clip(behind / episode._max_velocity)
+        seen[6] = clip((tpdo.position_actual_value - episode._power_on) / METRE / STROKE)
+        seen[7] = clip(2.0 * rpdos[w, 0].max_torque / episode._max_torque - 1.0)
+        seen[8] = episode._time / (episode._time + DURATION)
+        before = episode._position
+        measure(world_at(worlds[w], 1)[0], episode)
+        home, now = episode._home, episode._position
+        side = 1.0 if episode.start > home else -1.0
+        first = not episode._found and (now - home) * side < FOUND and now != before
+        episode._found = episode._found or first
+        share = episode.error / episode._tolerance
+        impact = 1.0 / (1.0 + episode.impact_energy / IMPACT)
+        ended = episode.attained
+        episode.reward_found = 1.0 if first else 0.0
+        episode.reward_accuracy = 1.0 / (1.0 + share * share) if ended else 0.0
+        episode.reward_speed = DURATION / (DURATION + episode._time) if ended else 0.0
+        gentle = 0.5 * impact + 0.5 * (1.0 - min(episode.greatest_torque, 1.0))
+        episode.reward_gentleness = gentle if ended else 0.0
+        quality = 0.5 + 0.25 * episode.reward_speed + 0.25 * episode.reward_gentleness
+        episode.reward = 0.1 * episode.reward_found + 0.9 * episode.reward_accuracy * quality
+        episode.cost = limited(tpdos[w])
+        episode.is_success = ended and abs(episode.error) <= episode._tolerance
+        episode._terminated = ended or faulted(tpdos[w])
+
+
+class HomingEnv(ServoEnv):
+    """Find the reference of a linear axis: fast, gently and repeatably, from an unknown position.
+
+    The drive is enabled and does not know where it is. The agent moves it by velocity, in mode csv
+    or, with a drive without it, pv; it sees switches, torque and the way from where the power came
+    on. When it stands at the reference it says so: the drive then references where it stands, by
+    homing mode and method 37 or 35, which ends the episode. How a built-in method would have done
+    from the same start on the same machine is told by `built_in`.
+
+    ## Action space
+    `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0 | velocity | 60FFh target_velocity | 1 is `max_velocity` |
+    | 1 | torque limit | 6072h max_torque | -1 is 5 %, 1 is 100 % of the commissioned one |
+    | 2 | reference here | 6060h = 6, 6040h bit 4 | above 0.5 |
+
+    With ``action="pdo"`` the agent itself commands mode and bit 4, and component 2 is without
+    effect.
+
+    ## Observation space
+    `Box(-1, 1, (9,), float32)`, clipped
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0 | negative limit switch | 60FDh digital_inputs bit 0 | active |
+    | 1 | positive limit switch | 60FDh bit 1 | active |
+    | 2 | home switch | 60FDh bit 2 | active |
+    | 3 | velocity | 606Ch velocity_actual_value | `max_velocity` |
+    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 5 | velocity error | 606Bh velocity_demand_value - 606Ch | `max_velocity` |
+    | 6 | way since power-on | 6064h position_actual_value | the stroke, 0.5 m |
+    | 7 | torque limit set, -1..1 | 6072h max_torque | the commissioned one |
+    | 8 | time t | | t / (t + 2 s) |
+
+    ## Reference
+    The home of the built-in method in the table; the switch lets go 0.3 mm later than it came on.
+
+    | ``reference`` | true home | method | switches |
+    |---------------|-----------|--------|----------|
+    | home_switch | left edge of the home switch, left to the left | 23 | all |
+    | negative_limit_switch | its edge, left to the right | 17 | all |
+    | stop | the left end stop | -17 | none |
+
+    ## Reward
+    In [0, 1]: ``0.1 found + 0.9 accuracy (0.5 + 0.25 speed + 0.25 gentleness)``. `found` is 1 in
+    the step that first brings the axis to the reference. The others come with the end:
+    `accuracy` = 1 / (1 + (error / tolerance)²), `speed` = 1 / (1 + time / 2 s), `gentleness` =
+    half for the share of torque never used, half 1 / (1 + impact energy / 0.1 J). ``info`` has
+    error (m), greatest_torque (share of the maximum, at the ends of steps), impact_energy (J) and
+    the place of power-on, start (m). ``info["cost"]`` is 1 while an internal limit is active.
+
+    ## Episode
+    Starts at rest at a random position; the switches lie off their places by up to
+    `switch_tolerance`. Both come from ``np_random`` unless the reset's options give ``start`` and
+    ``switch_offset`` (m). The reference taken terminates, a success within `tolerance`; so does a
+    fault (``info["fault"]``). Time truncates, after 2000 steps.
+
+    ## Arguments
+    Those of `ServoEnv`, and `reference`, `max_velocity` (m/s), `tolerance` (m),
+    `switch_tolerance` (m), `payload` (kg), `parameters`: `LinearAxisParameters` instead of
+    `payload`. Friction and payload of an episode: `randomise`.
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/Homing-v0"
+    STEPS = 2000
+    RPDO = ("target_velocity", "max_torque")
+    TPDO = (
+        "digital_inputs", "position_actual_value", "velocity_actual_value",
+        "velocity_demand_value", "torque_actual_value",
+    )  # fmt: skip
+    ACTIONS = 3
+    OBSERVATIONS = 9
+    EPISODE = episode(
+        *FIELDS,
+        ("start", "f8"),  # m
+        ("reward_found", "f8"),
+        ("reward_accuracy", "f8"),
+        ("reward_speed", "f8"),
+        ("reward_gentleness", "f8"),
+        ("_found", "?"),
+        ("_time", "f8"),  # s
+        ("_step_time", "f8"),  # s
+        ("_mode", "i8"),  # in which the agent moves
+        ("_max_velocity", "f8"),  # m/s
+        ("_max_torque", "f8"),  # as commissioned (per mille)
+        ("_power_on", "f8"),  # position actual value (position units)
+        ("_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        reference: str = "home_switch",
+        max_velocity: float = 0.5,
+        tolerance: float = 100e-6,
+        switch_tolerance: float = 5e-3,
+        payload: float = 5.0,
+        parameters: LinearAxisParameters | None = None,
+        **arguments: Any,
+    ):
+        if reference not in REFERENCES:
+            raise ValueError(f"reference = {reference!r}, use one of {', '.join(REFERENCES)}")
+        self.reference = reference
+        self.max_velocity = in_range("max_velocity", max_velocity, 0.01, 2.0, "m/s")
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
+        self.switch_tolerance = in_range("switch_tolerance", switch_tolerance, 0.0, 0.02, "m")
+        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        cyclic = Mode.CYCLIC_SYNC_VELOCITY in load(drive).modes
+        own = Mode.CYCLIC_SYNC_VELOCITY if cyclic else Mode.PROFILE_VELOCITY
+        self.MODES = (own, Mode.HOMING)
+        super().__init__(drive, **arguments)
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = linear_axis(model, parameters=self._parameters)
+        coupling, x = machine.couplings[0], machine.drives["x"]
+        if self.reference == "stop":
+            for switch in (NEGATIVE, POSITIVE, HOME):
+                coupling.switch_from[switch], coupling.switch_to[switch] = NOWHERE
+        self._max_torque = x.read("max_torque")
+        self._switches = coupling.switch_from.copy(), coupling.switch_to.copy()
+        self._here = 37 if 37 in model.homing_methods else 35
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start = self.np_random.uniform(MARGIN, STROKE - MARGIN)
+        offset = self.np_random.uniform(-self.switch_tolerance, self.switch_tolerance)
+        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
+        offset = options.get("switch_offset", offset)
+        offset = in_range("options['switch_offset']", offset, -0.02, 0.02, "m")
+        coupling, x = self.machine.couplings[0], self.drive
+        for ends, places in zip(
+            (coupling.switch_from, coupling.switch_to), self._switches, strict=True
+        ):
+            ends[:] = places + offset
+        x.write("max_torque", self._max_torque)  # an agent may have left its own
+        self.machine.reset(positions={"x": start})
+        x.write("homing_method", self._here)
+        supervisor = Supervisor(self.machine, "x")
+        x.write("modes_of_operation", self.MODES[0])
+        supervisor.enable()
+        if self.face == PDO:
+            supervisor.control(0)
+        episode = self.episode
+        prepare(self.machine, episode, true_home(self.machine, REFERENCES[self.reference]))
+        episode.start = start
+        episode._step_time = self.step_time
+        episode._mode = self.MODES[0]
+        episode._max_velocity = self.max_velocity
+        episode._max_torque = self._max_torque
+        episode._power_on = x.read("position_actual_value")
+        episode._tolerance = self.tolerance
+        self._part[3]["max_torque"] = self._max_torque
+
+    def built_in(self, method: int, objects: dict[str, int] | None = None) -> HomingFigures:
+        """What a homing method of the drive makes of this episode's start, switches and loads.
+
+        `objects` are written before, such as its speeds (position units/s). See
+        `servogym.envs.homing_figures.built_in` for errors.
+        """
+        return built_in(
+            self.machine, method, self.episode.start, stride=self.cycles_per_step,
+            objects={"max_torque": self._max_torque} | (objects or {}),
+        )  # fmt: skip
+
+
+vector = partial(ServoVectorEnv, HomingEnv)
