@@ -1,8 +1,9 @@
 """The tasks: one file an environment, the docstring of its class is its page."""
 
+from .commissioning import CommissioningEnv
 from .compliant import CompliantAxisEnv
 from .homing import HomingEnv
 from .positioning import LinearAxisEnv
 from .tracking import LinearAxisTrackingEnv
 
-TASKS = (LinearAxisEnv, LinearAxisTrackingEnv, CompliantAxisEnv, HomingEnv)
+TASKS = (LinearAxisEnv, LinearAxisTrackingEnv, CompliantAxisEnv, HomingEnv, CommissioningEnv)

@@ -135,7 +135,7 @@ class HomingEnv(ServoEnv):
 
     ## Reward
     In [0, 1]: ``0.1 found + 0.9 accuracy (0.5 + 0.25 speed + 0.25 gentleness)``. `found` is 1 in
-    the step that first brings the axis to the reference. The others come with the end:
+    the step that first comes within 1 mm of the reference, or past it. The others come with the end:
     `accuracy` = 1 / (1 + (error / tolerance)²), `speed` = 1 / (1 + time / 2 s), `gentleness` =
     half for the share of torque never used, half 1 / (1 + impact energy / 0.1 J). ``info`` has
     error (m), greatest_torque (share of the maximum, at the ends of steps), impact_energy (J) and

@@ -1,0 +1,251 @@
+"""servogym/Commissioning-v0: from a drive in fault to an axis in position, word by word."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from ...drive.faults import Cause, Reaction
+from ...drive.jit import entry
+from ...drive.model import DriveModel
+from ...drive.words import Mode
+from ..batch import episode
+from ..faces import PDO, clip, limited
+from ..linear_axis import LinearAxisParameters, linear_axis
+from ..loop import axes_at, world_at
+from ..machine import Machine
+from ..servo_env import ServoEnv, in_range
+from ..vector_env import ServoVectorEnv
+
+STROKE = 0.5  # m
+MARGIN = 0.02  # m, starts and goals keep away from the ends
+LONGEST_SEARCH = 0.3  # m, starts are no farther from the limit switch
+NEAREST_GOAL = 0.1  # m from the zero, where homing ends
+METRE = 1e6  # position units
+SEARCH_SPEED = 200_000  # µm/s; from the farthest start homing takes 2 s
+MOVING = 5e-3  # m/s
+FAULT_CYCLES = 200  # position cycles at most until a cause has led to FAULT
+HOMING, PROFILE_POSITION = int(Mode.HOMING), int(Mode.PROFILE_POSITION)
+MILESTONES = 5
+# bits of the statusword
+STATE, OPERATION_ENABLED, FAULT, REACHED = 0x6F, 0x27, 0x08, 0x0400
+ATTAINED, HOMING_ERROR = 0x1000, 0x2000
+# causes injected of their own accord, as far as a model has them as faults
+CAUSES = (
+    "undervoltage", "overvoltage", "motor_temperature", "drive_temperature", "short_circuit",
+    "encoder_loss",
+)  # fmt: skip
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """The target position; a cause that has been present long enough is taken away."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
+        rpdos[w, 0].target_position = round(0.5 * (actions[w, 0] + 1.0) * STROKE * METRE)
+        world = world_at(worlds[w], 1)[0]
+        axis = axes_at(world.axes, world.drives)[0]
+        if axis.injected:
+            episode._present += 1
+            if episode._present > episode.outage:
+                axis.injected = 0
+                episode._present = 0
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """The milestones one after the other, each once, from what the drive itself says."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
+        position = tpdo.position_actual_value / METRE
+        velocity = tpdo.velocity_actual_value / METRE
+        word, mode = int(tpdo.statusword), int(tpdo.modes_of_operation_display)
+        distance = episode.goal - position
+        faulty = word & FAULT != 0
+        seen[0] = clip(2.0 * episode.goal / STROKE - 1.0)
+        seen[1] = clip(2.0 * position / STROKE - 1.0)
+        seen[2] = clip(velocity / episode._speed)
+        seen[3] = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen[4] = (int(tpdo.error_code) >> 12 & 0xF) / 15.0 if faulty else 0.0
+        seen[5] = episode.milestones / MILESTONES
+        enabled = word & STATE == OPERATION_ENABLED
+        referenced = word & ATTAINED and word & REACHED and not word & HOMING_ERROR
+        travelling = enabled and mode == PROFILE_POSITION
+        near = abs(distance) <= episode._tolerance and abs(velocity) <= MOVING
+        before = episode.milestones
+        reached = before
+        if reached == 0 and not faulty:
+            reached = 1
+        if reached == 1 and enabled:
+            reached = 2
+        if reached == 2 and enabled and mode == HOMING and referenced:
+            reached = 3
+        if reached == 3 and travelling and abs(velocity) > MOVING:
+            reached = 4
+        if reached == 4 and travelling and word & REACHED and near:
+            reached = 5
+        episode.milestones = reached
+        episode.reward_fault_cleared = 1.0 if before < 1 <= reached else 0.0
+        episode.reward_operation_enabled = 1.0 if before < 2 <= reached else 0.0
+        episode.reward_homed = 1.0 if before < 3 <= reached else 0.0
+        episode.reward_moving = 1.0 if before < 4 <= reached else 0.0
+        episode.reward_in_position = 1.0 if before < 5 <= reached else 0.0
+        episode.distance = distance
+        episode.reward = (reached - before) / MILESTONES
+        episode.cost = limited(tpdos[w])
+        episode.is_success = reached == MILESTONES
+        episode._terminated = episode.is_success
+
+
+class CommissioningEnv(ServoEnv):
+    """Bring a drive that is in fault to an axis that is in position, as a PLC programmer would.
+
+    The agent is the whole master. The drive has powered up with a fault, disabled and without a
+    reference. The agent has to reset the fault when its cause has gone, walk through the states to
+    operation enabled, home (method 17, on the negative limit switch), and go to the goal in
+    profile position mode with the handshake of the new set-point.
+
+    ## Action space
+    `Box(-1, 1, (11,), float32)`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0 | target position, -1 and 1 at the ends of the stroke | 607Ah target_position | 0.25 m |
+    | 1–9 | bits 0 to 8 | 6040h controlword | above 0: set |
+    | 10 | mode | 6060h modes_of_operation | below 0: 6 hm, else 1 pp |
+
+    ## Observation space
+    `Box(-1, 1, (23,), float32)`, clipped
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0 | goal, scaled as action 0 | | right end of the stroke |
+    | 1 | position, scaled as action 0 | 6064h position_actual_value | right end of the stroke |
+    | 2 | velocity | 606Ch velocity_actual_value | the profile velocity 6081h |
+    | 3 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 4 | class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without one | \
+603Fh error_code bits 12–15 | 15 |
+    | 5 | milestones reached | | all 5 |
+    | 6–21 | bits 0 to 15 | 6041h statusword | set |
+    | 22 | mode | 6061h modes_of_operation_display | 0.5 is pp, -0.5 is hm, 0 none of them |
+
+    ## Reward
+    In [0, 1], and so is its sum: a fifth for each milestone, in the step that reaches it, in this
+    order: `fault_cleared`, `operation_enabled`, `homed`, `moving` (in mode pp), `in_position`
+    (target reached, the goal closer than `tolerance`). Holding still earns nothing.
+
+    ## Episode
+    Starts at a random position with a random cause, present for a random number of steps, and a
+    random goal; all from ``np_random`` unless the reset's options give ``start``, ``goal`` (m),
+    ``cause`` and ``outage`` (steps). The last milestone terminates. Faults do not: their causes go
+    as well, after ``outage`` steps, and they can be reset. Time truncates, after 2000 steps.
+
+    ## Arguments
+    Those of `ServoEnv` but for `action`, which is always "pdo", and `causes` (names of causes of
+    faults of the drive model; of undervoltage, overvoltage, motor_temperature, drive_temperature,
+    short_circuit, encoder_loss those it has), `outage` (longest, steps), `tolerance` (m),
+    `payload` (kg), `parameters`: `LinearAxisParameters` instead of `payload`.
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/Commissioning-v0"
+    MODES = (Mode.HOMING, Mode.PROFILE_POSITION)
+    STEPS = 2000
+    RPDO = ("target_position",)
+    TPDO = (
+        "position_actual_value", "velocity_actual_value", "torque_actual_value", "error_code",
+    )  # fmt: skip
+    ACTIONS = 1
+    OBSERVATIONS = 6
+    EPISODE = episode(
+        ("goal", "f8"),  # m
+        ("distance", "f8"),  # goal minus position (m)
+        ("milestones", "i8"),  # reached
+        ("outage", "i8"),  # steps until a cause goes
+        ("reward_fault_cleared", "f8"),
+        ("reward_operation_enabled", "f8"),
+        ("reward_homed", "f8"),
+        ("reward_moving", "f8"),
+        ("reward_in_position", "f8"),
+        ("_present", "i8"),  # steps since a cause is there
+        ("_speed", "f8"),  # profile velocity (m/s)
+        ("_max_torque", "f8"),  # per mille
+        ("_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        action: str = PDO,
+        causes: Sequence[str] | None = None,
+        outage: int = 50,
+        tolerance: float = 0.5e-3,
+        payload: float = 5.0,
+        parameters: LinearAxisParameters | None = None,
+        **arguments: Any,
+    ):
+        if action != PDO:
+            raise ValueError(f'action = {action!r}: here the agent is the whole master, use "pdo"')
+        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self.tolerance = in_range("tolerance", tolerance, 20e-6, 0.1, "m")
+        self.outage = int(in_range("outage", outage, 0, 1000, "steps"))
+        super().__init__(drive, action=action, **arguments)
+        possible = _faults(self.machine)
+        own = tuple(cause for cause in CAUSES if cause in possible)
+        self.causes = own if causes is None else tuple(causes)
+        for cause in self.causes or ("",):
+            if cause not in possible:
+                raise ValueError(f"causes: {cause!r} is none, choose of {', '.join(possible)}")
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = linear_axis(model, parameters=self._parameters)
+        machine.drives["x"].commission({"speed_during_search_for_switch": SEARCH_SPEED})
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start = self.np_random.uniform(MARGIN, LONGEST_SEARCH)
+        goal = self.np_random.uniform(NEAREST_GOAL, STROKE - MARGIN)
+        cause = self.causes[self.np_random.integers(len(self.causes))]
+        outage = self.np_random.integers(self.outage + 1)
+        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
+        goal = in_range("options['goal']", options.get("goal", goal), MARGIN, STROKE, "m")
+        cause = options.get("cause", cause)
+        outage = in_range("options['outage']", options.get("outage", outage), 0, 1000, "steps")
+        if cause not in (possible := _faults(self.machine)):
+            raise ValueError(f"options['cause'] = {cause!r}, choose of {', '.join(possible)}")
+        episode, x = self.episode, self.drive
+        self.machine.reset(positions={"x": start})
+        self.machine.step(2)
+        x.inject(cause)
+        self._injected.append(cause)
+        for _ in range(FAULT_CYCLES):
+            if int(x.axis.od.statusword) & STATE == FAULT:
+                break
+            self.machine.step()
+        episode.goal = goal
+        episode.outage = int(outage)
+        episode._speed = x.read("profile_velocity") / METRE
+        episode._max_torque = x.read("max_torque")
+        episode._tolerance = self.tolerance
+
+
+def _faults(machine: Machine) -> tuple[str, ...]:
+    """Causes that can be injected, make a fault of the drive and can be reset."""
+    (drive,) = machine.drives.values()
+    harmless = (Reaction.IGNORE, Reaction.WARNING)
+    return tuple(
+        name for name in drive.injectable
+        if name.upper() in Cause.__members__
+        and int(drive.axis.od.fault_reaction[Cause[name.upper()]]) not in harmless
+    )  # fmt: skip
+
+
+vector = partial(ServoVectorEnv, CommissioningEnv)
