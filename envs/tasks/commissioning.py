@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from ...drive.faults import Cause, Reaction
 from ...drive.jit import entry
 from ...drive.model import DriveModel
-from ...drive.words import Mode
+from ...drive.words import Mode, State
 from ..batch import episode
 from ..faces import PDO, clip, limited
 from ..linear_axis import LinearAxisParameters, linear_axis
@@ -138,6 +140,8 @@ class CommissioningEnv(ServoEnv):
     (target reached, the goal closer than `tolerance`). Holding still earns nothing.
 
     ## Episode
+    Some models show fault reaction active (bits 3 to 0 all set) where they are in FAULT.
+
     Starts at a random position with a random cause, present for a random number of steps, and a
     random goal; all from ``np_random`` unless the reset's options give ``start``, ``goal`` (m),
     ``cause`` and ``outage`` (steps). The last milestone terminates. Faults do not: their causes go
@@ -227,7 +231,7 @@ class CommissioningEnv(ServoEnv):
         x.inject(cause)
         self._injected.append(cause)
         for _ in range(FAULT_CYCLES):
-            if int(x.axis.od.statusword) & STATE == FAULT:
+            if x.state == State.FAULT:
                 break
             self.machine.step()
         episode.goal = goal
@@ -235,6 +239,11 @@ class CommissioningEnv(ServoEnv):
         episode._speed = x.read("profile_velocity") / METRE
         episode._max_torque = x.read("max_torque")
         episode._tolerance = self.tolerance
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The carriage at the goal."""
+        away = self.episode.goal - self.machine.data.qpos[0]
+        return {"carriage": np.array([away, 0.0, 0.0])}
 
 
 def _faults(machine: Machine) -> tuple[str, ...]:

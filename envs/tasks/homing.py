@@ -3,6 +3,8 @@
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from ...drive.jit import entry
 from ...drive.model import DriveModel, load
 from ...drive.words import ENABLED, Mode
@@ -135,8 +137,8 @@ class HomingEnv(ServoEnv):
 
     ## Reward
     In [0, 1]: ``0.1 found + 0.9 accuracy (0.5 + 0.25 speed + 0.25 gentleness)``. `found` is 1 in
-    the step that first comes within 1 mm of the reference, or past it. The others come with the end:
-    `accuracy` = 1 / (1 + (error / tolerance)²), `speed` = 1 / (1 + time / 2 s), `gentleness` =
+    the step that first comes within 1 mm of the reference, or past it. The others come with the
+    end: `accuracy` = 1 / (1 + (error / tolerance)²), `speed` = 1 / (1 + time / 2 s), `gentleness` =
     half for the share of torque never used, half 1 / (1 + impact energy / 0.1 J). ``info`` has
     error (m), greatest_torque (share of the maximum, at the ends of steps), impact_energy (J) and
     the place of power-on, start (m). ``info["cost"]`` is 1 while an internal limit is active.
@@ -248,6 +250,11 @@ class HomingEnv(ServoEnv):
         episode._power_on = x.read("position_actual_value")
         episode._tolerance = self.tolerance
         self._part[3]["max_torque"] = self._max_torque
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The carriage at the true reference."""
+        away = self.episode._home - self.machine.data.qpos[0]
+        return {"carriage": np.array([away, 0.0, 0.0])}
 
     def built_in(self, method: int, objects: dict[str, int] | None = None) -> HomingFigures:
         """What a homing method of the drive makes of this episode's start, switches and loads.
