@@ -205,9 +205,8 @@ class CommissioningEnv(ServoEnv):
         possible = _faults(self.machine)
         own = tuple(cause for cause in CAUSES if cause in possible)
         self.causes = own if causes is None else tuple(causes)
-        for cause in self.causes or ("",):
-            if cause not in possible:
-                raise ValueError(f"causes: {cause!r} is none, choose of {', '.join(possible)}")
+        if not self.causes or not set(self.causes) <= set(possible):
+            raise ValueError(f"causes = {self.causes!r}, choose some of {', '.join(possible)}")
 
     def _make(self, model: DriveModel) -> Machine:
         machine = linear_axis(model, parameters=self._parameters)
