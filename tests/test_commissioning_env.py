@@ -166,6 +166,15 @@ def test_a_vector_is_bit_for_bit_the_environments_one_by_one():
     vector.close()
 
 
+def test_gymnasium_makes_it_by_its_id():
+    env = gym.make(f"servogym.envs:{CommissioningEnv.ID}", drive="kollmorgen_akd")
+    assert isinstance(env.unwrapped, CommissioningEnv)
+    assert env.spec.max_episode_steps == CommissioningEnv.STEPS
+    vector = gym.make_vec(CommissioningEnv.ID, num_envs=2)
+    assert vector.reset(seed=1)[0].shape == (2, *env.observation_space.shape)
+    vector.close()
+
+
 def test_a_pickled_environment_goes_on_bit_for_bit():
     env = CommissioningEnv()
     env.reset(seed=5, options={"outage": 15})
@@ -205,5 +214,5 @@ def test_wrong_options_are_named(option):
 def test_a_cause_that_is_only_a_warning_is_not_drawn():
     env = CommissioningEnv("festo_cmmp_as")
     assert set(env.causes) < set(CAUSES)
-    with pytest.raises(ValueError, match="following_error.*choose some"):
+    with pytest.raises(ValueError, match=r"following_error.*choose some"):
         CommissioningEnv("festo_cmmp_as", causes=("following_error",))

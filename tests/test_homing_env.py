@@ -241,6 +241,15 @@ def test_a_vector_is_bit_for_bit_the_environments_one_by_one():
     vector.close()
 
 
+def test_gymnasium_makes_it_by_its_id():
+    env = gym.make(f"servogym.envs:{HomingEnv.ID}", drive="kollmorgen_akd")
+    assert isinstance(env.unwrapped, HomingEnv)
+    assert env.spec.max_episode_steps == HomingEnv.STEPS
+    vector = gym.make_vec(HomingEnv.ID, num_envs=2)
+    assert vector.reset(seed=1)[0].shape == (2, *env.observation_space.shape)
+    vector.close()
+
+
 def test_a_pickled_environment_goes_on_bit_for_bit():
     env = HomingEnv(reference="negative_limit_switch", randomise={"friction": (0.5, 2.0)})
     env.reset(seed=5)

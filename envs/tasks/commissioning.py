@@ -217,7 +217,7 @@ class CommissioningEnv(ServoEnv):
         start = self.np_random.uniform(MARGIN, LONGEST_SEARCH)
         goal = self.np_random.uniform(NEAREST_GOAL, STROKE - MARGIN)
         cause = self.causes[self.np_random.integers(len(self.causes))]
-        outage = self.np_random.integers(self.outage + 1)
+        outage = float(self.np_random.integers(self.outage + 1))
         start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
         goal = in_range("options['goal']", options.get("goal", goal), MARGIN, STROKE, "m")
         cause = options.get("cause", cause)
