@@ -63,6 +63,9 @@ def play(env, seen):
         assert env.observation_space.contains(seen)
         for name in MILESTONES:
             got[name] += info[f"reward_{name}"]
+        if info["reward_moving"]:
+            assert SHOWN[float(seen[22])] == Mode.PROFILE_POSITION
+            assert abs(seen[2]) > 0
         assert reward == pytest.approx(sum(info[f"reward_{name}"] for name in MILESTONES) / 5)
         if terminated:
             break

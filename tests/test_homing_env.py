@@ -62,16 +62,18 @@ POLICIES = {
 
 def play(env, policy):
     """-> sum of the rewards, the last info."""
-    action, total = next(policy), 0.0
+    action, total, found = next(policy), 0.0, 0.0
     for _ in range(2000):
         observation, reward, terminated, _, info = env.step(action)
         assert env.observation_space.contains(observation)
         assert 0.0 <= reward <= 1.0
         assert all(0.0 <= info[name] <= 1.0 for name in info if name.startswith("reward_"))
         total += reward
+        found += info["reward_found"]
         if terminated:
             break
         action = policy.send(observation)
+    assert found == 1.0, "once, in the step that finds it"
     return total, info
 
 

@@ -115,7 +115,7 @@ class CommissioningEnv(ServoEnv):
 
     | no | action | object | scaling |
     |----|--------|--------|---------|
-    | 0 | target position, -1 and 1 at the ends of the stroke | 607Ah target_position | 0.25 m |
+    | 0 | target position | 607Ah target_position | -1 and 1: ends of the stroke, 0 and 0.5 m |
     | 1–9 | bits 0 to 8 | 6040h controlword | above 0: set |
     | 10 | mode | 6060h modes_of_operation | below 0: 6 hm, else 1 pp |
 
