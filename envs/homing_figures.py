@@ -18,24 +18,19 @@ from ..drive.record import accessible
 from ..drive.words import ENABLED, Mode
 from ..drive.words import Controlword as C
 from ..drive.words import Statusword as S
-from .loop import axes_at, couplings_at, floats_at, world_at
+from .loop import axes_at, couplings_at, floats_at, mechanics_at, world_at
 from .machine import Machine
 from .supervisor import Supervisor
-from .tuning import inertia_at_shaft
 
 # what is measured; the fields with an underscore are set by `prepare`, or are of the last look
 FIELDS = (
     ("attained", "?"),  # the drive has a reference
     ("error", "f8"),  # home found minus true home (m); 0 before
     ("greatest_torque", "f8"),  # share of the maximum torque
-    ("impact_energy", "f8"),  # brought into the end stops, sum (J)
+    ("impact_energy", "f8"),  # brought into the end stops since the reset, sum (J)
     ("_home", "f8"),  # true home (m)
-    ("_mass", "f8"),  # moved, with the rotor (kg)
-    ("_low", "f8"),  # end stops (m)
-    ("_high", "f8"),
     ("_full_torque", "f8"),  # maximum torque (Nm)
     ("_position", "f8"),  # m
-    ("_velocity", "f8"),  # m/s
 )
 FIGURES = accessible(np.dtype(list(FIELDS), align=True))
 
@@ -53,17 +48,14 @@ class HomingFigures(NamedTuple):
 
 @block
 def measure(world, figures):
-    """Look at the first axis of a machine; impacts are as fast as it was at the last look."""
+    """Look at the first axis of a machine."""
     axis = axes_at(world.axes, world.drives)[0]
     coupling = couplings_at(world.couplings, world.drives)[0]
     position = floats_at(world.qpos, world.nq)[coupling.qpos]
     share = abs(axis.torque) / figures._full_torque
     figures.greatest_torque = max(figures.greatest_torque, share)
-    outside = position <= figures._low or position >= figures._high
-    if outside and figures._low < figures._position < figures._high:
-        figures.impact_energy += 0.5 * figures._mass * figures._velocity**2
+    figures.impact_energy = mechanics_at(world.mechanics, world.drives)[0].impact_sum
     figures._position = position
-    figures._velocity = floats_at(world.qvel, world.nv)[coupling.dof]
     figures.attained = axis.homed != 0
     if figures.attained:
         zero = axis.zero_counts * axis.rad_per_increment
@@ -80,14 +72,9 @@ def look(worlds, figures):
 def prepare(machine: Machine, figures: np.record, home: float) -> None:
     """Set what `measure` has to know; `home` is the true one (m). The drive has been stepped."""
     coupling, axis = machine.couplings[0], machine.axes[0]
-    joint = machine.model.dof_jntid[coupling.dof]
     figures._home = home
-    inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
-    figures._mass = inertia * coupling.gear**2
-    figures._low, figures._high = machine.model.jnt_range[joint]
     figures._full_torque = axis.rated_torque * int(axis.od.max_torque) * 1e-3
     figures._position = machine.data.qpos[coupling.qpos]
-    figures._velocity = 0.0
 
 
 def true_home(machine: Machine, method: int, start: float = 0.0) -> float:
@@ -119,8 +106,7 @@ def _place(machine: Machine, leg: tuple[int, ...]) -> float:
     direction, _, event, *_ = leg
     coupling = machine.couplings[0]
     if event == Event.STOP:
-        joint = machine.model.dof_jntid[coupling.dof]
-        return float(machine.model.jnt_range[joint][int(direction > 0)])
+        return float(machine.mechanics["high" if direction > 0 else "low"][0])
     switch, on = (event - 1) >> 1, bool(event & 1)
     slack = 0.0 if on else float(coupling.switch_hysteresis[switch])
     if on == (direction > 0):
