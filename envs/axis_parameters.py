@@ -173,3 +173,10 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
     if mechanics not in FAMILY:
         raise ValueError(f"mechanics = {mechanics!r} is unknown, choose of {', '.join(FAMILY)}")
     return replace(FAMILY[mechanics], **values)
+
+
+def chosen(parameters: LinearAxisParameters | str | None, payload: float) -> LinearAxisParameters:
+    """Parameters as they are, or by the name of a preset; None: the rigid axis with `payload`."""
+    if parameters is None:
+        return LinearAxisParameters(payload=payload)
+    return family(parameters) if isinstance(parameters, str) else parameters

@@ -15,7 +15,18 @@ end stops           ½ m v² at the moment of contact        measured only      
 
 The friction law is Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994), eq. 4, with
 exponent 2. Where there is cogging, ripple or backlash, ``qfrc_applied`` of that joint is written
-here; other loads go into ``xfrc_applied``. An effect that is zero costs a comparison.
+here; other loads go into ``xfrc_applied``. An effect that is zero costs a comparison. The friction
+of a driven joint is ``couplings.friction``; what stands in ``dof_frictionloss`` is overwritten.
+
+In the MJCF an effect is a custom numeric, ``<drive>.`` and the name above or one of the switches'::
+
+    <numeric name="x.stribeck" data="16 0.01"/>       static friction (N), Stribeck velocity (m/s)
+    <numeric name="x.cable_chain" data="2 3"/>        N, N per m of travel
+    <numeric name="x.cogging" data="0.013 24"/>       Nm at the shaft, periods a revolution
+    <numeric name="x.torque_ripple" data="0.01 24"/>  share of the torque, periods a revolution
+    <numeric name="x.backlash" data="20e-6"/>         m, the whole gap
+    <numeric name="x.switch_offset" data="0 0 1e-4"/> m; negative limit, positive limit, home
+    <numeric name="x.switch_scatter" data="20e-6"/>   m, standard deviation, drawn at each release
 
 An elastic transmission is a joint between the motor side and the carriage. The fixed tendon
 ``<drive>.guide``, the sum of both joints, is then where the carriage is: friction, end stops and

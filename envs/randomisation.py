@@ -155,8 +155,10 @@ class Randomisation:
 
     def draw(self, generator: np.random.Generator) -> dict[str, float]:
         """Draw a value for each name and set it; -> the values. The machine has to be reset."""
-        if not self.ranges:
-            return {}
+        scattered = self._machine.mechanics["switch_scatter"] > 0.0
+        if scattered.any():
+            seeds = generator.integers(1, 2**63, len(scattered), dtype=np.uint64)
+            self._machine.mechanics["switch_seed"] = seeds
         values = {
             name: float(generator.uniform(low, high)) if low < high else low
             for name, (low, high) in self.ranges.items()

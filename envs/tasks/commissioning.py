@@ -10,9 +10,10 @@ from ...drive.faults import Cause, Reaction
 from ...drive.jit import entry
 from ...drive.model import DriveModel
 from ...drive.words import Mode, State
+from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
 from ..faces import PDO, clip, limited
-from ..linear_axis import LinearAxisParameters, linear_axis
+from ..linear_axis import linear_axis
 from ..loop import axes_at, world_at
 from ..machine import Machine
 from ..servo_env import ServoEnv, in_range
@@ -151,7 +152,8 @@ class CommissioningEnv(ServoEnv):
     Those of `ServoEnv` but for `action`, which is always "pdo", and `causes` (names of causes of
     faults of the drive model; of undervoltage, overvoltage, motor_temperature, drive_temperature,
     short_circuit, encoder_loss those it has), `outage` (longest, steps), `tolerance` (m),
-    `payload` (kg), `parameters`: `LinearAxisParameters` instead of `payload`.
+    `payload` (kg),
+    `parameters`: `LinearAxisParameters` or the name of a preset of `FAMILY` instead of `payload`.
 
     ## Version history
     * v0: first version
@@ -193,12 +195,12 @@ class CommissioningEnv(ServoEnv):
         outage: int = 50,
         tolerance: float = 0.5e-3,
         payload: float = 5.0,
-        parameters: LinearAxisParameters | None = None,
+        parameters: LinearAxisParameters | str | None = None,
         **arguments: Any,
     ):
         if action != PDO:
             raise ValueError(f'action = {action!r}: here the agent is the whole master, use "pdo"')
-        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self._parameters = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 20e-6, 0.1, "m")
         self.outage = int(in_range("outage", outage, 0, 1000, "steps"))
         super().__init__(drive, action=action, **arguments)

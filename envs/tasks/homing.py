@@ -9,10 +9,11 @@ from ...drive.jit import entry
 from ...drive.model import DriveModel, load
 from ...drive.words import ENABLED, Mode
 from ...drive.words import Controlword as C
+from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
 from ..faces import PDO, clip, faulted, limited
 from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
-from ..linear_axis import LinearAxisParameters, linear_axis
+from ..linear_axis import linear_axis
 from ..loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..machine import Machine
 from ..servo_env import ServoEnv, in_range
@@ -151,8 +152,9 @@ class HomingEnv(ServoEnv):
 
     ## Arguments
     Those of `ServoEnv`, and `reference`, `max_velocity` (m/s), `tolerance` (m),
-    `switch_tolerance` (m), `payload` (kg), `parameters`: `LinearAxisParameters` instead of
-    `payload`. Friction and payload of an episode: `randomise`.
+    `switch_tolerance` (m), `payload` (kg), `parameters`: `LinearAxisParameters` or
+    the name of a preset of `FAMILY` instead of `payload`. Friction and payload of an episode:
+    `randomise`.
 
     ## Version history
     * v0: first version
@@ -195,7 +197,7 @@ class HomingEnv(ServoEnv):
         tolerance: float = 100e-6,
         switch_tolerance: float = 5e-3,
         payload: float = 5.0,
-        parameters: LinearAxisParameters | None = None,
+        parameters: LinearAxisParameters | str | None = None,
         **arguments: Any,
     ):
         if reference not in REFERENCES:
@@ -204,7 +206,7 @@ class HomingEnv(ServoEnv):
         self.max_velocity = in_range("max_velocity", max_velocity, 0.01, 2.0, "m/s")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         self.switch_tolerance = in_range("switch_tolerance", switch_tolerance, 0.0, 0.02, "m")
-        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self._parameters = chosen(parameters, payload)
         cyclic = Mode.CYCLIC_SYNC_VELOCITY in load(drive).modes
         own = Mode.CYCLIC_SYNC_VELOCITY if cyclic else Mode.PROFILE_VELOCITY
         self.MODES = (own, Mode.HOMING)

@@ -7,9 +7,10 @@ import numpy as np
 
 from ...drive.jit import entry
 from ...drive.model import DriveModel
+from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
 from ..faces import clip, faulted, limited
-from ..linear_axis import LinearAxisParameters, linear_axis
+from ..linear_axis import linear_axis
 from ..machine import Machine
 from ..servo_env import ServoEnv, in_range
 from ..vector_env import ServoVectorEnv
@@ -102,7 +103,7 @@ class LinearAxisEnv(ServoEnv):
 
     ## Arguments
     Those of `ServoEnv`, and `payload` (kg), `tolerance` (m), `following_error_window` (m),
-    `parameters`: `LinearAxisParameters` instead of `payload`.
+    `parameters`: `LinearAxisParameters` or the name of a preset of `FAMILY` instead of `payload`.
 
     ## Version history
     * v0: first version
@@ -136,12 +137,12 @@ class LinearAxisEnv(ServoEnv):
         drive: str | DriveModel = "generic",
         *,
         payload: float = 5.0,
-        parameters: LinearAxisParameters | None = None,
+        parameters: LinearAxisParameters | str | None = None,
         tolerance: float = 50e-6,
         following_error_window: float = 0.02,
         **arguments: Any,
     ):
-        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self._parameters = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window

@@ -9,9 +9,10 @@ import numpy as np
 from ...drive.jit import entry
 from ...drive.model import DriveModel
 from ...drive.words import Mode
+from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
 from ..faces import clip, faulted, limited
-from ..linear_axis import LinearAxisParameters, linear_axis
+from ..linear_axis import linear_axis
 from ..machine import Machine
 from ..references import REFERENCES, Limits, make_reference
 from ..servo_env import ServoEnv, in_range
@@ -136,7 +137,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     Those of `ServoEnv`, with payload 1..10 kg and friction 0.5..2 of the nominal as the default of
     `randomise`, and `reference` (name; drawn for each episode if not given), `correction` (m),
     `payload` (kg, nominal), `tolerance` (m, of the root mean square), `following_error_window` (m),
-    `parameters`: `LinearAxisParameters` instead of `payload`.
+    `parameters`: `LinearAxisParameters` or the name of a preset of `FAMILY` instead of `payload`.
 
     ## Version history
     * v0: first version
@@ -182,7 +183,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         reference: str | None = None,
         correction: float = 1e-3,
         payload: float = 5.0,
-        parameters: LinearAxisParameters | None = None,
+        parameters: LinearAxisParameters | str | None = None,
         tolerance: float = 20e-6,
         following_error_window: float = 5e-3,
         randomise: Mapping[str, float | tuple[float, float]] | None = None,
@@ -190,7 +191,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     ):
         self.reference = None if reference is None else _known("reference", reference)
         self.correction = in_range("correction", correction, 1e-6, 0.1, "m")
-        self._parameters = parameters or LinearAxisParameters(payload=payload)
+        self._parameters = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
