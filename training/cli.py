@@ -29,6 +29,9 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     bench.add_argument("--repeat", type=int, default=200, help="pairs of blocks (200)")
     bench.add_argument("--can", action="store_true", help="SDO servers, and drives in lock-step")
+    bench.add_argument(
+        "--envs", action="store_true", help="the environments, beside the loop and their peers"
+    )
     bench.add_argument("--json", action="store_true", help="machine-readable")
     bench.set_defaults(run=_bench)
 
@@ -84,6 +87,10 @@ def _bench(options: argparse.Namespace, console: Console) -> int:
         from . import can_bench
 
         return can_bench.run(options.repeat, options.json, console)
+    if options.envs:
+        from . import env_bench
+
+        return env_bench.run(options.drive, options.repeat, options.json, console)
     from . import bench
 
     return bench.run(options.drive, options.repeat, options.json, console)
