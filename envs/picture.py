@@ -1,45 +1,110 @@
-"""What an environment looks like: images, and a window, with ghosts where things should be."""
+"""What an environment looks like: images with an overlay, and a window; ghosts show the goals."""
 
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
+
+from .overlay import Line, Overlay, lines
+from .physics import STATE
 
 if TYPE_CHECKING:
     from .servo_env import ServoEnv
 
 HEIGHT, WIDTH = 540, 960
 GHOST = np.array([0.2, 0.75, 0.3, 0.35], np.float32)
+INSTEAD = "use render_mode='rgb_array', or `servogym watch ENV --record out.gif`"
 
 
 class Picture:
-    """Draws one environment, off screen (``render_mode="rgb_array"``) or in a window ("human")."""
+    """Draws one environment, off screen (``render_mode="rgb_array"``) or in a window ("human").
+
+    An episode goes on bit by bit the same, whether it is drawn or not.
+    """
 
     def __init__(self, env: "ServoEnv"):
         self._env = env
         self._renderer: mujoco.Renderer | None = None
+        self._overlay = Overlay(list(env.machine.drives), WIDTH)
         self._viewer: Any = None
 
     def image(self) -> np.ndarray:
-        """Shape ``(540, 960, 3)``, uint8."""
+        """Shape ``(540, 960, 3)``, uint8. Raises RuntimeError where there is no OpenGL."""
         machine = self._env.machine
         if self._renderer is None:
-            self._renderer = mujoco.Renderer(machine.model, HEIGHT, WIDTH)
+            try:
+                self._renderer = mujoco.Renderer(machine.model, HEIGHT, WIDTH)
+            except Exception as error:  # each OpenGL backend has exceptions of its own
+                raise RuntimeError(
+                    f"no image can be drawn ({type(error).__name__}: {error}): without a display "
+                    "set the environment variable MUJOCO_GL to egl or osmesa before starting"
+                ) from error
         mujoco.mj_fwdPosition(machine.model, machine.data)
         self._renderer.update_scene(machine.data)
         self._ghosts(self._renderer.scene)
-        return self._renderer.render()
+        image = self._renderer.render()
+        self._overlay.draw(image, lines(machine), *self._head())
+        return image
 
     def show(self) -> None:
-        """Bring the window up to date."""
-        if self._viewer is None:
-            import mujoco.viewer
+        """Bring the window up to date; once its user has closed it, nothing happens.
 
-            machine = self._env.machine
-            self._viewer = mujoco.viewer.launch_passive(machine.model, machine.data)
+        Raises RuntimeError where there is no display.
+        """
+        if self._viewer is None:
+            self._viewer = self._window()
+        if self.closed:
+            return
         self._viewer.user_scn.ngeom = 0
         self._ghosts(self._viewer.user_scn)
+        self._viewer.set_texts(self._texts())
         self._viewer.sync()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the user has closed the window."""
+        return self._viewer is not None and not self._viewer.is_running()
+
+    def _window(self) -> Any:
+        require_display()
+        import mujoco.viewer
+
+        machine = self._env.machine
+        state = np.empty(mujoco.mj_stateSize(machine.model, STATE))
+        mujoco.mj_getState(machine.model, machine.data, state, STATE)
+        viewer = mujoco.viewer.launch_passive(
+            machine.model, machine.data, show_left_ui=False, show_right_ui=False
+        )
+        # the viewer computes a step ahead, which must not show in the next one
+        mujoco.mj_setState(machine.model, machine.data, state, STATE)
+        return viewer
+
+    def _head(self) -> tuple[str, list[str], str]:
+        """Title, distance of each ghost, time and reward."""
+        env = self._env
+        goals = [
+            f"{body} {1e3 * float(np.linalg.norm(displacement)):.3f} mm from its goal"
+            for body, displacement in env.ghosts().items()
+        ]
+        reward = f"reward {float(env.episode.reward):.2f}   {env.time:.3f} s"
+        return env.ID.partition("/")[2], goals, reward
+
+    def _texts(self) -> list[tuple[int, int, str, str]]:
+        """The overlay as the window's own text: a box above, one below."""
+        title, goals, reward = self._head()
+        machine = lines(self._env.machine)
+        font = mujoco.mjtFontScale.mjFONTSCALE_150
+        faults = [f"FAULT {line.name}: {line.fault}" for line in machine if line.fault]
+        return [
+            (font, mujoco.mjtGridPos.mjGRID_TOPLEFT, "\n".join([title, *goals, *faults]), reward),
+            (
+                font, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT,
+                "\n".join(f"{line.name}  {_plain(line)}" for line in machine),
+                "\n".join(f"limit {line.limits}" if line.limits else "" for line in machine),
+            ),
+        ]  # fmt: skip
 
     def _ghosts(self, scene: mujoco.MjvScene) -> None:
         """Add the boxes of each body that has a ghost, translucent, where it should be."""
@@ -68,3 +133,22 @@ class Picture:
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+
+def require_display() -> None:
+    """Raise RuntimeError, with what to do instead, where no window can be opened."""
+    variables = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
+        raise RuntimeError(
+            f"there is no display ({' and '.join(variables)} are not set): {INSTEAD}"
+        )
+    import glfw
+
+    if not glfw.init():  # the viewer would wait for its window without end
+        raise RuntimeError(f"no window can be opened on this display: {INSTEAD}")
+
+
+def _plain(line: Line) -> str:
+    """A line in the characters that the window's font has."""
+    text = f"{line.state.name.lower()}  {line.mode}  {line.numbers}"
+    return text.replace("±", "+-").replace("−", "-")

@@ -51,7 +51,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         ValueError: naming the argument, its value and what is possible.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 200}  # noqa: RUF012
 
     # what makes a task
     # the first is its own; one that depends on the drive is set before `ServoEnv.__init__`
@@ -105,6 +105,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.drives = list(self.machine.drives.values())
         self.drive = self.drives[0]
         self.step_time = self.cycles_per_step * self.machine.cycle_time
+        self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
         self._faults = _probabilities(faults or {}, self.drive.injectable)
         self.randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
         self._history, self._previous_action = int(history), bool(previous_action)
@@ -116,7 +117,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.parameters: dict[str, float] = {}
         self._injected: list[str] = []
         self._steps = 0
-        self._picture = Picture(self) if render_mode == "human" else None
+        self._picture: Picture | None = None
 
     def __new__(cls, *args: Any, **arguments: Any) -> "ServoEnv":
         """Remember the arguments, for pickling."""
@@ -182,8 +183,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         """Start anew; what `options` may hold is listed with the task."""
         super().reset(seed=seed)
         self.restart(options)
-        if self._picture:
-            self._picture.show()
+        self._show()
         return self._batch.observed(slice(self._row, self._row + 1))[0], self.info()
 
     def restart(self, options: dict[str, Any] | None = None) -> None:
@@ -229,8 +229,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         rows = slice(self._row, self._row + 1)
         self._batch.remember(rows)
         self._steps += 1
-        if self._picture:
-            self._picture.show()
+        self._show()
         info = self.info()
         observation = self._batch.observed(rows)[0]
         return observation, info["reward"], self._terminated, False, info
@@ -257,9 +256,14 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         info["fault"] = self.faults(words)
         info["injected"] = tuple(self._injected)
         info["state"] = STATE_NAME.get(words[0] & STATE_MASK, "INVALID")
-        info["time"] = self._steps * self.step_time
+        info["time"] = self.time
         info["parameters"] = dict(self.parameters)
         return info
+
+    @property
+    def time(self) -> float:
+        """Time since the episode began (s)."""
+        return self._steps * self.step_time
 
     def faults(self, words: list[int]) -> str:
         """Code and meaning of the first fault of a drive, empty without one."""
@@ -298,12 +302,17 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self._np_random = generator
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """An image, shape ``(540, 960, 3)`` uint8, with a ghost where the machine should be."""
-        if self.render_mode != "rgb_array":
-            return None
+        """An image with an overlay, shape ``(540, 960, 3)`` uint8: `Picture`, `Overlay`."""
+        return self._drawn().image() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._drawn().show()
+
+    def _drawn(self) -> Picture:
         if self._picture is None:
             self._picture = Picture(self)
-        return self._picture.image()
+        return self._picture
 
     def close(self) -> None:
         """Close window and renderer; may be called more than once."""

@@ -47,7 +47,6 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads!r} must be a whole number from 1 on")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = task.metadata | {"autoreset_mode": self.autoreset_mode}
         self.num_envs = int(num_envs)
         workers = min(threads or os.cpu_count() or 1, self.num_envs)
         edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
@@ -59,6 +58,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
                 self.envs.append(env)
                 env.machine.share(self.envs[begin].machine, resident)
         first = self.envs[0]
+        self.metadata = first.metadata | {"autoreset_mode": self.autoreset_mode}
         self.render_mode = first.render_mode
         self.single_observation_space = first.observation_space
         self.single_action_space = first.action_space
@@ -168,6 +168,8 @@ class ServoVectorEnv(gym.vector.VectorEnv):
 
     def render(self) -> tuple[Any, ...] | None:
         """An image of each environment."""
+        for env, steps in zip(self.envs, self._steps.tolist(), strict=True):
+            env._steps = steps  # it has not stepped itself
         return tuple(env.render() for env in self.envs) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **arguments: Any) -> None:

@@ -14,21 +14,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from ..drive.words import MODE_ABBREVIATION, MODE_BITS, Mode, State, Statusword, state_of
+from ..envs.overlay import STATE_COLOUR
 
 SIZE, DPI = (13.0, 9.4), 125  # inches, dots per inch
 EDGES = {"left": 0.165, "right": 0.988, "top": 0.905, "bottom": 0.085, "hspace": 0.09}
 HEIGHTS = (2.0, 1.5, 1.5, 1.8, 0.62, 2.2)
 DEMAND, ACTUAL, TORQUE, ERROR, FORBIDDEN = "#1a1a1a", "#4d9fd6", "#c0561a", "#6a3d9a", "#d62728"
-STATE_COLOUR = {
-    State.NOT_READY_TO_SWITCH_ON: "#8c8c8c",
-    State.SWITCH_ON_DISABLED: "#cfcfcf",
-    State.READY_TO_SWITCH_ON: "#c6dbef",
-    State.SWITCHED_ON: "#7fb2dd",
-    State.OPERATION_ENABLED: "#8fd19e",
-    State.QUICK_STOP_ACTIVE: "#fdae61",
-    State.FAULT_REACTION_ACTIVE: "#f4827a",
-    State.FAULT: "#d62728",
-}
 MODE_COLOUR = ("#fdf0d5", "#efe3f5")  # in turn
 # statusword bits drawn as lines, from top to bottom; 10, 12 and 13 have a line for each name
 BITS = (Statusword.VOLTAGE_ENABLED, Statusword.WARNING, Statusword.INTERNAL_LIMIT_ACTIVE)
