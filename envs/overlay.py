@@ -43,8 +43,9 @@ PANEL, TRACK, WINDOW = "#14181e", "#2b313a", "#3c4a5c"
 TEXT, DIM, INSIDE, OUTSIDE, LIMITED = "#f2f4f7", "#a9b1bb", "#6fc3df", "#ff5a4f", "#ffb454"
 OPACITY = 205  # of the panels, of 255
 HEAD, TITLES, ROW = 32, 22, 28  # heights (px)
-NAME, STATE, MODE, BAR, ERROR, LIMIT = 12, 80, 272, 438, 596, 792  # left edges (px)
+NAME, STATE, MODE, BAR, ERROR, LIMIT = 12, 80, 272, 438, 594, 776  # left edges (px)
 BAR_WIDTH = 146  # px
+MODES = frozenset(map(int, Mode))
 SHARE = 0.86  # of half the bar is the window; beyond it the error is out
 TICKS = (0.01, 0.1)  # of the window
 
@@ -92,9 +93,6 @@ def _line(machine: Machine, i: int, name: str, drive: Drive) -> Line:
     )  # fmt: skip
 
 
-MODES = frozenset(map(int, Mode))
-
-
 class Overlay:
     """Draws the panels into images of one size: a head above, a line for each drive below.
 
@@ -115,7 +113,7 @@ class Overlay:
             draw.text((x, 13), title, DIM, _font(13), "lm")
         for i, name in enumerate(drives):
             y = TITLES + ROW * i
-            draw.text((NAME, y + 14), _fitting(name, STATE - NAME - 8), TEXT, _font(16, True), "lm")
+            _write(draw, (NAME, y + 14), name, STATE - NAME - 8, TEXT, _font(16, True))
             draw.rectangle((BAR, y + 6, BAR + BAR_WIDTH, y + 22), TRACK)
             draw.rectangle((_place(-1.0), y + 6, _place(1.0), y + 22), WINDOW)
             for tick in TICKS:
@@ -123,16 +121,16 @@ class Overlay:
                     draw.line((_place(side), y + 18, _place(side), y + 22), DIM)
 
     def draw(
-        self, image: np.ndarray, machine: list[Line], title: str, goals: list[str], right: str
+        self, image: np.ndarray, machine: list[Line], title: str, goal: str, right: str
     ) -> None:
         """Draw into `image`, shape ``(height, width, 3)`` uint8."""
         draw, strip = self._open(image[:HEAD], self._head)
-        draw.text((NAME, HEAD // 2), title, TEXT, _font(16, True), "lm")
-        after = NAME + int(_font(16, True).getlength(title)) + 24
-        end = self._width - 12 - int(_font(16).getlength(right))
-        draw.text((after, HEAD // 2), _fitting("   ".join(goals), end - 24 - after), TEXT,
-                  _font(16), "lm")  # fmt: skip
-        draw.text((self._width - 12, HEAD // 2), right, TEXT, _font(16), "rm")
+        middle, bold, plain = HEAD // 2, _font(16, True), _font(16)
+        draw.text((NAME, middle), title, TEXT, bold, "lm")
+        begin = NAME + round(bold.getlength(title)) + 24
+        end = self._width - 12 - round(plain.getlength(right))
+        _write(draw, (begin, middle), goal, end - 24 - begin, TEXT, plain)
+        draw.text((end, middle), right, TEXT, plain, "lm")
         image[:HEAD] = strip
         foot = image[len(image) - self._foot.height :]
         draw, strip = self._open(foot, self._foot)
@@ -162,16 +160,15 @@ class Overlay:
             (min(zero, end), y + 9, max(zero, end), y + 17), INSIDE if inside else OUTSIDE
         )
         draw.line((zero, y + 6, zero, y + 22), TEXT)
-        draw.text((ERROR, middle), _fitting(line.numbers, LIMIT - ERROR - 8),
-                  TEXT if inside else OUTSIDE, _font(15), "lm")  # fmt: skip
-        draw.text((LIMIT, middle), _fitting(line.limits or "none", self._width - LIMIT - 8),
-                  LIMITED if line.limits else DIM, _font(15), "lm")  # fmt: skip
+        colour = TEXT if inside else OUTSIDE
+        _write(draw, (ERROR, middle), line.numbers, LIMIT - ERROR - 8, colour, _font(15))
+        width, colour = self._width - LIMIT - 8, LIMITED if line.limits else DIM
+        _write(draw, (LIMIT, middle), line.limits or "none", width, colour, _font(15))
 
     def _banner(self, pixels: np.ndarray, text: str) -> None:
         strip = Image.new("RGB", (self._width, len(pixels)), STATE_COLOUR[State.FAULT])
-        draw = ImageDraw.Draw(strip)
-        draw.text((NAME, ROW // 2), _fitting(text, self._width - 24, True), "white",
-                  _font(16, True), "lm")  # fmt: skip
+        place = NAME, ROW // 2
+        _write(ImageDraw.Draw(strip), place, text, self._width - 24, "white", _font(16, True))
         pixels[:] = strip
 
 
@@ -188,11 +185,13 @@ def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / file, size)
 
 
-def _fitting(text: str, width: int, bold: bool = False) -> str:
-    """`text`, shortened to `width` (px) with an ellipsis."""
-    font = _font(16, bold)
-    if font.getlength(text) <= width:
-        return text
-    while text and font.getlength(text + "…") > width:
-        text = text[:-1]
-    return text + "…"
+def _write(
+    draw: ImageDraw.ImageDraw, place: tuple[int, int], text: str, width: int, colour: str,
+    font: ImageFont.FreeTypeFont,
+) -> None:  # fmt: skip
+    """Text from `place` (left, middle) to the right, shortened to `width` (px) with an ellipsis."""
+    if font.getlength(text) > width:
+        while text and font.getlength(text + "…") > width:
+            text = text[:-1]
+        text += "…"
+    draw.text(place, text, colour, font, "lm")

@@ -77,28 +77,29 @@ class Picture:
         viewer = mujoco.viewer.launch_passive(
             machine.model, machine.data, show_left_ui=False, show_right_ui=False
         )
-        # the viewer computes a step ahead, which must not show in the next one
+        # the viewer has computed forces, from which the next step would start its solver
         mujoco.mj_setState(machine.model, machine.data, state, STATE)
         return viewer
 
-    def _head(self) -> tuple[str, list[str], str]:
-        """Title, distance of each ghost, time and reward."""
+    def _head(self) -> tuple[str, str, str]:
+        """Title, distance of each ghost, reward and time."""
         env = self._env
-        goals = [
-            f"{body} {1e3 * float(np.linalg.norm(displacement)):.3f} mm from its goal"
+        goals = ", ".join(
+            f"{body} {1e3 * float(np.linalg.norm(displacement)):.3f}"
             for body, displacement in env.ghosts().items()
-        ]
+        )
+        goal = f"mm to the goal: {goals}" if goals else ""
         reward = f"reward {float(env.episode.reward):.2f}   {env.time:.3f} s"
-        return env.ID.partition("/")[2], goals, reward
+        return env.ID.partition("/")[2], goal, reward
 
     def _texts(self) -> list[tuple[int, int, str, str]]:
         """The overlay as the window's own text: a box above, one below."""
-        title, goals, reward = self._head()
+        title, goal, reward = self._head()
         machine = lines(self._env.machine)
         font = mujoco.mjtFontScale.mjFONTSCALE_150
         faults = [f"FAULT {line.name}: {line.fault}" for line in machine if line.fault]
         return [
-            (font, mujoco.mjtGridPos.mjGRID_TOPLEFT, "\n".join([title, *goals, *faults]), reward),
+            (font, mujoco.mjtGridPos.mjGRID_TOPLEFT, "\n".join([title, goal, *faults]), reward),
             (
                 font, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT,
                 "\n".join(f"{line.name}  {_plain(line)}" for line in machine),

@@ -1,0 +1,121 @@
+"""Recording pictures: to MP4, to GIF, or as PNGs into a folder, chosen by the suffix."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from PIL import Image
+
+NO_DITHER = Image.Dither.NONE  # it would flicker
+
+
+class Writer(Protocol):
+    """What takes the frames of a recording."""
+
+    def add(self, image: np.ndarray) -> None:
+        """Append an image, shape ``(height, width, 3)`` uint8."""
+
+    def close(self) -> None:
+        """Finish the file."""
+
+
+class Gif:
+    """An animated GIF; a frame lasts a whole number of 10 ms, as the format has it."""
+
+    def __init__(self, path: Path, fps: float):
+        self._path, self._duration = path, max(round(100 / fps), 2) * 10
+        self._frames: list[Image.Image] = []
+
+    def add(self, image: np.ndarray) -> None:
+        """Keep the image with 256 colours of its own."""
+        colours = Image.Quantize.FASTOCTREE
+        self._frames.append(Image.fromarray(image).quantize(method=colours, dither=NO_DITHER))
+
+    def close(self) -> None:
+        """Write the file."""
+        if self._frames:
+            first, *others = self._frames
+            first.save(
+                self._path, save_all=True, append_images=others, duration=self._duration, loop=0
+            )
+
+
+class Mp4:
+    """H.264 by ffmpeg, as `imageio-ffmpeg` brings it or finds it."""
+
+    def __init__(self, path: Path, fps: float):
+        try:
+            import imageio_ffmpeg
+        except ImportError:
+            raise ImportError(
+                f"{path}: MP4 needs an encoder, pip install 'servogym[video]', or record a .gif"
+            ) from None
+        self._open: Callable[[int, int], Any] = lambda width, height: imageio_ffmpeg.write_frames(
+            str(path), (width, height), fps=fps, macro_block_size=2, ffmpeg_log_level="error"
+        )
+        self._pipe: Any = None
+
+    def add(self, image: np.ndarray) -> None:
+        """Encode the image."""
+        if self._pipe is None:
+            self._pipe = self._open(image.shape[1], image.shape[0])
+            self._pipe.send(None)
+        self._pipe.send(np.ascontiguousarray(image))
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._pipe is not None:
+            self._pipe.close()
+
+
+class Folder:
+    """PNGs, numbered from 00000.png on."""
+
+    def __init__(self, path: Path, fps: float):
+        if path.exists() and not path.is_dir():
+            raise ValueError(f"--record {path}: this is a file, name a folder, .gif or .mp4")
+        path.mkdir(parents=True, exist_ok=True)
+        self._path, self._count = path, 0
+
+    def add(self, image: np.ndarray) -> None:
+        """Write the next file."""
+        Image.fromarray(image).save(self._path / f"{self._count:05d}.png")
+        self._count += 1
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+
+WRITERS: dict[str, Callable[[Path, float], Writer]] = {".gif": Gif, ".mp4": Mp4, "": Folder}
+
+
+class Recording:
+    """Takes images and writes them to `path`; `close` finishes.
+
+    Args:
+        path: .gif, .mp4, or a folder.
+        fps: images per second.
+
+    Raises:
+        ValueError: another suffix.
+        ImportError: MP4 without an encoder.
+    """
+
+    def __init__(self, path: Path, fps: float):
+        suffix = path.suffix.lower()
+        if suffix not in WRITERS:
+            raise ValueError(f"--record {path}: use .mp4, .gif, or a folder for single images")
+        if suffix:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        self._writer = WRITERS[suffix](path, fps)
+        self.frames = 0
+
+    def add(self, image: np.ndarray) -> None:
+        """Append an image, shape ``(height, width, 3)`` uint8."""
+        self._writer.add(image)
+        self.frames += 1
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()

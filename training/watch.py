@@ -1,0 +1,115 @@
+"""`servogym watch`: see an environment move in a window, in real time, or record it."""
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from rich.console import Console
+
+from .policies import Policy, policy
+from .video import Recording
+
+FPS = 25  # images a second aimed at, each after a whole number of steps
+
+
+def run(
+    name: str, policy_name: str, drive: str, episodes: int, seed: int, speed: float,
+    record: Path | None, console: Console,
+) -> int:  # fmt: skip
+    """Play episodes of a policy, in a window or to a file.
+
+    Args:
+        name: of the environment, with or without ``servogym/``.
+        policy_name: of `policies.policy`.
+        drive: drive model.
+        episodes: how many, from 1 on.
+        seed: of the first reset, and of a random policy.
+        speed: of the playback; 1 is real time.
+        record: file or folder; a window if not given.
+        console: for what happened in each episode.
+
+    Raises:
+        ValueError: one of these is not possible; it says which are.
+        RuntimeError: no display, or no OpenGL.
+        ImportError: no encoder for MP4.
+    """
+    if episodes < 1:
+        raise ValueError(f"--episodes = {episodes} is out of range 1..")
+    if seed < 0:
+        raise ValueError(f"--seed = {seed} is out of range 0..")
+    if not 0.01 <= speed <= 100.0:
+        raise ValueError(f"--speed = {speed:g} is out of range 0.01..100; 1 is real time")
+    if record is not None and sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")  # looked at when mujoco is imported, so:
+    from ..envs.picture import Picture, require_display
+
+    env: Any = gymnasium.make(_identifier(name), drive=drive, disable_env_checker=True)
+    act = policy(policy_name, env, seed)
+    if record is None:
+        require_display()
+    stride = max(round(speed / FPS / env.unwrapped.step_time), 1)
+    frame_time = stride * env.unwrapped.step_time / speed
+    picture = Picture(env.unwrapped)
+    recording = Recording(record, 1.0 / frame_time) if record is not None else None
+    due = time.monotonic()
+
+    def frame() -> bool:
+        """Draw the present, in real time in a window; False once that has been closed."""
+        nonlocal due
+        if recording is not None:
+            recording.add(picture.image())
+            return True
+        time.sleep(max(due - time.monotonic(), 0.0))
+        due = max(due, time.monotonic()) + frame_time
+        picture.show()
+        return not picture.closed
+
+    try:
+        for episode in range(episodes):
+            ended, what = _episode(env, act, None if episode else seed, stride, frame)
+            console.print(f"episode {episode + 1}: {what}", highlight=False)
+            if not ended:
+                console.print("the window was closed")
+                break
+    finally:
+        if recording is not None:
+            recording.close()
+        picture.close()
+        env.close()
+    if recording is not None:
+        console.print(
+            f"{recording.frames} images, {1.0 / frame_time:g} a second: {record}",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
+    return 0
+
+
+def _episode(
+    env: Any, act: Policy, seed: int | None, stride: int, frame: Callable[[], bool]
+) -> tuple[bool, str]:
+    """Whether an episode came to its end, and what happened; a frame each `stride` steps."""
+    observation, info = env.reset(seed=seed)
+    total, steps, ended = 0.0, 0, False
+    watched = frame()
+    while watched and not ended:
+        observation, reward, terminated, truncated, info = env.step(act(observation))
+        total, steps, ended = total + float(reward), steps + 1, terminated or truncated
+        if ended or steps % stride == 0:
+            watched = frame()
+    outcome = info["fault"] or ("success" if info["is_success"] else "no success")
+    return watched, f"{steps} steps, {info['time']:.3f} s, return {total:.2f}, {outcome}"
+
+
+def _identifier(name: str) -> str:
+    """The registered id of an environment. Raises ValueError naming those there are."""
+    from ..envs import TASKS
+
+    known = {task.ID.partition("/")[2]: task.ID for task in TASKS}
+    short = name.rpartition("/")[2]
+    if short not in known:
+        raise ValueError(f"unknown environment {name!r}: choose one of {', '.join(known)}")
+    return known[short]
