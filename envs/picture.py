@@ -79,6 +79,8 @@ class Picture:
         )
         # the viewer has computed forces, from which the next step would start its solver
         mujoco.mj_setState(machine.model, machine.data, state, STATE)
+        with viewer.lock():
+            mujoco.mjv_defaultFreeCamera(machine.model, viewer.cam)  # as in the images
         return viewer
 
     def _head(self) -> tuple[str, str, str]:
@@ -151,5 +153,5 @@ def require_display() -> None:
 
 def _plain(line: Line) -> str:
     """A line in the characters that the window's font has."""
-    text = f"{line.state.name.lower()}  {line.mode}  {line.numbers}"
+    text = f"{line.state.name.lower().replace('_', ' ')}  {line.mode}  {line.numbers}"
     return text.replace("±", "+-").replace("−", "-")

@@ -1,11 +1,15 @@
 """A drive on an ideal shaft: an inertia without friction, moved by the torque it is given."""
 
+import os
+
 import numpy as np
 import pytest
 from hypothesis import settings
 
 from servogym.drive.drive import Drive
 from servogym.drive.words import State
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo looks at it when it is imported
 
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=10_000)
@@ -90,3 +94,14 @@ def shaft():
 @pytest.fixture
 def enabled():
     return Shaft().enable()
+
+
+@pytest.fixture(scope="session")
+def gl():
+    """Skips where no image can be drawn."""
+    import mujoco
+
+    try:
+        mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
+    except Exception as error:
+        pytest.skip(f"no OpenGL here: {type(error).__name__}: {error}")

@@ -1,7 +1,6 @@
 """servogym/LinearAxis-v0: checkers, determinism, faults, pictures."""
 
 import multiprocessing
-import os
 import pickle
 
 import gymnasium as gym
@@ -194,7 +193,6 @@ def test_wrong_options_are_named(env):
 
 
 def test_a_picture_with_the_goal_in_it():
-    os.environ.setdefault("MUJOCO_GL", "egl")
     env = gym.make(ID, render_mode="rgb_array")
     try:
         env.reset(seed=1, options={"start": 0.1, "goal": 0.4})
