@@ -10,7 +10,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import mujoco
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -155,7 +154,8 @@ class Overlay:
                   "white" if line.state == State.FAULT else "black", _font(15), "mm")  # fmt: skip
         draw.text((MODE, middle), line.mode, TEXT, _font(15), "lm")
         inside = abs(line.error) <= line.window
-        zero, end = _place(0.0), _place(line.error / line.window)
+        share = line.error / line.window if line.window else line.error * math.inf
+        zero, end = _place(0.0), _place(share if line.error else 0.0)
         draw.rectangle(
             (min(zero, end), y + 9, max(zero, end), y + 17), INSIDE if inside else OUTSIDE
         )
@@ -181,6 +181,8 @@ def _place(share: float) -> int:
 @cache
 def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu Sans of matplotlib: the same on every machine, with ±, − and ²."""
+    import matplotlib  # not with every environment, it takes a while
+
     file = f"fonts/ttf/DejaVuSans{'-Bold' * bold}.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / file, size)
 

@@ -80,6 +80,19 @@ def test_a_window_switched_off_is_said_and_drawn(env):
     overlay(env.machine)
 
 
+def test_a_window_of_zero_has_every_error_outside(env):
+    line = lines(env.machine)[0]._replace(window=0.0)
+    none, some = np.zeros((2, HEIGHT, WIDTH, 3), np.uint8)
+    Overlay(["x"], WIDTH).draw(none, [line._replace(error=0.0)], "", "", "")
+    Overlay(["x"], WIDTH).draw(some, [line._replace(error=-1e-3)], "", "", "")
+    assert columns(none, BAR, BAR + 1)[14].max() < 100
+    assert columns(some, BAR, BAR + 1)[14].max() > 200
+
+
+def test_a_machine_just_powered_on_can_be_drawn():
+    assert overlay(gantry())[-20:].any()
+
+
 def test_the_parts_of_the_overlay_change_with_what_they_show(env):
     env.step(np.zeros(1, np.float32))
     rest = overlay(env.machine)
