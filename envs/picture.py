@@ -90,7 +90,7 @@ class Picture:
             f"{body} {1e3 * float(np.linalg.norm(displacement)):.3f}"
             for body, displacement in env.ghosts().items()
         )
-        goal = f"mm to the goal: {goals}" if goals else ""
+        goal = f"to the goal (mm): {goals}" if goals else ""
         reward = f"reward {float(env.episode.reward):.2f}   {env.time:.3f} s"
         return env.ID.partition("/")[2], goal, reward
 
