@@ -187,8 +187,7 @@ def _plant(
         _leave_carriages_out(spec)
     else:
         _lay_bridge_on_carriages(spec, p)
-    payload = spec.geom("payload")
-    payload.mass = p.payload
+    spec.geom("payload").mass = p.payload
     if p.cable_length > 0.0:
         _hang(spec, p)
     return spec.compile()
@@ -221,24 +220,18 @@ def _lay_bridge_on_carriages(spec: mujoco.MjSpec, p: GantryParameters) -> None:
 
 def _hang(spec: mujoco.MjSpec, p: GantryParameters) -> None:
     """Hang the payload on a cable: a pendulum with the joints ``sway_x`` and ``sway_y``."""
-    held = spec.geom("payload")
-    load_body = spec.body("gripper").add_body(name="load", pos=[0, 0, held.pos[2] + held.size[2]])
+    body, box = spec.body("payload"), spec.geom("payload")
     # turned so that a positive angle is the load ahead in X or in Y
     for name, axis in (("sway_x", [0, -1, 0]), ("sway_y", [1, 0, 0])):
-        joint = load_body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+        joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
         joint.damping[0] = p.sway_damping
         joint.armature = joint.frictionloss = 0.0
-    down = [0, 0, -p.cable_length]
-    load_body.add_geom(
+    box.pos = [0, 0, -p.cable_length]
+    body.add_geom(
         name="cable", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.003, 0, 0],
-        fromto=[0, 0, 0, *down], mass=0.0, rgba=[0.2, 0.2, 0.2, 1], contype=0, conaffinity=0,
+        fromto=[0, 0, 0, *box.pos], mass=0.0, rgba=[0.2, 0.2, 0.2, 1], contype=0, conaffinity=0,
         group=1,
     )  # fmt: skip
-    load_body.add_geom(
-        name="load", type=held.type, size=held.size, pos=down, mass=held.mass,
-        material=held.material, contype=0, conaffinity=0, group=1,
-    )  # fmt: skip
-    spec.delete(held)
 
 
 def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters) -> None:

@@ -3,6 +3,7 @@
 | name | meaning | unit |
 |------|---------|------|
 | payload | mass of the body ``payload`` | kg |
+| cable_length | of the hanging load of a gantry, to its middle | m |
 | friction | Coulomb and viscous friction of the driven joints | share of the nominal |
 | stiffness | springs of joints and tendons | share of the nominal |
 | backlash | gap of the transmission | m |
@@ -23,7 +24,7 @@ import numpy as np
 
 from .machine import Machine
 
-PAYLOAD = "payload"
+PAYLOAD, CABLE = "payload", "cable"
 GAINS = ("velocity_control_gain", "position_control_gain")
 
 
@@ -35,6 +36,7 @@ class Nominal(NamedTuple):
     joint_stiffness: np.ndarray
     tendon_stiffness: np.ndarray
     gains: list[dict[str, int]]  # by object, for each drive
+    payload_inertia: np.ndarray  # of the body ``payload``, per kg (m²)
 
 
 class Knob(NamedTuple):
@@ -48,8 +50,15 @@ class Knob(NamedTuple):
 
 def _payload(machine: Machine, nominal: Nominal, mass: float) -> None:
     body = machine.model.body(PAYLOAD)
-    body.inertia *= mass / body.mass
+    body.inertia = mass * nominal.payload_inertia  # of the nominal: episodes leave no trace
     body.mass = mass
+
+
+def _cable_length(machine: Machine, nominal: Nominal, length: float) -> None:
+    model = machine.model
+    load, cable = model.geom(PAYLOAD), model.geom(CABLE)
+    model.body(PAYLOAD).ipos[2] = load.pos[2] = -length
+    cable.pos[2], cable.size[1] = -0.5 * length, 0.5 * length
 
 
 def _friction(machine: Machine, nominal: Nominal, share: float) -> None:
@@ -92,6 +101,7 @@ def _encoder_noise(machine: Machine, nominal: Nominal, deviation: float) -> None
 
 KNOBS = {
     "payload": Knob(1e-3, 100.0, "kg", _payload),
+    "cable_length": Knob(0.05, 10.0, "m", _cable_length),
     "friction": Knob(0.0, 10.0, "of the nominal friction", _friction),
     "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness),
     "backlash": Knob(0.0, 0.01, "m", _backlash),
@@ -126,9 +136,16 @@ class Randomisation:
                 "cycles, those of a step"
             )
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD)
-        if "payload" in ranges and (body < 0 or model.body_mass[body] == 0.0):
+        mass = float(model.body_mass[body]) if body >= 0 else 0.0
+        if "payload" in ranges and mass <= 0.0:
+            raise ValueError("randomise['payload']: this machine has no body 'payload' with a mass")
+        if (
+            "cable_length" in ranges
+            and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, CABLE) < 0
+        ):
             raise ValueError(
-                "randomise['payload']: this machine has no body 'payload' with a mass to change"
+                "randomise['cable_length']: the load of this machine does not hang, build it with "
+                "cable_length"
             )
         springs = model.jnt_stiffness.any() or model.tendon_stiffness.any()
         if "stiffness" in ranges and not springs:
@@ -151,6 +168,7 @@ class Randomisation:
                 {name: drive.read(name) for name in GAINS if name in drive.objects.names}
                 for drive in machine.drives.values()
             ],
+            model.body_inertia[body] / mass if mass > 0.0 else np.zeros(3),
         )
 
     def draw(self, generator: np.random.Generator) -> dict[str, float]:

@@ -9,6 +9,7 @@ import pytest
 from servogym.drive.words import Mode
 from servogym.envs import gantry
 from servogym.envs.coordination import Group
+from servogym.envs.randomisation import Randomisation
 
 G = 9.81
 SPAN = 0.6  # m between the rails
@@ -183,6 +184,45 @@ def test_sway_dies_out_as_its_damping_says():
     amplitude = math.hypot(machine.sway[1], speed / rate)
     expected = 0.03 * math.exp(-damping / (2 * inertia) * machine.time)
     assert amplitude == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("mass", [0.5, 2.0])
+def test_cable_length_and_payload_drawn_make_the_pendulum_they_say(mass):
+    machine = gantry(cable_length=0.5, sway_damping=0.0)
+    drawing = Randomisation(machine, {"cable_length": (0.2, 0.8), "payload": mass}, 10)
+    for seed in (1, 2):
+        machine.reset()
+        length = drawing.draw(np.random.default_rng(seed))["cable_length"]
+        machine.data.joint("sway_x").qpos[0] = 0.03
+        seen = record(machine, lambda: machine.sway[0], 8_000)
+        expected = math.sqrt(pendulum(machine, length, mass)) / (2 * math.pi)
+        # the box keeps the inertia of its size, which is in `pendulum`
+        assert frequency(seen, machine.cycle_time) == pytest.approx(expected, rel=0.002)
+        middle = machine.data.body("payload").xpos[2] - machine.data.geom("payload").xpos[2]
+        assert middle == pytest.approx(length * math.cos(machine.sway[0]), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("built", "ranges", "text"),
+    [
+        ({}, {"cable_length": 0.3}, "does not hang, build it with cable_length"),
+        ({"payload": 0.0}, {"payload": 1.0}, "no body 'payload' with a mass"),
+        ({"cable_length": 0.5}, {"cable_length": (0.01, 0.5)}, r"within 0.05..10 m"),
+    ],
+)
+def test_a_range_without_effect_on_this_gantry_is_refused(built, ranges, text):
+    with pytest.raises(ValueError, match=text):
+        Randomisation(gantry(**built), ranges, 10)
+
+
+@pytest.mark.parametrize("built", [{}, {"cable_length": 0.5}, {"x_drives": 2}])
+def test_the_payload_is_a_body_whose_mass_the_gantry_carries(built):
+    machine = gantry(**built)
+    drawing = Randomisation(machine, {"payload": 5.0}, 10)
+    bridge = machine.model.body("bridge").id
+    before = machine.model.body_subtreemass[bridge]
+    drawing.draw(np.random.default_rng(1))
+    assert machine.model.body_subtreemass[bridge] == pytest.approx(before + 3.0)
 
 
 def test_an_accelerated_gripper_leaves_the_load_behind():
