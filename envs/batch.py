@@ -54,7 +54,7 @@ class Batch:
     """Arrays of `n` environments.
 
     Args:
-        task: class of the environments, a `ServoEnv`.
+        task: one of the environments, a `ServoEnv`.
         n: how many.
         drives: of one machine, with the mapping of the task.
         rpdo, tpdo: image of one drive.

@@ -19,6 +19,7 @@ from .memory import bytes_at, floats_at, integers_at, viewer
 from .physics import STATE, mj_get_state, mj_set_state, mj_step
 
 AXIS_SIZE = AXIS.itemsize
+STATE_QPOS = 8  # bytes before qpos in a state of MuJoCo: the time; qvel follows
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
 NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
 
@@ -132,6 +133,22 @@ def sense(axis, coupling, m, qpos):
     axis.negative_limit_switch = coupling.switch_active[NEGATIVE]
     axis.positive_limit_switch = coupling.switch_active[POSITIVE]
     axis.home_switch = coupling.switch_active[HOME]
+
+
+@block
+def coordinates(address, world):
+    """The joint coordinates of a machine (MjData.qpos), also while another lives in its MjData."""
+    if world.state != 0 and integers_at(world.resident, 1)[0] != address:
+        return floats_at(world.state + STATE_QPOS, world.nq)
+    return floats_at(world.qpos, world.nq)
+
+
+@block
+def speeds(address, world):
+    """The same of the joint speeds (MjData.qvel)."""
+    if world.state != 0 and integers_at(world.resident, 1)[0] != address:
+        return floats_at(world.state + STATE_QPOS + 8 * world.nq, world.nv)
+    return floats_at(world.qvel, world.nv)
 
 
 @block

@@ -17,11 +17,11 @@ from ..drive.abort import SdoAbort
 from ..drive.model import DriveModel, load
 from ..drive.words import ENABLED, Mode, state_of
 from .batch import CONTROL, STATUS, Batch, image_type, mapping
+from .coordination import Group
 from .faces import FACES, FAULT, PDO
 from .machine import Machine
 from .picture import Picture
 from .randomisation import Randomisation
-from .supervisor import Supervisor
 
 STATE_MASK = 0x6F
 STATE_NAME = {  # by statusword & STATE_MASK
@@ -56,12 +56,13 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     # what makes a task
     # the first is its own; one that depends on the drive is set before `ServoEnv.__init__`
     MODES: tuple[Mode, ...] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)
+    DRIVES: tuple[str, ...] = ()  # that the agent commands, first in the machine; none: all of it
     RPDO: ClassVar[tuple[str, ...]]  # objects the agent commands, beside controlword and mode
     TPDO: ClassVar[tuple[str, ...]]  # objects it sees, beside statusword and mode displayed
     ID: ClassVar[str]  # in the registry of Gymnasium
     STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
-    ACTIONS: ClassVar[int]
-    OBSERVATIONS: ClassVar[int]
+    ACTIONS: int  # may depend on arguments, as may DRIVES and OBSERVATIONS
+    OBSERVATIONS: int
     EPISODE: ClassVar[np.dtype]  # made by `episode`
     act: ClassVar[Callable[..., None]]  # (worlds, episodes, actions, rpdos)
     judge: ClassVar[Callable[..., None]]  # (worlds, episodes, rpdos, tpdos, observations)
@@ -102,7 +103,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.face = action
         self.cycles_per_step = int(cycles_per_step)
         self.machine = self._make(model)
-        self.drives = list(self.machine.drives.values())
+        self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
         self.drive = self.drives[0]
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
@@ -157,12 +158,15 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
                 units, index = _interpolation_period(self.step_time)
                 drive.write("interpolation_time_period_value", units)
                 drive.write("interpolation_time_index", index)
+        for drive in self.machine.drives.values():
+            if drive not in self.drives:  # its PDOs would be part of the images
+                drive.map_pdos([], [])
 
     def batch(self, n: int) -> Batch:
         """Empty arrays for `n` environments like this one."""
         rpdo, tpdo = self._images
         return Batch(
-            type(self), n, drives=len(self.drives), rpdo=rpdo, tpdo=tpdo,
+            self, n, drives=len(self.drives), rpdo=rpdo, tpdo=tpdo,
             ticks=self.cycles_per_step * self.machine.physics_steps,
             modes=self.MODES if self.face == PDO else (),
             history=self._history, previous_action=self._previous_action,
@@ -200,20 +204,26 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self._batch.look(self._part)
         self._batch.begin(self._row)
 
-    def place(self, positions: Mapping[str, float], homing: int | None = None) -> None:
-        """Power on with the joints at `positions` (m or rad), and reference them there.
+    def place(
+        self, positions: Mapping[str, float], believed: Mapping[str, float] | None = None
+    ) -> None:
+        """Power on with the joints at `positions` (m or rad), and reference them there, together.
 
+        A drive named in `believed` is made to take its place for that position instead.
         With ``action="pdo"`` the drives are left disabled, else enabled in the mode of the task.
         """
         self.machine.reset(positions=positions)
-        for name, position in positions.items():
-            supervisor = Supervisor(self.machine, name)
-            drive = supervisor.drive
+        masters = Group(self.machine, positions)
+        for name, position in (dict(positions) | dict(believed or {})).items():
+            drive = self.machine.drives[name]
             drive.write("home_offset", -round(position * 1e6))
-            supervisor.enable()
-            supervisor.home(37 if 37 in drive.model.homing_methods else 35)
-            if self.face == PDO:
-                supervisor.control(0)
+            drive.write("homing_method", 37 if 37 in drive.model.homing_methods else 35)
+        masters.enable()
+        masters.home()
+        if self.face == PDO:
+            for drive in self.drives:
+                drive.write("controlword", 0)
+            masters.step()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One step of the agent. Raises ValueError for an action out of the space."""
