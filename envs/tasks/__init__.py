@@ -2,8 +2,16 @@
 
 from .commissioning import CommissioningEnv
 from .compliant import CompliantAxisEnv
+from .gantry_sync import GantrySyncEnv
 from .homing import HomingEnv
 from .positioning import LinearAxisEnv
 from .tracking import LinearAxisTrackingEnv
 
-TASKS = (LinearAxisEnv, LinearAxisTrackingEnv, CompliantAxisEnv, HomingEnv, CommissioningEnv)
+TASKS = (
+    LinearAxisEnv,
+    LinearAxisTrackingEnv,
+    CompliantAxisEnv,
+    HomingEnv,
+    CommissioningEnv,
+    GantrySyncEnv,
+)

@@ -1,0 +1,259 @@
+"""servogym/GantrySync-v0: square a gantry with two drives in X on its way to a goal."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...drive.jit import entry
+from ...drive.model import DriveModel
+from ..batch import episode
+from ..faces import clip, faulted, limited
+from ..gantry import MAX_SKEW, SPAN, gantry
+from ..loop import coordinates, world_at
+from ..machine import Machine
+from ..servo_env import ServoEnv, in_range
+from ..vector_env import ServoVectorEnv
+
+STROKE = 0.8  # m, of X
+Y_STROKE = 0.5  # m
+STARTS, GOALS = (0.12, 0.18), (0.26, 0.4)  # m; the home switches lie between, at 0.2..0.23 m
+NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
+SQUARE = 0.5e-3  # m, skew at which the reward for squareness has fallen to one half
+RESTING = 5e-3  # m/s, slower counts as settled
+METRE = 1e6  # position units
+HOME_SWITCH = 0x04  # 60FDh bit 2
+SIDE = 5  # observations a side
+RANDOMISED = {"payload": (0.5, 6.0), "friction": (0.5, 2.0)}
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Move each set-point by action × speed × step time, within the stroke."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        targets = episodes[w]._target
+        for d in range(2):
+            target = targets[d] + actions[w, d] * episodes[w]._way
+            targets[d] = min(max(target, 0.0), STROKE)
+            rpdos[w, d].target_position = round(targets[d] * METRE)
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation of what the TPDOs brought back, reward of where the bridge is."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
+        fastest = 0.0
+        for d in range(2):
+            at = d * SIDE
+            position = tpdo[d].position_actual_value / METRE
+            velocity = tpdo[d].velocity_actual_value / METRE
+            fastest = max(fastest, abs(velocity))
+            home = 1 if int(tpdo[d].digital_inputs) & HOME_SWITCH else 0
+            if home and not episode._home[d]:
+                episode._edge[d] = position
+                episode._edges[d] = 1
+            episode._home[d] = home
+            seen[at] = clip((episode.goal - position) / STROKE)
+            seen[at + 1] = clip(velocity / episode._speed)
+            seen[at + 2] = clip(tpdo[d].following_error_actual_value / METRE / episode._window)
+            seen[at + 3] = clip(tpdo[d].torque_actual_value / episode._max_torque)
+            seen[at + 4] = home
+        apart = episode._target[1] - episode._target[0]
+        found = episode._edges[0] and episode._edges[1]
+        at = 2 * SIDE
+        seen[at] = clip(apart / episode._max_twist)
+        seen[at + 1] = 1.0 if found else 0.0
+        seen[at + 2] = 0.0
+        if found:
+            seen[at + 2] = clip((episode._edge[1] - episode._edge[0]) / episode._max_twist)
+        qpos = coordinates(worlds[w], world_at(worlds[w], 1)[0])
+        skew = qpos[episode._skew_at] * episode._span
+        distance = episode.goal - qpos[episode._bridge_at]
+        away, twist = distance / NEAR, skew / SQUARE
+        settled = (
+            abs(distance) <= episode._tolerance
+            and abs(skew) <= episode._skew_tolerance
+            and fastest <= RESTING
+        )
+        episode.skew = skew
+        episode.distance = distance
+        episode.reward_square = 1.0 / (1.0 + twist * twist)
+        episode.reward_near = 1.0 / (1.0 + away * away)
+        episode.reward_settled = 1.0 if settled else 0.0
+        episode.reward = (
+            0.4 * episode.reward_square + 0.3 * episode.reward_near + 0.3 * episode.reward_settled
+        )
+        episode.cost = limited(tpdo)
+        episode.is_success = settled
+        episode.twisted = not abs(skew) <= episode._max_twist
+        episode._terminated = episode.twisted or faulted(tpdo)
+
+
+class GantrySyncEnv(ServoEnv):
+    """Bring the bridge of a gantry to a goal, square, with one drive on each of its rails.
+
+    At power-up the bridge lies skew by an unknown amount, and the absolute encoders of x1 and x2
+    show the same position: x1 is right, x2 is wrong by the skew. Slide and payload load the sides
+    unequally. No drive sees the skew. What tells it: the home switches, which lie at the same place
+    of both rails (0.2 m), between start and goal, and the torques that hold the bridge skew. The
+    agent is the master of both drives, in cyclic synchronous position mode. Y is held by its drive,
+    Z is parked on its brake.
+
+    ## Action space
+    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more a drive, see `servogym.envs.faces`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0, 1 | velocity of the set-point of x1, x2 | 607Ah target_position | 1 is `speed` |
+
+    A target position (1 µm) moves by action × `speed` × step time, within the stroke.
+
+    ## Observation space
+    `Box(-1, 1, (13,), float32)`, clipped; 0 to 4 of x1, 5 to 9 of x2
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0, 5 | goal minus position | 6064h position_actual_value | the stroke, 0.8 m |
+    | 1, 6 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 2, 7 | following error | 60F4h following_error_actual_value | its window 6065h |
+    | 3, 8 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 4, 9 | home switch | 60FDh digital_inputs, bit 2 | active, else 0 |
+    | 10 | set-point of x2 minus that of x1 | 607Ah | `max_twist` |
+    | 11 | both home switches have been met | 60FDh | yes, else 0 |
+    | 12 | position of x2 minus that of x1, each when its switch last became active | 6064h |\
+ `max_twist` |
+
+    The skew is number 10 less number 12, as well as the switches have been met: a step lasts 5 ms,
+    and the faster the bridge passes them the less is known.
+
+    ## Reward
+    In [0, 1], of the truth: 0.4 for squareness, ``1 / (1 + (skew / 0.5 mm)²)``, 0.3 for nearness of
+    the middle of the bridge, ``1 / (1 + (distance / 20 mm)²)``, and 0.3 for being settled: distance
+    within `tolerance`, skew within `skew_tolerance`, both sides slower than 5 mm/s. The terms are
+    in ``info``, with ``skew`` (m, positive where x2 is ahead), and ``info["cost"]``, 1 while an
+    internal limit is active.
+
+    ## Episode
+    Starts at rest; ``np_random`` draws start (of x1), goal, the place of the slide and the skew,
+    unless the reset's options give ``start``, ``goal``, ``y`` or ``skew`` (m). A skew of more than
+    `max_twist` terminates (``info["twisted"]``), as does a fault of a drive (``info["fault"]``).
+    Time truncates, after 600 steps (3 s).
+
+    ## Arguments
+    Those of `ServoEnv`, with ``{"payload": (0.5, 6.0), "friction": (0.5, 2.0)}`` for `randomise` if
+    it is not given; `skew` (m), the largest at the start; `max_twist`, `tolerance`,
+    `skew_tolerance`, `following_error_window` (m); `speed` (m/s).
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/GantrySync-v0"
+    STEPS = 600
+    DRIVES = ("x1", "x2")
+    RPDO = ("target_position",)
+    TPDO = (
+        "position_actual_value", "torque_actual_value", "velocity_actual_value",
+        "following_error_actual_value", "digital_inputs",
+    )  # fmt: skip
+    ACTIONS = 2
+    OBSERVATIONS = 2 * SIDE + 3
+    EPISODE = episode(
+        ("goal", "f8"),  # m
+        ("distance", "f8"),  # goal minus the middle of the bridge (m)
+        ("skew", "f8"),  # end of the bridge on x2 ahead of the one on x1 (m)
+        ("twisted", "?"),  # farther than it may
+        ("reward_square", "f8"),
+        ("reward_near", "f8"),
+        ("reward_settled", "f8"),
+        ("_target", "f8", (2,)),  # set-points (m)
+        ("_home", "u1", (2,)),  # home switches, as they were
+        ("_edge", "f8", (2,)),  # position at which the switch last became active (m)
+        ("_edges", "u1", (2,)),  # whether it has
+        ("_skew_at", "i8"),  # places in MjData.qpos
+        ("_bridge_at", "i8"),
+        ("_span", "f8"),  # between the rails (m)
+        ("_way", "f8"),  # farthest a set-point goes in a step (m)
+        ("_speed", "f8"),  # maximum profile velocity (m/s)
+        ("_window", "f8"),  # of the following error (m)
+        ("_max_torque", "f8"),  # per mille
+        ("_max_twist", "f8"),  # m
+        ("_tolerance", "f8"),  # m
+        ("_skew_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        skew: float = 3e-3,
+        max_twist: float = 0.01,
+        tolerance: float = 1e-3,
+        skew_tolerance: float = 0.2e-3,
+        speed: float = 0.2,
+        following_error_window: float = 5e-3,
+        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        **arguments: Any,
+    ):
+        self.max_twist = in_range("max_twist", max_twist, 1e-3, MAX_SKEW, "m")
+        self.skew = in_range("skew", skew, 0.0, self.max_twist, "m")
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
+        self.skew_tolerance = in_range("skew_tolerance", skew_tolerance, 1e-6, 0.1, "m")
+        self.speed = in_range("speed", speed, 1e-3, 1.0, "m/s")
+        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
+        self._window = window
+        randomise = RANDOMISED if randomise is None else randomise
+        super().__init__(drive, randomise=randomise, **arguments)
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = gantry(model, x_drives=2)
+        for name in self.DRIVES:
+            machine.drives[name].write("following_error_window", round(self._window * METRE))
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        drawn = {
+            name: self.np_random.uniform(*span)
+            for name, span in (
+                ("start", STARTS), ("goal", GOALS), ("y", (0.0, Y_STROKE)),
+                ("skew", (-self.skew, self.skew)),
+            )
+        }  # fmt: skip
+        given = drawn | options
+        limit = self.max_twist
+        start = in_range("options['start']", given["start"], limit, STROKE - limit, "m")
+        goal = in_range("options['goal']", given["goal"], 0.0, STROKE, "m")
+        y = in_range("options['y']", given["y"], 0.0, Y_STROKE, "m")
+        skew = in_range("options['skew']", given["skew"], -limit, limit, "m")
+        self.place({"x1": start, "x2": start + skew, "y": y}, believed={"x2": start})
+        episode, model, x1 = self.episode, self.machine.model, self.drive
+        episode.goal = goal
+        for d, drive in enumerate(self.drives):
+            episode._target[d] = drive.read("position_actual_value") / METRE
+            episode._home[d] = 1 if drive.read("digital_inputs") & HOME_SWITCH else 0
+        episode._skew_at = model.joint("skew").qposadr[0]
+        episode._bridge_at = model.joint("x").qposadr[0]
+        episode._span = SPAN
+        episode._speed = x1.read("max_profile_velocity") / METRE
+        episode._way = self.speed * self.step_time
+        episode._window = self._window
+        episode._max_torque = x1.read("max_torque")
+        episode._max_twist = self.max_twist
+        episode._tolerance = self.tolerance
+        episode._skew_tolerance = self.skew_tolerance
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The bridge at the goal."""
+        away = self.episode.goal - self.machine.data.joint("x").qpos[0]
+        return {"bridge": np.array([away, 0.0, 0.0])}
+
+
+vector = partial(ServoVectorEnv, GantrySyncEnv)
