@@ -224,6 +224,9 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             for drive in self.drives:
                 drive.write("controlword", 0)
             masters.step()
+        if "target_position" in self.RPDO:  # in force until the first RPDO of the agent arrives
+            positions_now = [drive.read("position_actual_value") for drive in self.drives]
+            self._part[3]["target_position"][0] = positions_now
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One step of the agent. Raises ValueError for an action out of the space."""
