@@ -2,6 +2,7 @@
 
 from .commissioning import CommissioningEnv
 from .compliant import CompliantAxisEnv
+from .contour import GantryContourEnv
 from .gantry_sync import GantrySyncEnv
 from .homing import HomingEnv
 from .positioning import LinearAxisEnv
@@ -14,4 +15,5 @@ TASKS = (
     HomingEnv,
     CommissioningEnv,
     GantrySyncEnv,
+    GantryContourEnv,
 )

@@ -1,0 +1,264 @@
+"""servogym/GantryContour-v0: follow a circle or a square with X and Y, close and fast."""
+
+import math
+from functools import partial
+from typing import Any
+
+from ...drive.jit import block, entry
+from ...drive.model import DriveModel
+from ..batch import episode
+from ..faces import clip, faulted, limited
+from ..gantry import gantry
+from ..loop import coordinates, world_at
+from ..machine import Machine
+from ..servo_env import ServoEnv, in_range
+from ..vector_env import ServoVectorEnv
+
+CONTOURS = ("circle", "square")
+CIRCLE = CONTOURS.index("circle")
+CENTRE = (0.4, 0.25)  # m, in X and Y
+CLOSE = 20e-6  # m, contour error at which the reward for closeness has fallen to one half
+SLOWEST = 0.2  # feed override
+AHEAD = (1.0, 2.0, 4.0, 8.0)  # steps at full feed, where the points of the preview lie
+AXIS = 5  # observations an axis, after the preview
+METRE = 1e6  # position units
+
+
+@block
+def length(contour, radius):
+    """Of one lap (m)."""
+    return 2.0 * math.pi * radius if contour == CIRCLE else 8.0 * radius
+
+
+@block
+def point(contour, radius, way, axis):
+    """Coordinate (m) from the centre, X or Y, after `way` (m) anticlockwise from the right."""
+    if contour == CIRCLE:
+        angle = way / radius
+        return radius * (math.cos(angle) if axis == 0 else math.sin(angle))
+    # over eight radii: Y rises for two, stays, falls, stays; X is Y two radii ahead
+    done = (way / radius + (3.0 if axis == 0 else 1.0)) % 8.0
+    if done < 2.0:
+        return radius * (done - 1.0)
+    if done < 4.0:
+        return radius
+    return radius * (5.0 - done) if done < 6.0 else -radius
+
+
+@block
+def deviation(contour, radius, x, y):
+    """Perpendicular distance (m) of a place, from the centre, to the contour; outside positive."""
+    if contour == CIRCLE:
+        return math.hypot(x, y) - radius
+    over_x, over_y = abs(x) - radius, abs(y) - radius
+    if over_x > 0.0 and over_y > 0.0:
+        return math.hypot(over_x, over_y)
+    return max(over_x, over_y)
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Go on along the path as the override says; set-points there, and the corrections on top."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
+        episode._override = SLOWEST + (1.0 - SLOWEST) * 0.5 * (actions[w, 2] + 1.0)
+        episode._way += episode._override * episode._step
+        for d in range(2):
+            episode._correction[d] = actions[w, d]
+            target = CENTRE[d] + point(episode._contour, episode._radius, episode._way, d)
+            target += actions[w, d] * episode._range
+            rpdos[w, d].target_position = round(target * METRE)
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation of path and TPDOs, reward of where the tool is."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
+        contour, radius = episode._contour, episode._radius
+        for d in range(2):
+            here = point(contour, radius, episode._way, d)
+            for k in range(len(AHEAD)):
+                ahead = AHEAD[k] * episode._step
+                there = point(contour, radius, episode._way + ahead, d)
+                seen[2 * k + d] = clip((there - here) / ahead)
+            at = 2 * len(AHEAD) + AXIS * d
+            position = tpdo[d].position_actual_value / METRE
+            seen[at] = clip((CENTRE[d] + here - position) / episode._window)
+            seen[at + 1] = clip(tpdo[d].velocity_actual_value / METRE / episode._speed)
+            seen[at + 2] = clip(tpdo[d].following_error_actual_value / METRE / episode._window)
+            seen[at + 3] = clip(tpdo[d].torque_actual_value / episode._max_torque)
+            seen[at + 4] = episode._correction[d]
+        qpos = coordinates(worlds[w], world_at(worlds[w], 1)[0])
+        x, y = qpos[episode._x_at] - CENTRE[0], qpos[episode._y_at] - CENTRE[1]
+        error = deviation(contour, radius, x, y)
+        away = error / CLOSE
+        episode.contour_error = error
+        episode.worst = max(episode.worst, abs(error))
+        episode.laps = (episode._way - episode._begin) / length(contour, radius)
+        episode.reward_close = 1.0 / (1.0 + away * away)
+        episode.reward_progress = episode._override
+        episode.reward = 0.6 * episode.reward_close + 0.4 * episode.reward_progress
+        episode.cost = limited(tpdo)
+        episode.is_success = episode.laps >= 1.0 and episode.worst <= episode._tolerance
+        episode._terminated = faulted(tpdo)
+
+
+class GantryContourEnv(ServoEnv):
+    """Follow a circle or a square with X and Y of a gantry, close to the path and fast.
+
+    A path generator runs along the contour, anticlockwise, and gives both drives their set-points,
+    in cyclic synchronous position mode; left alone they follow as well as their controllers do.
+    Before the set-points leave, the agent corrects them, and it overrides the feed: it may lead
+    where the drives lag, and slow down where it gets tight. The square has sharp corners. Z is
+    parked on its brake.
+
+    ## Action space
+    `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more a drive, see `servogym.envs.faces`
+
+    | no | action | object | scaling |
+    |----|--------|--------|---------|
+    | 0, 1 | correction of the set-point in X, Y | 607Ah target_position | 1 is `correction` |
+    | 2 | feed override | 607Ah target_position | -1 is 0.2, 1 is 1.0 |
+
+    The path goes on by override × `feed` × step time; the target position (1 µm) is the point of
+    the path plus the correction of this step.
+
+    ## Observation space
+    `Box(-1, 1, (18,), float32)`, clipped
+
+    | no | observation | object | 1.0 is |
+    |----|-------------|--------|--------|
+    | 0–7 | path ahead: X and Y of its points 1, 2, 4 and 8 steps on, from where it is | | \
+steps × `feed` × step time |
+    | 8, 13 | path minus position, X and Y | 6064h position_actual_value | the window 6065h |
+    | 9, 14 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 10, 15 | following error | 60F4h following_error_actual_value | its window 6065h |
+    | 11, 16 | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 12, 17 | correction in force | 607Ah | `correction` |
+
+    ## Reward
+    In [0, 1]: 0.6 for closeness, ``1 / (1 + (contour error / 20 µm)²)``, and 0.4 for progress, the
+    feed override. The contour error is the true perpendicular distance to the contour, positive
+    outside. ``info`` has the terms, ``contour_error`` and ``worst``, the largest so far (m),
+    ``laps``, and ``cost``, 1 while an internal limit is active. ``is_success``: a lap is done, and
+    `worst` is within `tolerance`.
+
+    ## Episode
+    Starts at rest on the contour, at a place from ``np_random`` unless the reset's options give
+    ``start`` (share of a lap, 0..1). A fault of a drive terminates (``info["fault"]``). Time
+    truncates, after 600 steps (3 s).
+
+    ## Arguments
+    Those of `ServoEnv`, and `contour` ("circle" or "square"), `radius` (m, of the circle, or half
+    the side of the square), `feed` (m/s, at override 1), `correction` (m, the largest),
+    `feed_forward` (share of the drives' own feed-forward of velocity and acceleration that is in
+    force; without it they lag by speed / position gain), `tolerance` and `following_error_window`
+    (m).
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/GantryContour-v0"
+    STEPS = 600
+    DRIVES = ("x", "y")
+    RPDO = ("target_position",)
+    TPDO = (
+        "position_actual_value", "torque_actual_value", "velocity_actual_value",
+        "following_error_actual_value",
+    )  # fmt: skip
+    ACTIONS = 3
+    OBSERVATIONS = 2 * len(AHEAD) + 2 * AXIS
+    EPISODE = episode(
+        ("contour_error", "f8"),  # perpendicular to the contour, positive outside (m)
+        ("worst", "f8"),  # the largest so far, without sign (m)
+        ("laps", "f8"),
+        ("reward_close", "f8"),
+        ("reward_progress", "f8"),
+        ("_contour", "i8"),  # place in CONTOURS
+        ("_radius", "f8"),  # m
+        ("_begin", "f8"),  # where on the path it began (m)
+        ("_way", "f8"),  # and where it is
+        ("_step", "f8"),  # of the path at full feed (m)
+        ("_override", "f8"),
+        ("_range", "f8"),  # of a correction (m)
+        ("_correction", "f8", (2,)),  # shares of it
+        ("_x_at", "i8"),  # places in MjData.qpos
+        ("_y_at", "i8"),
+        ("_speed", "f8"),  # maximum profile velocity (m/s)
+        ("_window", "f8"),  # of the following error (m)
+        ("_max_torque", "f8"),  # per mille
+        ("_tolerance", "f8"),  # m
+    )
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | DriveModel = "generic",
+        *,
+        contour: str = "circle",
+        radius: float = 0.04,
+        feed: float = 0.2,
+        correction: float = 1e-3,
+        feed_forward: float = 0.0,
+        tolerance: float = 50e-6,
+        following_error_window: float = 5e-3,
+        **arguments: Any,
+    ):
+        if contour not in CONTOURS:
+            raise ValueError(f"contour = {contour!r}, use one of {', '.join(CONTOURS)}")
+        self.contour = contour
+        self.radius = in_range("radius", radius, 0.005, 0.2, "m")
+        self.feed = in_range("feed", feed, 0.01, 0.5, "m/s")
+        self.correction = in_range("correction", correction, 0.0, 0.01, "m")
+        self.feed_forward = in_range("feed_forward", feed_forward, 0.0, 1.0, "of the full one")
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
+        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
+        self._window = window
+        super().__init__(drive, **arguments)
+
+    def _make(self, model: DriveModel) -> Machine:
+        machine = gantry(model)
+        for name in self.DRIVES:
+            drive = machine.drives[name]
+            drive.write("following_error_window", round(self._window * METRE))
+            drive.commission(
+                {
+                    "velocity_feed_forward": 1000 * self.feed_forward,
+                    "acceleration_feed_forward": int(drive.axis.od.acceleration_feed_forward)
+                    * self.feed_forward,
+                }
+            )
+        return machine
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start = options.get("start", self.np_random.uniform())
+        start = in_range("options['start']", start, 0.0, 1.0, "of a lap")
+        kind = CONTOURS.index(self.contour)
+        way = start * length(kind, self.radius)
+        self.place(
+            {
+                name: CENTRE[d] + point(kind, self.radius, way, d)
+                for d, name in enumerate(self.DRIVES)
+            }
+        )
+        episode, model, x = self.episode, self.machine.model, self.drive
+        episode._contour, episode._radius = kind, self.radius
+        episode._begin = episode._way = way
+        episode._step = self.feed * self.step_time
+        episode._range = self.correction
+        episode._x_at = model.joint("x").qposadr[0]
+        episode._y_at = model.joint("y").qposadr[0]
+        episode._speed = x.read("max_profile_velocity") / METRE
+        episode._window = self._window
+        episode._max_torque = x.read("max_torque")
+        episode._tolerance = self.tolerance
+
+
+vector = partial(ServoVectorEnv, GantryContourEnv)
