@@ -6,6 +6,7 @@ from .contour import GantryContourEnv
 from .gantry_sync import GantrySyncEnv
 from .homing import HomingEnv
 from .positioning import LinearAxisEnv
+from .sway import GantrySwayEnv
 from .tracking import LinearAxisTrackingEnv
 
 TASKS = (
@@ -16,4 +17,5 @@ TASKS = (
     CommissioningEnv,
     GantrySyncEnv,
     GantryContourEnv,
+    GantrySwayEnv,
 )
