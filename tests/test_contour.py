@@ -141,3 +141,13 @@ def test_the_error_of_each_is_its_own_in_a_vector():
 def test_wrong_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         GantryContourEnv(**arguments)
+
+
+def test_the_ghost_of_the_gripper_is_where_the_path_is():
+    env = GantryContourEnv()
+    env.reset(seed=1, options={"start": 0.0})
+    env.step(NONE)
+    ghost = env.ghosts()["gripper"]
+    place = env.machine.data.qpos[:2] + ghost[:2]
+    way = 0.6 * FEED * env.step_time
+    assert place == pytest.approx([0.4 + 0.04 * math.cos(way / 0.04), 0.25 + way], abs=1e-6)

@@ -115,3 +115,9 @@ def test_wrong_arguments_are_named(arguments, message):
 def test_wrong_options_are_named():
     with pytest.raises(ValueError, match=r"options\['skew'\] = 0.5 is out of range -0.01..0.01 m"):
         GantrySyncEnv().reset(options={"skew": 0.5})
+
+
+def test_the_ghost_of_the_bridge_is_at_the_goal():
+    env = GantrySyncEnv()
+    _, info = env.reset(seed=2)
+    assert env.ghosts()["bridge"].tolist() == pytest.approx([info["distance"], 0.0, 0.0], abs=1e-5)

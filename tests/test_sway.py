@@ -139,3 +139,9 @@ def test_wrong_arguments_are_named(arguments, message):
 def test_wrong_options_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         GantrySwayEnv().reset(options=options)
+
+
+def test_the_ghost_of_the_load_is_at_the_goal():
+    env = GantrySwayEnv(axes="xy")
+    env.reset(seed=2, options={"start": (0.4, 0.2), "goal": (0.5, 0.1)})
+    assert env.ghosts()["payload"].tolist() == pytest.approx([0.1, -0.1, 0.0], abs=1e-4)

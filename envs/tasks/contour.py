@@ -4,6 +4,8 @@ import math
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from ...drive.jit import block, entry
 from ...drive.model import DriveModel
 from ..batch import episode
@@ -259,6 +261,15 @@ steps × `feed` × step time |
         episode._window = self._window
         episode._max_torque = x.read("max_torque")
         episode._tolerance = self.tolerance
+
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The gripper at the point of the path."""
+        episode, qpos = self.episode, self.machine.data.qpos
+        away = [
+            CENTRE[d] + point(episode._contour, episode._radius, episode._way, d) - qpos[at]
+            for d, at in enumerate((episode._x_at, episode._y_at))
+        ]
+        return {"gripper": np.array([*away, 0.0])}
 
 
 vector = partial(ServoVectorEnv, GantryContourEnv)

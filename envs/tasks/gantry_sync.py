@@ -129,8 +129,8 @@ class GantrySyncEnv(ServoEnv):
     | 12 | position of x2 minus that of x1, each when its switch last became active | 6064h |\
  `max_twist` |
 
-    The skew is number 10 less number 12, as well as the switches have been met: a step lasts 5 ms,
-    and the faster the bridge passes them the less is known.
+    The skew is number 10 less number 12, as well as the switches have been met: a step lasts 5 ms
+    (generic drive), and the faster the bridge passes them the less is known.
 
     ## Reward
     In [0, 1], of the truth: 0.4 for squareness, ``1 / (1 + (skew / 0.5 mm)²)``, 0.3 for nearness of
