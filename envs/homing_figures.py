@@ -18,7 +18,7 @@ from ..drive.record import accessible
 from ..drive.words import ENABLED, Mode
 from ..drive.words import Controlword as C
 from ..drive.words import Statusword as S
-from .loop import axes_at, couplings_at, floats_at, mechanics_at, world_at
+from .loop import axes_at, coordinates, couplings_at, mechanics_at, world_at
 from .machine import Machine
 from .supervisor import Supervisor
 
@@ -51,7 +51,7 @@ def measure(world, figures):
     """Look at the first axis of a machine."""
     axis = axes_at(world.axes, world.drives)[0]
     coupling = couplings_at(world.couplings, world.drives)[0]
-    position = floats_at(world.qpos, world.nq)[coupling.qpos]
+    position = coordinates(world)[coupling.qpos]
     share = abs(axis.torque) / figures._full_torque
     figures.greatest_torque = max(figures.greatest_torque, share)
     figures.impact_energy = mechanics_at(world.mechanics, world.drives)[0].impact_sum

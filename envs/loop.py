@@ -136,18 +136,14 @@ def sense(axis, coupling, m, qpos):
 
 
 @block
-def coordinates(address, world):
-    """The joint coordinates of a machine (MjData.qpos), also while another lives in its MjData."""
-    if world.state != 0 and integers_at(world.resident, 1)[0] != address:
-        return floats_at(world.state + STATE_QPOS, world.nq)
+def coordinates(world):
+    """The joint coordinates of a machine (MjData.qpos), as the last `run` left them."""
     return floats_at(world.qpos, world.nq)
 
 
 @block
-def speeds(address, world):
-    """The same of the joint speeds (MjData.qvel)."""
-    if world.state != 0 and integers_at(world.resident, 1)[0] != address:
-        return floats_at(world.state + STATE_QPOS + 8 * world.nq, world.nv)
+def speeds(world):
+    """The joint speeds of a machine (MjData.qvel), as the last `run` left them."""
     return floats_at(world.qvel, world.nv)
 
 

@@ -3,19 +3,20 @@
 import numpy as np
 import pytest
 
-from servogym.drive.model import load, model_names
+from servogym.drive.model import model_names
 from servogym.envs import TASKS
 
 RANDOMISE = {"friction": (0.0, 10.0), "gains": (0.1, 3.0), "delay": (0, 10), "encoder_noise": 1e-5}
 
 
-def able(task, model):
+def make(task, *args, **arguments):
+    """The environment, or None where the drive lacks something or the task has no such face."""
     try:
-        task(model)
+        return task(*args, **arguments)
     except ValueError as error:
-        assert "has no mode" in str(error) or "has no object" in str(error), error
-        return False
-    return True
+        if "has no" in str(error) or "action =" in str(error):
+            return None
+        raise
 
 
 def wild(generator, shape):
@@ -54,10 +55,9 @@ def torment(env, seed, steps):
 @pytest.mark.parametrize("face", ["setpoint", "pdo"])
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.ID)
 def test_wild_actions_stay_in_the_spaces(task, face):
-    try:
-        env = task(action=face, randomise=RANDOMISE, history=2, previous_action=True)
-    except ValueError as error:
-        assert "action" in str(error), error
+    env = make(task, action=face, randomise=RANDOMISE, history=2, previous_action=True)
+    if env is None:
+        assert face == "setpoint", "each has the other"
         return
     torment(env, 1, 600)
 
@@ -66,14 +66,7 @@ def test_wild_actions_stay_in_the_spaces(task, face):
 @pytest.mark.parametrize("model", model_names())
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.ID)
 def test_wild_actions_stay_in_the_spaces_with_every_drive(task, model):
-    if not able(task, model):
-        return
-    assert load(model).modes
     for face in ("setpoint", "pdo"):
-        try:
-            env = task(model, action=face, randomise=RANDOMISE)
-        except ValueError as error:
-            assert "action" in str(error), error
-            continue
-        for seed in range(3):
+        env = make(task, model, action=face, randomise=RANDOMISE)
+        for seed in range(3 if env else 0):
             torment(env, seed, 4000)

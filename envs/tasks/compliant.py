@@ -11,7 +11,7 @@ from ...drive.model import DriveModel
 from ..batch import episode
 from ..faces import clip, faulted, limited
 from ..linear_axis import LinearAxisParameters, linear_axis
-from ..loop import FARTHEST, floats_at, world_at
+from ..loop import FARTHEST, coordinates, speeds, world_at
 from ..machine import Machine
 from ..servo_env import ServoEnv, in_range
 from ..vector_env import ServoVectorEnv
@@ -53,7 +53,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             continue
         episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
         world = world_at(worlds[w], 1)[0]
-        qpos, qvel = floats_at(world.qpos, world.nq), floats_at(world.qvel, world.nv)
+        qpos, qvel = coordinates(world), speeds(world)
         deflection = _finite(qpos[episode._load])
         rate = _finite(qvel[episode._load])
         distance = episode.goal - _finite(qpos[episode._x]) - deflection

@@ -95,7 +95,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             seen[at + 2] = clip(tpdo[d].following_error_actual_value / METRE / episode._window)
             seen[at + 3] = clip(tpdo[d].torque_actual_value / episode._max_torque)
             seen[at + 4] = episode._correction[d]
-        qpos = coordinates(worlds[w], world_at(worlds[w], 1)[0])
+        qpos = coordinates(world_at(worlds[w], 1)[0])
         x, y = qpos[episode._x_at] - CENTRE[0], qpos[episode._y_at] - CENTRE[1]
         error = deviation(contour, radius, x, y)
         away = error / CLOSE

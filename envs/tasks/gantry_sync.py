@@ -72,7 +72,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[at + 2] = 0.0
         if found:
             seen[at + 2] = clip((episode._edge[1] - episode._edge[0]) / episode._max_twist)
-        qpos = coordinates(worlds[w], world_at(worlds[w], 1)[0])
+        qpos = coordinates(world_at(worlds[w], 1)[0])
         skew = qpos[episode._skew_at] * episode._span
         distance = episode.goal - qpos[episode._bridge_at]
         away, twist = distance / NEAR, skew / SQUARE

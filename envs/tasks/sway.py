@@ -50,7 +50,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             continue
         episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
         world = world_at(worlds[w], 1)[0]
-        qpos, qvel = coordinates(worlds[w], world), speeds(worlds[w], world)
+        qpos, qvel = coordinates(world), speeds(world)
         distance = speed = sway = 0.0  # their squares, summed over the axes
         width = SEEN + (SENSED if episode._sensor else 0)
         for d in range(rpdos.shape[1]):
