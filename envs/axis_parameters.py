@@ -172,7 +172,7 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
     """
     if mechanics not in FAMILY:
         raise ValueError(f"mechanics = {mechanics!r} is unknown, choose of {', '.join(FAMILY)}")
-    return replace(FAMILY[mechanics], **values)
+    return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
 
 
 def chosen(parameters: LinearAxisParameters | str | None, payload: float) -> LinearAxisParameters:

@@ -19,7 +19,6 @@ from .memory import bytes_at, floats_at, integers_at, viewer
 from .physics import STATE, mj_get_state, mj_set_state, mj_step
 
 AXIS_SIZE = AXIS.itemsize
-STATE_QPOS = 8  # bytes before qpos in a state of MuJoCo: the time; qvel follows
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
 NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
 

@@ -5,7 +5,6 @@ episode, and two compiled functions, `act` and `judge`. All else is here: mappin
 and homing, the two faces of an action, randomisation, injected faults, infos, rendering, pickling.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,6 +16,7 @@ from ..drive.abort import SdoAbort
 from ..drive.model import DriveModel, load
 from ..drive.words import ENABLED, Mode, state_of
 from .batch import CONTROL, STATUS, Batch, image_type, mapping
+from .checks import whole
 from .coordination import Group
 from .faces import FACES, FAULT, PDO
 from .machine import Machine
@@ -44,7 +44,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         history: number of observations shown, the latest first, 1..100.
         previous_action: whether the action taken last is shown, after the observations.
         randomise: ranges by name, drawn for each episode: `servogym.envs.randomisation`.
-        faults: probability per step of causes of faults to be injected.
+        faults: probability per step of causes of faults to be injected into the first drive.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
@@ -89,19 +89,13 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
                     f"drive {model.name!r} has no mode {mode.name.lower()}, which this task needs: "
                     f"it has {', '.join(m.name.lower() for m in model.modes)}"
                 )
-        for name, value, high in (
-            ("cycles_per_step", cycles_per_step, 1000),
-            ("history", history, MAX_HISTORY),
-        ):
-            if value != int(value) or not 1 <= value <= high:
-                raise ValueError(f"{name} = {value!r} must be a whole number 1..{high}")
         if action not in FACES:
             raise ValueError(f"action = {action!r}, use one of {', '.join(FACES)}")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
         self.render_mode = render_mode
         self.face = action
-        self.cycles_per_step = int(cycles_per_step)
+        self.cycles_per_step = whole("cycles_per_step", cycles_per_step, 1, 1000)
         self.machine = self._make(model)
         self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
         self.drive = self.drives[0]
@@ -109,7 +103,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
         self._faults = _probabilities(faults or {}, self.drive.injectable)
         self.randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
-        self._history, self._previous_action = int(history), bool(previous_action)
+        self._history = whole("history", history, 1, MAX_HISTORY)
+        self._previous_action = bool(previous_action)
         self._configure()
         self.join(self.batch(1), 0)
         width = self._batch.actions.shape[1]
@@ -347,17 +342,6 @@ def _probabilities(faults: Mapping[str, float], known: tuple[str, ...]) -> dict[
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"faults[{cause!r}] = {probability!r} is out of range 0..1")
     return dict(faults)
-
-
-def in_range(name: str, value: float, low: float, high: float, unit: str) -> float:
-    """`value` as a float. Raises ValueError naming it, its range and its unit."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not low <= number <= high:
-        raise ValueError(f"{name} = {value!r} is out of range {low:g}..{high:g} {unit}")
-    return number
 
 
 def _interpolation_period(step_time: float) -> tuple[int, int]:

@@ -9,8 +9,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from .checks import whole
 from .faces import FAULT
 from .servo_env import ServoEnv
+
+MOST = 1_000_000
 
 
 class ServoVectorEnv(gym.vector.VectorEnv):
@@ -42,12 +45,12 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         max_episode_steps: int | None = None,
         **arguments: Any,
     ):
-        if num_envs != int(num_envs) or num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs!r} must be a whole number from 1 on")
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads = {threads!r} must be a whole number from 1 on")
+        self.num_envs = whole("num_envs", num_envs, 1, MOST)
+        if threads is not None:
+            threads = whole("threads", threads, 1, MOST)
+        if max_episode_steps is not None:
+            max_episode_steps = whole("max_episode_steps", max_episode_steps, 1, MOST)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.num_envs = int(num_envs)
         workers = min(threads or os.cpu_count() or 1, self.num_envs)
         edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
         self.envs: list[ServoEnv] = []

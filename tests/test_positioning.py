@@ -175,6 +175,8 @@ def test_a_wrong_action_is_an_error_that_names_the_fix(action, env):
     [
         ({"cycles_per_step": 2.5}, "whole number"),
         ({"cycles_per_step": 0}, "whole number"),
+        ({"cycles_per_step": float("nan")}, "cycles_per_step = nan"),
+        ({"history": "two"}, "history = .two."),
         ({"cycles_per_step": 511}, "60C2h"),
         ({"payload": -1.0}, "payload = -1.0"),
         ({"tolerance": float("nan")}, "tolerance"),

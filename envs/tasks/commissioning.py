@@ -12,11 +12,12 @@ from ...drive.model import DriveModel
 from ...drive.words import Mode, State
 from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
+from ..checks import in_range
 from ..faces import PDO, clip, limited
 from ..linear_axis import linear_axis
 from ..loop import axes_at, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv, in_range
+from ..servo_env import ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.5  # m

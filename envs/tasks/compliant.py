@@ -9,11 +9,12 @@ import numpy as np
 from ...drive.jit import block, entry
 from ...drive.model import DriveModel
 from ..batch import episode
+from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..linear_axis import LinearAxisParameters, linear_axis
 from ..loop import FARTHEST, coordinates, speeds, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv, in_range
+from ..servo_env import ServoEnv
 from ..vector_env import ServoVectorEnv
 from .positioning import MARGIN, METRE, NEAR, RESTING, STROKE
 

@@ -9,11 +9,12 @@ import numpy as np
 from ...drive.jit import entry
 from ...drive.model import DriveModel
 from ..batch import episode
+from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..gantry import MAX_SKEW, SPAN, gantry
 from ..loop import coordinates, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv, in_range
+from ..servo_env import ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.8  # m, of X

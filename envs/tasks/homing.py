@@ -11,12 +11,13 @@ from ...drive.words import ENABLED, Mode
 from ...drive.words import Controlword as C
 from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
+from ..checks import in_range
 from ..faces import PDO, clip, faulted, limited
 from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
 from ..linear_axis import linear_axis
 from ..loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv, in_range
+from ..servo_env import ServoEnv
 from ..supervisor import Supervisor
 from ..vector_env import ServoVectorEnv
 

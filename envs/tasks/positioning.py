@@ -9,10 +9,11 @@ from ...drive.jit import entry
 from ...drive.model import DriveModel
 from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
+from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..linear_axis import linear_axis
 from ..machine import Machine
-from ..servo_env import ServoEnv, in_range
+from ..servo_env import ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.5  # m

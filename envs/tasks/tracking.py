@@ -11,11 +11,12 @@ from ...drive.model import DriveModel
 from ...drive.words import Mode
 from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
+from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..linear_axis import linear_axis
 from ..machine import Machine
 from ..references import REFERENCES, Limits, make_reference
-from ..servo_env import ServoEnv, in_range
+from ..servo_env import ServoEnv
 from ..vector_env import ServoVectorEnv
 from .positioning import MARGIN, METRE, STROKE
 
