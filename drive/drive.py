@@ -145,8 +145,8 @@ class Drive:
             elif name in record.OD.names:  # type: ignore[operator]
                 self._commissioned[name] = round(value)
                 setattr(self.axis.od, name, round(value))
+                self._powered_on = 0, np.empty(0)
         self.axis.parameters_changed = 1
-        self._powered_on = 0, np.empty(0)
 
     # ---------------------------------------------------------------- objects
 
