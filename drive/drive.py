@@ -21,9 +21,10 @@ from .hooks import HOOKS
 from .hooks.ars import reaction_to
 from .hooks.ethercat import ASSIGNMENTS, FLEXIBLE, assign
 from .model import DriveModel, load
-from .objects import ObjectDictionary, Slot, compile_default
+from .objects import ObjectDictionary, compile_default
 from .parameters import Parameters, kept_bytes
 from .process_data import INVALID
+from .slots import Slot
 from .store import Values
 from .words import Command, Mode, State
 

@@ -13,9 +13,10 @@ import numpy as np
 from . import store
 from .hooks.ars import KEPT, set_reaction
 from .model import DriveModel, load
-from .objects import Slot, all_objects
+from .objects import all_objects
 from .record import AXIS, OD
 from .rows import Mapping
+from .slots import Slot
 
 if TYPE_CHECKING:
     from .drive import Drive
@@ -51,7 +52,7 @@ class Parameters:
         own = {row.offset for row in self._drive.model.objects.values() if row.area == "axis"}
         for row in load("generic").objects.values():
             if row.area == "axis" and row.format and row.offset not in own:
-                Slot(row, od, row.offset).put(row.default)  # type: ignore[arg-type]
+                Slot(row, od).put(row.default)  # type: ignore[arg-type]
 
     def defaults(self) -> None:
         """Put the factory defaults in force, PDOs included."""
