@@ -102,7 +102,7 @@ class GantrySwayEnv(ServoEnv):
     used, do not move.
 
     ## Action space
-    `Box(-1, 1, (n,), float32)` with n axes; with ``action="pdo"`` ten more an axis, see
+    `Box(-1, 1, (1,), float32)`, with ``axes="xy"`` 2; with ``action="pdo"`` ten more an axis, see
     `servogym.envs.faces`
 
     | no | action | object | scaling |
@@ -112,7 +112,8 @@ class GantrySwayEnv(ServoEnv):
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (6 n,), float32)`, clipped, with ``sway_sensor=True`` 8 n; first X, then Y
+    `Box(-1, 1, (8,), float32)`, clipped; ``sway_sensor=False`` leaves 6 and 7 out; with
+    ``axes="xy"`` the same of Y follows
 
     | no | observation | object | 1.0 is |
     |----|-------------|--------|--------|
