@@ -112,8 +112,8 @@ class GantrySwayEnv(ServoEnv):
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (8,), float32)`, clipped; ``sway_sensor=False`` leaves 6 and 7 out; with
-    ``axes="xy"`` the same of Y follows
+    `Box(-1, 1, (6,), float32)`, clipped; ``sway_sensor=True`` adds 6 and 7; with ``axes="xy"`` the
+    same of Y follows
 
     | no | observation | object | 1.0 is |
     |----|-------------|--------|--------|
