@@ -1,9 +1,11 @@
 """The command line ``servogym``."""
 
 import argparse
+import json
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -32,6 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument(
         "--envs", action="store_true", help="the environments, beside the loop and their peers"
     )
+    bench.add_argument("--train", action="store_true", help="PPO on our vector and on DummyVecEnv")
     bench.add_argument("--json", action="store_true", help="machine-readable")
     bench.set_defaults(run=_bench)
 
@@ -81,7 +84,34 @@ def _parser() -> argparse.ArgumentParser:
     watch.add_argument("--speed", type=float, default=1.0, help="1 is real time (1)")
     watch.add_argument("--record", type=Path, help=".mp4, .gif, or a folder; else a window")
     watch.set_defaults(run=_watch)
+    train = commands.add_parser("train", help="train a policy with stable-baselines3")
+    train.add_argument("env", help="id of an environment, as LinearAxis-v0")
+    train.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
+    train.add_argument("--algorithm", choices=("PPO", "SAC"), type=str.upper, help="(PPO)")
+    train.add_argument("--seed", type=int, help="of environments, weights and actions (0)")
+    train.add_argument("--steps", type=int, help="of all environments together")
+    train.add_argument("--envs", type=int, help="environments side by side")
+    train.add_argument(
+        "--argument", action="append", metavar="NAME=VALUE", type=_named,
+        help="of the environment, VALUE in JSON or text; repeatable",
+    )  # fmt: skip
+    train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
+    train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
+    train.add_argument("--checkpoint-every", type=int, help="steps")
+    train.add_argument("--evaluate-every", type=int, help="steps")
+    train.set_defaults(run=_train)
     return parser
+
+
+def _named(text: str) -> tuple[str, Any]:
+    """``"payload=3"`` -> ``("payload", 3)``."""
+    name, equals, value = text.partition("=")
+    if not (name.isidentifier() and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
 
 
 def _demo(options: argparse.Namespace, console: Console) -> int:
@@ -93,6 +123,10 @@ def _demo(options: argparse.Namespace, console: Console) -> int:
 def _bench(options: argparse.Namespace, console: Console) -> int:
     if options.repeat < 1:
         raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
+    if options.train:
+        from . import train_bench
+
+        return train_bench.run(options.drive, options.json, console)
     if options.can:
         from . import can_bench
 
@@ -139,6 +173,22 @@ def _watch(options: argparse.Namespace, console: Console) -> int:
     return watch.run(
         options.env, options.policy, options.drive, options.episodes, options.seed,
         options.speed, options.record, console,
+    )  # fmt: skip
+
+
+def _train(options: argparse.Namespace, console: Console) -> int:
+    from . import train
+
+    given = {
+        name: getattr(options, name)
+        for name in ("steps", "checkpoint_every", "evaluate_every")
+        if getattr(options, name) is not None
+    }
+    return train.run(
+        options.env, options.out, console, resume=options.resume, drive=options.drive,
+        algorithm=options.algorithm, seed=options.seed, envs=options.envs,
+        arguments=dict(options.argument) if options.argument else None,
+        progress=console.is_terminal, **given,
     )  # fmt: skip
 
 

@@ -1,0 +1,253 @@
+"""`servogym train`: it learns, it is interrupted and continues, it refuses what is foreign."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+from servogym.training import checkpoint, cli, hyperparameters, sb3, train_bench
+from servogym.training.train import ALGORITHMS, HoldStill, score, train
+
+ID = "LinearAxis-v0"
+SHORT = {"max_episode_steps": 10}
+SMALL = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}
+SAC_SMALL = {
+    "buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "gradient_steps": 1,
+    "policy_kwargs": {"net_arch": [8]},
+}  # fmt: skip
+
+
+def brief(out, steps=256, **arguments):
+    """A run of a few updates of 128 steps: 8 environments, 16 steps."""
+    fresh = {} if arguments.get("resume") else {"envs": 8, "arguments": SHORT, "settings": SMALL}
+    every = {"checkpoint_every": 128, "evaluate_every": 128}
+    return train(ID, out=out, steps=steps, **(fresh | every | arguments))
+
+
+def counts(out):
+    with (out / "progress.csv").open() as file:
+        return [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A finished brief run."""
+    out = tmp_path_factory.mktemp("run")
+    brief(out)
+    return out
+
+
+def test_ppo_brings_the_axis_to_its_goal_far_better_than_holding_still(tmp_path):
+    policy, still = train(ID, out=tmp_path, steps=120_000, seed=1, evaluate_every=60_000)
+    assert policy.length == 200, "without a fault"
+    assert policy.reward > 3 * still.reward
+    assert policy.reward > 0.3 * 200
+
+
+def test_holding_still_is_no_motion(made):
+    env = VecMonitor(sb3.make(ID, 16, max_episode_steps=10))
+    assert score(HoldStill(1), env).length == 10
+    assert score(HoldStill(1), env) == score(HoldStill(1), env), "the same episodes each time"
+    env.close()
+
+
+def test_a_run_leaves_checkpoints_evaluations_and_the_best_policy(made):
+    assert [folder.name for folder in checkpoint.numbered(made)] == ["0000000128", "0000000256"]
+    for folder in (*checkpoint.numbered(made), made / "best"):
+        about = checkpoint.read(folder)
+        assert about["env_id"] == "servogym/LinearAxis-v0"
+        assert about["drive"] == "generic"
+        assert about["arguments"] == SHORT
+        assert set(about["versions"]) == set(checkpoint.VERSIONED)
+        env = sb3.make(about["env_id"], 2, drive=about["drive"], **about["arguments"])
+        env = VecNormalize.load(str(folder / "vecnormalize.pkl"), env)
+        assert PPO.load(folder / "model.zip", env).num_timesteps == about["steps"]
+        env.close()
+    found = np.load(made / "evaluations.npz")
+    assert found["timesteps"].tolist() == [128, 256]
+    assert found["results"].shape == (2, 16)
+    assert not list(made.glob("**/.*")), "nothing half written"
+
+
+def test_the_same_seed_makes_the_same_policy(made, tmp_path):
+    brief(tmp_path)
+    one, other = (PPO.load(checkpoint.numbered(out)[-1] / "model") for out in (made, tmp_path))
+    for a, b in zip(one.policy.parameters(), other.policy.parameters(), strict=True):
+        assert (a == b).all()
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+def test_it_continues_without_losing_count(algorithm, tmp_path):
+    settings = SMALL if algorithm == "PPO" else SAC_SMALL
+    brief(tmp_path, algorithm=algorithm, settings=settings)
+    kind = ALGORITHMS[algorithm]
+    before = kind.load(checkpoint.numbered(tmp_path)[-1] / "model")
+    brief(tmp_path, 512, resume=True)
+    last = checkpoint.numbered(tmp_path)[-1]
+    after = kind.load(last / "model")
+    assert (before.num_timesteps, after.num_timesteps) == (256, 512)
+    updates = {"PPO": (2, 4), "SAC": (24, 56)}[algorithm]  # SAC: one for 8 steps after the first 64
+    assert (before._n_updates, after._n_updates) == updates
+    assert after._episode_num >= before._episode_num
+    assert np.load(tmp_path / "evaluations.npz")["timesteps"].tolist() == [128, 256, 384, 512]
+    seen = counts(tmp_path)
+    assert seen == sorted(seen)
+    assert {128, 256, 384, 512} <= set(seen)
+    buffers = [f.parent for f in tmp_path.glob("checkpoints/*/replay_buffer.pkl")]
+    assert buffers == ([last] if algorithm == "SAC" else [])
+    if algorithm == "SAC":
+        after.load_replay_buffer(last / "replay_buffer.pkl")
+        assert after.replay_buffer.pos == 512 // 8
+
+
+def test_a_killed_run_continues_from_its_last_checkpoint(tmp_path):
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--out",
+        str(tmp_path), "--steps", "10000000", "--checkpoint-every", "256", "--evaluate-every",
+        "1024", "--argument", "max_episode_steps=10",
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    try:
+        end = time.monotonic() + 120
+        while len(checkpoint.numbered(tmp_path)) < 5 and process.poll() is None:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        said = process.communicate()[0]
+    assert process.returncode == -signal.SIGKILL, said
+    steps = checkpoint.read(checkpoint.numbered(tmp_path)[-1])["steps"]
+    with (tmp_path / "progress.csv").open("a") as file:
+        file.write("1,2")  # a row cut off
+    (tmp_path / "checkpoints" / ".0000009999.1").mkdir()
+    train(ID, out=tmp_path, steps=steps + 256, resume=True)
+    assert checkpoint.read(checkpoint.numbered(tmp_path)[-1])["steps"] == steps + 256
+    seen = counts(tmp_path)
+    assert seen == sorted(seen)
+    assert seen[-1] == steps + 256
+    assert not list(tmp_path.glob("checkpoints/.*"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGINT to a child there")
+def test_ctrl_c_says_how_to_continue_and_exits_with_130(tmp_path):
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--out",
+        str(tmp_path), "--steps", "10000000", "--checkpoint-every", "256",
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8"
+    )
+    end = time.monotonic() + 120
+    while not checkpoint.numbered(tmp_path) and process.poll() is None:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert "--resume continues from the last checkpoint" in out
+    assert error.strip() == "interrupted"
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments", "says"),
+    [
+        ("LinearAxisTracking-v0", {}, "'servogym/LinearAxis-v0', asked for is 'servogym/LinearAxi"
+         "sTracking-v0'"),
+        (ID, {"drive": "kollmorgen_akd"}, "drive = 'generic', asked for is 'kollmorgen_akd'"),
+        (ID, {"algorithm": "SAC"}, "algorithm = 'PPO', asked for is 'SAC'"),
+        (ID, {"seed": 3}, "seed = 0, asked for is 3"),
+        (ID, {"envs": 9}, "envs = 8, asked for is 9"),
+        (ID, {"arguments": {}}, "asked for is {}"),
+    ],
+)  # fmt: skip
+def test_a_checkpoint_of_something_else_is_refused_naming_both(made, env_id, arguments, says):
+    with pytest.raises(ValueError, match=r"checkpoint .*another --out") as refusal:
+        train(env_id, out=made, resume=True, **arguments)
+    assert says in str(refusal.value)
+
+
+def test_another_version_is_told_with_both(made, monkeypatch, capsys):
+    monkeypatch.setattr(checkpoint, "version", lambda name: "99.1")
+    mujoco = checkpoint.read(checkpoint.numbered(made)[-1])["versions"]["mujoco"]
+    assert cli.main(["train", ID, "--out", str(made), "--resume", "--steps", "256"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"made with mujoco {mujoco}, this is 99.1" in said
+    assert "holding still" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["Pole-v0"], "unknown environment 'Pole-v0'"),
+        ([ID, "--drive", "nothing"], "unknown drive model 'nothing'"),
+        ([ID, "--drive", "bonfiglioli_act"], "has no mode cyclic_sync_position"),
+        ([ID, "--steps", "0"], "steps = 0 must be a whole number"),
+        ([ID, "--seed", "-1"], "seed = -1 must be a whole number"),
+        ([ID, "--envs", "0"], "envs = 0 must be a whole number"),
+        ([ID, "--argument", "payloads=3"], "arguments of servogym/LinearAxis-v0:"),
+        ([ID, "--argument", "payload=-3"], "payload"),
+        ([ID, "--resume"], "leave out --resume"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2_and_leaves_nothing(capsys, tmp_path, options, says):
+    out = tmp_path / "out"
+    assert cli.main(["train", *options, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_folder_with_a_run_is_not_overwritten(made):
+    with pytest.raises(ValueError, match="has a run already: --resume continues it"):
+        brief(made)
+
+
+def test_a_broken_checkpoint_says_what_to_do(made, tmp_path):
+    folder = tmp_path / "checkpoints" / "0000000128"
+    folder.mkdir(parents=True)
+    (folder / "checkpoint.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ValueError, match="remove its folder, and the one before is taken"):
+        brief(tmp_path, resume=True)
+
+
+def test_a_wrong_hyper_parameter_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"hyper-parameters of PPO: .*learning_speed"):
+        brief(tmp_path, settings=SMALL | {"learning_speed": 1})
+
+
+@pytest.mark.parametrize(("envs", "batch"), [(64, 512), (4, 256), (12, 384), (1, 64)])
+def test_the_rollout_is_a_multiple_of_the_batch(envs, batch):
+    settings = hyperparameters.of("servogym/LinearAxis-v0", "PPO", envs)
+    assert settings["batch_size"] == batch
+    assert settings["n_steps"] * envs % batch == 0
+
+
+def test_the_table_names_what_exists():
+    ids = {task.ID for task in sb3.TASKS}
+    for env_id, own in hyperparameters.OWN.items():
+        assert env_id in ids
+        for algorithm in own:
+            assert json.dumps(hyperparameters.of(env_id, algorithm))
+            assert hyperparameters.of(env_id, algorithm) != hyperparameters.COMMON[algorithm]
+    with pytest.raises(ValueError, match="algorithm = 'DQN', use one of PPO, SAC"):
+        hyperparameters.of(ID, "DQN")
+
+
+def test_the_bench_trains_both_on_the_same(monkeypatch):
+    monkeypatch.setattr(train_bench, "ROLLOUT", 512)
+    rows = train_bench.measure("generic", 1, (8,))
+    assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", "ServoVecEnv of 8"]
+    assert rows[0]["ratio"] == 1.0
+    assert all(row["rollout_us"] > 0 and row["update_us"] > 0 for row in rows)
