@@ -17,7 +17,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from servogym.training import checkpoint, cli, hyperparameters, sb3, train_bench
-from servogym.training.train import ALGORITHMS, HoldStill, score, train
+from servogym.training.evaluation import HoldStill, score
+from servogym.training.train import ALGORITHMS, train
 
 ID = "LinearAxis-v0"
 SHORT = {"max_episode_steps": 10}
@@ -57,8 +58,10 @@ def test_ppo_brings_the_axis_to_its_goal_far_better_than_holding_still(tmp_path)
 
 def test_holding_still_is_no_motion(made):
     env = VecMonitor(sb3.make(ID, 16, max_episode_steps=10))
-    assert score(HoldStill(1), env).length == 10
-    assert score(HoldStill(1), env) == score(HoldStill(1), env), "the same episodes each time"
+    assert score(HoldStill(env.action_space), env).length == 10
+    assert score(HoldStill(env.action_space), env) == score(HoldStill(env.action_space), env), (
+        "the same episodes each time"
+    )
     env.close()
 
 

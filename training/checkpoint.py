@@ -5,6 +5,7 @@ run is and how far it has come is in `checkpoint.json`. A folder is written besi
 renamed, so a run that is killed leaves the checkpoint before.
 """
 
+import csv
 import json
 import os
 import shutil
@@ -12,10 +13,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import CSVOutputFormat
+
 FOLDER = "checkpoints"
 ABOUT = "checkpoint.json"
 MODEL, STATISTICS, REPLAY = "model.zip", "vecnormalize.pkl", "replay_buffer.pkl"
 VERSIONED = ("servogym", "mujoco", "gymnasium", "stable-baselines3", "torch")
+STEPS_COLUMN = "time/total_timesteps"
 
 
 def versions() -> dict[str, str]:
@@ -80,3 +85,50 @@ def read(folder: Path) -> dict[str, Any]:
             f"{folder / ABOUT} is no checkpoint of a training run ({error!r}): "
             "remove its folder, and the one before is taken"
         ) from None
+
+
+class Checkpoints(BaseCallback):
+    """A checkpoint every `every` steps, where all that was counted has been learned from."""
+
+    def __init__(self, about: dict[str, Any], out: Path, every: int):
+        super().__init__()
+        self.about, self.out, self.every = about, out, every
+
+    def _on_training_start(self) -> None:
+        self.last = self.model.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        if self.model.num_timesteps - self.last >= self.every:
+            self.last = self.model.num_timesteps
+            save_numbered(self.model, self.about, self.out)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class ContinuedCsv(CSVOutputFormat):
+    """SB3's CSV file, with the rows of an earlier session up to `steps`."""
+
+    def __init__(self, file: Path, steps: int):
+        rows = []
+        if steps and file.is_file():
+            with file.open(newline="", encoding="utf-8") as earlier:
+                rows = list(csv.DictReader(earlier))
+        super().__init__(str(file))
+        for row in rows:
+            count = row.get(STEPS_COLUMN) or ""  # a row may have been cut off
+            whole = None not in row and None not in row.values()
+            if whole and count.isdigit() and int(count) <= steps:
+                self.write(row, dict.fromkeys(row, ()))
+
+    def write(self, key_values, key_excluded, step=0) -> None:
+        """A row; what was read from the file is text, and stays unquoted."""
+        numbers = {
+            key: _number(value) if isinstance(value, str) else value
+            for key, value in key_values.items()
+        }
+        super().write(numbers, key_excluded, step)
+
+
+def _number(text: str) -> float | int | None:
+    return None if not text else int(text) if text.lstrip("-").isdigit() else float(text)

@@ -35,6 +35,11 @@ COMMON: dict[str, dict[str, Any]] = {
 }
 STEPS = 500_000  # of training, of all environments together
 OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
+    "servogym/LinearAxisTracking-v0": {
+        # the actions are small corrections of what the drive does well by itself
+        "PPO": {"gamma": 0.9, "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]}},
+    },
+    "servogym/CompliantAxis-v0": {"PPO": {"learning_rate": 5e-4}},
 }
 
 

@@ -4,13 +4,12 @@ A run has a folder: `progress.csv`, `evaluations.npz` (the same episodes each ti
 and `best/`, the policy of the best evaluation.
 """
 
-import csv
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -20,15 +19,12 @@ from . import checkpoint, hyperparameters, sb3  # sb3 first tells what has to be
 # isort: split
 import torch
 from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
-ALGORITHMS = {"PPO": PPO, "SAC": SAC}
-EPISODES = 16  # of an evaluation, one in each of as many environments
-EPISODES_SEED = 20_000_000  # they are the same for every run
-STEPS_COLUMN = "time/total_timesteps"
+from .evaluation import EPISODES, Evaluation, HoldStill, Score, score
+
+ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 
 @dataclass(frozen=True)
@@ -70,125 +66,6 @@ class Run:
 def _whole(name: str, value: int, low: int, high: int = 10**12) -> None:
     if value != int(value) or not low <= value <= high:
         raise ValueError(f"{name} = {value!r} must be a whole number {low}..{high}")
-
-
-class Score(NamedTuple):
-    """Of the fixed episodes: mean return, its standard deviation, mean length (steps)."""
-
-    reward: float
-    deviation: float
-    length: float
-
-    def __str__(self) -> str:
-        """``"87.2 ± 4.1 in 200 steps"``."""
-        return f"{self.reward:.1f} ± {self.deviation:.1f} in {self.length:.0f} steps"
-
-
-class HoldStill:
-    """The policy every other one has to beat: actions of 0."""
-
-    def __init__(self, actions: int):
-        self.actions = actions
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """Actions, shape ``(num_envs, actions)``, and no state."""
-        return np.zeros((len(observation), self.actions), np.float32), None
-
-
-def score(policy, env: VecEnv) -> Score:
-    """Play the fixed episodes in `EPISODES` environments."""
-    env.seed(EPISODES_SEED)
-    rewards, lengths = evaluate_policy(policy, env, EPISODES, return_episode_rewards=True)
-    return Score(float(np.mean(rewards)), float(np.std(rewards)), float(np.mean(lengths)))
-
-
-class Evaluation(EvalCallback):
-    """SB3's evaluation on fixed episodes, going on where a checkpoint was made; keeps the best."""
-
-    def __init__(self, env: VecEnv, run: Run, out: Path, every: int, console: Console):
-        freq = max(every // run.envs, 1)
-        super().__init__(
-            env, n_eval_episodes=EPISODES, eval_freq=freq, log_path=str(out), verbose=0
-        )
-        self.run, self.out, self.console = run, out, console
-
-    def go_on(self, steps: int) -> None:
-        """Recover what was found up to `steps`."""
-        self.n_calls = steps // self.run.envs
-        file = self.out / "evaluations.npz"
-        if not file.is_file():
-            return
-        with np.load(file) as found:
-            kept = found["timesteps"] <= steps
-            self.evaluations_timesteps = found["timesteps"][kept].tolist()
-            self.evaluations_results = found["results"][kept].tolist()
-            self.evaluations_length = found["ep_lengths"][kept].tolist()
-            if "successes" in found:
-                self.evaluations_successes = found["successes"][kept].tolist()
-        self.best_mean_reward = max(map(np.mean, self.evaluations_results), default=-np.inf)
-
-    def _on_step(self) -> bool:
-        if self.n_calls % self.eval_freq:
-            return True
-        self.eval_env.seed(EPISODES_SEED)
-        best = self.best_mean_reward
-        super()._on_step()
-        better = self.best_mean_reward > best
-        if better:
-            about = asdict(self.run) | {"mean_reward": self.best_mean_reward}
-            checkpoint.save(self.model, about, self.out / "best", replay=False)
-        self.console.print(
-            f"{self.num_timesteps:>10} steps: reward of an episode {self.last_mean_reward:.1f}"
-            + (", the best so far" if better else "")
-        )
-        return True
-
-
-class Checkpoints(BaseCallback):
-    """A checkpoint every `every` steps, where all that was counted has been learned from."""
-
-    def __init__(self, run: Run, out: Path, every: int):
-        super().__init__()
-        self.run, self.out, self.every = run, out, every
-
-    def _on_training_start(self) -> None:
-        self.last = self.model.num_timesteps
-
-    def _on_rollout_start(self) -> None:
-        if self.model.num_timesteps - self.last >= self.every:
-            self.last = self.model.num_timesteps
-            checkpoint.save_numbered(self.model, asdict(self.run), self.out)
-
-    def _on_step(self) -> bool:
-        return True
-
-
-class ContinuedCsv(CSVOutputFormat):
-    """SB3's CSV file, with the rows of an earlier session up to `steps`."""
-
-    def __init__(self, file: Path, steps: int):
-        rows = []
-        if steps and file.is_file():
-            with file.open(newline="", encoding="utf-8") as earlier:
-                rows = list(csv.DictReader(earlier))
-        super().__init__(str(file))
-        for row in rows:
-            count = row.get(STEPS_COLUMN) or ""  # a row may have been cut off
-            whole = None not in row and None not in row.values()
-            if whole and count.isdigit() and int(count) <= steps:
-                self.write(row, dict.fromkeys(row, ()))
-
-    def write(self, key_values, key_excluded, step=0) -> None:
-        """A row; what was read from the file is text, and stays unquoted."""
-        numbers = {
-            key: _number(value) if isinstance(value, str) else value
-            for key, value in key_values.items()
-        }
-        super().write(numbers, key_excluded, step)
-
-
-def _number(text: str) -> float | int | None:
-    return None if not text else int(text) if text.lstrip("-").isdigit() else float(text)
 
 
 def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None) -> Run:
@@ -306,14 +183,17 @@ def _train(
             else VecNormalize(env, gamma=settings["gamma"])
         )
     kind = ALGORITHMS[run.algorithm]
-    evaluation = Evaluation(judged, run, out, evaluate_every, console)
+    evaluation = Evaluation(judged, asdict(run), out, evaluate_every, console)
     if last:
         model = kind.load(last / checkpoint.MODEL, env, device="cpu")
         # not the episodes of the beginning once more
         seeds = np.random.SeedSequence([run.seed, model.num_timesteps])
         model.set_random_seed(int(seeds.generate_state(1)[0]) % 2**31)
-        if (last / checkpoint.REPLAY).is_file():
-            model.load_replay_buffer(last / checkpoint.REPLAY)
+        if isinstance(model, SAC):
+            if (last / checkpoint.REPLAY).is_file():
+                model.load_replay_buffer(last / checkpoint.REPLAY)
+            else:  # only the latest checkpoint had it
+                console.print(f"note: {last} has no {checkpoint.REPLAY}, it is filled anew")
         evaluation.go_on(model.num_timesteps)
         checkpoint.tidy(out)
         console.print(f"{run.env_id}: from step {model.num_timesteps} on")
@@ -324,7 +204,7 @@ def _train(
             raise ValueError(f"hyper-parameters of {run.algorithm}: {error}") from None
     out.mkdir(parents=True, exist_ok=True)
     model.set_logger(_logger(out, model.num_timesteps))
-    callbacks = [evaluation, Checkpoints(run, out, checkpoint_every)]
+    callbacks = [evaluation, checkpoint.Checkpoints(asdict(run), out, checkpoint_every)]
     remaining = steps - model.num_timesteps
     try:
         if remaining > 0:
@@ -333,9 +213,9 @@ def _train(
                 progress_bar=progress and find_spec("tqdm") is not None,
             )  # fmt: skip
             checkpoint.save_numbered(model, asdict(run), out)
-        if isinstance(judged, VecNormalize):
+        if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
             judged.obs_rms = env.obs_rms
-        scores = score(model, judged), score(HoldStill(env.action_space.shape[0]), judged)
+        scores = score(model, judged), score(HoldStill(env.action_space), judged)
     finally:
         model.logger.close()
         env.close()
@@ -344,7 +224,7 @@ def _train(
 
 
 def _logger(out: Path, steps: int) -> Logger:
-    formats: list[Any] = [ContinuedCsv(out / "progress.csv", steps)]
+    formats: list[Any] = [checkpoint.ContinuedCsv(out / "progress.csv", steps)]
     if find_spec("tensorboard") is not None:
         formats.append(TensorBoardOutputFormat(str(out)))
     return Logger(str(out), formats)

@@ -62,10 +62,13 @@ def _block(model: PPO) -> tuple[float, float]:
 
 def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> list[dict[str, Any]]:
     """Medians of `blocks` after one for warming up; the first row is that of the peer."""
-    peers = DummyVecEnv([lambda: gym.make(ENV, drive=drive) for _ in range(PEERS)])
-    learners = {f"DummyVecEnv of {PEERS}": _learner(peers)}
-    for n in ours:
-        learners[f"ServoVecEnv of {n}"] = _learner(sb3.make(ENV, n, drive=drive))
+    environments: dict[str, VecEnv] = {
+        f"DummyVecEnv of {PEERS}": DummyVecEnv(
+            [lambda: gym.make(ENV, drive=drive) for _ in range(PEERS)]
+        )
+    }
+    environments |= {f"ServoVecEnv of {n}": sb3.make(ENV, n, drive=drive) for n in ours}
+    learners = {name: _learner(env) for name, env in environments.items()}
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in learners}
     for _ in range(blocks + 1):
         for name, learner in learners.items():
@@ -83,8 +86,8 @@ def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> l
             "ratio": float(np.median(ratio)),
             "ratio_of_the_rollouts": float(np.median(first[:, 0] / found[:, 0])),
         })  # fmt: skip
-    for learner in learners.values():
-        learner.env.close()
+    for env in environments.values():
+        env.close()
     return rows
 
 
