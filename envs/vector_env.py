@@ -149,8 +149,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             self._batch.run(self._parts[0])
             return
         if self._pool is None:
-            self._pool = ThreadPoolExecutor(len(self._parts), "servogym")
-        list(self._pool.map(self._batch.run, self._parts))
+            self._pool = ThreadPoolExecutor(len(self._parts) - 1, "servogym")
+        others = [self._pool.submit(self._batch.run, part) for part in self._parts[1:]]
+        self._batch.run(self._parts[0])  # by this thread: no time is lost to waking another
+        for other in others:
+            other.result()
 
     def _infos(self) -> dict[str, Any]:
         batch = self._batch

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from servogym import training
 from servogym.training import bench, cli, demo
 
 
@@ -44,6 +45,20 @@ def test_a_wrong_command_line_shows_the_usage_and_status_2(capsys, arguments):
         cli.main(arguments)
     assert exit_info.value.code == 2
     assert "usage: servogym" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["train", "LinearAxis-v0"], ["bench", "--train"]])
+def test_without_sb3_the_command_that_installs_it_is_told(capsys, monkeypatch, command):
+    for name in list(sys.modules):
+        if name.startswith("servogym.training.") and not name.endswith("cli"):
+            monkeypatch.delitem(sys.modules, name)
+            monkeypatch.delattr(training, name.rpartition(".")[2], raising=False)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    assert cli.main(command) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'servogym[train]'" in error
+    assert error.count("\n") == 1
 
 
 def test_a_picture_that_cannot_be_written_is_one_line(capsys, tmp_path):

@@ -4,7 +4,8 @@
 >>> PPO("MlpPolicy", VecMonitor(env)).learn(100_000)
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from ..envs.vector_env import ServoVectorEnv
 
 try:
     # SB3's optimizers import it in any case; after Mesa has rendered, its LLVM makes that crash
-    import torch._dynamo  # noqa: F401
+    import torch
+    import torch._dynamo
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
     raise ImportError(
@@ -40,6 +42,17 @@ def make(env_id: str, num_envs: int = 1, **arguments: Any) -> "ServoVecEnv":
     """`num_envs` environments for SB3; `arguments` as of `ServoVectorEnv` and of the task."""
     same = AutoresetMode.SAME_STEP
     return ServoVecEnv(ServoVectorEnv(task(env_id), num_envs, autoreset_mode=same, **arguments))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: with nets this small, a second one costs more than it brings."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class ServoVecEnv(VecEnv):

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from . import checkpoint, hyperparameters, sb3  # sb3 first tells what has to be installed
+from . import sb3  # first: tells what has to be installed
 
 # isort: split
-import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
+from . import checkpoint, hyperparameters
 from .evaluation import EPISODES, Evaluation, HoldStill, Score, score
 
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
@@ -153,20 +153,9 @@ def train(
         )
     last = found[-1] if found else None
     run = _continued(last, env_id, asked, console) if last else _run(env_id, asked, settings)
-    with _OneThread():
+    with sb3.one_thread():
         return _train(run, last, out, int(steps), checkpoint_every, evaluate_every, progress,
                       console)  # fmt: skip
-
-
-class _OneThread:
-    """For nets as small as these, a second thread of torch costs more than it brings."""
-
-    def __enter__(self):
-        self.before = torch.get_num_threads()
-        torch.set_num_threads(1)
-
-    def __exit__(self, *_):
-        torch.set_num_threads(self.before)
 
 
 def _train(

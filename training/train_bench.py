@@ -13,13 +13,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from . import checkpoint, hyperparameters, sb3
+from . import sb3  # first: tells what has to be installed
 
 # isort: split
-import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+
+from . import checkpoint, hyperparameters
 
 ENV = "servogym/LinearAxis-v0"
 ROLLOUT = 8192  # steps between updates, of all environments together
@@ -93,13 +94,8 @@ def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> l
 
 def run(drive: str, as_json: bool, console: Console) -> int:
     """Measure and print; -> exit status."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with console.status("training ..."):
-            rows = measure(drive)
-    finally:
-        torch.set_num_threads(threads)
+    with console.status("training ..."), sb3.one_thread():
+        rows = measure(drive)
     if as_json:
         results = {"drive": drive, "versions": checkpoint.versions(), "train": rows}
         console.file.write(json.dumps(results, indent=1) + "\n")
