@@ -17,6 +17,7 @@ from . import mechanics
 from .mechanics import MECHANICS
 from .memory import bytes_at, floats_at, integers_at, viewer
 from .physics import STATE, mj_get_state, mj_set_state, mj_step
+from .probe import observe, probes_at
 
 AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
@@ -68,6 +69,8 @@ WORLD = np.dtype(
         ("drives", "i8"),
         ("tick", "i8"),  # physics steps since the reset
         ("delay", "i8"),  # physics steps an RPDO image is late
+        ("probes", "i8"),  # address of the records that measure the drives; 0: there are none
+        ("timestep", "f8"),  # s
         # of a machine that shares MjModel and MjData with others, addresses of
         ("state", "i8"),  # its state while others live there; 0: it lives alone
         ("kept", "i8"),  # its values of the fields of MjModel
@@ -164,6 +167,10 @@ def _tick(world, axes, couplings, joints, qpos, qvel, ctrl, frictionloss):
         mj_step(world.mj_model, world.mj_data)
         for i in range(len(axes)):
             mechanics.watch(world, couplings[i], joints[i], qpos, qvel)
+    if world.probes != 0:
+        probes = probes_at(world.probes, world.drives)
+        for i in range(len(axes)):
+            observe(probes[i], axes[i], couplings[i], world.timestep, qpos, qvel)
     world.tick += 1
 
 

@@ -16,6 +16,7 @@ from .mechanics import numeric
 from .memory import address
 from .mjcf import actuator_of, attach
 from .physics import STATE, addresses
+from .probe import PROBE
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 VERSION = 2  # of the snapshot layout
@@ -86,6 +87,7 @@ class Machine:
         self.addresses = np.array([address(self.world)])
         self._coordinates = np.zeros(model.nq), np.zeros(model.nv)
         self._shared: tuple[np.ndarray, ...] = ()
+        self.probes = np.zeros(0, record.accessible(PROBE))
         self._settle()
         self.reset()
 
@@ -104,6 +106,7 @@ class Machine:
             ("guide_friction", self._model.tendon_frictionloss),
         ):  # fmt: skip
             world[name] = address(array)
+        world["timestep"] = self._model.opt.timestep
         world["nq"], world["nv"], world["nu"] = self._model.nq, self._model.nv, self._model.nu
         world["drives"] = len(self.drives)
 
@@ -145,6 +148,12 @@ class Machine:
             self.world[name] = address(array)
         self.world["field_count"] = len(fields)
         self._settle()
+
+    def probe(self) -> np.ndarray:
+        """PROBE records, one a drive, that the loop fills from now on; `probe.begin` starts one."""
+        self.probes = np.zeros(len(self.drives), record.accessible(PROBE))
+        self.world["probes"] = address(self.probes)
+        return self.probes
 
     @classmethod
     def from_mjcf(

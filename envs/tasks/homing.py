@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.jit import entry
+from ...drive.jit import block, entry
 from ...drive.model import DriveModel, load
 from ...drive.words import ENABLED, Mode
 from ...drive.words import Controlword as C
@@ -52,6 +52,14 @@ def act(worlds, episodes, actions, rpdos):
         episode._time += episode._step_time
 
 
+@block
+def _terms(share, time, impact_energy, greatest_torque):
+    """Accuracy, speed, gentleness; `share` is the error over the tolerance."""
+    impact = 1.0 / (1.0 + impact_energy / IMPACT)
+    gentleness = 0.5 * impact + 0.5 * (1.0 - min(greatest_torque, 1.0))
+    return 1.0 / (1.0 + share * share), DURATION / (DURATION + time), gentleness
+
+
 @entry
 def judge(worlds, episodes, rpdos, tpdos, observations):
     """Figures of the run so far; the reward comes when the reference is found, and at the end."""
@@ -77,14 +85,15 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         side = 1.0 if episode.start > home else -1.0
         first = not episode._found and (now - home) * side < FOUND and now != before
         episode._found = episode._found or first
-        share = episode.error / episode._tolerance
-        impact = 1.0 / (1.0 + episode.impact_energy / IMPACT)
+        accuracy, speed, gentleness = _terms(
+            episode.error / episode._tolerance, episode._time, episode.impact_energy,
+            episode.greatest_torque,
+        )  # fmt: skip
         ended = episode.attained
         episode.reward_found = 1.0 if first else 0.0
-        episode.reward_accuracy = 1.0 / (1.0 + share * share) if ended else 0.0
-        episode.reward_speed = DURATION / (DURATION + episode._time) if ended else 0.0
-        gentle = 0.5 * impact + 0.5 * (1.0 - min(episode.greatest_torque, 1.0))
-        episode.reward_gentleness = gentle if ended else 0.0
+        episode.reward_accuracy = accuracy if ended else 0.0
+        episode.reward_speed = speed if ended else 0.0
+        episode.reward_gentleness = gentleness if ended else 0.0
         quality = 0.5 + 0.25 * episode.reward_speed + 0.25 * episode.reward_gentleness
         episode.reward = 0.1 * episode.reward_found + 0.9 * episode.reward_accuracy * quality
         episode.cost = limited(tpdos[w])
@@ -269,6 +278,15 @@ class HomingEnv(ServoEnv):
             self.machine, method, self.episode.start, stride=self.cycles_per_step,
             objects={"max_torque": self._max_torque} | (objects or {}),
         )  # fmt: skip
+
+    def worth(self, figures: HomingFigures) -> float:
+        """The return an agent would have got for such a run."""
+        accuracy, speed, gentleness = _terms(
+            figures.error / self.tolerance, figures.time, figures.impact_energy,
+            figures.greatest_torque,
+        )  # fmt: skip
+        quality = 0.5 + 0.25 * speed + 0.25 * gentleness
+        return 0.1 + 0.9 * accuracy * quality if figures.attained else 0.0
 
 
 vector = partial(ServoVectorEnv, HomingEnv)

@@ -1,0 +1,207 @@
+"""Fixed episodes of an environment under a policy, and the metrics of each.
+
+Episode i of evaluation seed s has the seed 1,000,000 + 1,000 s + i: training, which counts up from
+small seeds, does not meet them. All episodes run side by side in a vector environment.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from ..drive.model import DriveModel
+from ..envs import TASKS, probe
+from ..envs.servo_env import ServoEnv
+from ..envs.tasks.homing import HomingEnv
+from ..envs.vector_env import ServoVectorEnv
+from .metrics import METRICS
+from .policies import MOVES, BuiltIn, make
+
+FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
+PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Of one policy: seeds, shape ``(n,)``, and by metric its values, shape ``(n,)``."""
+
+    policy: str
+    seeds: list[int]
+    values: dict[str, np.ndarray]
+    faults: list[str]  # code and meaning, empty without one
+
+
+def task(name: str) -> type[ServoEnv]:
+    """The class of an environment by its id, with or without the name space.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    for known in TASKS:
+        if name in (known.ID, known.ID.partition("/")[2]):
+            return known
+    raise ValueError(
+        f"environment {name!r} is unknown, choose of "
+        f"{', '.join(known.ID.partition('/')[2] for known in TASKS)}"
+    )
+
+
+def seeds(seed: int, episodes: int) -> list[int]:
+    """Of the fixed episodes. Raises ValueError for numbers out of range."""
+    if not 1 <= episodes <= SEEDS_APART:
+        raise ValueError(f"--episodes = {episodes} is out of range 1..{SEEDS_APART}")
+    if not 0 <= seed <= 1_000_000:
+        raise ValueError(f"--seed = {seed} is out of range 0..1000000")
+    first = FIRST_SEED + SEEDS_APART * seed
+    return list(range(first, first + episodes))
+
+
+class Evaluator:
+    """The fixed episodes of one environment.
+
+    Args:
+        name: id of the environment.
+        drive: drive model.
+        episodes: how many, 1..1000.
+        seed: evaluation seed.
+        options: of the reset of each episode, shape ``(n,)``; none if not given.
+        **arguments: of the environment.
+
+    Raises:
+        ValueError: naming what is wrong, before the first episode.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        drive: str | DriveModel = "generic",
+        episodes: int = 50,
+        seed: int = 0,
+        options: Sequence[dict[str, Any]] = (),
+        **arguments: Any,
+    ):
+        self.task = task(name)
+        self.seeds = seeds(seed, episodes)
+        self._options = options
+        self.vector = ServoVectorEnv(
+            self.task, episodes, autoreset_mode=AutoresetMode.DISABLED, drive=drive, **arguments
+        )
+        self.env = self.vector.envs[0]
+        self.duration = self.task.STEPS * self.env.step_time
+        for env in self.vector.envs:
+            env.machine.probe()
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self.vector.close()
+
+    def run(self, policy: str) -> Evaluation:
+        """All episodes under the policy of that name. Raises ValueError if it does not fit."""
+        made = [make(policy, env, s) for env, s in zip(self.vector.envs, self.seeds, strict=True)]
+        observations, infos = self._reset()
+        if isinstance(made[0], BuiltIn):
+            return self._built_in(policy, made[0].method)
+        n = len(self.seeds)
+        returns, limited = np.zeros(n), np.zeros(n)
+        steps, unsettled = np.zeros(n, int), np.zeros(n, int)
+        active, faults = np.ones(n, bool), [""] * n
+        for i, one in enumerate(made):
+            one.reset(observations[i], {k: infos[k][i] for k in PUBLIC if k in infos})
+        actions = np.zeros(self.vector.action_space.shape, np.float32)
+        while active.any():
+            for i in np.flatnonzero(active).tolist():
+                actions[i] = made[i].act(observations[i])
+            observations, rewards, ends, truncations, infos = self.vector.step(actions)
+            returns += rewards
+            steps += active
+            limited += active * infos["cost"]
+            failing = active & ~infos["is_success"]
+            unsettled[failing] = steps[failing]
+            for i in np.flatnonzero(ends & active).tolist():
+                faults[i] = str(infos["fault"][i]) if "fault" in infos else ""
+            active &= ~(ends | truncations)
+        success = infos["is_success"].astype(float)
+        settled = np.where(success > 0, unsettled * self.env.step_time, self.duration)
+        values = _empty(n) | {
+            "episode_return": returns,
+            "success": success,
+            "settling_time": settled,
+            "limited": limited / steps,
+            "faults": np.array([fault != "" for fault in faults], float),
+        }
+        for i, env in enumerate(self.vector.envs):
+            for name, value in self._measured(env, faults[i]).items():
+                values[name][i] = value
+        return Evaluation(policy, self.seeds, values, faults)
+
+    def _reset(self) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin all episodes, and the measurement of each."""
+        seeds: list[int | None] = list(self.seeds)
+        observations, infos = self.vector.reset(seed=seeds)
+        for i, options in enumerate(self._options):
+            mask = np.arange(len(seeds)) == i
+            observations, infos = self.vector.reset(
+                seed=seeds, options={**options, "reset_mask": mask}
+            )
+        for env in self.vector.envs:
+            window = {}
+            if self.task.ID in MOVES:
+                window = {"goal": float(env.episode.goal), "window": env.tolerance}
+            probe.begin(env.machine, self.duration, **window)
+        return observations, infos
+
+    def _measured(self, env: ServoEnv, fault: str) -> dict[str, float]:
+        """Of an episode that has ended: the largest of all drives, work is a sum."""
+        probes, episode = env.machine.probes, env.episode
+        ticks = max(int(probes["ticks"][0]), 1)
+        rated = env.machine.axes["rated_torque"]
+        names = self.task.EPISODE.names or ()
+        values = {
+            "peak_error": 1e6 * probes["error_peak"].max(),
+            "rms_error": 1e6 * np.sqrt(probes["error_squares"] / ticks).max(),
+            "peak_torque": (probes["torque_peak"] / rated).max(),
+            "rms_torque": (np.sqrt(probes["torque_squares"] / ticks) / rated).max(),
+            "rms_jerk": np.sqrt(probes["jerk_squares"] / np.maximum(probes["jerks"], 1)).max(),
+            "energy": probes["work"].sum(),
+        }
+        one = probes[0]
+        if self.task.ID in MOVES:
+            values["overshoot"] = 1e6 * one.overshoot
+            inside = one.outside < one.ticks and not fault
+            timestep = env.machine.model.opt.timestep
+            values["settling_time"] = one.outside * timestep if inside else self.duration
+        if one.first >= 0 and one.highest >= one.lowest:
+            values["vibration"] = 0.5e6 * (one.highest - one.lowest)
+        if isinstance(env, HomingEnv):
+            values["reference_error"] = 1e6 * abs(episode.error) if episode.attained else math.nan
+            values["impact_energy"] = episode.impact_energy
+        if "rms_error" in names:
+            values["tracking_error"] = 1e6 * episode.rms_error
+            values["settling_time"] = math.nan  # a reference is no goal
+        return {name: float(value) for name, value in values.items()}
+
+    def _built_in(self, policy: str, method: int) -> Evaluation:
+        """What a homing method of the drive makes of the same starts."""
+        values = _empty(len(self.seeds))
+        for i, env in enumerate(self.vector.envs):
+            assert isinstance(env, HomingEnv)
+            figures = env.built_in(method)
+            found = figures.attained
+            for name, value in (
+                ("episode_return", env.worth(figures)),
+                ("success", found and abs(figures.error) <= env.tolerance),
+                ("settling_time", figures.time if found else self.duration),
+                ("peak_torque", figures.greatest_torque * env._max_torque * 1e-3),
+                ("reference_error", 1e6 * abs(figures.error) if found else math.nan),
+                ("impact_energy", figures.impact_energy),
+            ):
+                values[name][i] = value
+        return Evaluation(policy, self.seeds, values, [""] * len(self.seeds))
+
+
+def _empty(n: int) -> dict[str, np.ndarray]:
+    return {name: np.full(n, math.nan) for name in METRICS}

@@ -1,0 +1,139 @@
+"""Policies through one door: `make` gives an object with `reset` and `act`, by its name.
+
+A policy is made for one environment from what may be known of it (`known.Known`), sees observations
+and gives actions. It never touches the physics nor what was drawn at random. `BuiltIn` alone is no
+such object: it stands for a homing method of the drive, which runs instead of an agent.
+"""
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ...envs.faces import PDO
+from ...envs.servo_env import ServoEnv
+from ...envs.tasks.commissioning import CommissioningEnv
+from ...envs.tasks.compliant import CompliantAxisEnv
+from ...envs.tasks.homing import HomingEnv
+from ...envs.tasks.positioning import LinearAxisEnv
+from ...envs.tasks.tracking import LinearAxisTrackingEnv
+from .feed_forward import FeedForward
+from .homing import BuiltIn, search_policy
+from .known import Known, known
+from .plc import plc_policy
+from .profiles import (
+    jerk_limited_policy,
+    ruckig_policy,
+    ruckig_zv_policy,
+    ruckig_zvd_policy,
+    trapezoid_policy,
+)
+from .proportional import Proportional
+from .still import Chance, Hold
+
+
+class Policy(Protocol):
+    """What every policy is."""
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Begin an episode."""
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """The action, float32 in -1..1, for an observation."""
+
+
+class Baseline(NamedTuple):
+    """A row of the table."""
+
+    make: Callable[[Known, int], Any]
+    tasks: tuple[str, ...]  # ids; none: all
+    what: str
+
+
+MOVES = (LinearAxisEnv.ID, CompliantAxisEnv.ID)
+POLICIES: dict[str, Baseline] = {
+    "hold": Baseline(Hold, (), "action 0"),
+    "random": Baseline(Chance, (), "uniform actions from the seed"),
+    "trapezoid": Baseline(trapezoid_policy, MOVES, "pp profile of the drive, 6086h = 0"),
+    "jerk_limited": Baseline(jerk_limited_policy, MOVES, "pp profile of the drive, 6086h = 3"),
+    "ruckig": Baseline(ruckig_policy, MOVES, "time-optimal at the drive's limits"),
+    "ruckig+zv": Baseline(ruckig_zv_policy, MOVES, "the same, shaped for the nominal resonance"),
+    "ruckig+zvd": Baseline(ruckig_zvd_policy, MOVES, "shaped twice, less particular about it"),
+    "proportional": Baseline(Proportional, MOVES, "velocity from the distance"),
+    "feed_forward": Baseline(
+        FeedForward, (LinearAxisTrackingEnv.ID,), "inertia and friction of the data sheet"
+    ),
+    "search": Baseline(search_policy, (HomingEnv.ID,), "fast, back off, slow"),
+    "built_in": Baseline(
+        lambda known, seed: BuiltIn(known), (HomingEnv.ID,),
+        "the drive's method for the reference; built_in:N another one",
+    ),
+    "plc": Baseline(plc_policy, (CommissioningEnv.ID,), "the step chain of a PLC"),
+}  # fmt: skip
+
+
+def names(task: str) -> list[str]:
+    """Of the policies for a task, by its id."""
+    return [name for name, row in POLICIES.items() if not row.tasks or task in row.tasks]
+
+
+def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
+    """A policy for `env`.
+
+    Args:
+        name: of `POLICIES`, ``built_in:N`` with a homing method, or ``FILE.py:function`` with a
+            function ``act(observation) -> action``.
+        env: whose constants it knows.
+        seed: of what is random in it.
+
+    Raises:
+        ValueError: an unknown name, one for other tasks, a machine it cannot serve.
+    """
+    task = env.ID
+    base, _, rest = name.partition(":")
+    if base.endswith(".py"):
+        return _Function(_load(Path(base), rest))
+    row = POLICIES.get(base)
+    if row is None or (rest and base != "built_in"):
+        raise ValueError(
+            f"policy {name!r} is unknown: for {task} choose of {', '.join(names(task))}, "
+            "built_in:N or FILE.py:function"
+        )
+    if row.tasks and task not in row.tasks:
+        raise ValueError(
+            f"policy {name!r} is for {', '.join(row.tasks)}: for {task} choose of "
+            f"{', '.join(names(task))}"
+        )
+    if env.face == PDO and CommissioningEnv.ID not in row.tasks and row.tasks:
+        raise ValueError(f'policy {name!r} moves set-points: make {task} with action="setpoint"')
+    data = known(env)
+    if not rest:
+        return row.make(data, seed)
+    try:
+        return BuiltIn(data, int(rest))
+    except ValueError:
+        raise ValueError(f"policy {name!r}: after the colon comes a homing method 6098h") from None
+
+
+class _Function:
+    """A plain function as a policy."""
+
+    def __init__(self, act: Callable[[np.ndarray], np.ndarray]):
+        self.act = act
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """A function remembers nothing."""
+
+
+def _load(path: Path, name: str) -> Callable[[np.ndarray], np.ndarray]:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise ValueError(f"policy: there is no Python file {path}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ValueError(f"policy: {path} has no function {name!r}, write FILE.py:function")
+    return function

@@ -1,0 +1,76 @@
+"""What a policy may know before an episode: its task's constants and the machine's data sheet.
+
+Nothing here comes from the physics or from an episode. What was drawn at random is not known.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ...envs.axis_parameters import LinearAxisParameters
+from ...envs.servo_env import ServoEnv
+from ...envs.tasks.positioning import STROKE
+
+METRE = 1e6  # position units
+GRAVITY = 9.81  # m/s²
+
+
+@dataclass(frozen=True)
+class Known:
+    """Of one environment."""
+
+    task: str  # its id
+    actions: int  # components of an action
+    step_time: float  # s
+    steps: int  # of an episode
+    speed: float  # maximum profile velocity 607Fh (m/s)
+    torque: float  # maximum torque 6072h (Nm)
+    rotor_inertia: float  # of the motor (kg·m²)
+    axis: LinearAxisParameters | None  # nominal; None for machines that are no linear axis
+    heaviest: float  # payload declared (kg)
+    reference: str = ""  # of Homing-v0
+    stroke: float = STROKE  # m
+
+    @property
+    def force(self) -> float:
+        """That the maximum torque makes at the carriage (N)."""
+        return self.torque * self.gear
+
+    @property
+    def gear(self) -> float:
+        """Angle of the motor per travel (rad/m)."""
+        return 2 * math.pi / self.nominal.feed_constant
+
+    @property
+    def nominal(self) -> LinearAxisParameters:
+        """The data sheet. Raises ValueError where there is none."""
+        if self.axis is None:
+            raise ValueError(f"{self.task} has no linear axis: use hold or random")
+        return self.axis
+
+    def mass(self, payload: float) -> float:
+        """What a force at the carriage accelerates, the motor included (kg)."""
+        p = self.nominal
+        rotor = self.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+        return p.carriage_mass + payload + (rotor + p.transmission_inertia) * self.gear**2
+
+
+def known(env: ServoEnv) -> Known:
+    """What a policy may know of `env`."""
+    drive = env.drive
+    axis: Any = getattr(env, "_parameters", None)
+    axis = axis if isinstance(axis, LinearAxisParameters) else None
+    ranges = env.randomisation.ranges
+    payload = axis.payload if axis else 0.0
+    return Known(
+        task=env.ID,
+        actions=env.action_space.shape[0],
+        step_time=env.step_time,
+        steps=env.STEPS,
+        speed=drive.read("max_profile_velocity") / METRE,
+        torque=drive.read("max_torque") * 1e-3 * drive.read("motor_rated_torque") * 1e-3,
+        rotor_inertia=drive.model.rotor_inertia,
+        axis=axis,
+        heaviest=ranges.get("payload", (payload, payload))[1],
+        reference=env.reference if isinstance(getattr(env, "reference", None), str) else "",
+    )
