@@ -100,6 +100,18 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--checkpoint-every", type=int, help="steps")
     train.add_argument("--evaluate-every", type=int, help="steps")
     train.set_defaults(run=_train)
+    for name, what in (("eval", "one policy on fixed episodes"), ("compare", "several policies")):
+        command = commands.add_parser(name, help=f"{what}: table, data, picture")
+        command.add_argument("env", help="environment, as LinearAxis-v0")
+        if name == "eval":
+            command.add_argument("--policy", required=True, help="name, or FILE.py:function")
+        else:
+            command.add_argument("--policies", required=True, help="names, separated by commas")
+        command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
+        command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
+        command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
+        command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
+        command.set_defaults(run=_compare)
     return parser
 
 
@@ -189,6 +201,19 @@ def _train(options: argparse.Namespace, console: Console) -> int:
         algorithm=options.algorithm, seed=options.seed, envs=options.envs,
         arguments=dict(options.argument) if options.argument else None,
         progress=console.is_terminal, **given,
+    )  # fmt: skip
+
+
+def _compare(options: argparse.Namespace, console: Console) -> int:
+    from . import compare
+
+    single = options.command == "eval"
+    policies = [options.policy] if single else [p for p in options.policies.split(",") if p]
+    if not policies:
+        raise ValueError("--policies is empty: give names, separated by commas")
+    return compare.run(
+        options.command, options.env, policies, options.drive, options.episodes, options.seed,
+        options.out, console,
     )  # fmt: skip
 
 

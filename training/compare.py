@@ -1,0 +1,204 @@
+"""`servogym eval` and `servogym compare`: policies on the same fixed episodes.
+
+Score: 0 is holding still, 1 the reference of the task, both as the means of their returns over the
+same episodes.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ..envs.tasks.commissioning import CommissioningEnv
+from ..envs.tasks.compliant import CompliantAxisEnv
+from ..envs.tasks.homing import HomingEnv
+from ..envs.tasks.positioning import LinearAxisEnv
+from ..envs.tasks.tracking import LinearAxisTrackingEnv
+from .evaluate import Evaluation, Evaluator
+from .metrics import METRICS, RESAMPLES, Summary, summarise
+from .policies import make
+from .report import GRID, INK, markdown, number, origin, write_json, write_page
+
+ZERO = "hold"
+ONE = {  # the policy whose score is 1
+    LinearAxisEnv.ID: "ruckig",
+    CompliantAxisEnv.ID: "ruckig",
+    LinearAxisTrackingEnv.ID: "feed_forward",
+    HomingEnv.ID: "search",
+    CommissioningEnv.ID: "plc",
+}
+SHARES = ("success", "limited", "faults")  # told as means in percent
+SHOWN = (  # in the picture, the first six that apply
+    "score", "settling_time", "tracking_error", "overshoot", "vibration", "reference_error",
+    "peak_error", "rms_torque", "energy",
+)  # fmt: skip
+IDLE = ("hold", "random")  # would spoil the scales of all but the score
+
+
+def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
+    """Of each episode; not a number where both are the same."""
+    span = one.mean() - zero.mean()
+    return (returns - zero.mean()) / span if span else np.full_like(returns, np.nan)
+
+
+def evaluate(
+    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int
+) -> list[Evaluation]:
+    """Each policy on the fixed episodes, with the metric `score` where the task has a reference.
+
+    Raises:
+        ValueError: an unknown environment, drive or policy, before the first episode.
+    """
+    evaluator = Evaluator(env, drive=drive, episodes=episodes, seed=seed)
+    try:
+        ends = [ZERO, ONE[evaluator.task.ID]] if evaluator.task.ID in ONE else []
+        wanted = list(dict.fromkeys([*policies, *ends]))
+        for policy in wanted:
+            make(policy, evaluator.env)
+        done = {policy: evaluator.run(policy) for policy in wanted}
+    finally:
+        evaluator.close()
+    for result in done.values():
+        if ends:
+            own, zero, one = (
+                r.values["episode_return"] for r in (result, done[ends[0]], done[ends[1]])
+            )
+            result.values["score"] = scores(own, zero, one)
+    return [done[policy] for policy in dict.fromkeys(policies)]
+
+
+def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
+    """By metric that applies to any: a summary for each policy, None where it does not apply."""
+    table = {}
+    for metric in ("score", *METRICS):
+        columns = [result.values.get(metric, np.array([np.nan])) for result in results]
+        known = [column[np.isfinite(column)] for column in columns]
+        if any(len(column) for column in known):
+            table[metric] = [summarise([column]) if len(column) else None for column in known]
+    return table
+
+
+def _heading(metric: str) -> str:
+    return METRICS[metric].heading if metric in METRICS else "score"
+
+
+def _cell(metric: str, summary: Summary | None) -> str:
+    if summary is None:
+        return "–"
+    if metric in SHARES:
+        return f"{100 * summary.mean:.0f} %"
+    return f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]"
+
+
+def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
+    """Interquartile means with their intervals, a panel a metric."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    table = summaries(results)
+    shown = [metric for metric in SHOWN if metric in table][:6]
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    figure, panels = plt.subplots(
+        rows, columns, figsize=(4.2 * columns, 0.8 + rows * (1.1 + 0.3 * len(results))),
+        layout="constrained", squeeze=False, sharey=True,
+    )  # fmt: skip
+    names = [result.policy for result in results]
+    for panel, metric in zip(panels.flat, shown, strict=False):
+        for y, (name, s) in enumerate(zip(names, table[metric], strict=True)):
+            if s is None or (metric != "score" and name in IDLE):
+                continue
+            panel.plot([s.low, s.high], [y, y], color=INK, lw=3, alpha=0.45)
+            panel.plot(s.iqm, y, "o", color=INK, ms=6)
+        panel.set_xlabel(_heading(metric) + _arrow(metric))
+        panel.set_yticks(range(len(names)), names)
+        panel.set_ylim(len(names) - 0.5, -0.5)
+        panel.grid(**GRID)
+        if metric == "score":
+            panel.axvline(0.0, color="#8a8f98", lw=1, ls="--")
+            panel.axvline(1.0, color="#8a8f98", lw=1, ls="--")
+        else:
+            panel.set_xlim(left=0.0)
+    for panel in list(panels.flat)[len(shown) :]:
+        panel.set_visible(False)
+    figure.suptitle(f"{title}: interquartile mean, 95 % interval", fontsize=11)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _arrow(metric: str) -> str:
+    better = METRICS[metric].better if metric in METRICS else "high"
+    return {"high": " →", "low": " ←", "": ""}[better]
+
+
+def run(
+    command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
+    out: Path, console: Console,
+) -> int:  # fmt: skip
+    """Evaluate, print, and write page, data and picture named after `command`; -> exit status."""
+    results = evaluate(env, policies, drive, episodes, seed)
+    table = summaries(results)
+    heading = ["metric", *(result.policy for result in results)]
+    rows = [
+        [_heading(metric), *(_cell(metric, s) for s in columns)]
+        for metric, columns in table.items()
+    ]
+    shown = Table(*heading, title=f"{env}, drive {drive}, {episodes} episodes, seed {seed}")
+    for row in rows:
+        shown.add_row(*row)
+    console.print(shown)
+    chosen = f"--policy {policies[0]}" if command == "eval" else f"--policies {','.join(policies)}"
+    source = origin(
+        f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
+    )
+    notes = (
+        f"Interquartile mean [95 % interval, stratified bootstrap, {RESAMPLES} resamples] over "
+        f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[-1]}; shares are "
+        f"means. Score: {_scale(env, results)}.\n\n"
+    )
+    notes += "\n".join(
+        f"- {METRICS[metric].heading}: {METRICS[metric].what}"
+        for metric in table
+        if metric in METRICS
+    )
+    title = f"{env}, drive {drive}"
+    write_page(out / f"{command}.md", title, markdown(heading, rows), source, notes)
+    write_json(out / f"{command}.json", _data(source, env, drive, results, table))
+    draw(out / f"{command}.png", title, results)
+    console.print(f"{out / command}.md, .json and .png")
+    return 0
+
+
+def _scale(env: str, results: Sequence[Evaluation]) -> str:
+    task = next((task for task in ONE if env in (task, task.partition("/")[2])), "")
+    if not task:
+        return "none, the task has no reference"
+    return f"0 is {ZERO}, 1 is {ONE[task]}, by their mean returns on the same episodes"
+
+
+def _data(source, env, drive, results, table) -> dict[str, Any]:
+    return {
+        **source,
+        "env": env,
+        "drive": drive,
+        "seeds": results[0].seeds,
+        "policies": {
+            result.policy: {
+                "summary": {
+                    metric: columns[i]._asdict()
+                    for metric, columns in table.items() if columns[i] is not None
+                },
+                "episodes": {
+                    metric: values for metric, values in result.values.items() if metric in table
+                },
+                "faults": result.faults,
+            }
+            for i, result in enumerate(results)
+        },
+    }  # fmt: skip

@@ -1,0 +1,82 @@
+"""Results as a page, data and a picture: markdown, JSON and CSV, PNG; the same bytes every time.
+
+Nothing in them depends on when or how fast it was computed.
+"""
+
+import csv
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PACKAGES = ("servogym", "mujoco", "gymnasium", "numpy", "numba", "ruckig")
+INK, GRID = "#1f5fa8", {"alpha": 0.3, "lw": 0.6}
+
+
+def origin(command: str) -> dict[str, Any]:
+    """What was run, and with what: for the head of every file of results."""
+    return {
+        "command": command,
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "python": platform.python_version(),
+        **{package: version(package) for package in PACKAGES},
+    }
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Of so many significant digits, without an exponent; a dash where there is none."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    places = max(digits - 1 - int(np.floor(np.log10(abs(value)))), 0)
+    return f"{value:.{min(places, 6)}f}"
+
+
+def markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose first column is text and whose others are numbers."""
+    lines = [heading, ["---", *["---:"] * (len(heading) - 1)], *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def write_page(path: Path, title: str, table: str, source: Mapping[str, Any], notes: str) -> None:
+    """Title, table, notes, and how it was made."""
+    parts = [f"{name} {source[name]}" for name in ("python", *PACKAGES)]
+    text = f"# {title}\n\n{table}\n{notes}\n\n```sh\n{source['command']}\n```\n\n"
+    text += f"{', '.join(parts)}; {source['machine']}\n"
+    _write(path, text)
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """What is not a number becomes null."""
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: clean(inner) for name, inner in value.items()}
+        if isinstance(value, list | tuple | np.ndarray):
+            return [clean(inner) for inner in value]
+        if isinstance(value, float | np.floating):
+            return float(value) if np.isfinite(value) else None
+        return value
+
+    _write(path, json.dumps(clean(values), indent=1, ensure_ascii=False) + "\n")
+
+
+def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows with the same names; first, as comments, how it was made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(f"# {name}: {value}\n" for name, value in source.items())
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
