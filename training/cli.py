@@ -112,6 +112,13 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
         command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
         command.set_defaults(run=_compare)
+
+    benchmark = commands.add_parser("benchmark", help="homing methods, positioning strategies")
+    benchmark.add_argument("what", choices=("homing", "positioning"))
+    benchmark.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    benchmark.add_argument("--quick", action="store_true", help="a small part of it")
+    benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
+    benchmark.set_defaults(run=_benchmark)
     return parser
 
 
@@ -215,6 +222,14 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
         options.out, console,
     )  # fmt: skip
+
+
+def _benchmark(options: argparse.Namespace, console: Console) -> int:
+    if options.what == "homing":
+        from .homing_benchmark import run
+    else:
+        from .positioning_benchmark import run
+    return run(options.drive, options.quick, options.out, console)
 
 
 def _drives(options: argparse.Namespace, console: Console) -> int:

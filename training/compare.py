@@ -126,7 +126,7 @@ def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
             panel.set_xlim(left=0.0)
     for panel in list(panels.flat)[len(shown) :]:
         panel.set_visible(False)
-    figure.suptitle(f"{title}: interquartile mean, 95 % interval", fontsize=11)
+    figure.suptitle(f"{title}: interquartile mean, 95 % interval; arrow: better", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
     plt.close(figure)

@@ -29,13 +29,15 @@ def origin(command: str) -> dict[str, Any]:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Of so many significant digits, without an exponent; a dash where there is none."""
+    """Of so many significant digits; a dash where there is none."""
     if not np.isfinite(value):
         return "–"
     if value == 0.0:
         return "0"
+    if abs(value) < 1e-4:
+        return f"{value:.{digits - 1}e}"
     places = max(digits - 1 - int(np.floor(np.log10(abs(value)))), 0)
-    return f"{value:.{min(places, 6)}f}"
+    return f"{value:.{places}f}"
 
 
 def markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,0 +1,180 @@
+"""Policies through one door: what they may know, and that each does its task."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from servogym.envs import TASKS
+from servogym.envs.axis_parameters import LinearAxisParameters
+from servogym.envs.tasks.compliant import CompliantAxisEnv
+from servogym.envs.tasks.homing import HomingEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
+from servogym.training.policies import POLICIES, BuiltIn, make, names
+from servogym.training.policies.known import known
+from servogym.training.policies.profiles import Bounds, of_the_drive, shaped, trapezoid
+
+MOVE = {"start": 0.1, "goal": 0.3}
+
+
+def play(env, policy, seed=3, **options):
+    """-> return, the last info."""
+    observation, info = env.reset(seed=seed, options=options)
+    policy.reset(observation, {})
+    total = 0.0
+    for _ in range(env.STEPS):
+        observation, reward, terminated, _, info = env.step(policy.act(observation))
+        total += reward
+        if terminated:
+            break
+    return total, info
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.ID)
+def test_actions_are_in_the_space_and_an_episode_does_not_depend_on_the_one_before(task):
+    env = task()
+    for name in names(task.ID):
+        if "+" in name and task is LinearAxisEnv:
+            continue  # nothing swings there
+        policy = make(name, env, seed=5)
+        if isinstance(policy, BuiltIn):
+            continue
+        runs = []
+        for _ in range(2):
+            observation, info = env.reset(seed=4)
+            policy.reset(observation, info)
+            actions = []
+            for _ in range(30):
+                actions.append(policy.act(observation).copy())
+                assert env.action_space.contains(actions[-1]), name
+                observation, *_ = env.step(actions[-1])
+            runs.append(np.array(actions))
+        np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.parametrize("name", ["trapezoid", "jerk_limited", "ruckig", "proportional"])
+def test_a_move_ends_in_the_window_and_earns_more_than_twice_of_holding_still(name):
+    env = LinearAxisEnv()
+    held, _ = play(env, make("hold", env), **MOVE)
+    total, info = play(env, make(name, env), **MOVE)
+    assert info["is_success"]
+    assert total > 2 * held + 100
+
+
+def test_ruckig_at_the_drives_limits_is_the_fastest_of_the_profiles():
+    env = LinearAxisEnv()
+    totals = {n: play(env, make(n, env), **MOVE)[0] for n in names(env.ID) if "+" not in n}
+    assert max(totals, key=totals.get) == "ruckig"
+
+
+def test_a_shaper_leaves_less_vibration():
+    env = CompliantAxisEnv(randomise={})
+    energy = {
+        name: play(env, make(name, env), **MOVE)[1]["energy"]
+        for name in ("ruckig", "ruckig+zv", "ruckig+zvd")
+    }
+    assert energy["ruckig+zv"] < 0.05 * energy["ruckig"]
+    assert energy["ruckig+zvd"] < 0.05 * energy["ruckig"]
+
+
+def test_feed_forward_of_the_data_sheet_takes_a_third_of_the_tracking_error_where_it_is_true():
+    env = LinearAxisTrackingEnv(reference="pick_and_place", randomise={})
+    held, plain = play(env, make("hold", env))
+    total, info = play(env, make("feed_forward", env))
+    assert info["rms_error"] < 0.67 * plain["rms_error"]
+    assert total > held
+
+
+@pytest.mark.parametrize("reference", ["home_switch", "negative_limit_switch", "stop"])
+def test_the_search_finds_each_reference(reference):
+    env = HomingEnv(reference=reference)
+    total, info = play(env, make("search", env), start=0.2)
+    assert info["is_success"]
+    assert total > 0.8
+
+
+def test_the_plc_commissions():
+    (task,) = (task for task in TASKS if "Commissioning" in task.ID)
+    env = task()
+    assert play(env, make("plc", env))[0] == pytest.approx(1.0)
+
+
+def test_a_policy_does_not_know_what_was_drawn():
+    env = CompliantAxisEnv()
+    before = known(env)
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        assert known(env) == before
+    assert before.nominal.payload == 5.0
+    assert before.heaviest == 8.0
+
+
+def test_the_trapezoid_starts_and_ends_at_rest_within_its_bounds():
+    bounds = Bounds(1.0, 10.0, np.inf)
+    times = np.arange(0, 1, 1e-4)
+    for way in (0.3, -0.02):
+        path = trapezoid(way, bounds)(times)
+        velocity = np.diff(path) / 1e-4
+        assert path[0] == 0.0
+        assert path[-1] == pytest.approx(way, abs=1e-12)
+        assert np.abs(velocity).max() <= 1.0 + 1e-6
+        assert np.abs(np.diff(velocity)).max() / 1e-4 <= 10.0 + 1e-3
+
+
+def test_a_shaped_path_ends_where_the_path_does_and_does_not_excite_its_frequency():
+    omega, ratio, dt = 60.0, 0.02, 1e-4
+    times = np.arange(0, 1.0, dt)
+
+    def swing(path):
+        """Of a mass on a spring whose foot moves along the path, its energy at the end."""
+        x = v = 0.0
+        for foot in path:
+            v += (omega**2 * (foot - x) - 2 * ratio * omega * v) * dt
+            x += v * dt
+        return v**2 + (omega * (x - path[-1])) ** 2
+
+    path = trapezoid(0.1, Bounds(1.0, 10.0, np.inf))
+    gentle = shaped(path, omega, ratio)
+    assert gentle(times)[-1] == pytest.approx(0.1)
+    assert swing(gentle(times)) < 0.01 * swing(path(times))
+
+
+def test_too_heavy_a_load_for_the_torque_is_refused_with_its_numbers():
+    env = LinearAxisEnv(parameters=LinearAxisParameters(payload=50.0, inclination=90.0))
+    with pytest.raises(ValueError, match=r"choose a smaller payload than 50 kg"):
+        of_the_drive(known(env))
+
+
+@pytest.mark.parametrize(
+    ("task", "name", "message"),
+    [
+        (LinearAxisEnv, "ruckik", "policy 'ruckik' is unknown: for servogym/LinearAxis-v0 choose"),
+        (LinearAxisEnv, "plc", "is for servogym/Commissioning-v0"),
+        (LinearAxisEnv, "ruckig+zv", "no spring that could vibrate"),
+        (HomingEnv, "built_in:x", "after the colon comes a homing method"),
+        (LinearAxisEnv, "nowhere.py:act", "there is no Python file nowhere.py"),
+    ],
+)
+def test_a_wrong_policy_is_named(task, name, message):
+    with pytest.raises(ValueError, match=message):
+        make(name, task())
+
+
+def test_a_set_point_policy_is_refused_where_the_agent_is_the_whole_master():
+    with pytest.raises(ValueError, match='action="setpoint"'):
+        make("ruckig", LinearAxisEnv(action="pdo"))
+
+
+def test_a_function_of_a_file_is_a_policy(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("import numpy as np\n\ndef act(seen):\n    return np.zeros(1, np.float32)\n")
+    env = LinearAxisEnv()
+    assert play(env, make(f"{file}:act", env)) == play(env, make("hold", env))
+    with pytest.raises(ValueError, match="has no function 'other'"):
+        make(f"{file}:other", env)
+
+
+def test_the_table_names_registered_tasks_only():
+    for row in POLICIES.values():
+        for task in row.tasks:
+            assert task in gym.registry
