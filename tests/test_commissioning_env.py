@@ -10,56 +10,26 @@ from gymnasium.vector import SyncVectorEnv
 
 import servogym.envs
 from servogym.drive.model import load, model_names
-from servogym.drive.words import ENABLED, TO_ENABLED, Mode, State, state_of
+from servogym.drive.words import ENABLED, TO_ENABLED, Mode, State
 from servogym.drive.words import Controlword as C
-from servogym.drive.words import Statusword as S
 from servogym.envs.tasks.commissioning import CAUSES, CommissioningEnv
 from servogym.envs.tasks.commissioning import vector as make_vector
+from servogym.training.policies import make
+from servogym.training.policies.plc import HOLD, SHOWN, action
 
 assert servogym.envs
 
 MILESTONES = ("fault_cleared", "operation_enabled", "homed", "moving", "in_position")
 CAPABLE = [name for name in model_names() if Mode.HOMING in load(name).modes]
-FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models show this one in FAULT
-SHOWN = {-0.5: Mode.HOMING, 0.5: Mode.PROFILE_POSITION}
-
-
-def action(control, mode, target):
-    bits = [1.0 if control >> bit & 1 else -1.0 for bit in range(9)]
-    return np.array([target, *bits, 1.0 if mode == Mode.PROFILE_POSITION else -1.0], np.float32)
-
-
-HOLD = action(0, Mode.HOMING, 0.0)
-
-
-def plc():
-    """The step chain of a PLC: sees observations, gives actions."""
-    homed = start = reset = False
-    seen = yield HOLD
-    while True:
-        word = sum(1 << bit for bit in range(16) if seen[6 + bit] > 0.5)
-        state = state_of(word)
-        mode = Mode.PROFILE_POSITION if homed else Mode.HOMING
-        reset = state in FAULTY and not reset  # an edge every other step
-        control = C.FAULT_RESET if reset else TO_ENABLED[state]
-        if state != State.OPERATION_ENABLED or SHOWN.get(float(seen[22])) != mode:
-            start = False
-        elif not homed and start and word & S.MODE_12 and word & S.TARGET_REACHED:
-            homed, start = True, False
-        elif not homed or not word & S.MODE_12:  # of pp: set-point acknowledge
-            start = True
-        if start:
-            control |= C.NEW_SET_POINT
-        seen = yield action(control, mode, seen[0])
 
 
 def play(env, seen):
     """-> rewards by name, the last info."""
-    policy = plc()
-    next(policy)
+    policy = make("plc", env)
+    policy.reset(seen, {})
     got = dict.fromkeys(MILESTONES, 0.0)
     for _ in range(env.STEPS):
-        seen, reward, terminated, _, info = env.step(policy.send(seen))
+        seen, reward, terminated, _, info = env.step(policy.act(seen))
         assert env.observation_space.contains(seen)
         for name in MILESTONES:
             got[name] += info[f"reward_{name}"]
@@ -153,12 +123,12 @@ def test_a_vector_is_bit_for_bit_the_environments_one_by_one():
     vector = make_vector(3, threads=2, max_episode_steps=50, **arguments)
     seen, _ = peers.reset(seed=7)
     np.testing.assert_array_equal(seen, vector.reset(seed=7)[0])
-    policies = [plc() for _ in range(3)]
-    for policy in policies:
-        next(policy)
+    policies = [make("plc", env) for env in vector.envs]
+    for policy, row in zip(policies, seen, strict=True):
+        policy.reset(row, {})
     total = 0.0
     for _ in range(120):
-        actions = np.stack([policy.send(row) for policy, row in zip(policies, seen, strict=True)])
+        actions = np.stack([policy.act(row) for policy, row in zip(policies, seen, strict=True)])
         expected, got = peers.step(actions), vector.step(actions)
         for a, b in zip(expected[:4], got[:4], strict=True):
             np.testing.assert_array_equal(a, b)

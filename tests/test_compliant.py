@@ -13,6 +13,7 @@ from servogym.drive.words import Mode
 from servogym.envs.linear_axis import LinearAxisParameters
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.compliant import vector as make_vector
+from servogym.training.policies.profiles import Bounds, shaped, trapezoid
 
 STEPS = CompliantAxisEnv.STEPS
 FAR = {"start": 0.1, "goal": 0.4}
@@ -27,36 +28,25 @@ def env():
     env.close()
 
 
-def trapezoid(t, way, speed=0.8, rate=10.0):
-    """Position along a move of `way` (m) with trapezoidal velocity."""
-    ramp = speed / rate
-    total = way / speed + ramp
-    t = np.clip(t, 0.0, total)
-    middle = speed * (t - ramp / 2)
-    end = way - 0.5 * rate * (total - t) ** 2
-    return np.where(t < ramp, 0.5 * rate * t**2, np.where(t < total - ramp, middle, end))
+def direct(env):
+    """Trapezoidal velocity."""
+    return trapezoid(FAR["goal"] - FAR["start"], Bounds(0.8, 10.0, math.inf))
 
 
-def shaped(t, way, env):
-    """The trapezoid through a zero-vibration shaper (Singer, Seering 1990) for the true load.
-
-    Two pulses half a damped period of the load on the held carriage apart.
-    """
+def gentle(env):
+    """The same through a shaper that knows the load as it really is."""
     mass = env.machine.model.body("payload").mass[0]
     joint = env.machine.model.joint("load")
     stiffness, damping = joint.stiffness[0], joint.damping[0]
     ratio = damping / (2 * math.sqrt(stiffness * mass))
-    root = math.sqrt(1 - ratio**2)
-    share = math.exp(-math.pi * ratio / root)
-    half = math.pi / (math.sqrt(stiffness / mass) * root)
-    return (trapezoid(t, way) + share * trapezoid(t - half, way)) / (1 + share)
+    return shaped(direct(env), math.sqrt(stiffness / mass), ratio)
 
 
 def move(env, path, seed=0):
     """-> return, time from which on the load is settled (s), largest energy (J)."""
     env.reset(seed=seed, options=FAR)
     times = np.arange(STEPS + 1) * env.step_time
-    places = np.zeros(STEPS + 1) if path is None else path(times, FAR["goal"] - FAR["start"])
+    places = np.zeros(STEPS + 1) if path is None else path(env)(times)
     speeds = np.diff(places) / env.episode._way
     total, restless, energy = 0.0, 0, 0.0
     for step, speed in enumerate(speeds):
@@ -81,21 +71,21 @@ def test_every_drive_model_does_the_task_or_is_refused_by_the_mode_it_lacks(mode
     check_env(env, skip_render_check=True)
     end = STEPS * env.step_time
     held, _, calm = move(env, None)
-    direct, late, shake = move(env, trapezoid)
+    plain, late, shake = move(env, direct)
     swinging = env.unwrapped.info()["energy"]
-    gentle, _, little = move(env, lambda t, way: shaped(t, way, env))
+    smooth, _, little = move(env, gentle)
     assert calm < 1e-6
     assert little < shake
     assert late == pytest.approx(end), "after a direct move it swings on"
     assert env.unwrapped.info()["energy"] < 0.01 * swinging
-    assert gentle > direct + 0.1 * STEPS > held + 0.3 * STEPS
+    assert smooth > plain + 0.1 * STEPS > held + 0.3 * STEPS
 
 
 def test_the_shaper_also_serves_loads_drawn_at_random(env):
     ends = {True: [], False: []}
     for seed in range(5):
-        ends[False].append(move(env, trapezoid, seed)[1])
-        ends[True].append(move(env, lambda t, way: shaped(t, way, env), seed)[1])
+        ends[False].append(move(env, direct, seed)[1])
+        ends[True].append(move(env, gentle, seed)[1])
     assert np.median(ends[True]) < 0.5 * np.median(ends[False]), ends
 
 

@@ -12,59 +12,24 @@ import servogym.envs
 from servogym.drive.model import load, model_names
 from servogym.drive.words import ENABLED, TO_ENABLED, Mode, State, state_of
 from servogym.envs.homing_figures import true_home
-from servogym.envs.tasks.homing import HomingEnv
+from servogym.envs.tasks.homing import REFERENCES, HomingEnv
 from servogym.envs.tasks.homing import vector as make_vector
+from servogym.training.policies import make
 
 assert servogym.envs
 
-RAMP = 0.05  # change of the velocity a step, to be gentle
 CAPABLE = [
     name for name in model_names()
     if {Mode.PROFILE_VELOCITY, Mode.HOMING} <= set(load(name).modes)
 ]  # fmt: skip
 
 
-def search(legs):
-    """Travel by `legs` (velocity, observation, value it has to take), then declare.
-
-    The last leg stops without a ramp; a positive limit switch turns the first leg round.
-    """
-    velocity, seen = 0.0, (yield np.array([0, 1, -1], np.float32))
-    for i, (wanted, switch, value) in enumerate(legs):
-        while (seen[switch] > 0.5) != value:
-            if i == 0 and seen[1] > 0.5:
-                wanted = -abs(wanted)
-            velocity = np.clip(wanted, velocity - RAMP, velocity + RAMP)
-            seen = yield np.array([velocity, 1, -1], np.float32)
-    yield np.array([0, 1, 1], np.float32)
-
-
-def to_stop():
-    """Push against the end with little torque until it stands."""
-    seen = yield np.array([0, -0.8, -1], np.float32)
-    standing = step = 0
-    while standing < 20:
-        step += 1
-        standing = standing + 1 if step > 50 and abs(seen[3]) < 2e-3 and seen[4] < -0.02 else 0
-        seen = yield np.array([max(-0.2, -0.01 * step), -0.8, -1], np.float32)
-    yield np.array([0, -0.8, 1], np.float32)
-
-
-HOME, NEGATIVE = 2, 0
-POLICIES = {
-    "home_switch": lambda: search(
-        [(0.6, HOME, True), (-0.2, HOME, False), (0.1, HOME, True), (-0.01, HOME, False)]
-    ),
-    "negative_limit_switch": lambda: search([(-0.4, NEGATIVE, True), (0.01, NEGATIVE, False)]),
-    "stop": to_stop,
-}
-
-
-def play(env, policy):
-    """-> sum of the rewards, the last info."""
-    action, total, found = next(policy), 0.0, 0.0
+def play(env, observation):
+    """The scripted search -> sum of the rewards, the last info."""
+    policy, total, found = make("search", env), 0.0, 0.0
+    policy.reset(observation, {})
     for _ in range(2000):
-        observation, reward, terminated, _, info = env.step(action)
+        observation, reward, terminated, _, info = env.step(policy.act(observation))
         assert env.observation_space.contains(observation)
         assert 0.0 <= reward <= 1.0
         assert all(0.0 <= info[name] <= 1.0 for name in info if name.startswith("reward_"))
@@ -72,7 +37,6 @@ def play(env, policy):
         found += info["reward_found"]
         if terminated:
             break
-        action = policy.send(observation)
     assert found == 1.0, "once, in the step that finds it"
     return total, info
 
@@ -88,17 +52,17 @@ def test_every_drive_model_does_the_task_or_is_refused_by_the_mode_it_lacks(mode
     own = Mode.CYCLIC_SYNC_VELOCITY if model == "generic" else Mode.PROFILE_VELOCITY
     assert env.MODES[0] == own
     for start in (0.05, 0.45):  # both sides of the switch
-        env.reset(seed=1, options={"start": start})
-        _, info = play(env, POLICIES["home_switch"]())
+        observation, _ = env.reset(seed=1, options={"start": start})
+        _, info = play(env, observation)
         assert info["is_success"], info
         assert abs(info["error"]) < 50e-6
 
 
-@pytest.mark.parametrize("reference", POLICIES)
+@pytest.mark.parametrize("reference", REFERENCES)
 def test_a_scripted_search_attains_each_reference_and_beats_holding_still(reference):
     env = HomingEnv(reference=reference)
-    env.reset(seed=3, options={"start": 0.2})
-    total, info = play(env, POLICIES[reference]())
+    observation, _ = env.reset(seed=3, options={"start": 0.2})
+    total, info = play(env, observation)
     assert info["is_success"]
     assert total > 0.8
     env.reset(seed=3, options={"start": 0.2})
@@ -108,9 +72,9 @@ def test_a_scripted_search_attains_each_reference_and_beats_holding_still(refere
 
 def test_an_agent_may_be_faster_than_the_method_of_the_drive_but_not_as_exact():
     env = HomingEnv()
-    env.reset(seed=1, options={"start": 0.45})
+    observation, _ = env.reset(seed=1, options={"start": 0.45})
     method = env.built_in(23)
-    _, info = play(env, POLICIES["home_switch"]())
+    _, info = play(env, observation)
     assert method.attained
     assert info["time"] < 0.5 * method.time
     assert info["greatest_torque"] > 2 * method.greatest_torque

@@ -91,6 +91,7 @@ class Evaluator:
             self.task, episodes, autoreset_mode=AutoresetMode.DISABLED, drive=drive, **arguments
         )
         self.env = self.vector.envs[0]
+        self._actions = math.prod(self.env.action_space.shape or ())
         self.duration = self.task.STEPS * self.env.step_time
         for env in self.vector.envs:
             env.machine.probe()
@@ -101,17 +102,21 @@ class Evaluator:
 
     def run(self, policy: str) -> Evaluation:
         """All episodes under the policy of that name. Raises ValueError if it does not fit."""
-        made = [make(policy, env, s) for env, s in zip(self.vector.envs, self.seeds, strict=True)]
+        first = make(policy, self.env, self.seeds[0])
         observations, infos = self._reset()
-        if isinstance(made[0], BuiltIn):
-            return self._built_in(policy, made[0].method)
+        if isinstance(first, BuiltIn):
+            return self._built_in(policy, first.method)
+        made: list[Any] = [first]
+        made += [
+            make(policy, self.vector.envs[i], self.seeds[i]) for i in range(1, len(self.seeds))
+        ]
         n = len(self.seeds)
         returns, limited = np.zeros(n), np.zeros(n)
         steps, unsettled = np.zeros(n, int), np.zeros(n, int)
         active, faults = np.ones(n, bool), [""] * n
         for i, one in enumerate(made):
             one.reset(observations[i], {k: infos[k][i] for k in PUBLIC if k in infos})
-        actions = np.zeros(self.vector.action_space.shape, np.float32)
+        actions = np.zeros((n, self._actions), np.float32)
         while active.any():
             for i in np.flatnonzero(active).tolist():
                 actions[i] = made[i].act(observations[i])
@@ -150,7 +155,7 @@ class Evaluator:
         for env in self.vector.envs:
             window = {}
             if self.task.ID in MOVES:
-                window = {"goal": float(env.episode.goal), "window": env.tolerance}
+                window = {"goal": float(env.episode.goal), "window": vars(env)["tolerance"]}
             probe.begin(env.machine, self.duration, **window)
         return observations, infos
 

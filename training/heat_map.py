@@ -41,7 +41,7 @@ def draw(
         for i, k in np.ndindex(values.shape):
             dark = np.isfinite(shown[i, k]) and norm(shown[i, k]) > 0.6
             panel.text(
-                k, i, number(values[i, k]), ha="center", va="center", fontsize=7,
+                k, i, number(float(values[i, k])), ha="center", va="center", fontsize=7,
                 color="white" if dark else "black",
             )  # fmt: skip
             if failures[i, k]:

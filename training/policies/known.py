@@ -5,8 +5,8 @@ Nothing here comes from the physics or from an episode. What was drawn at random
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
+from ...drive.drive import Drive
 from ...envs.axis_parameters import LinearAxisParameters
 from ...envs.servo_env import ServoEnv
 from ...envs.tasks.positioning import STROKE
@@ -57,20 +57,26 @@ class Known:
 
 def known(env: ServoEnv) -> Known:
     """What a policy may know of `env`."""
-    drive = env.drive
-    axis: Any = getattr(env, "_parameters", None)
-    axis = axis if isinstance(axis, LinearAxisParameters) else None
-    ranges = env.randomisation.ranges
+    drive, task = env.drive, vars(env)
+    axis = task.get("_parameters")
+    if not isinstance(axis, LinearAxisParameters):
+        axis = None
     payload = axis.payload if axis else 0.0
+    reference = task.get("reference")
     return Known(
         task=env.ID,
-        actions=env.action_space.shape[0],
+        actions=math.prod(env.action_space.shape or ()),
         step_time=env.step_time,
         steps=env.STEPS,
-        speed=drive.read("max_profile_velocity") / METRE,
-        torque=drive.read("max_torque") * 1e-3 * drive.read("motor_rated_torque") * 1e-3,
+        speed=_object(drive, "max_profile_velocity") / METRE,
+        torque=_object(drive, "max_torque") * 1e-3 * _object(drive, "motor_rated_torque") * 1e-3,
         rotor_inertia=drive.model.rotor_inertia,
         axis=axis,
-        heaviest=ranges.get("payload", (payload, payload))[1],
-        reference=env.reference if isinstance(getattr(env, "reference", None), str) else "",
+        heaviest=env.randomisation.ranges.get("payload", (payload, payload))[1],
+        reference=reference if isinstance(reference, str) else "",
     )
+
+
+def _object(drive: Drive, name: str) -> int:
+    """Of the object dictionary; 0 where a drive without set-point modes does not have it."""
+    return drive.read(name) if name in drive.objects.names else 0

@@ -30,7 +30,7 @@ def chain() -> Steps:
         state = state_of(word)
         mode = Mode.PROFILE_POSITION if homed else Mode.HOMING
         reset = state in FAULTY and not reset  # an edge every other step
-        control = C.FAULT_RESET if reset else TO_ENABLED[state]
+        control = C.FAULT_RESET if reset or state is None else TO_ENABLED[state]
         if state != State.OPERATION_ENABLED or SHOWN.get(float(seen[22])) != mode:
             start = False
         elif not homed and start and word & S.MODE_12 and word & S.TARGET_REACHED:
