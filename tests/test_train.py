@@ -16,8 +16,11 @@ pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[tra
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
+from servogym.envs.tasks.homing import HomingEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import checkpoint, cli, hyperparameters, sb3, train_bench
 from servogym.training.evaluation import HoldStill, score
+from servogym.training.policies import make
 from servogym.training.train import ALGORITHMS, train
 
 ID = "LinearAxis-v0"
@@ -255,3 +258,21 @@ def test_the_bench_trains_both_on_the_same(monkeypatch):
     assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", "ServoVecEnv of 8"]
     assert rows[0]["ratio"] == 1.0
     assert all(row["rollout_us"] > 0 and row["update_us"] > 0 for row in rows)
+
+
+def test_a_trained_policy_comes_through_the_same_door(tmp_path):
+    brief(tmp_path / "run")
+    env = LinearAxisEnv()
+    policy = make(str(tmp_path / "run"), env)
+    observation, info = env.reset(seed=1)
+    policy.reset(observation, info)
+    action = policy.act(observation)
+    assert env.action_space.contains(action)
+    assert (action == make(str(tmp_path / "run"), env).act(observation)).all()
+    with pytest.raises(ValueError, match="was trained for servogym/LinearAxis-v0, not for"):
+        make(str(tmp_path / "run"), HomingEnv())
+    with pytest.raises(ValueError, match="make it with the arguments"):
+        make(str(tmp_path / "run"), LinearAxisEnv(history=3))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="no checkpoint of a training run"):
+        make(str(tmp_path / "empty"), env)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from servogym.envs import picture
 from servogym.training import cli, watch
-from servogym.training.policies import policy
+from servogym.training.policies import make
 from servogym.training.video import Recording
 
 STEERING = "def steer(seen):\n    return (4 * seen[:1]).clip(-0.4, 0.4)\n\nnumber = 3\n"
@@ -81,19 +81,12 @@ def test_a_policy_from_a_file_reaches_the_goal(pictures, steering, tmp_path, cap
     assert ", no success" in capsys.readouterr().out
 
 
-def test_a_random_policy_depends_on_its_seed_only():
-    env = gym.make("servogym.envs:servogym/LinearAxis-v0")
-    one, other, third = (
-        [policy("random", env, seed)(np.zeros(6))[0] for _ in range(3)] for seed in (1, 1, 2)
-    )
-    assert one == other != third
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (["Nothing-v0"], "unknown environment 'Nothing-v0': choose one of LinearAxis-v0"),
-        (["LinearAxis-v0", "--policy", "nothing"], "use hold, random, or FILE.py:function"),
+        (["LinearAxis-v0", "--policy", "nothing"], "choose of hold, random, trapezoid"),
+        (["Homing-v0", "--policy", "built_in"], "there is nothing to watch"),
         (["LinearAxis-v0", "--policy", "no.py:act"], "there is no Python file no.py"),
         (["LinearAxis-v0", "--drive", "bonfiglioli_act"], "has no mode cyclic_sync_position"),
         (["LinearAxis-v0", "--episodes", "0"], "--episodes = 0 is out of range 1.."),
@@ -123,7 +116,7 @@ def test_a_file_without_such_a_policy_is_named(text, function, says, tmp_path):
     file.write_text(text)
     env = gym.make("servogym.envs:servogym/LinearAxis-v0")
     with pytest.raises(ValueError, match=says):
-        policy(f"{file}:{function}", env)
+        make(f"{file}:{function}", env.unwrapped)
 
 
 def test_an_mp4_without_encoder_says_what_to_install(monkeypatch, tmp_path, capsys):

@@ -12,6 +12,8 @@ from rich.table import Table
 
 from ..drive.abort import SdoAbort
 
+POLICY = "name, FILE.py:function, or folder of a training"
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
@@ -77,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
 
     watch = commands.add_parser("watch", help="see an environment move, in a window or recorded")
     watch.add_argument("env", metavar="ENV", help="such as LinearAxis-v0")
-    watch.add_argument("--policy", default="hold", help="hold, random or FILE.py:function (hold)")
+    watch.add_argument("--policy", default="hold", help=f"{POLICY} (hold)")
     watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     watch.add_argument("--episodes", type=int, default=1, help="1 or more (1)")
     watch.add_argument("--seed", type=int, default=0, help="of the first reset (0)")
@@ -104,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=f"{what}: table, data, picture")
         command.add_argument("env", help="environment, as LinearAxis-v0")
         if name == "eval":
-            command.add_argument("--policy", required=True, help="name, or FILE.py:function")
+            command.add_argument("--policy", required=True, help=POLICY)
         else:
             command.add_argument("--policies", required=True, help="names, separated by commas")
         command.add_argument("--drive", default="generic", help="model, see `servogym drives`")

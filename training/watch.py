@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 from rich.console import Console
 
-from .policies import Policy, policy
+from .policies import BuiltIn, Policy, make
 from .video import Recording
 
 FPS = 25  # images a second aimed at, each after a whole number of steps
@@ -24,7 +24,7 @@ def run(
 
     Args:
         name: of the environment, with or without ``servogym/``.
-        policy_name: of `policies.policy`.
+        policy_name: of `policies.make`.
         drive: drive model.
         episodes: how many, from 1 on.
         seed: of the first reset, and of a random policy.
@@ -48,7 +48,12 @@ def run(
     from ..envs.picture import Picture, require_display
 
     env: Any = gymnasium.make(_identifier(name), drive=drive, disable_env_checker=True)
-    act = policy(policy_name, env, seed)
+    policy = make(policy_name, env.unwrapped, seed)
+    if isinstance(policy, BuiltIn):
+        raise ValueError(
+            f"policy {policy_name!r} runs in the drive, where there is nothing to watch step by "
+            "step: use `servogym eval` or `servogym homing`"
+        )
     if record is None:
         require_display()
     stride = max(round(speed / FPS / env.unwrapped.step_time), 1)
@@ -70,7 +75,7 @@ def run(
 
     try:
         for episode in range(episodes):
-            ended, what = _episode(env, act, None if episode else seed, stride, frame)
+            ended, what = _episode(env, policy, None if episode else seed, stride, frame)
             console.print(f"episode {episode + 1}: {what}", highlight=False)
             if not ended:
                 console.print("the window was closed")
@@ -89,14 +94,15 @@ def run(
 
 
 def _episode(
-    env: Any, act: Policy, seed: int | None, stride: int, frame: Callable[[], bool]
+    env: Any, policy: Policy, seed: int | None, stride: int, frame: Callable[[], bool]
 ) -> tuple[bool, str]:
     """Whether an episode came to its end, and what happened; a frame each `stride` steps."""
     observation, info = env.reset(seed=seed)
+    policy.reset(observation, info)
     total, steps, ended = 0.0, 0, False
     watched = frame()
     while watched and not ended:
-        observation, reward, terminated, truncated, info = env.step(act(observation))
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         total, steps, ended = total + float(reward), steps + 1, terminated or truncated
         if ended or steps % stride == 0:
             watched = frame()

@@ -5,7 +5,6 @@ and gives actions. It never touches the physics nor what was drawn at random. `B
 such object: it stands for a homing method of the drive, which runs instead of an agent.
 """
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -20,8 +19,10 @@ from ...envs.tasks.homing import HomingEnv
 from ...envs.tasks.positioning import LinearAxisEnv
 from ...envs.tasks.tracking import LinearAxisTrackingEnv
 from .feed_forward import FeedForward
+from .file import SUFFIX, Function
 from .homing import BuiltIn, search_policy
 from .known import Known, known
+from .learned import Learned
 from .plc import plc_policy
 from .profiles import (
     jerk_limited_policy,
@@ -83,8 +84,8 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     """A policy for `env`.
 
     Args:
-        name: of `POLICIES`, ``built_in:N`` with a homing method, or ``FILE.py:function`` with a
-            function ``act(observation) -> action``.
+        name: of `POLICIES`, ``built_in:N`` with a homing method, ``FILE.py:function`` with a
+            function ``act(observation) -> action``, or a folder of `servogym train`.
         env: whose constants it knows.
         seed: of what is random in it.
 
@@ -93,13 +94,15 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     """
     task = env.ID
     base, _, rest = name.partition(":")
-    if base.endswith(".py"):
-        return _Function(_load(Path(base), rest))
+    if base.endswith(SUFFIX):
+        return Function(name)
+    if Path(name).is_dir():
+        return Learned(Path(name), env)
     row = POLICIES.get(base)
     if row is None or (rest and base != "built_in"):
         raise ValueError(
             f"policy {name!r} is unknown: for {task} choose of {', '.join(names(task))}, "
-            "built_in:N or FILE.py:function"
+            "FILE.py:function, or a folder of `servogym train`"
         )
     if row.tasks and task not in row.tasks:
         raise ValueError(
@@ -115,25 +118,3 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
         return BuiltIn(data, int(rest))
     except ValueError:
         raise ValueError(f"policy {name!r}: after the colon comes a homing method 6098h") from None
-
-
-class _Function:
-    """A plain function as a policy."""
-
-    def __init__(self, act: Callable[[np.ndarray], np.ndarray]):
-        self.act = act
-
-    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """A function remembers nothing."""
-
-
-def _load(path: Path, name: str) -> Callable[[np.ndarray], np.ndarray]:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise ValueError(f"policy: there is no Python file {path}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise ValueError(f"policy: {path} has no function {name!r}, write FILE.py:function")
-    return function
