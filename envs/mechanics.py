@@ -39,9 +39,7 @@ import mujoco
 import numpy as np
 
 from ..drive.jit import block
-from .memory import viewer
-
-floats_at = viewer(np.dtype("f8"))
+from .memory import floats_at
 
 # The mechanics of one driven joint. "m" stands for m (slide) or rad (hinge), "N" for N or Nm.
 MECHANICS = np.dtype(

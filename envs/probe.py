@@ -42,7 +42,6 @@ PROBE = np.dtype(
 )
 
 probes_at = viewer(PROBE)
-floats_at = viewer(np.dtype("f8"))
 
 
 @block
