@@ -273,6 +273,17 @@ def test_a_trained_policy_comes_through_the_same_door(tmp_path):
         make(str(tmp_path / "run"), HomingEnv())
     with pytest.raises(ValueError, match="make it with the arguments"):
         make(str(tmp_path / "run"), LinearAxisEnv(history=3))
+    seeing = SHORT | {"history": 2, "previous_action": True}
+    brief(tmp_path / "seeing", arguments=seeing)
+    plain, shown = LinearAxisEnv(), LinearAxisEnv(history=2, previous_action=True)
+    one, other = (make(str(tmp_path / "seeing"), e) for e in (plain, shown))
+    observations = [e.reset(seed=2)[0] for e in (plain, shown)]
+    one.reset(observations[0], {})
+    other.reset(observations[1], {})
+    for _ in range(5):
+        actions = one.act(observations[0]), other.act(observations[1])
+        np.testing.assert_array_equal(*actions)
+        observations = [e.step(a)[0] for e, a in zip((plain, shown), actions, strict=True)]
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="no checkpoint of a training run"):
         make(str(tmp_path / "empty"), env)

@@ -14,6 +14,8 @@ BEST = "best"
 class Learned:
     """The best policy of a run, or that of a checkpoint, without exploration.
 
+    One that was trained with a history keeps it itself where the environment shows none.
+
     Args:
         folder: of a run, with `best/`, or of one checkpoint.
         env: which it shall serve.
@@ -38,23 +40,36 @@ class Learned:
             )
         algorithm = getattr(stable_baselines3, about["algorithm"])
         self._model = algorithm.load(folder / checkpoint.MODEL, device="cpu")
-        if self._model.observation_space.shape != env.observation_space.shape:
+        arguments = about["arguments"]
+        self._history = int(arguments.get("history", 1))
+        self._previous_action = bool(arguments.get("previous_action", False))
+        (wanted,), (shown,) = self._model.observation_space.shape, env.observation_space.shape  # type: ignore[misc]
+        if wanted == shown:  # as the environment shows it
+            self._history, self._previous_action = 1, False
+        actions = env.action_space.shape[0]  # type: ignore[index]
+        if wanted != self._history * shown + self._previous_action * actions:
             raise ValueError(
-                f"checkpoint {folder} sees {self._model.observation_space.shape}, this environment "
-                f"shows {env.observation_space.shape}: make it with the arguments "
-                f"{about['arguments']}"
+                f"checkpoint {folder} sees {wanted} numbers, this environment shows {shown}: "
+                f"make it with the arguments {arguments}"
             )
+        self._seen_actions = actions if self._previous_action else 0
+        self._action = np.zeros(actions, np.float32)
+        self._frames: list[np.ndarray] = []
         self._statistics: Any = None
         if (folder / checkpoint.STATISTICS).is_file():
             with (folder / checkpoint.STATISTICS).open("rb") as file:
                 self._statistics = pickle.load(file)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """A net without recurrence remembers nothing."""
+        """Begin its history, if it has one."""
+        self._frames = [observation] * self._history
+        self._action = np.zeros_like(self._action)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """The mean action."""
+        self._frames = [observation, *self._frames[: self._history - 1]]
+        seen = np.concatenate([*self._frames, self._action[: self._seen_actions]])
         if self._statistics is not None:
-            observation = self._statistics.normalize_obs(observation)
-        action, _ = self._model.predict(observation, deterministic=True)
-        return action
+            seen = self._statistics.normalize_obs(seen)
+        self._action, _ = self._model.predict(seen, deterministic=True)
+        return self._action
