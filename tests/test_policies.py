@@ -10,9 +10,10 @@ from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
-from servogym.training.policies import POLICIES, BuiltIn, make, names
+from servogym.training.policies import POLICIES, BuiltIn, make, names, trainings
 from servogym.training.policies.known import known
 from servogym.training.policies.profiles import Bounds, of_the_drive, shaped, trapezoid
+from servogym.training.policies.still import Hold
 
 MOVE = {"start": 0.1, "goal": 0.3}
 
@@ -153,6 +154,7 @@ def test_too_heavy_a_load_for_the_torque_is_refused_with_its_numbers():
         (LinearAxisEnv, "ruckig+zv", "no spring that could vibrate"),
         (HomingEnv, "built_in:x", "after the colon comes a homing method"),
         (LinearAxisEnv, "nowhere.py:act", "there is no Python file nowhere.py"),
+        (CommissioningEnv, "learned", "nothing learned comes for servogym/Commissioning-v0"),
     ],
 )
 def test_a_wrong_policy_is_named(task, name, message):
@@ -178,3 +180,18 @@ def test_the_table_names_registered_tasks_only():
     for row in POLICIES.values():
         for task in row.tasks:
             assert task in gym.registry
+
+
+def test_a_folder_of_the_name_of_a_policy_does_not_hide_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hold").mkdir()
+    assert isinstance(make("hold", LinearAxisEnv()), Hold)
+
+
+def test_trainings_are_the_seeds_of_a_folder(tmp_path):
+    for seed in (2, 1):
+        (tmp_path / f"seed_{seed}").mkdir()
+    folders = trainings(str(tmp_path), LinearAxisEnv.ID)
+    assert [folder[-6:] for folder in folders] == ["seed_1", "seed_2"]
+    assert trainings(str(tmp_path / "seed_1"), LinearAxisEnv.ID) == [str(tmp_path / "seed_1")]
+    assert trainings("hold", LinearAxisEnv.ID) == []

@@ -74,10 +74,9 @@ def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
     """By metric that applies to any: a summary for each policy, None where it does not apply."""
     table = {}
     for metric in ("score", *METRICS):
-        columns = [result.values.get(metric, np.array([np.nan])) for result in results]
-        known = [column[np.isfinite(column)] for column in columns]
-        if any(len(column) for column in known):
-            table[metric] = [summarise([column]) if len(column) else None for column in known]
+        columns = [result.strata(metric) for result in results]
+        if any(columns):
+            table[metric] = [summarise(strata) if strata else None for strata in columns]
     return table
 
 
@@ -108,7 +107,7 @@ def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
         rows, columns, figsize=(4.2 * columns, 0.8 + rows * (1.1 + 0.3 * len(results))),
         layout="constrained", squeeze=False, sharey=True,
     )  # fmt: skip
-    names = [result.policy for result in results]
+    names = [_label(result.policy) for result in results]
     for panel, metric in zip(panels.flat, shown, strict=False):
         for y, (name, s) in enumerate(zip(names, table[metric], strict=True)):
             if s is None or (metric != "score" and name in IDLE):
@@ -144,7 +143,7 @@ def run(
     """Evaluate, print, and write page, data and picture named after `command`; -> exit status."""
     results = evaluate(env, policies, drive, episodes, seed)
     table = summaries(results)
-    heading = ["metric", *(result.policy for result in results)]
+    heading = ["metric", *(_label(result.policy) for result in results)]
     rows = [
         [_heading(metric), *(_cell(metric, s) for s in columns)]
         for metric, columns in table.items()
@@ -159,8 +158,8 @@ def run(
     )
     notes = (
         f"Interquartile mean [95 % interval, stratified bootstrap, {RESAMPLES} resamples] over "
-        f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[-1]}; shares are "
-        f"means. Score: {_scale(env, results)}.\n\n"
+        f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[episodes - 1]}; "
+        f"{_trainings(results)}shares are means. Score: {_scale(env, results)}.\n\n"
     )
     notes += "\n".join(
         f"- {METRICS[metric].heading}: {METRICS[metric].what}"
@@ -175,6 +174,11 @@ def run(
     return 0
 
 
+def _label(policy: str) -> str:
+    """Of a folder its name."""
+    return Path(policy).name if Path(policy).is_dir() else policy
+
+
 def _scale(env: str, results: Sequence[Evaluation]) -> str:
     task = next((task for task in ONE if env in (task, task.partition("/")[2])), "")
     if not task:
@@ -182,12 +186,17 @@ def _scale(env: str, results: Sequence[Evaluation]) -> str:
     return f"0 is {ZERO}, 1 is {ONE[task]}, by their mean returns on the same episodes"
 
 
+def _trainings(results: Sequence[Evaluation]) -> str:
+    several = [f"{result.policy}: {result.trainings}" for result in results if result.trainings > 1]
+    return f"trainings, each a stratum: {', '.join(several)}; " if several else ""
+
+
 def _data(source, env, drive, results, table) -> dict[str, Any]:
     return {
         **source,
         "env": env,
         "drive": drive,
-        "seeds": results[0].seeds,
+        "seeds": sorted(set(results[0].seeds)),
         "policies": {
             result.policy: {
                 "summary": {
@@ -198,6 +207,7 @@ def _data(source, env, drive, results, table) -> dict[str, Any]:
                     metric: values for metric, values in result.values.items() if metric in table
                 },
                 "faults": result.faults,
+                "trainings": result.trainings,
             }
             for i, result in enumerate(results)
         },

@@ -18,7 +18,7 @@ from ..envs.servo_env import ServoEnv
 from ..envs.tasks.homing import HomingEnv
 from ..envs.vector_env import ServoVectorEnv
 from .metrics import METRICS
-from .policies import MOVES, BuiltIn, make
+from .policies import MOVES, BuiltIn, make, trainings
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
@@ -26,12 +26,32 @@ PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Of one policy: seeds, shape ``(n,)``, and by metric its values, shape ``(n,)``."""
+    """Of one policy: seeds, and by metric its values, both shape ``(n,)``, training by training."""
 
     policy: str
     seeds: list[int]
     values: dict[str, np.ndarray]
     faults: list[str]  # code and meaning, empty without one
+    trainings: int = 1  # of the same policy from as many seeds, each evaluated on all episodes
+
+    def strata(self, metric: str) -> list[np.ndarray]:
+        """Finite values of a metric, by training; none where it does not apply."""
+        parts = np.split(self.values.get(metric, np.full(self.trainings, np.nan)), self.trainings)
+        return [part[np.isfinite(part)] for part in parts if np.isfinite(part).any()]
+
+
+def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
+    """The evaluations of several trainings as one."""
+    return Evaluation(
+        policy,
+        [seed for result in results for seed in result.seeds],
+        {
+            metric: np.concatenate([result.values[metric] for result in results])
+            for metric in results[0].values
+        },
+        [fault for result in results for fault in result.faults],
+        len(results),
+    )
 
 
 def task(name: str) -> type[ServoEnv]:
@@ -101,7 +121,15 @@ class Evaluator:
         self.vector.close()
 
     def run(self, policy: str) -> Evaluation:
-        """All episodes under the policy of that name. Raises ValueError if it does not fit."""
+        """All episodes under the policy of that name, or under each of its trainings.
+
+        Raises ValueError if it does not fit.
+        """
+        if folders := trainings(policy, self.task.ID):
+            return pooled(policy, [self._run(folder) for folder in folders])
+        return self._run(policy)
+
+    def _run(self, policy: str) -> Evaluation:
         first = make(policy, self.env, self.seeds[0])
         observations, infos = self._reset()
         if isinstance(first, BuiltIn):

@@ -6,6 +6,7 @@ such object: it stands for a homing method of the drive, which runs instead of a
 """
 
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -80,12 +81,39 @@ def names(task: str) -> list[str]:
     return [name for name, row in POLICIES.items() if not row.tasks or task in row.tasks]
 
 
+LEARNED = "learned"  # what comes with the laboratory
+SHIPPED = Path(str(resources.files("servogym.assets"))) / "policies"
+
+
+def trainings(name: str, task: str) -> list[str]:
+    """The folders of the trainings `name` stands for: ``seed_*`` in it, or itself.
+
+    Args:
+        name: a folder, or "learned", what comes with the laboratory for a task.
+        task: its id.
+
+    Raises:
+        ValueError: nothing learned comes for that task.
+    """
+    folder = SHIPPED / task.rpartition("/")[2] if name == LEARNED else Path(name)
+    if name in POLICIES or not folder.is_dir():
+        if name != LEARNED:
+            return []
+        known = ", ".join(sorted(path.name for path in SHIPPED.glob("*-v*"))) or "none"
+        raise ValueError(
+            f"policy {name!r}: nothing learned comes for {task}, only for {known}; "
+            "train one with `servogym train` and give its folder"
+        )
+    return [str(path) for path in sorted(folder.glob("seed_*"))] or [str(folder)]
+
+
 def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     """A policy for `env`.
 
     Args:
-        name: of `POLICIES`, ``built_in:N`` with a homing method, ``FILE.py:function`` with a
-            function ``act(observation) -> action``, or a folder of `servogym train`.
+        name: of `POLICIES`, "learned", ``built_in:N`` with a homing method, ``FILE.py:function``
+            with a function ``act(observation) -> action``, or a folder of `servogym train`; of
+            several trainings ``seed_*`` in it the first is taken.
         env: whose constants it knows.
         seed: of what is random in it.
 
@@ -96,8 +124,8 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     base, _, rest = name.partition(":")
     if base.endswith(SUFFIX):
         return Function(name)
-    if Path(name).is_dir():
-        return Learned(Path(name), env)
+    if folders := trainings(name, task):
+        return Learned(Path(folders[0]), env)
     row = POLICIES.get(base)
     if row is None or (rest and base != "built_in"):
         raise ValueError(
