@@ -6,6 +6,7 @@ import pytest
 
 from servogym.envs import TASKS
 from servogym.envs.axis_parameters import LinearAxisParameters
+from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
