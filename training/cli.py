@@ -102,6 +102,11 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--checkpoint-every", type=int, help="steps")
     train.add_argument("--evaluate-every", type=int, help="steps")
     train.set_defaults(run=_train)
+
+    curves = commands.add_parser("curves", help="draw the learning curves of trainings")
+    curves.add_argument("folder", type=Path, help="of a training, or with several in seed_*")
+    curves.add_argument("-o", "--out", type=Path, default=Path("out/curves.png"), help="picture")
+    curves.set_defaults(run=_curves)
     for name, what in (("eval", "one policy on fixed episodes"), ("compare", "several policies")):
         command = commands.add_parser(name, help=f"{what}: table, data, picture")
         command.add_argument("env", help="environment, as LinearAxis-v0")
@@ -195,6 +200,12 @@ def _watch(options: argparse.Namespace, console: Console) -> int:
         options.env, options.policy, options.drive, options.episodes, options.seed,
         options.speed, options.record, console,
     )  # fmt: skip
+
+
+def _curves(options: argparse.Namespace, console: Console) -> int:
+    from . import curves
+
+    return curves.run(options.folder, options.out, console)
 
 
 def _train(options: argparse.Namespace, console: Console) -> int:
