@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -245,3 +246,24 @@ def _rows(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     assert any(line.startswith("# command: servogym benchmark") for line in lines)
     return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+
+
+def test_the_committed_table_is_reproduced_bit_for_bit(tmp_path):
+    """The columns that need no learned policy, on the versions it was made with."""
+    page = resources.files("servogym.assets") / "policies" / "CompliantAxis-v0" / "compare.md"
+    committed = page.read_text(encoding="utf-8")
+    arguments = ["--policies", "hold,ruckig,ruckig+zvd", "--out", str(tmp_path)]
+    assert cli.main(["compare", "CompliantAxis-v0", *arguments]) == 0
+    again = (tmp_path / "compare.md").read_text(encoding="utf-8")
+    if committed.splitlines()[-1] != again.splitlines()[-1]:
+        pytest.skip(f"made with {committed.splitlines()[-1]}")
+
+    def cells(text):
+        rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line[:1] == "|"]
+        return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[2:]}
+
+    here, there = cells(again), cells(committed)
+    assert len(here) > 10
+    for metric, row in here.items():
+        for policy, cell in row.items():
+            assert there[metric][policy] == cell, (metric, policy)
