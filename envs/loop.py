@@ -150,6 +150,12 @@ def speeds(world):
 
 
 @block
+def _copy(source, target):
+    for i in range(len(target)):
+        target[i] = source[i]
+
+
+@block
 def _tick(world, axes, couplings, joints, qpos, qvel, ctrl, frictionloss):
     """One physics step and the control cycles that begin with it."""
     sound = True
@@ -267,8 +273,8 @@ def run(worlds, ticks, rpdos, tpdos):
             _latch(world, axes, rpdos[w])
         if tpdos.shape[1]:
             _collect(world, tpdos[w])
-        floats_at(world.qpos, world.nq)[:] = qpos
-        floats_at(world.qvel, world.nv)[:] = qvel
+        _copy(qpos, coordinates(world))  # an assignment of slices takes Numba two seconds
+        _copy(qvel, speeds(world))
 
 
 @entry
@@ -279,5 +285,6 @@ def settle(axes, couplings, joints, qpos):
         m.noise_state = m.switch_seed
         for k in range(3):
             m.switch_shift[k] = m.switch_scatter * _normal(m) if m.switch_scatter > 0.0 else 0.0
-        couplings[i].switch_active[:] = 0
+        for k in range(3):
+            couplings[i].switch_active[k] = 0
         sense(axes[i], couplings[i], m, qpos)
