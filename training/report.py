@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 PACKAGES = ("servogym", "mujoco", "gymnasium", "numpy", "numba", "ruckig")
-INK, GRID = "#1f5fa8", {"alpha": 0.3, "lw": 0.6}
+INK = "#1f5fa8"
+GRID: Any = {"alpha": 0.3, "lw": 0.6}  # of every picture
 
 
 def origin(command: str) -> dict[str, Any]:
