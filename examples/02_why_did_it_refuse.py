@@ -1,0 +1,127 @@
+# %% [markdown]
+# # 2 · Why did my drive refuse?
+#
+# A drive never raises an exception. It answers: with a state that stays what it was, with bit 11 of
+# the statusword, with a fault code, or with an abort code on an object access. This lesson provokes
+# all four and reads the answers.
+
+# %%
+import sys
+from pathlib import Path
+
+from servogym.drive import Abort, SdoAbort
+from servogym.drive.trace import Trace
+from servogym.drive.words import Limit, Mode
+from servogym.envs import linear_axis
+from servogym.envs.supervisor import Supervisor
+from servogym.training.demo import CHANNELS, Phase
+from servogym.training.scope import draw
+
+picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/02_why_did_it_refuse.png"))
+machine = linear_axis("generic", payload=5.0)
+machine.reset(positions={"x": 0.12})
+x = machine.drives["x"]
+trace = Trace(x, CHANNELS)
+master = Supervisor(machine, "x", lambda: trace.sample(machine.time))
+phases = []
+
+
+def begin(name: str) -> None:
+    """The next part of the picture begins here."""
+    phases.append(Phase(name, len(trace), len(trace)))
+
+
+# %% [markdown]
+# **A refused command.** Enable operation is not obeyed in SWITCH_ON_DISABLED. The state stays, and
+# `why()` names command, state and what is missing.
+
+# %%
+begin("not in order")
+master.step(60)
+x.write("controlword", 0x0F)
+master.step(60)
+print(x.why())
+assert x.why().startswith("ENABLE_OPERATION was refused in SWITCH_ON_DISABLED")
+
+# %% [markdown]
+# **A fault that is still there.** Over-voltage trips the drive. Fault reset is a rising edge of bit 7,
+# and it is refused as long as the cause is present.
+
+# %%
+begin("fault")
+master.enable()
+master.step(60)
+x.inject("overvoltage")
+master.step(60)
+print(x.state.name, x.fault)
+for controlword in (0x00, 0x80):
+    master.control(controlword)
+master.step(60)
+print(x.why())
+assert "OVERVOLTAGE" in x.why()
+x.clear_injected()
+master.reset_fault()
+
+# %% [markdown]
+# **An internal limit.** The axis is homed, its software limits are 0 and 500 mm (607Dh), and the
+# target lies beyond. The drive moves as far as it may and sets bit 11; object 2011h tells which limit.
+
+# %%
+begin("limit")
+master.enable()
+x.write("home_offset", 0)
+master.home(37)  # where it stands is zero
+x.write("max_position_limit", 80_000)
+x.write("modes_of_operation", Mode.PROFILE_POSITION)
+x.write("target_position", 200_000)
+for controlword in (0x0F, 0x1F):
+    master.control(controlword)
+    master.step(4)
+master.step(800)
+active = [limit.name for limit in Limit if x.read("active_limits") & limit]
+print(x.describe(), "|", *active, "|", x.read("position_actual_value"), "µm")
+assert active == ["SOFTWARE_POSITION_MAX"]
+
+# %% [markdown]
+# **A following error.** With 15 % of the rated torque the motor cannot follow its own profile. The
+# error leaves its window of 1 mm for longer than 10 ms, and the drive gives up.
+
+# %%
+begin("following error")
+x.write("max_torque", 150)  # per mille of rated torque
+x.write("target_position", 0)
+for controlword in (0x0F, 0x1F):
+    master.control(controlword)
+    master.step(4)
+master.step(400)
+print(x.state.name, x.fault)
+fault = x.fault
+assert fault.startswith("8611h")
+
+# %% [markdown]
+# **An abort code.** Objects are refused one by one, with the code of CiA 301 that an SDO would carry:
+
+# %%
+codes = []
+for access in (
+    lambda: x.write("statusword", 0),
+    lambda: x.write("homing_method", 99),
+    lambda: x.write("max_torque", 100_000),
+    lambda: x.read(0x5FFF),
+    lambda: x.read(0x607D, 7),
+):
+    try:
+        access()
+    except SdoAbort as abort:
+        print(abort)
+        codes.append(abort.code)
+assert codes[:2] == [Abort.READ_ONLY, Abort.INVALID_VALUE]
+assert codes[3:] == [Abort.NO_OBJECT, Abort.NO_SUBINDEX]
+
+# %% [markdown]
+# In the picture: the state strip stays grey where the command was refused and turns red at the two
+# faults, bit 11 rises with the limits, and at the end the following error crosses its window.
+
+# %%
+picture.parent.mkdir(parents=True, exist_ok=True)
+print(draw(trace.arrays(), phases, picture, "Four ways to be refused"))
