@@ -6,7 +6,7 @@ OUT ?= out
 # without JIT these take long and show nothing about drive/ that the others do not
 NOT_THE_DRIVE := test_cli.py test_readme.py test_scope.py test_homing_gallery.py test_machine.py \
 	test_linear_axis.py test_positioning.py test_vector_env.py test_gantry.py test_bridge.py \
-	test_coordination.py test_compliance.py test_sb3.py test_train.py \
+	test_coordination.py test_compliance.py test_sb3.py test_train.py test_examples.py \
 	canopen/test_interop.py canopen/test_bus.py
 
 .PHONY: demo test lint types format bench coverage slow clean

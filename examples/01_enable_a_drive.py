@@ -25,8 +25,8 @@ from servogym.training.scope import draw
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/01_enable_a_drive.png"))
 
 # %% [markdown]
-# The ten lines. A machine is a linear axis in MuJoCo with a drive called `x`; a step is one cycle of
-# the drive's position controller, 0.5 ms.
+# The ten lines. A machine is a linear axis in MuJoCo with a drive called `x`; a step is one cycle
+# of the drive's position controller, 0.5 ms.
 
 # %%
 machine = linear_axis("generic", payload=5.0)
@@ -53,7 +53,8 @@ assert states == [
 
 # %% [markdown]
 # Now the same under an oscilloscope, with a profile position move behind it and the way back to
-# SWITCH_ON_DISABLED. A `Trace` takes one sample a position cycle; a phase is a name on the time axis.
+# SWITCH_ON_DISABLED. A `Trace` takes one sample a position cycle; a phase is a name on the time
+# axis.
 
 # %%
 machine.reset(positions={"x": 0.12})
@@ -86,8 +87,9 @@ control(0x07, 100)
 control(0x00, 100)
 
 # %% [markdown]
-# The last three words took the set-point bit back, disabled the operation and switched the voltage
-# off. The axis stands where it was sent, 50 mm away, which the drive says with *target reached*.
+# The last three words took the set-point bit back, disabled the operation and switched the
+# voltage off. The axis stands where it was sent, 50 mm away, which the drive says with *target
+# reached*.
 
 # %%
 moved = machine.data.qpos[0] - 0.12

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 2 · Why did my drive refuse?
 #
-# A drive never raises an exception. It answers: with a state that stays what it was, with bit 11 of
-# the statusword, with a fault code, or with an abort code on an object access. This lesson provokes
-# all four and reads the answers.
+# A drive never raises an exception. It answers: with a state that stays what it was, with bit 11
+# of the statusword, with a fault code, or with an abort code on an object access. This lesson
+# provokes all four and reads the answers.
 
 # %%
 import sys
@@ -32,8 +32,8 @@ def begin(name: str) -> None:
 
 
 # %% [markdown]
-# **A refused command.** Enable operation is not obeyed in SWITCH_ON_DISABLED. The state stays, and
-# `why()` names command, state and what is missing.
+# **A refused command.** Enable operation is not obeyed in SWITCH_ON_DISABLED. The state stays,
+# and `why()` names command, state and what is missing.
 
 # %%
 begin("not in order")
@@ -44,8 +44,8 @@ print(x.why())
 assert x.why().startswith("ENABLE_OPERATION was refused in SWITCH_ON_DISABLED")
 
 # %% [markdown]
-# **A fault that is still there.** Over-voltage trips the drive. Fault reset is a rising edge of bit 7,
-# and it is refused as long as the cause is present.
+# **A fault that is still there.** Over-voltage trips the drive. Fault reset is a rising edge of
+# bit 7, and it is refused as long as the cause is present.
 
 # %%
 begin("fault")
@@ -64,7 +64,8 @@ master.reset_fault()
 
 # %% [markdown]
 # **An internal limit.** The axis is homed, its software limits are 0 and 500 mm (607Dh), and the
-# target lies beyond. The drive moves as far as it may and sets bit 11; object 2011h tells which limit.
+# target lies beyond. The drive moves as far as it may and sets bit 11; object 2011h tells which
+# limit.
 
 # %%
 begin("limit")
@@ -83,8 +84,8 @@ print(x.describe(), "|", *active, "|", x.read("position_actual_value"), "µm")
 assert active == ["SOFTWARE_POSITION_MAX"]
 
 # %% [markdown]
-# **A following error.** With 15 % of the rated torque the motor cannot follow its own profile. The
-# error leaves its window of 1 mm for longer than 10 ms, and the drive gives up.
+# **A following error.** With 15 % of the rated torque the motor cannot follow its own profile.
+# The error leaves its window of 1 mm for longer than 10 ms, and the drive gives up.
 
 # %%
 begin("following error")
@@ -99,7 +100,8 @@ fault = x.fault
 assert fault.startswith("8611h")
 
 # %% [markdown]
-# **An abort code.** Objects are refused one by one, with the code of CiA 301 that an SDO would carry:
+# **An abort code.** Objects are refused one by one, with the code of CiA 301 that an SDO would
+# carry:
 
 # %%
 codes = []
@@ -119,8 +121,8 @@ assert codes[:2] == [Abort.READ_ONLY, Abort.INVALID_VALUE]
 assert codes[3:] == [Abort.NO_OBJECT, Abort.NO_SUBINDEX]
 
 # %% [markdown]
-# In the picture: the state strip stays grey where the command was refused and turns red at the two
-# faults, bit 11 rises with the limits, and at the end the following error crosses its window.
+# In the picture: the state strip stays grey where the command was refused and turns red at the
+# two faults, bit 11 rises with the limits, and at the end the following error crosses its window.
 
 # %%
 picture.parent.mkdir(parents=True, exist_ok=True)

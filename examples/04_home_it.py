@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 4 · Home it
 #
-# An incremental encoder counts from where it was powered on. Homing tells the drive where it is: it
-# looks for a switch, an index pulse or a mechanical stop, and gives that place a position. Here the
-# same axis is homed by three methods of 6098h, from the same start:
+# An incremental encoder counts from where it was powered on. Homing tells the drive where it is:
+# it looks for a switch, an index pulse or a mechanical stop, and gives that place a position.
+# Here the same axis is homed by three methods of 6098h, from the same start:
 #
 # | method | what it looks for |
 # |---|---|
@@ -20,7 +20,7 @@ import numpy as np
 
 from servogym.drive.trace import Trace
 from servogym.envs import linear_axis, loop
-from servogym.envs.homing_figures import built_in, true_home
+from servogym.envs.homing_figures import built_in
 from servogym.envs.supervisor import Supervisor
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/04_home_it.png"))
@@ -31,9 +31,10 @@ x = machine.drives["x"]
 x.write("home_offset", 0)  # the home position is zero
 
 # %% [markdown]
-# The procedure is the same for each: mode 6, method, and a rising edge of bit 4 of the controlword.
-# `Supervisor.home` waits for *homing attained*, or for *homing error*. The search for the switch is
-# fast (6099h:01), the search for the zero slow (6099h:02). Only the simulation knows the true place.
+# The procedure is the same for each: mode 6, method, and a rising edge of bit 4 of the
+# controlword. `Supervisor.home` waits for *homing attained*, or for *homing error*. The search
+# for the switch is fast (6099h:01), the search for the zero slow (6099h:02). Only the simulation
+# knows the true place.
 
 # %%
 
@@ -59,8 +60,8 @@ def home(method: int) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
 runs = {method: home(method) for method in METHODS}
 
 # %% [markdown]
-# What they cost. `built_in` runs a method again and measures it: the error against the ideal place,
-# the time, and the energy of what it hit.
+# What they cost. `built_in` runs a method again and measures it: the error against the ideal
+# place, the time, and the energy of what it hit.
 
 # %%
 figures = {}
@@ -69,14 +70,15 @@ for method, name in METHODS.items():
     figures[method] = built_in(machine, method, START)
     f = figures[method]
     print(f"method {method:>3}, {name:<28} {f.time:5.2f} s, error {f.error * 1e6:+7.1f} µm, "
-          f"{f.greatest_torque:4.0%} of the torque, impact {f.impact_energy * 1e3:.2f} mJ")  # fmt: skip
+          f"{f.greatest_torque:4.0%} of the torque, {f.impact_energy * 1e3:.2f} mJ")  # fmt: skip
 assert all(f.attained for f in figures.values())
 assert abs(figures[7].error) < abs(figures[-17].error)  # an index pulse beats a stop
 assert figures[-17].impact_energy > 0.0 == figures[17].impact_energy  # only the stop is hit
 
 # %% [markdown]
-# The diagram, as in a manual: position to the right, time downwards. Triangle: the place that the drive
-# now calls home. Grey: where a switch is active. The index pulses come once a motor revolution, 60 mm.
+# The diagram, as in a manual: position to the right, time downwards. Triangle: the place that the
+# drive now calls home. Grey: where a switch is active. The index pulses come once a motor
+# revolution, 60 mm.
 
 # %%
 figure, panels = plt.subplots(1, 3, figsize=(12, 5.5), layout="constrained", sharex=True)
@@ -84,7 +86,7 @@ coupling = machine.couplings[0]
 for panel, (method, (data, places, zero)) in zip(panels, runs.items(), strict=True):
     panel.plot(places * 1e3, data["time"], lw=2)
     panel.plot(START * 1e3, 0.0, "o", color="k", label="start")
-    panel.plot(zero * 1e3, data["time"][-1], "v", ms=10, color="C3", label="home")
+    panel.plot(zero * 1e3, data["time"][-1], "v", ms=10, color="C3", zorder=3, label="home")
     for switch, shade in ((loop.HOME, "0.85"), (0, "0.75")):
         low, high = coupling.switch_from[switch], coupling.switch_to[switch]
         panel.axvspan(max(low * 1e3, -25), high * 1e3, color=shade, lw=0)
@@ -93,10 +95,10 @@ for panel, (method, (data, places, zero)) in zip(panels, runs.items(), strict=Tr
     panel.axvline(machine.mechanics["low"][0] * 1e3, color="k", lw=3)
     panel.invert_yaxis()
     panel.set(xlim=(-25, 245), xlabel="position of the carriage (mm)", ylabel="time (s), downwards")
-    error = (zero - true_home(machine, method, START)) * 1e6
-    panel.set_title(f"method {method}: {METHODS[method]}\nerror {error:+.0f} µm", fontsize=10)
-    panel.legend(fontsize=8, loc="center right")
+    error = figures[method].error * 1e6
+    panel.set_title(f"method {method}: {METHODS[method]}\nerror {error:+.1f} µm", fontsize=10)
     panel.grid(alpha=0.3)
+panels[2].legend(fontsize=8, loc="center right")
 figure.suptitle("Three ways home; grey: a switch is active, black: the stop")
 picture.parent.mkdir(parents=True, exist_ok=True)
 figure.savefig(picture, dpi=110)
