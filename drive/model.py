@@ -116,6 +116,11 @@ class DriveModel:
         for fault in reversed(self.faults):
             axis.od.fault_reaction[fault.cause] = fault.reaction
 
+    @property
+    def homes_here(self) -> int:
+        """Homing method on the current position: 37, or 35 where only the older number is known."""
+        return 37 if 37 in self.homing_methods else 35
+
     def quirk(self, name: str) -> int:
         """Value of a departure from the standard, 0 where the model has none."""
         return self.quirks[name].value if name in self.quirks else 0

@@ -5,6 +5,8 @@ Values marked `inferred` are of the size catalogues give for axes of this class,
 
 from dataclasses import dataclass, fields, replace
 
+from .checks import in_range
+
 # lowest, highest, unit
 RANGES = {
     "payload": (0.0, 100.0, "kg"),
@@ -79,15 +81,7 @@ class LinearAxisParameters:
             value = getattr(self, field.name)
             if value is None and field.default is None:
                 continue
-            low, high, unit = RANGES[field.name]
-            try:
-                inside = low <= float(value) <= high
-            except (TypeError, ValueError):
-                inside = False
-            if not inside:
-                raise ValueError(
-                    f"{field.name} = {value!r} is out of range {low:g}..{high:g} {unit}"
-                )
+            in_range(field.name, value, *RANGES[field.name])
         if self.static_friction and not 0.0 < self.coulomb_friction <= self.static_friction:
             raise ValueError(
                 f"static_friction = {self.static_friction:g} N needs a coulomb_friction above "

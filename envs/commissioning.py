@@ -13,7 +13,7 @@ import numpy as np
 from ..drive.abort import SdoAbort
 from ..drive.drive import Drive
 from ..drive.model import load
-from .linear_axis import MOTOR
+from .linear_axis import MOTOR, factor_group
 from .machine import Machine
 from .tuning import gains
 
@@ -81,7 +81,7 @@ def commission_joint(
         acceleration = max_acceleration * gear
         rated = max(rated, (torque + inertia * acceleration) / 2)
     try:
-        drive.commission(_motor(drive, rated) | factor_group(drive, gear * position_unit))
+        drive.commission(_motor(drive, rated) | _units(drive, gear * position_unit))
         per_unit = gear * position_unit  # rad of the shaft
         drive.commission(
             {"polarity": 0xC0 if coupling.gear < 0 else 0}
@@ -99,30 +99,12 @@ def commission_joint(
         ) from None
 
 
-def factor_group(drive: Drive, angle: float) -> dict[str, float]:
-    """Units of `angle` (rad of the shaft), and such per s and s², as a fraction of a revolution.
-
-    The older factor group counts 65536 increments a turn, turns per 4096 min, and turns per minute
-    in 256 s (DSP 402 V2, 6093h, 6094h, 6097h).
-    """
+def _units(drive: Drive, angle: float) -> dict[str, float]:
+    """Units of `angle` (rad of the shaft), as a fraction of a revolution."""
     turn = 2 * math.pi / angle
     # both parts have to stay below 2^31 together with the increments of the encoder
     units = Fraction(turn).limit_denominator(max(1, min(1000, int(2**31 / turn) - 1)))
-    if not drive.model.quirk("older_factor_group"):
-        return {"feed": units.numerator, "feed_shaft_revolutions": units.denominator}
-    parts = {
-        "position_factor": 65536,
-        "velocity_encoder_factor": 60 * 4096,
-        "acceleration_factor": 60 * 256,
-    }
-    return {
-        f"{name}_{part}": value
-        for name, scale in parts.items()
-        for part, value in (
-            ("divisor", units.numerator),
-            ("numerator", scale * units.denominator),
-        )
-    }
+    return factor_group(drive, units.numerator, units.denominator)
 
 
 def _speed(machine: Machine, coupling) -> float:
@@ -238,6 +220,6 @@ def _places(machine: Machine, drive: Drive, coupling, position_unit: float) -> d
     return {
         "min_position_limit": low / position_unit,
         "max_position_limit": high / position_unit,
-        "homing_method": 37 if 37 in drive.model.homing_methods else 35,
+        "homing_method": drive.model.homes_here,
         "home_offset": -here / position_unit,
     }

@@ -161,7 +161,7 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
     micro = 1e6  # drive units per m
     parameters = {
         **MOTOR,
-        **_units(x, p.feed_constant * micro),
+        **factor_group(x, p.feed_constant * micro),
         "min_position_limit": 0,
         "max_position_limit": 0.5 * micro,
         "following_error_window": 1_000,
@@ -191,20 +191,21 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
     tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))
 
 
-def _units(drive: Drive, turn: float) -> dict[str, float]:
-    """Factor group for `turn` position units a motor revolution, and units/s, units/s².
+def factor_group(drive: Drive, units: float, turns: int = 1) -> dict[str, float]:
+    """`units` position units in so many motor revolutions, and units/s, units/s².
 
-    The older one counts 65536 increments a turn, turns per 4096 min, and turns per minute in 256 s.
+    The older factor group counts 65536 increments a turn, turns per 4096 min, and turns per minute
+    in 256 s (DSP 402 V2, 6093h, 6094h, 6097h).
     """
     if not drive.model.quirk("older_factor_group"):
-        return {"feed": turn, "feed_shaft_revolutions": 1}
+        return {"feed": units, "feed_shaft_revolutions": turns}
     return {
-        "position_factor_divisor": turn,
-        "position_factor_numerator": 65536,
-        "velocity_encoder_factor_divisor": turn,
-        "velocity_encoder_factor_numerator": 60 * 4096,
-        "acceleration_factor_divisor": turn,
-        "acceleration_factor_numerator": 60 * 256,
+        "position_factor_divisor": units,
+        "position_factor_numerator": turns * 65536,
+        "velocity_encoder_factor_divisor": units,
+        "velocity_encoder_factor_numerator": turns * 60 * 4096,
+        "acceleration_factor_divisor": units,
+        "acceleration_factor_numerator": turns * 60 * 256,
     }
 
 

@@ -23,6 +23,7 @@ from .machine import Machine
 from .picture import Picture
 from .randomisation import Randomisation
 
+METRE = 1e6  # position units
 STATE_MASK = 0x6F
 STATE_NAME = {  # by statusword & STATE_MASK
     word: state.name for word in range(STATE_MASK + 1) if (state := state_of(word)) is not None
@@ -58,7 +59,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     MODES: tuple[Mode, ...] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)
     DRIVES: tuple[str, ...] = ()  # that the agent commands, first in the machine; none: all of it
     RPDO: ClassVar[tuple[str, ...]]  # objects the agent commands, beside controlword and mode
-    TPDO: ClassVar[tuple[str, ...]]  # objects it sees, beside statusword and mode displayed
+    TPDO: ClassVar[tuple[str, ...]] = (  # objects it sees, beside statusword and mode displayed
+        "position_actual_value", "torque_actual_value", "velocity_actual_value",
+        "following_error_actual_value",
+    )  # fmt: skip
     ID: ClassVar[str]  # in the registry of Gymnasium
     STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
     ACTIONS: int  # may depend on arguments, as may DRIVES and OBSERVATIONS
@@ -68,6 +72,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     judge: ClassVar[Callable[..., None]]  # (worlds, episodes, rpdos, tpdos, observations)
 
     machine: Machine
+    _window: float  # of the following error (m), of tasks that `normalise` by it
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
     def __init__(
@@ -211,8 +216,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         masters = Group(self.machine, positions)
         for name, position in (dict(positions) | dict(believed or {})).items():
             drive = self.machine.drives[name]
-            drive.write("home_offset", -round(position * 1e6))
-            drive.write("homing_method", 37 if 37 in drive.model.homing_methods else 35)
+            drive.write("home_offset", -round(position * METRE))
+            drive.write("homing_method", drive.model.homes_here)
         masters.enable()
         masters.home()
         if self.face == PDO:
@@ -222,6 +227,12 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         if "target_position" in self.RPDO:  # in force until the first RPDO of the agent arrives
             positions_now = [drive.read("position_actual_value") for drive in self.drives]
             self._part[3]["target_position"][0] = positions_now
+
+    def normalise(self) -> None:
+        """Keep what observations are normalised by: limits of the first drive, and the window."""
+        self.episode._speed = self.drive.read("max_profile_velocity") / METRE
+        self.episode._max_torque = self.drive.read("max_torque")
+        self.episode._window = self._window
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One step of the agent. Raises ValueError for an action out of the space."""

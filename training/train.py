@@ -21,9 +21,11 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
+from ..envs.checks import whole
 from . import checkpoint, hyperparameters
 from .evaluation import EPISODES, Evaluation, HoldStill, Score, score
 
+MOST = 10**12  # steps
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 
@@ -53,7 +55,7 @@ class Run:
     hyperparameters: dict[str, Any]
 
     def __post_init__(self):
-        _whole("seed", self.seed, 0, 2**31 - 1)
+        whole("seed", self.seed, 0, 2**31 - 1)
 
     def vector(self, envs: int) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""
@@ -61,11 +63,6 @@ class Run:
             return VecMonitor(sb3.make(self.env_id, envs, drive=self.drive, **self.arguments))
         except TypeError as error:
             raise ValueError(f"arguments of {self.env_id}: {error}") from None
-
-
-def _whole(name: str, value: int, low: int, high: int = 10**12) -> None:
-    if value != int(value) or not low <= value <= high:
-        raise ValueError(f"{name} = {value!r} must be a whole number {low}..{high}")
 
 
 def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None) -> Run:
@@ -133,10 +130,10 @@ def train(
         ValueError: naming what is wrong; where `out` has a run already, or another one.
     """
     console = console or Console(quiet=True)
-    _whole("steps", steps, 1)
-    _whole("checkpoint_every", checkpoint_every, 1)
-    _whole("evaluate_every", evaluate_every, 1)
-    _whole("envs", 1 if envs is None else envs, 1, 100_000)
+    whole("steps", steps, 1, MOST)
+    whole("checkpoint_every", checkpoint_every, 1, MOST)
+    whole("evaluate_every", evaluate_every, 1, MOST)
+    whole("envs", 1 if envs is None else envs, 1, 100_000)
     arguments = None if arguments is None else json.loads(json.dumps(dict(arguments)))
     asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
              "arguments": arguments}  # fmt: skip

@@ -17,14 +17,13 @@ from ..faces import PDO, clip, limited
 from ..linear_axis import linear_axis
 from ..loop import axes_at, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from .positioning import STROKE
 
-STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts and goals keep away from the ends
 LONGEST_SEARCH = 0.3  # m, starts are no farther from the limit switch
 NEAREST_GOAL = 0.1  # m from the zero, where homing ends
-METRE = 1e6  # position units
 SEARCH_SPEED = 200_000  # µm/s; from the farthest start homing takes 2 s
 MOVING = 5e-3  # m/s
 FAULT_CYCLES = 200  # position cycles at most until a cause has led to FAULT

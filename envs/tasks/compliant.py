@@ -14,9 +14,9 @@ from ..faces import clip, faulted, limited
 from ..linear_axis import LinearAxisParameters, linear_axis
 from ..loop import FARTHEST, coordinates, speeds, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
-from .positioning import MARGIN, METRE, NEAR, RESTING, STROKE
+from .positioning import MARGIN, NEAR, RESTING, STROKE
 
 DEFLECTION = 5e-3  # m, of the spring, that is 1.0 for the load sensor
 RATE = 0.3  # m/s, of the deflection: that amplitude at 10 Hz
@@ -146,10 +146,6 @@ class CompliantAxisEnv(ServoEnv):
     ID = "servogym/CompliantAxis-v0"
     STEPS = 400
     RPDO = ("target_position", "torque_offset")
-    TPDO = (
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value",
-    )  # fmt: skip
     ACTIONS = 2
     OBSERVATIONS = 8
     EPISODE = episode(
@@ -224,10 +220,8 @@ class CompliantAxisEnv(ServoEnv):
         episode._rest = episode._mass * model.opt.gravity[0] / episode._stiffness
         episode._sensor = self.load_sensor
         episode._target = x.read("position_actual_value") / METRE
-        episode._speed = x.read("max_profile_velocity") / METRE
+        self.normalise()
         episode._way = episode._speed * self.step_time
-        episode._window = self._window
-        episode._max_torque = x.read("max_torque")
         episode._torque_range = self.torque_range * episode._max_torque
         episode._tolerance = self.tolerance
 

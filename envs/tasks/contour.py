@@ -14,7 +14,7 @@ from ..faces import clip, faulted, limited
 from ..gantry import gantry
 from ..loop import coordinates, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 CONTOURS = ("circle", "square")
@@ -24,7 +24,6 @@ CLOSE = 20e-6  # m, contour error at which the reward for closeness has fallen t
 SLOWEST = 0.2  # feed override
 AHEAD = (1.0, 2.0, 4.0, 8.0)  # steps at full feed, where the points of the preview lie
 AXIS = 5  # observations an axis, after the preview
-METRE = 1e6  # position units
 
 
 @block
@@ -171,10 +170,6 @@ steps × `feed` × step time |
     STEPS = 600
     DRIVES = ("x", "y")
     RPDO = ("target_position",)
-    TPDO = (
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value",
-    )  # fmt: skip
     ACTIONS = 3
     OBSERVATIONS = 2 * len(AHEAD) + 2 * AXIS
     EPISODE = episode(
@@ -251,16 +246,14 @@ steps × `feed` × step time |
                 for d, name in enumerate(self.DRIVES)
             }
         )
-        episode, model, x = self.episode, self.machine.model, self.drive
+        episode, model = self.episode, self.machine.model
         episode._contour, episode._radius = kind, self.radius
         episode._begin = episode._way = way
         episode._step = self.feed * self.step_time
         episode._range = self.correction
         episode._x_at = model.joint("x").qposadr[0]
         episode._y_at = model.joint("y").qposadr[0]
-        episode._speed = x.read("max_profile_velocity") / METRE
-        episode._window = self._window
-        episode._max_torque = x.read("max_torque")
+        self.normalise()
         episode._tolerance = self.tolerance
 
     def ghosts(self) -> dict[str, np.ndarray]:

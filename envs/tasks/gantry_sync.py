@@ -14,7 +14,7 @@ from ..faces import clip, faulted, limited
 from ..gantry import MAX_SKEW, SPAN, gantry
 from ..loop import coordinates, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.8  # m, of X
@@ -23,7 +23,6 @@ STARTS, GOALS = (0.12, 0.18), (0.26, 0.4)  # m; the home switches lie between, a
 NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
 SQUARE = 0.5e-3  # m, skew at which the reward for squareness has fallen to one half
 RESTING = 5e-3  # m/s, slower counts as settled
-METRE = 1e6  # position units
 HOME_SWITCH = 0x04  # 60FDh bit 2
 SIDE = 5  # observations a side
 RANDOMISED = {"payload": (0.5, 6.0), "friction": (0.5, 2.0)}
@@ -159,10 +158,7 @@ class GantrySyncEnv(ServoEnv):
     STEPS = 600
     DRIVES = ("x1", "x2")
     RPDO = ("target_position",)
-    TPDO = (
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value", "digital_inputs",
-    )  # fmt: skip
+    TPDO = (*ServoEnv.TPDO, "digital_inputs")
     ACTIONS = 2
     OBSERVATIONS = 2 * SIDE + 3
     EPISODE = episode(
@@ -235,7 +231,7 @@ class GantrySyncEnv(ServoEnv):
         y = in_range("options['y']", given["y"], 0.0, Y_STROKE, "m")
         skew = in_range("options['skew']", given["skew"], -limit, limit, "m")
         self.place({"x1": start, "x2": start + skew, "y": y}, believed={"x2": start})
-        episode, model, x1 = self.episode, self.machine.model, self.drive
+        episode, model = self.episode, self.machine.model
         episode.goal = goal
         for d, drive in enumerate(self.drives):
             episode._target[d] = drive.read("position_actual_value") / METRE
@@ -243,10 +239,8 @@ class GantrySyncEnv(ServoEnv):
         episode._skew_at = model.joint("skew").qposadr[0]
         episode._bridge_at = model.joint("x").qposadr[0]
         episode._span = SPAN
-        episode._speed = x1.read("max_profile_velocity") / METRE
+        self.normalise()
         episode._way = self.speed * self.step_time
-        episode._window = self._window
-        episode._max_torque = x1.read("max_torque")
         episode._max_twist = self.max_twist
         episode._tolerance = self.tolerance
         episode._skew_tolerance = self.skew_tolerance

@@ -17,15 +17,14 @@ from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, 
 from ..linear_axis import linear_axis
 from ..loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..supervisor import Supervisor
 from ..vector_env import ServoVectorEnv
+from .positioning import STROKE
 
 # reference -> the built-in method that looks for the very same place
 REFERENCES = {"home_switch": 23, "negative_limit_switch": 17, "stop": -17}
-STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts keep away from the ends
-METRE = 1e6  # position units
 HOMING = int(Mode.HOMING)
 START = int(ENABLED | C.NEW_SET_POINT)  # homing operation start
 THRESHOLD = 0.5  # of the action "reference here"
@@ -230,7 +229,7 @@ class HomingEnv(ServoEnv):
                 coupling.switch_from[switch], coupling.switch_to[switch] = NOWHERE
         self._max_torque = x.read("max_torque")
         self._switches = coupling.switch_from.copy(), coupling.switch_to.copy()
-        self._here = 37 if 37 in model.homing_methods else 35
+        self._here = model.homes_here
         return machine
 
     def _begin(self, options: dict[str, Any]) -> None:

@@ -13,14 +13,13 @@ from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..linear_axis import linear_axis
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts and goals keep away from the ends
 NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
 RESTING = 5e-3  # m/s, slower counts as settled
-METRE = 1e6  # position units
 
 
 @entry
@@ -112,10 +111,6 @@ class LinearAxisEnv(ServoEnv):
 
     ID = "servogym/LinearAxis-v0"
     RPDO = ("target_position",)
-    TPDO = (
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value",
-    )  # fmt: skip
     ACTIONS = 1
     OBSERVATIONS = 6
     EPISODE = episode(
@@ -162,10 +157,8 @@ class LinearAxisEnv(ServoEnv):
         episode, x = self.episode, self.drive
         episode.goal = goal
         episode._target = x.read("position_actual_value") / METRE
-        episode._speed = x.read("max_profile_velocity") / METRE
+        self.normalise()
         episode._way = episode._speed * self.step_time
-        episode._window = self._window
-        episode._max_torque = x.read("max_torque")
         episode._tolerance = self.tolerance
 
     def ghosts(self) -> dict[str, np.ndarray]:

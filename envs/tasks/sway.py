@@ -15,7 +15,7 @@ from ..faces import clip, faulted, limited
 from ..gantry import gantry
 from ..loop import coordinates, speeds, world_at
 from ..machine import Machine
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = (0.8, 0.5)  # m, of X and Y
@@ -24,7 +24,6 @@ CABLE = 0.3  # m, what it is built with
 NEAR = 0.05  # m, distance of the load at which the reward for nearness has fallen to one half
 CALM = math.radians(2.0)  # sway at which the reward for calm has fallen to one half
 WIDEST = math.radians(20.0)  # sway that is 1.0 in an observation
-METRE = 1e6  # position units
 AXES = ("x", "y")
 SEEN, SENSED = 6, 2  # observations an axis: of the drive, of the sway sensor
 RANDOMISED = {"payload": (1.0, 5.0), "cable_length": (0.2, 0.4)}
@@ -150,10 +149,6 @@ class GantrySwayEnv(ServoEnv):
     ID = "servogym/GantrySway-v0"
     STEPS = 400
     RPDO = ("target_position",)
-    TPDO = (
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value",
-    )  # fmt: skip
     EPISODE = episode(
         ("goal_x", "f8"),  # of the load (m); of Y if it is used
         ("goal_y", "f8"),
@@ -217,7 +212,7 @@ class GantrySwayEnv(ServoEnv):
         places = {name: self._place_of(name, options.get(name)) for name in ("start", "goal")}
         sway = in_range("options['sway']", options.get("sway", 0.0), -0.5, 0.5, "rad")
         self.place({"y": 0.5 * STROKE[1]} | dict(zip(AXES, places["start"], strict=False)))
-        episode, model, data, x = self.episode, self.machine.model, self.machine.data, self.drive
+        episode, model, data = self.episode, self.machine.model, self.machine.data
         for d, drive in enumerate(self.drives):
             episode._goal[d] = places["goal"][d]
             episode._target[d] = drive.read("position_actual_value") / METRE
@@ -230,10 +225,8 @@ class GantrySwayEnv(ServoEnv):
         episode._length = -float(model.geom("payload").pos[2])
         episode._natural = math.sqrt(9.81 / CABLE)
         episode._sensor = self.sway_sensor
-        episode._speed = x.read("max_profile_velocity") / METRE
+        self.normalise()
         episode._way = self.speed * self.step_time
-        episode._window = self._window
-        episode._max_torque = x.read("max_torque")
         episode._tolerance = self.tolerance
         episode._resting = self.resting
 

@@ -16,9 +16,9 @@ from ..faces import clip, faulted, limited
 from ..linear_axis import linear_axis
 from ..machine import Machine
 from ..references import REFERENCES, Limits, make_reference
-from ..servo_env import ServoEnv
+from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
-from .positioning import MARGIN, METRE, STROKE
+from .positioning import MARGIN, STROKE
 
 STEPS = 400
 PREVIEW = 4  # points of the reference ahead
@@ -147,10 +147,6 @@ class LinearAxisTrackingEnv(ServoEnv):
     ID = "servogym/LinearAxisTracking-v0"
     STEPS = STEPS
     RPDO = ("target_position", "torque_offset")
-    TPDO = (
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value",
-    )  # fmt: skip
     ACTIONS = 2
     OBSERVATIONS = 7 + PREVIEW
     EPISODE = episode(
@@ -225,11 +221,9 @@ class LinearAxisTrackingEnv(ServoEnv):
         episode._velocity[: STEPS + 1] = made.velocity
         episode._acceleration[: STEPS + 1] = made.acceleration
         episode._correction = self.correction
-        episode._speed = x.read("max_profile_velocity") / METRE
+        self.normalise()
         episode._way = episode._speed * self.step_time
         episode._max_acceleration = p.max_acceleration
-        episode._window = self._window
-        episode._max_torque = x.read("max_torque")
         episode._tolerance = self.tolerance
 
     def _kind(self) -> str:

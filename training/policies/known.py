@@ -8,11 +8,8 @@ from dataclasses import dataclass
 
 from ...drive.drive import Drive
 from ...envs.axis_parameters import LinearAxisParameters
-from ...envs.servo_env import ServoEnv
+from ...envs.servo_env import METRE, ServoEnv
 from ...envs.tasks.positioning import STROKE
-
-METRE = 1e6  # position units
-GRAVITY = 9.81  # m/s²
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import ruckig
 
-from .known import GRAVITY, Known
+from ...envs.linear_axis import GRAVITY
+from .known import Known
 
 Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the move (m)
 # What the controller needs to hold the path is left to it.
