@@ -138,7 +138,7 @@ def test_vector_environments():
         envs = kind([lambda: gym.make(ID)] * 2)
         first, _ = envs.reset(seed=5)
         envs.step(np.zeros((2, 1), np.float32))
-        assert first.shape == (2, 6)
+        assert first.shape == (2, 7)
         envs.close()
 
 

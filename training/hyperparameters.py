@@ -35,11 +35,28 @@ COMMON: dict[str, dict[str, Any]] = {
 }
 STEPS = 500_000  # of training, of all environments together
 OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
+    "servogym/LinearAxis-v0": {
+        # at rest within the tolerance there is no room for noise
+        "PPO": {
+            "learning_rate": 5e-4,
+            "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
+        },
+    },
     "servogym/LinearAxisTracking-v0": {
         # the actions are small corrections of what the drive does well by itself
         "PPO": {"gamma": 0.9, "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]}},
     },
     "servogym/CompliantAxis-v0": {"PPO": {"learning_rate": 5e-4}},
+    "servogym/Homing-v0": {
+        # what counts comes at the end, hundreds of steps later
+        "PPO": {
+            "learning_rate": 5e-4,
+            "gamma": 0.998,
+            "gae_lambda": 0.98,
+            "n_steps": 128,
+            "n_epochs": 10,
+        },
+    },
 }
 
 

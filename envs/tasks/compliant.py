@@ -16,10 +16,11 @@ from ..loop import FARTHEST, coordinates, speeds, world_at
 from ..machine import Machine
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
-from .positioning import MARGIN, NEAR, RESTING, STROKE
+from .positioning import MARGIN, RESTING, STROKE
 
 DEFLECTION = 5e-3  # m, of the spring, that is 1.0 for the load sensor
 RATE = 0.3  # m/s, of the deflection: that amplitude at 10 Hz
+NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
 GENTLE = 0.05  # J, vibration energy at which the reward for gentleness has fallen to one half
 # A load of 5 kg swings at 10 Hz on a carriage that is held. The damping ratio of 0.01 is typical of
 # bolted steel structures (0.005..0.02, inferred).

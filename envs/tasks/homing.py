@@ -17,20 +17,24 @@ from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, 
 from ..linear_axis import linear_axis
 from ..loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..machine import Machine
+from ..rewards import closeness
 from ..servo_env import METRE, ServoEnv
 from ..supervisor import Supervisor
 from ..vector_env import ServoVectorEnv
 from .positioning import STROKE
 
-# reference -> the built-in method that looks for the very same place
-REFERENCES = {"home_switch": 23, "negative_limit_switch": 17, "stop": -17}
+# reference -> the built-in method that looks for the very same place, bit of its switch in 60FDh
+REFERENCES = {"home_switch": (23, 2), "negative_limit_switch": (17, 0), "stop": (-17, None)}
 MARGIN = 0.02  # m, starts keep away from the ends
 HOMING = int(Mode.HOMING)
 START = int(ENABLED | C.NEW_SET_POINT)  # homing operation start
 THRESHOLD = 0.5  # of the action "reference here"
 LEAST_TORQUE = 0.05  # share of the maximum torque that the agent cannot go below
-FOUND = 1e-3  # m beyond the reference that counts as having found it
-DURATION = 2.0  # s, at which the reward for speed has fallen to one half
+SHORTEST = 1e-3  # m, of a way to the reference that is shared out as a reward
+SEARCH, TAKEN = 0.2, 0.8  # what the way to the reference is worth, and what taking it
+NEAR = 0.01  # m, an error with which accuracy has fallen to nothing
+DURATION = 1.0  # s, at which the reward for speed has fallen to one half
+COARSE, FINE = 0.05, 20.0  # m and tolerances, way from an edge that is 1.0 in an observation
 IMPACT = 0.1  # J, at which the reward for gentleness has lost half of what impacts take
 NOWHERE = (1.0, -1.0)  # of a switch that is not there
 
@@ -52,16 +56,42 @@ def act(worlds, episodes, actions, rpdos):
 
 
 @block
-def _terms(share, time, impact_energy, greatest_torque):
-    """Accuracy, speed, gentleness; `share` is the error over the tolerance."""
+def _terms(error, tolerance, time, impact_energy, greatest_torque):
+    """Accuracy, half of it exactness and half closeness; speed, gentleness."""
+    share = abs(error) / tolerance
+    exact = 1.0 / (1.0 + share * share)
+    close = closeness(share, NEAR / tolerance)
     impact = 1.0 / (1.0 + impact_energy / IMPACT)
     gentleness = 0.5 * impact + 0.5 * (1.0 - min(greatest_torque, 1.0))
-    return 1.0 / (1.0 + share * share), DURATION / (DURATION + time), gentleness
+    return 0.5 * exact + 0.5 * close, DURATION / (DURATION + time), gentleness
+
+
+@block
+def _worth(accuracy, speed, gentleness):
+    """Of a reference taken, without the way there."""
+    return TAKEN * accuracy * (0.2 + 0.6 * speed + 0.2 * gentleness)
+
+
+@block
+def _watch_switches(episode, inputs, position):
+    """Keep the limit switch met last, and where the switch of the reference changed last.
+
+    That is in the middle of the step in which it did.
+    """
+    if episode._switch >= 0:
+        on = (inputs >> episode._switch & 1) != 0
+        if on != episode._on:
+            episode._edge = 0.5 * (episode._before + position)
+            episode._edges += 1
+        episode._on = on
+    episode._before = position
+    if inputs & 3:
+        episode._limit = 1.0 if inputs & 2 else -1.0
 
 
 @entry
 def judge(worlds, episodes, rpdos, tpdos, observations):
-    """Figures of the run so far; the reward comes when the reference is found, and at the end."""
+    """Figures of the run so far; the reward comes with the way to the reference, and at the end."""
     for w in range(len(worlds)):
         if worlds[w] == 0:
             continue
@@ -75,26 +105,32 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[3] = clip(velocity / episode._max_velocity)
         seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
         seen[5] = clip(behind / episode._max_velocity)
-        seen[6] = clip((tpdo.position_actual_value - episode._power_on) / METRE / STROKE)
+        position = tpdo.position_actual_value / METRE
+        seen[6] = clip((position - episode._power_on) / STROKE)
         seen[7] = clip(2.0 * rpdos[w, 0].max_torque / episode._max_torque - 1.0)
         seen[8] = episode._time / (episode._time + DURATION)
-        before = episode._position
+        _watch_switches(episode, inputs, position)
+        way = position - episode._edge
+        seen[9] = 1.0 if episode._edges else 0.0
+        seen[10] = clip(way / COARSE) if episode._edges else 0.0
+        seen[11] = clip(way / (FINE * episode._tolerance)) if episode._edges else 0.0
+        seen[12] = episode._limit
         measure(world_at(worlds[w], 1)[0], episode)
         home, now = episode._home, episode._position
-        side = 1.0 if episode.start > home else -1.0
-        first = not episode._found and (now - home) * side < FOUND and now != before
-        episode._found = episode._found or first
+        passed = (now - home) * (episode.start - home) <= 0.0
+        left = 0.0 if passed else min(abs(now - home), episode._left)
+        episode.reward_search = (episode._left - left) / max(abs(episode.start - home), SHORTEST)
+        episode._left = left
         accuracy, speed, gentleness = _terms(
-            episode.error / episode._tolerance, episode._time, episode.impact_energy,
+            episode.error, episode._tolerance, episode._time, episode.impact_energy,
             episode.greatest_torque,
         )  # fmt: skip
         ended = episode.attained
-        episode.reward_found = 1.0 if first else 0.0
         episode.reward_accuracy = accuracy if ended else 0.0
         episode.reward_speed = speed if ended else 0.0
         episode.reward_gentleness = gentleness if ended else 0.0
-        quality = 0.5 + 0.25 * episode.reward_speed + 0.25 * episode.reward_gentleness
-        episode.reward = 0.1 * episode.reward_found + 0.9 * episode.reward_accuracy * quality
+        taken = _worth(episode.reward_accuracy, episode.reward_speed, episode.reward_gentleness)
+        episode.reward = SEARCH * episode.reward_search + taken
         episode.cost = limited(tpdos[w])
         episode.is_success = ended and abs(episode.error) <= episode._tolerance
         episode._terminated = ended or faulted(tpdos[w])
@@ -105,9 +141,10 @@ class HomingEnv(ServoEnv):
 
     The drive is enabled and does not know where it is. The agent moves it by velocity, in mode csv
     or, with a drive without it, pv; it sees switches, torque and the way from where the power came
-    on. When it stands at the reference it says so: the drive then references where it stands, by
-    homing mode and method 37 or 35, which ends the episode. How a built-in method would have done
-    from the same start on the same machine is told by `built_in`.
+    on, and remembers which switches it met, and where. When it stands at the reference it says so:
+    the drive then references where it stands, by homing mode and method 37 or 35, which ends the
+    episode. How a built-in method would have done from the same start on the same machine is told
+    by `built_in`.
 
     ## Action space
     `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
@@ -122,7 +159,7 @@ class HomingEnv(ServoEnv):
     effect.
 
     ## Observation space
-    `Box(-1, 1, (9,), float32)`, clipped
+    `Box(-1, 1, (13,), float32)`, clipped
 
     | no | observation | object | 1.0 is |
     |----|-------------|--------|--------|
@@ -134,7 +171,14 @@ class HomingEnv(ServoEnv):
     | 5 | velocity error | 606Bh velocity_demand_value - 606Ch | `max_velocity` |
     | 6 | way since power-on | 6064h position_actual_value | the stroke, 0.5 m |
     | 7 | torque limit set, -1..1 | 6072h max_torque | the commissioned one |
-    | 8 | time t | | t / (t + 2 s) |
+    | 8 | time t | | t / (t + 1 s) |
+    | 9 | the switch of the reference has changed | 60FDh | at least once |
+    | 10 | way since it changed last, coarse | 6064h position_actual_value | 50 mm |
+    | 11 | the same, fine | 6064h position_actual_value | 20 × `tolerance` |
+    | 12 | limit switch met last | 60FDh bits 0, 1 | the positive one; -1 the negative, 0 none |
+
+    The way counts from the middle of the step in which the switch changed. Without a switch of the
+    reference 9, 10 and 11 are 0.
 
     ## Reference
     The home of the built-in method in the table; the switch lets go 0.3 mm later than it came on.
@@ -146,10 +190,12 @@ class HomingEnv(ServoEnv):
     | stop | the left end stop | -17 | none |
 
     ## Reward
-    In [0, 1]: ``0.1 found + 0.9 accuracy (0.5 + 0.25 speed + 0.25 gentleness)``. `found` is 1 in
-    the step that first comes within 1 mm of the reference, or past it. The others come with the
-    end: `accuracy` = 1 / (1 + (error / tolerance)²), `speed` = 1 / (1 + time / 2 s), `gentleness` =
-    half for the share of torque never used, half 1 / (1 + impact energy / 0.1 J). ``info`` has
+    In [0, 1]: ``0.2 search + 0.8 accuracy (0.2 + 0.6 speed + 0.2 gentleness)``. `search` is the
+    part of the way from the start to the reference that this step has covered first; its sum is 1
+    as soon as the reference has been passed. The others come with the end: `accuracy` = half
+    1 / (1 + (e / tolerance)²) with the error e, half on a logarithmic scale, 1 for none to 0 for
+    10 mm; `speed` = 1 / (1 + time / 1 s), `gentleness` = half for the share of torque never used,
+    half 1 / (1 + impact energy / 0.1 J). ``info`` has
     error (m), greatest_torque (share of the maximum, at the ends of steps), impact_energy (J) and
     the place of power-on, start (m). ``info["cost"]`` is 1 while an internal limit is active.
 
@@ -177,21 +223,27 @@ class HomingEnv(ServoEnv):
         "velocity_demand_value", "torque_actual_value",
     )  # fmt: skip
     ACTIONS = 3
-    OBSERVATIONS = 9
+    OBSERVATIONS = 13
     EPISODE = episode(
         *FIELDS,
         ("start", "f8"),  # m
-        ("reward_found", "f8"),
+        ("reward_search", "f8"),
         ("reward_accuracy", "f8"),
         ("reward_speed", "f8"),
         ("reward_gentleness", "f8"),
-        ("_found", "?"),
+        ("_left", "f8"),  # to the reference, at the closest so far (m)
         ("_time", "f8"),  # s
         ("_step_time", "f8"),  # s
         ("_mode", "i8"),  # in which the agent moves
         ("_max_velocity", "f8"),  # m/s
         ("_max_torque", "f8"),  # as commissioned (per mille)
-        ("_power_on", "f8"),  # position actual value (position units)
+        ("_power_on", "f8"),  # position actual value (m)
+        ("_switch", "i8"),  # bit of 60FDh; -1: none
+        ("_on", "?"),
+        ("_edges", "i8"),  # changes of the switch so far
+        ("_edge", "f8"),  # position actual value of the last one (m)
+        ("_limit", "f8"),  # limit switch met last: -1, 1, or 0
+        ("_before", "f8"),  # position actual value a step ago (m)
         ("_tolerance", "f8"),  # m
     )
     act = staticmethod(act)
@@ -251,14 +303,18 @@ class HomingEnv(ServoEnv):
         supervisor.enable()
         if self.face == PDO:
             supervisor.control(0)
+        method, switch = REFERENCES[self.reference]
         episode = self.episode
-        prepare(self.machine, episode, true_home(self.machine, REFERENCES[self.reference]))
+        prepare(self.machine, episode, true_home(self.machine, method))
         episode.start = start
+        episode._left = abs(start - episode._home)
         episode._step_time = self.step_time
         episode._mode = self.MODES[0]
         episode._max_velocity = self.max_velocity
         episode._max_torque = self._max_torque
-        episode._power_on = x.read("position_actual_value")
+        episode._power_on = episode._before = x.read("position_actual_value") / METRE
+        episode._switch = -1 if switch is None else switch
+        episode._on = switch is not None and x.read("digital_inputs") >> switch & 1
         episode._tolerance = self.tolerance
         self._part[3]["max_torque"] = self._max_torque
 
@@ -280,12 +336,12 @@ class HomingEnv(ServoEnv):
 
     def worth(self, figures: HomingFigures) -> float:
         """The return an agent would have got for such a run."""
-        accuracy, speed, gentleness = _terms(
-            figures.error / self.tolerance, figures.time, figures.impact_energy,
+        if not figures.attained:
+            return 0.0
+        return SEARCH + _worth(*_terms(
+            figures.error, self.tolerance, figures.time, figures.impact_energy,
             figures.greatest_torque,
-        )  # fmt: skip
-        quality = 0.5 + 0.25 * speed + 0.25 * gentleness
-        return 0.1 + 0.9 * accuracy * quality if figures.attained else 0.0
+        ))  # fmt: skip
 
 
 vector = partial(ServoVectorEnv, HomingEnv)

@@ -13,12 +13,13 @@ from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..linear_axis import linear_axis
 from ..machine import Machine
+from ..rewards import closeness
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts and goals keep away from the ends
-NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
+FINE = 20.0  # tolerances, distance that is 1.0 in the fine one of the observations
 RESTING = 5e-3  # m/s, slower counts as settled
 
 
@@ -50,8 +51,9 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
         seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
         seen[5] = clip((episode._target - position) / episode._window)
-        away = distance / NEAR
-        near = 1.0 / (1.0 + away * away)
+        seen[6] = clip(distance / (FINE * episode._tolerance))
+        off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
+        near = closeness(off, STROKE / episode._tolerance)
         settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
         episode.distance = distance
         episode.reward_near = near
@@ -80,7 +82,7 @@ class LinearAxisEnv(ServoEnv):
     The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (6,), float32)`, clipped
+    `Box(-1, 1, (7,), float32)`, clipped
 
     | no | observation | object | 1.0 is |
     |----|-------------|--------|--------|
@@ -90,11 +92,13 @@ class LinearAxisEnv(ServoEnv):
     | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
     | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
     | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
+    | 6 | goal minus position, fine | 6064h position_actual_value | 20 × `tolerance` |
 
     ## Reward
-    In [0, 1]: half for nearness, ``1 / (1 + (distance / 20 mm)²)``, half for being settled: closer
-    than `tolerance` and slower than 5 mm/s. The terms are in ``info``, and ``info["cost"]``, 1
-    while an internal limit is active.
+    In [0, 1]: half for nearness, half for being settled: closer than `tolerance` and slower than
+    5 mm/s. Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale
+    of distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.rewards`). The terms are in
+    ``info``, and ``info["cost"]``, 1 while an internal limit is active.
 
     ## Episode
     Starts at rest at a random position, with a random goal, both from ``np_random`` unless the
@@ -112,7 +116,7 @@ class LinearAxisEnv(ServoEnv):
     ID = "servogym/LinearAxis-v0"
     RPDO = ("target_position",)
     ACTIONS = 1
-    OBSERVATIONS = 6
+    OBSERVATIONS = 7
     EPISODE = episode(
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus position (m)

@@ -60,4 +60,4 @@ class BuiltIn:
     """
 
     def __init__(self, known: Known, method: int | None = None):
-        self.method = REFERENCES[known.reference] if method is None else method
+        self.method = REFERENCES[known.reference][0] if method is None else method
