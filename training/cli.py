@@ -117,6 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
         command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
         command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
+        command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
         command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
         command.set_defaults(run=_compare)
 
@@ -233,7 +234,7 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         raise ValueError("--policies is empty: give names, separated by commas")
     return compare.run(
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
-        options.out, console,
+        options.out, console, options.trace,
     )  # fmt: skip
 
 
