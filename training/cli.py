@@ -121,6 +121,10 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
         command.set_defaults(run=_compare)
 
+    results = commands.add_parser("results", help="write the page of what was learned")
+    results.add_argument("folder", nargs="?", type=Path, help="with a folder a task (ours)")
+    results.set_defaults(run=_results)
+
     benchmark = commands.add_parser("benchmark", help="homing methods, positioning strategies")
     benchmark.add_argument("what", choices=("homing", "positioning"))
     benchmark.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
@@ -236,6 +240,13 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
         options.out, console, options.trace,
     )  # fmt: skip
+
+
+def _results(options: argparse.Namespace, console: Console) -> int:
+    from . import results
+    from .policies import SHIPPED
+
+    return results.run(options.folder or SHIPPED, console)
 
 
 def _benchmark(options: argparse.Namespace, console: Console) -> int:

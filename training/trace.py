@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from PIL import Image
 
 from ..envs.tasks.commissioning import CommissioningEnv
 from ..envs.tasks.contour import GantryContourEnv
@@ -27,6 +28,7 @@ from .scope import DEMAND, FORBIDDEN, show_both
 COLOURS = (  # of the policies, in turn
     "#1f5fa8", "#d9822b", "#2e8b57", "#8e44ad", "#c0392b", "#16a2b8", "#8a6d3b", "#d65db1",
 )  # fmt: skip
+SHADES = 96  # of the picture, of all colours together
 DASHED = (0, (5, 2))
 DONE = {  # what it is called that a policy has done it, or has not
     LinearAxisTrackingEnv.ID: ("", ""),
@@ -88,7 +90,7 @@ def draw(path: Path, title: str, traces: Sequence[Trace]) -> None:
     """A panel a channel, a colour a policy, to `path`. All are of the same task."""
     shown = channels(traces[0].task)
     figure = Figure((9.5, 0.9 + 0.22 * len(traces) + 1.35 * len(shown)), 110, layout="constrained")
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
     colours = [COLOURS[i % len(COLOURS)] for i in range(len(traces))]
     for i, (panel, channel) in enumerate(zip(panels, shown, strict=True)):
@@ -109,7 +111,9 @@ def draw(path: Path, title: str, traces: Sequence[Trace]) -> None:
     )  # fmt: skip
     figure.suptitle(title, fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, metadata={"Software": None})
+    canvas.draw()
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    image.quantize(SHADES).save(path, optimize=True)  # a quarter of the bytes
 
 
 def outcome(trace: Trace) -> str:
