@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from rich import get_console
 from rich.console import Console
 from rich.table import Table
 
@@ -216,6 +217,7 @@ def _curves(options: argparse.Namespace, console: Console) -> int:
 def _train(options: argparse.Namespace, console: Console) -> int:
     from . import train
 
+    console = get_console()  # on which the bar lives: what is printed comes above it
     given = {
         name: getattr(options, name)
         for name in ("steps", "checkpoint_every", "evaluate_every")
