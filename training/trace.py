@@ -25,10 +25,10 @@ from .channels import Channel, channels
 from .report import GRID
 from .scope import DEMAND, FORBIDDEN, show_both
 
-COLOURS = (  # of the policies, in turn
-    "#1f5fa8", "#d9822b", "#2e8b57", "#8e44ad", "#c0392b", "#16a2b8", "#8a6d3b", "#d65db1",
+COLOURS = (  # of the policies, in turn; red is for windows and limits
+    "#1f5fa8", "#e08214", "#2e8b57", "#8e44ad", "#16a2b8", "#d65db1", "#8a6d3b", "#9aa51b",
 )  # fmt: skip
-SHADES = 96  # of the picture, of all colours together
+SHADES = 192  # of the picture, of all colours together
 DASHED = (0, (5, 2))
 DONE = {  # what it is called that a policy has done it, or has not
     LinearAxisTrackingEnv.ID: ("", ""),
@@ -69,7 +69,10 @@ class Recorder:
         self._times.append(time)
         self._rows.append(
             [
-                [math.nan if of is None else of(self._env) for of in channel[1:4]]
+                [
+                    math.nan if quantity is None else quantity(self._env)
+                    for quantity in (channel.value, channel.aim, channel.window)
+                ]
                 for channel in self._channels
             ]
         )
