@@ -6,7 +6,7 @@ same function, so that an agent and the built-in methods are compared by the sam
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +122,7 @@ def built_in(
     stride: int = 10,
     timeout: float = 60.0,
     objects: Mapping[str, int] | None = None,
+    observer: Callable[[float], None] | None = None,
 ) -> HomingFigures:
     """Run a homing method of the drive of a machine with one axis; the machine is left as it was.
 
@@ -132,6 +133,7 @@ def built_in(
         stride: position cycles between two looks.
         timeout: after which the run has failed (s).
         objects: written before, such as ``speed_during_search_for_switch``, in drive units.
+        observer: called at the start and at each look with the time since the start (s).
 
     Raises:
         ValueError: the drive does not have the method, or it looks for nothing.
@@ -156,9 +158,13 @@ def built_in(
         prepare(machine, figures[0], true_home(machine, method, start))
         began = machine.time
         drive.write("controlword", ENABLED | C.NEW_SET_POINT)
+        if observer:
+            observer(0.0)
         while not figures[0].attained and machine.time - began < timeout:
             machine.step(stride)
             look(machine.addresses, figures)
+            if observer:
+                observer(machine.time - began)
             if supervisor.status(S.FAULT) or supervisor.homing_failed:
                 break
         return HomingFigures(

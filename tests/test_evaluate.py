@@ -168,7 +168,7 @@ def test_one_seed_writes_the_same_bytes(tmp_path):
     for folder in ("a", "b"):
         arguments = "compare CompliantAxis-v0 --policies hold,ruckig+zv --episodes 4 --seed 1"
         assert cli.main([*arguments.split(), "--out", str(tmp_path / folder)]) == 0
-    for name in ("compare.md", "compare.json", "compare.png"):
+    for name in ("compare.md", "compare.json", "compare.png", "compare_trace.png"):
         first, second = ((tmp_path / folder / name).read_bytes() for folder in ("a", "b"))
         assert first == second, name
     data = json.loads((tmp_path / "a" / "compare.json").read_text(encoding="utf-8"))

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -289,3 +290,54 @@ def test_a_trained_policy_comes_through_the_same_door(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="no checkpoint of a training run"):
         make(str(tmp_path / "empty"), env)
+
+
+def test_a_run_keeps_its_scalars_for_tensorboard(tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    brief(tmp_path)
+    (file,) = tmp_path.glob("events.out.tfevents.*")
+    kept = EventAccumulator(str(file)).Reload()
+    assert {"rollout/ep_rew_mean", "train/loss", "eval/mean_reward"} <= set(kept.Tags()["scalars"])
+    assert [row.step for row in kept.Scalars("eval/mean_reward")] == [128, 256]
+    found = np.load(tmp_path / "evaluations.npz")["results"].mean(axis=1)
+    told = [row.value for row in kept.Scalars("eval/mean_reward")]
+    assert told == pytest.approx(found.tolist(), rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:rich is experimental")  # stable-baselines3 does it as well
+def test_a_bar_counts_the_steps_where_it_is_asked_for(tmp_path, capfd):
+    pytest.importorskip("tqdm")
+    brief(tmp_path / "without")
+    assert "256/256" not in "".join(capfd.readouterr())
+    brief(tmp_path / "with", progress=True)
+    assert "256/256" in "".join(capfd.readouterr())
+
+
+def test_in_a_terminal_the_command_shows_a_bar_and_what_it_tells_above_it(tmp_path):
+    pytest.importorskip("tqdm")
+    pty = pytest.importorskip("pty", reason="no terminals on this system")
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--steps",
+        "3000", "--evaluate-every", "1000", "--argument", "max_episode_steps=10", "--out",
+        str(tmp_path),
+    ]  # fmt: skip
+    own, its = pty.openpty()
+    environ = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
+    with subprocess.Popen(command, stdin=its, stdout=its, stderr=its, env=environ) as process:
+        os.close(its)
+        said = b""
+        try:
+            while part := os.read(own, 4096):
+                said += part
+        except OSError:  # Linux, when the other end is closed
+            pass
+    os.close(own)
+    assert process.returncode == 0, said
+    text = re.sub(r"\x1b\[2K", "\n", said.decode())  # a line is cleared
+    lines = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", text).replace("\r", "\n").splitlines()
+    assert any("/3,000" in line and "━" in line for line in lines)
+    told = [line for line in lines if "steps: reward of an episode" in line]
+    assert len(told) == 3
+    assert not any("━" in line for line in told)

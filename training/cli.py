@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from rich import get_console
 from rich.console import Console
 from rich.table import Table
 
@@ -117,8 +118,13 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
         command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
         command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
+        command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
         command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
         command.set_defaults(run=_compare)
+
+    results = commands.add_parser("results", help="write the page of what was learned")
+    results.add_argument("folder", nargs="?", type=Path, help="with a folder a task (ours)")
+    results.set_defaults(run=_results)
 
     benchmark = commands.add_parser("benchmark", help="homing methods, positioning strategies")
     benchmark.add_argument("what", choices=("homing", "positioning"))
@@ -211,6 +217,7 @@ def _curves(options: argparse.Namespace, console: Console) -> int:
 def _train(options: argparse.Namespace, console: Console) -> int:
     from . import train
 
+    console = get_console()  # on which the bar lives: what is printed comes above it
     given = {
         name: getattr(options, name)
         for name in ("steps", "checkpoint_every", "evaluate_every")
@@ -233,8 +240,15 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         raise ValueError("--policies is empty: give names, separated by commas")
     return compare.run(
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
-        options.out, console,
+        options.out, console, options.trace,
     )  # fmt: skip
+
+
+def _results(options: argparse.Namespace, console: Console) -> int:
+    from . import results
+    from .policies import SHIPPED
+
+    return results.run(options.folder or SHIPPED, console)
 
 
 def _benchmark(options: argparse.Namespace, console: Console) -> int:

@@ -17,6 +17,7 @@ from ..envs.tasks.compliant import CompliantAxisEnv
 from ..envs.tasks.homing import HomingEnv
 from ..envs.tasks.positioning import LinearAxisEnv
 from ..envs.tasks.tracking import LinearAxisTrackingEnv
+from . import trace
 from .evaluate import Evaluation, Evaluator
 from .metrics import METRICS, RESAMPLES, Summary, summarise
 from .policies import make
@@ -45,14 +46,16 @@ def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray
 
 
 def evaluate(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int
+    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, traced: int = 0
 ) -> list[Evaluation]:
     """Each policy on the fixed episodes, with the metric `score` where the task has a reference.
+
+    The episode `traced`, 0 being the first, is recorded.
 
     Raises:
         ValueError: an unknown environment, drive or policy, before the first episode.
     """
-    evaluator = Evaluator(env, drive=drive, episodes=episodes, seed=seed)
+    evaluator = Evaluator(env, drive=drive, episodes=episodes, seed=seed, traced=traced)
     try:
         ends = [ZERO, ONE[evaluator.task.ID]] if evaluator.task.ID in ONE else []
         wanted = list(dict.fromkeys([*policies, *ends]))
@@ -138,10 +141,13 @@ def _arrow(metric: str) -> str:
 
 def run(
     command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
-    out: Path, console: Console,
+    out: Path, console: Console, traced: int = 0,
 ) -> int:  # fmt: skip
-    """Evaluate, print, and write page, data and picture named after `command`; -> exit status."""
-    results = evaluate(env, policies, drive, episodes, seed)
+    """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
+
+    The second picture is of the episode `traced`.
+    """
+    results = evaluate(env, policies, drive, episodes, seed, traced)
     table = summaries(results)
     heading = ["metric", *(_label(result.policy) for result in results)]
     rows = [
@@ -155,6 +161,7 @@ def run(
     chosen = f"--policy {policies[0]}" if command == "eval" else f"--policies {','.join(policies)}"
     source = origin(
         f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
+        + (f" --trace {traced}" if traced else "")
     )
     notes = (
         f"Interquartile mean [95 % interval, stratified bootstrap, {RESAMPLES} resamples] over "
@@ -170,8 +177,16 @@ def run(
     write_page(out / f"{command}.md", title, markdown(heading, rows), source, notes)
     write_json(out / f"{command}.json", _data(source, env, drive, results, table))
     draw(out / f"{command}.png", title, results)
-    console.print(f"{out / command}.md, .json and .png")
+    episode = f"episode {traced} of seed {seed}"
+    trace.draw(out / f"{command}_trace.png", f"{title}, {episode}", _traces(results))
+    console.print(f"{out / command}.md, .json, .png and _trace.png")
     return 0
+
+
+def _traces(results: Sequence[Evaluation]) -> list[trace.Trace]:
+    """By their labels; idle policies only where there is no other."""
+    moving = [result for result in results if result.policy not in IDLE] or results
+    return [result.trace._replace(policy=_label(result.policy)) for result in moving]
 
 
 def _label(policy: str) -> str:

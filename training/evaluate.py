@@ -19,6 +19,7 @@ from ..envs.tasks.homing import HomingEnv
 from ..envs.vector_env import ServoVectorEnv
 from .metrics import METRICS
 from .policies import MOVES, BuiltIn, make, trainings
+from .trace import Recorder, Trace
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
@@ -32,6 +33,7 @@ class Evaluation:
     seeds: list[int]
     values: dict[str, np.ndarray]
     faults: list[str]  # code and meaning, empty without one
+    trace: Trace  # of one of the episodes; of several trainings the first
     trainings: int = 1  # of the same policy from as many seeds, each evaluated on all episodes
 
     def strata(self, metric: str) -> list[np.ndarray]:
@@ -50,6 +52,7 @@ def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
             for metric in results[0].values
         },
         [fault for result in results for fault in result.faults],
+        results[0].trace._replace(policy=policy),
         len(results),
     )
 
@@ -88,6 +91,7 @@ class Evaluator:
         episodes: how many, 1..1000.
         seed: evaluation seed.
         options: of the reset of each episode, shape ``(n,)``; none if not given.
+        traced: the episode that is recorded, 0..episodes - 1.
         **arguments: of the environment.
 
     Raises:
@@ -102,10 +106,17 @@ class Evaluator:
         episodes: int = 50,
         seed: int = 0,
         options: Sequence[dict[str, Any]] = (),
+        traced: int = 0,
         **arguments: Any,
     ):
         self.task = task(name)
         self.seeds = seeds(seed, episodes)
+        if not 0 <= traced < episodes:
+            raise ValueError(
+                f"--trace = {traced} is out of range 0..{episodes - 1}: "
+                "choose one of the episodes, counted from 0"
+            )
+        self._traced = traced
         self._options = options
         self.vector = ServoVectorEnv(
             self.task, episodes, autoreset_mode=AutoresetMode.DISABLED, drive=drive, **arguments
@@ -145,12 +156,16 @@ class Evaluator:
         for i, one in enumerate(made):
             one.reset(observations[i], {k: infos[k][i] for k in PUBLIC if k in infos})
         actions = np.zeros((n, self._actions), np.float32)
+        recorder = Recorder(self.vector.envs[self._traced])
+        recorder.look(0.0)
         while active.any():
             for i in np.flatnonzero(active).tolist():
                 actions[i] = made[i].act(observations[i])
             observations, rewards, ends, truncations, infos = self.vector.step(actions)
             returns += rewards
             steps += active
+            if active[self._traced]:
+                recorder.look(float(steps[self._traced]) * self.env.step_time)
             limited += active * infos["cost"]
             failing = active & ~infos["is_success"]
             unsettled[failing] = steps[failing]
@@ -169,7 +184,11 @@ class Evaluator:
         for i, env in enumerate(self.vector.envs):
             for name, value in self._measured(env, faults[i]).items():
                 values[name][i] = value
-        return Evaluation(policy, self.seeds, values, faults)
+        done = float(values["settling_time"][self._traced])
+        trace = recorder.trace(
+            policy, done if done < self.duration else math.nan, faults[self._traced]
+        )
+        return Evaluation(policy, self.seeds, values, faults, trace)
 
     def _reset(self) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin all episodes, and the measurement of each."""
@@ -220,9 +239,10 @@ class Evaluator:
     def _built_in(self, policy: str, method: int) -> Evaluation:
         """What a homing method of the drive makes of the same starts."""
         values = _empty(len(self.seeds))
+        recorder = Recorder(self.vector.envs[self._traced])
         for i, env in enumerate(self.vector.envs):
             assert isinstance(env, HomingEnv)
-            figures = env.built_in(method)
+            figures = env.built_in(method, observer=recorder.look if i == self._traced else None)
             found = figures.attained
             for name, value in (
                 ("episode_return", env.worth(figures)),
@@ -233,7 +253,8 @@ class Evaluator:
                 ("impact_energy", figures.impact_energy),
             ):
                 values[name][i] = value
-        return Evaluation(policy, self.seeds, values, [""] * len(self.seeds))
+        trace = recorder.trace(policy, math.nan)
+        return Evaluation(policy, self.seeds, values, [""] * len(self.seeds), trace)
 
 
 def _empty(n: int) -> dict[str, np.ndarray]:

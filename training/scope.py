@@ -111,10 +111,10 @@ def _following_error(panel: Axes, data) -> None:
     panel.plot(time, -window, color=FORBIDDEN, lw=1.0, ls=(0, (5, 2)))
     _finish(panel, "following error (µm)")
     if np.isfinite(window).all():
-        _show_both(panel, float(np.abs(error).max()), float(window.max()))
+        show_both(panel, float(np.abs(error).max()), float(window.max()))
 
 
-def _show_both(panel: Axes, peak: float, window: float) -> None:
+def show_both(panel: Axes, peak: float, window: float) -> None:
     """Scale a panel so that a small error has a shape and a wide window is still in sight."""
     linear = round_up(peak)
     if linear >= window / 2:

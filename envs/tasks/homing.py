@@ -1,5 +1,6 @@
 """servogym/Homing-v0: find the reference of an axis fast, gently and repeatably."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -323,15 +324,19 @@ class HomingEnv(ServoEnv):
         away = self.episode._home - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
 
-    def built_in(self, method: int, objects: dict[str, int] | None = None) -> HomingFigures:
+    def built_in(
+        self, method: int, objects: dict[str, int] | None = None,
+        observer: Callable[[float], None] | None = None,
+    ) -> HomingFigures:  # fmt: skip
         """What a homing method of the drive makes of this episode's start, switches and loads.
 
-        `objects` are written before, such as its speeds (position units/s). See
+        `objects` are written before, such as its speeds (position units/s); `observer` is called at
+        the start and after each step, with the time since then (s). See
         `servogym.envs.homing_figures.built_in` for errors.
         """
         return built_in(
             self.machine, method, self.episode.start, stride=self.cycles_per_step,
-            objects={"max_torque": self._max_torque} | (objects or {}),
+            objects={"max_torque": self._max_torque} | (objects or {}), observer=observer,
         )  # fmt: skip
 
     def worth(self, figures: HomingFigures) -> float:
