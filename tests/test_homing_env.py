@@ -151,7 +151,7 @@ def test_the_agent_remembers_the_switches_it_met_and_where():
     env = HomingEnv()
     seen, _ = env.reset(seed=1, options={"start": 0.15, "switch_offset": 0.0})
     assert seen[9:].tolist() == [0.0, 0.0, 0.0, 0.0]
-    for _ in range(60):
+    for _ in range(80):
         seen = env.step(np.array([0.5, 1, -1], np.float32))[0]
     coupling = env.machine.couplings[0]
     edge = float(coupling.switch_to[HOME] + coupling.switch_hysteresis[HOME])  # left last
@@ -160,7 +160,7 @@ def test_the_agent_remembers_the_switches_it_met_and_where():
     assert seen[9] == 1.0
     way = 0.25 * env.step_time  # half of a step, in which the switch let go
     assert seen[10] == pytest.approx(min((position - edge) / 0.05, 1.0), abs=way / 0.05)
-    for _ in range(300):
+    for _ in range(250):
         seen = env.step(np.array([0.5, 1, -1], np.float32))[0]
     assert seen[12] == 1.0, "the positive limit switch"
 
