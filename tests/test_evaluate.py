@@ -15,6 +15,7 @@ from servogym.envs.supervisor import Supervisor
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.training import cli, compare
 from servogym.training.evaluate import FIRST_SEED, Evaluator
 from servogym.training.homing_benchmark import repeatability
@@ -104,6 +105,29 @@ def test_the_figures_of_a_move_are_those_of_mechanics():
     assert 0.0 < value["overshoot"] < 200.0
     # four ramps of acceleration take 10 ms at 1000 m/s³ each
     assert value["rms_jerk"] == pytest.approx(1000 * math.sqrt(0.04), rel=0.35)
+
+
+def test_settling_overshoot_and_sway_of_a_hanging_load_are_those_of_the_load():
+    result = Evaluator("GantrySway-v0", episodes=3).run("ruckig+zvd")
+    env = GantrySwayEnv()
+    policy = make("ruckig+zvd", env)
+    for i, seed in enumerate(result.seeds):
+        observation, info = env.reset(seed=seed)
+        policy.reset(observation, info)
+        data, side = env.machine.data, math.copysign(1, observation[0])
+        unsettled, sways, beyond = 0, [], [0.0]
+        for step in range(env.STEPS):
+            observation, *_, info = env.step(policy.act(observation))
+            unsettled = unsettled if info["is_success"] else step + 1
+            sways.append(info["sway"])
+            load = data.joint("x").qpos[0] + (
+                info["parameters"]["cable_length"] * math.sin(data.joint("sway_x").qpos[0])
+            )
+            beyond.append(side * (load - info["goal_x"]))
+        assert result.values["settling_time"][i] == pytest.approx(0.01 * unsettled)
+        assert result.values["sway"][i] == pytest.approx(1e3 * max(sways[300:]))
+        assert result.values["overshoot"][i] == pytest.approx(1e6 * max(beyond), abs=0.1)
+    assert result.values["success"].any()
 
 
 def test_a_fault_counts_as_the_whole_episode():

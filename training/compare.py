@@ -16,6 +16,7 @@ from ..envs.tasks.commissioning import CommissioningEnv
 from ..envs.tasks.compliant import CompliantAxisEnv
 from ..envs.tasks.homing import HomingEnv
 from ..envs.tasks.positioning import LinearAxisEnv
+from ..envs.tasks.sway import GantrySwayEnv
 from ..envs.tasks.tracking import LinearAxisTrackingEnv
 from . import trace
 from .evaluate import Evaluation, Evaluator
@@ -27,14 +28,15 @@ ZERO = "hold"
 ONE = {  # the policy whose score is 1
     LinearAxisEnv.ID: "ruckig",
     CompliantAxisEnv.ID: "ruckig",
+    GantrySwayEnv.ID: "ruckig",
     LinearAxisTrackingEnv.ID: "feed_forward",
     HomingEnv.ID: "search",
     CommissioningEnv.ID: "plc",
 }
 SHARES = ("success", "limited", "faults")  # told as means in percent
 SHOWN = (  # in the picture, the first six that apply
-    "score", "settling_time", "tracking_error", "overshoot", "vibration", "reference_error",
-    "peak_error", "rms_torque", "energy",
+    "score", "settling_time", "tracking_error", "overshoot", "vibration", "sway",
+    "reference_error", "peak_error", "rms_torque", "energy",
 )  # fmt: skip
 IDLE = ("hold", "random")  # would spoil the scales of all but the score
 
@@ -120,6 +122,7 @@ def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
         panel.set_xlabel(_heading(metric) + _arrow(metric))
         panel.set_yticks(range(len(names)), names)
         panel.set_ylim(len(names) - 0.5, -0.5)
+        panel.locator_params(axis="x", nbins=6)  # long numbers would touch
         panel.grid(**GRID)
         if metric == "score":
             panel.axvline(0.0, color="#8a8f98", lw=1, ls="--")

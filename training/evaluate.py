@@ -18,7 +18,7 @@ from ..envs.servo_env import ServoEnv
 from ..envs.tasks.homing import HomingEnv
 from ..envs.vector_env import ServoVectorEnv
 from .metrics import METRICS
-from .policies import MOVES, BuiltIn, make, trainings
+from .policies import LINEAR, BuiltIn, make, trainings
 from .trace import Recorder, Trace
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
@@ -150,7 +150,7 @@ class Evaluator:
             make(policy, self.vector.envs[i], self.seeds[i]) for i in range(1, len(self.seeds))
         ]
         n = len(self.seeds)
-        returns, limited = np.zeros(n), np.zeros(n)
+        returns, limited, sway = np.zeros(n), np.zeros(n), np.zeros(n)
         steps, unsettled = np.zeros(n, int), np.zeros(n, int)
         active, faults = np.ones(n, bool), [""] * n
         for i, one in enumerate(made):
@@ -167,6 +167,8 @@ class Evaluator:
             if active[self._traced]:
                 recorder.look(float(steps[self._traced]) * self.env.step_time)
             limited += active * infos["cost"]
+            if "sway" in infos and steps.max() > 0.75 * self.task.STEPS:
+                sway = np.maximum(sway, infos["sway"])
             failing = active & ~infos["is_success"]
             unsettled[failing] = steps[failing]
             for i in np.flatnonzero(ends & active).tolist():
@@ -181,6 +183,8 @@ class Evaluator:
             "limited": limited / steps,
             "faults": np.array([fault != "" for fault in faults], float),
         }
+        if "sway" in infos:
+            values["sway"] = np.where(steps == self.task.STEPS, 1e3 * sway, math.nan)
         for i, env in enumerate(self.vector.envs):
             for name, value in self._measured(env, faults[i]).items():
                 values[name][i] = value
@@ -201,7 +205,7 @@ class Evaluator:
             )
         for env in self.vector.envs:
             window = {}
-            if self.task.ID in MOVES:
+            if self.task.ID in LINEAR:
                 window = {"goal": float(env.episode.goal), "window": vars(env)["tolerance"]}
             probe.begin(env.machine, self.duration, **window)
         return observations, infos
@@ -221,7 +225,9 @@ class Evaluator:
             "energy": probes["work"].sum(),
         }
         one = probes[0]
-        if self.task.ID in MOVES:
+        if "_overshoot" in names:
+            values["overshoot"] = 1e6 * episode._overshoot
+        if self.task.ID in LINEAR:
             values["overshoot"] = 1e6 * one.overshoot
             inside = one.outside < one.ticks and not fault
             timestep = env.machine.model.opt.timestep

@@ -42,6 +42,10 @@ METRICS = {
         "residual vibration (µm)", "low",
         "half the span of what is elastic, in the last quarter of an episode of full length",
     ),
+    "sway": Metric(
+        "residual sway (mrad)", "low",
+        "greatest angle of the cable at a step, in the last quarter of an episode of full length",
+    ),
     "reference_error": Metric("homing error (µm)", "low", "home found minus true home, absolute"),
     "impact_energy": Metric("impact (J)", "low", "brought into the end stops, sum"),
     "limited": Metric("at a limit", "low", "share of the steps with statusword bit 11"),

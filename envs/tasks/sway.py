@@ -12,7 +12,7 @@ from ...drive.model import DriveModel
 from ..batch import episode
 from ..checks import in_range
 from ..faces import clip, faulted, limited
-from ..gantry import gantry
+from ..gantry import GantryParameters, gantry
 from ..loop import coordinates, speeds, world_at
 from ..machine import Machine
 from ..servo_env import METRE, ServoEnv
@@ -62,6 +62,8 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             distance += away * away
             speed += moving * moving
             sway += angle * angle
+            beyond = -episode._side[d] * away
+            episode._overshoot = max(episode._overshoot, beyond)
             at = d * width
             position = tpdo[d].position_actual_value / METRE
             seen[at] = clip((episode._goal[d] - position) / STROKE[d])
@@ -97,8 +99,8 @@ class GantrySwayEnv(ServoEnv):
     The agent is the master of X, and with ``axes="xy"`` of Y too, in cyclic synchronous position
     mode. The load swings with a period of about ``2 π sqrt(length / g)``, 1.1 s for the 0.3 m of
     the nominal cable, and hardly damped; how long the cable is and how heavy the load is not known.
-    Without a sensor the torques tell of the sway, by little: `history` helps. Z, and Y if it is not
-    used, do not move.
+    A camera or a gyroscope at the hook tells of the sway; without it the torques do, by little, and
+    `history` helps. Z, and Y if it is not used, do not move.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, with ``axes="xy"`` 2; with ``action="pdo"`` ten more an axis, see
@@ -111,8 +113,8 @@ class GantrySwayEnv(ServoEnv):
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (6,), float32)`, clipped; ``sway_sensor=True`` adds 6 and 7; with ``axes="xy"`` the
-    same of Y follows
+    `Box(-1, 1, (8,), float32)`, clipped; 6 without 6 and 7 with ``sway_sensor=False``; with
+    ``axes="xy"`` the same of Y follows
 
     | no | observation | object | 1.0 is |
     |----|-------------|--------|--------|
@@ -158,6 +160,8 @@ class GantrySwayEnv(ServoEnv):
         ("reward_calm", "f8"),
         ("reward_settled", "f8"),
         ("_goal", "f8", (2,)),  # the same
+        ("_side", "f8", (2,)),  # of the goal as seen from the start, -1 or 1
+        ("_overshoot", "f8"),  # farthest beyond the goal along an axis (m)
         ("_target", "f8", (2,)),  # set-points (m)
         ("_drive_at", "i8", (2,)),  # places in MjData.qpos and qvel
         ("_sway_at", "i8", (2,)),
@@ -179,7 +183,7 @@ class GantrySwayEnv(ServoEnv):
         drive: str | DriveModel = "generic",
         *,
         axes: str = "x",
-        sway_sensor: bool = False,
+        sway_sensor: bool = True,
         speed: float = 0.5,
         tolerance: float = 5e-3,
         resting: float = 0.02,
@@ -199,11 +203,12 @@ class GantrySwayEnv(ServoEnv):
         self.resting = in_range("resting", resting, 1e-4, 1.0, "m/s")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
+        self._parameters = GantryParameters(cable_length=CABLE)
         randomise = RANDOMISED if randomise is None else randomise
         super().__init__(drive, cycles_per_step=cycles_per_step, randomise=randomise, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, cable_length=CABLE)
+        machine = gantry(model, parameters=self._parameters)
         for name in self.DRIVES:
             machine.drives[name].write("following_error_window", round(self._window * METRE))
         return machine
@@ -215,6 +220,7 @@ class GantrySwayEnv(ServoEnv):
         episode, model, data = self.episode, self.machine.model, self.machine.data
         for d, drive in enumerate(self.drives):
             episode._goal[d] = places["goal"][d]
+            episode._side[d] = 1.0 if places["goal"][d] >= places["start"][d] else -1.0
             episode._target[d] = drive.read("position_actual_value") / METRE
         episode.goal_x, episode.goal_y = episode._goal
         for d, name in enumerate(AXES):

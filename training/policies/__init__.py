@@ -18,6 +18,7 @@ from ...envs.tasks.commissioning import CommissioningEnv
 from ...envs.tasks.compliant import CompliantAxisEnv
 from ...envs.tasks.homing import HomingEnv
 from ...envs.tasks.positioning import LinearAxisEnv
+from ...envs.tasks.sway import GantrySwayEnv
 from ...envs.tasks.tracking import LinearAxisTrackingEnv
 from .feed_forward import FeedForward
 from .file import SUFFIX, Function
@@ -26,11 +27,11 @@ from .known import Known, known
 from .learned import Learned
 from .plc import plc_policy
 from .profiles import (
+    Trapezoid,
     jerk_limited_policy,
     ruckig_policy,
     ruckig_zv_policy,
     ruckig_zvd_policy,
-    trapezoid_policy,
 )
 from .proportional import Proportional
 from .still import Chance, Hold
@@ -54,16 +55,17 @@ class Baseline(NamedTuple):
     what: str
 
 
-MOVES = (LinearAxisEnv.ID, CompliantAxisEnv.ID)
+LINEAR = (LinearAxisEnv.ID, CompliantAxisEnv.ID)
+MOVES = (*LINEAR, GantrySwayEnv.ID)
 POLICIES: dict[str, Baseline] = {
     "hold": Baseline(Hold, (), "action 0"),
     "random": Baseline(Chance, (), "uniform actions from the seed"),
-    "trapezoid": Baseline(trapezoid_policy, MOVES, "pp profile of the drive, 6086h = 0"),
+    "trapezoid": Baseline(Trapezoid, MOVES, "pp profile of the drive, 6086h = 0"),
     "jerk_limited": Baseline(jerk_limited_policy, MOVES, "pp profile of the drive, 6086h = 3"),
     "ruckig": Baseline(ruckig_policy, MOVES, "time-optimal at the drive's limits"),
     "ruckig+zv": Baseline(ruckig_zv_policy, MOVES, "the same, shaped for the nominal resonance"),
     "ruckig+zvd": Baseline(ruckig_zvd_policy, MOVES, "shaped twice, less particular about it"),
-    "proportional": Baseline(Proportional, MOVES, "velocity from the distance"),
+    "proportional": Baseline(Proportional, LINEAR, "velocity from the distance"),
     "feed_forward": Baseline(
         FeedForward, (LinearAxisTrackingEnv.ID,), "inertia and friction of the data sheet"
     ),

@@ -6,9 +6,15 @@ from typing import Any
 import numpy as np
 
 from ...drive.modes.csp import SMOOTHING
-from .known import Known
+from .known import Axis, Known
 
 REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), by which friction changes its sign without a jump
+
+
+def friction(axis: Axis, velocity: float) -> float:
+    """Coulomb and viscous, of the data sheet (N)."""
+    sign = math.tanh(velocity / REVERSAL)
+    return axis.coulomb_friction * sign + axis.viscous_friction * velocity
 
 
 class FeedForward:
@@ -18,7 +24,7 @@ class FeedForward:
     """
 
     def __init__(self, known: Known, seed: int = 0):
-        self._known = known
+        self._known, self._axis = known, known.axis
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
@@ -26,19 +32,16 @@ class FeedForward:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque in the middle of the step to come."""
-        known, p = self._known, self._known.nominal
-        dt = known.step_time
-        velocity = float(observation[2]) * known.speed
-        acceleration = float(observation[3]) * p.max_acceleration
-        ahead = float(observation[7]) * known.speed  # mean velocity of the next two steps
+        axis, dt = self._axis, self._known.step_time
+        velocity = float(observation[2]) * axis.fastest
+        acceleration = float(observation[3]) * axis.profile.acceleration
+        ahead = float(observation[7]) * axis.fastest  # mean velocity of the next two steps
         rate = (ahead - velocity) / dt  # acceleration in the middle of the step to come
         middle = velocity + 0.5 * rate * dt
         slope = velocity + 0.5 * acceleration * dt
         self._own += SMOOTHING * ((slope - self._slope) / dt - self._own)
         self._slope = slope
-        mass = known.mass(p.payload)
-        friction = p.coulomb_friction * math.tanh(middle / REVERSAL) + p.viscous_friction * middle
-        force = mass * (rate - self._own) + friction
-        action = np.zeros(known.actions, np.float32)
-        action[1] = min(max(force / known.force, -1.0), 1.0)
+        force = axis.mass(axis.payload) * (rate - self._own) + friction(axis, middle)
+        action = np.zeros(self._known.actions, np.float32)
+        action[1] = min(max(force / axis.offset, -1.0), 1.0)
         return action

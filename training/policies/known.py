@@ -5,11 +5,64 @@ Nothing here comes from the physics or from an episode. What was drawn at random
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from ...drive.drive import Drive
 from ...envs.axis_parameters import LinearAxisParameters
+from ...envs.gantry import FEED_CONSTANT, GantryParameters
+from ...envs.linear_axis import GRAVITY
+from ...envs.randomisation import PAYLOAD
 from ...envs.servo_env import METRE, ServoEnv
-from ...envs.tasks.positioning import STROKE
+from ...envs.tasks import compliant, positioning, sway
+
+
+class Bounds(NamedTuple):
+    """Of a profile."""
+
+    velocity: float  # m/s
+    acceleration: float  # m/s²
+    jerk: float  # m/s³
+
+
+class Vibration(NamedTuple):
+    """Of what swings behind an axis that is held, nominal."""
+
+    frequency: float  # undamped (rad/s)
+    ratio: float  # damping ratio
+
+
+class Sensor(NamedTuple):
+    """Of the load: what 1.0 is of its deflection from the axis, and of its rate."""
+
+    deflection: float  # m
+    rate: float  # m/s
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Data sheet of one axis: what is moved, by how much force, how it is commanded and seen."""
+
+    carriage: float  # kg, without payload
+    rotor: float  # of motor and transmission, as a mass at the carriage (kg)
+    payload: float  # nominal (kg)
+    heaviest: float  # payload declared (kg)
+    coulomb_friction: float  # N
+    viscous_friction: float  # N·s/m
+    weight: float  # along the axis, with the nominal payload (N)
+    lost: float  # to friction and weight at most, with the heaviest payload (N)
+    force: float  # that the maximum torque 6072h makes at the carriage (N)
+    offset: float  # that action 1 adds at 1, where there is one (N)
+    stroke: float  # m
+    speed: float  # of the set-point for an action of 1 (m/s)
+    fastest: float  # maximum profile velocity 607Fh, 1 in an observation (m/s)
+    profile: Bounds  # commissioned for profile position mode
+    vibration: Vibration | None
+    sensor: Sensor | None  # None: nothing is seen of the load
+    first: int  # of its observations
+
+    def mass(self, payload: float) -> float:
+        """What a force at the carriage accelerates, the motor included (kg)."""
+        return self.carriage + payload + self.rotor
 
 
 @dataclass(frozen=True)
@@ -20,58 +73,137 @@ class Known:
     actions: int  # components of an action
     step_time: float  # s
     steps: int  # of an episode
-    speed: float  # maximum profile velocity 607Fh (m/s)
-    torque: float  # maximum torque 6072h (Nm)
-    rotor_inertia: float  # of the motor (kg·m²)
-    axis: LinearAxisParameters | None  # nominal; None for machines that are no linear axis
-    heaviest: float  # payload declared (kg)
+    tolerance: float  # m; 0 where the task has none
+    axes: tuple[Axis, ...]  # that the agent moves; none where there is no data sheet
     reference: str = ""  # of Homing-v0
-    stroke: float = STROKE  # m
 
     @property
-    def force(self) -> float:
-        """That the maximum torque makes at the carriage (N)."""
-        return self.torque * self.gear
-
-    @property
-    def gear(self) -> float:
-        """Angle of the motor per travel (rad/m)."""
-        return 2 * math.pi / self.nominal.feed_constant
-
-    @property
-    def nominal(self) -> LinearAxisParameters:
-        """The data sheet. Raises ValueError where there is none."""
-        if self.axis is None:
-            raise ValueError(f"{self.task} has no linear axis: use hold or random")
-        return self.axis
-
-    def mass(self, payload: float) -> float:
-        """What a force at the carriage accelerates, the motor included (kg)."""
-        p = self.nominal
-        rotor = self.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
-        return p.carriage_mass + payload + (rotor + p.transmission_inertia) * self.gear**2
+    def axis(self) -> Axis:
+        """The first. Raises ValueError where there is none."""
+        if not self.axes:
+            raise ValueError(f"{self.task} has no data sheet of its axes: use hold or random")
+        return self.axes[0]
 
 
 def known(env: ServoEnv) -> Known:
     """What a policy may know of `env`."""
-    drive, task = env.drive, vars(env)
-    axis = task.get("_parameters")
-    if not isinstance(axis, LinearAxisParameters):
-        axis = None
-    payload = axis.payload if axis else 0.0
-    reference = task.get("reference")
+    task = vars(env)
+    parameters, reference = task.get("_parameters"), task.get("reference")
+    axes: tuple[Axis, ...] = ()
+    if isinstance(parameters, LinearAxisParameters):
+        axes = (_linear(env, parameters),)
+    elif isinstance(parameters, GantryParameters):
+        axes = tuple(_of_gantry(env, parameters, d) for d in range(len(env.drives)))
     return Known(
         task=env.ID,
         actions=math.prod(env.action_space.shape or ()),
         step_time=env.step_time,
         steps=env.STEPS,
-        speed=_object(drive, "max_profile_velocity") / METRE,
-        torque=_object(drive, "max_torque") * 1e-3 * _object(drive, "motor_rated_torque") * 1e-3,
-        rotor_inertia=drive.model.rotor_inertia,
-        axis=axis,
-        heaviest=env.randomisation.ranges.get("payload", (payload, payload))[1],
+        tolerance=task.get("tolerance", 0.0),
+        axes=axes,
         reference=reference if isinstance(reference, str) else "",
     )
+
+
+def _linear(env: ServoEnv, p: LinearAxisParameters) -> Axis:
+    task, drive = vars(env), env.drive
+    gear = 2 * math.pi / p.feed_constant
+    rotor = drive.model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+    heaviest = _heaviest(env, p.payload)
+    fastest = _object(drive, "max_profile_velocity") / METRE
+    slope = math.radians(p.inclination)
+    lost = (p.carriage_mass + heaviest) * GRAVITY * abs(math.sin(slope))
+    lost += max(p.coulomb_friction, p.static_friction)
+    lost += p.chain_drag + p.chain_drag_growth * positioning.STROKE
+    lost += p.viscous_friction * fastest
+    force = _torque(drive) * gear
+    sensor = Sensor(compliant.DEFLECTION, compliant.RATE) if task.get("load_sensor") else None
+    return Axis(
+        carriage=p.carriage_mass,
+        rotor=(rotor + p.transmission_inertia) * gear**2,
+        payload=p.payload,
+        heaviest=heaviest,
+        coulomb_friction=p.coulomb_friction,
+        viscous_friction=p.viscous_friction,
+        weight=(p.carriage_mass + p.payload) * GRAVITY * math.sin(slope),
+        lost=lost,
+        force=force,
+        offset=force * task.get("torque_range", 1.0),
+        stroke=positioning.STROKE,
+        speed=fastest,
+        fastest=fastest,
+        profile=Bounds(p.max_velocity, p.max_acceleration, p.max_jerk),
+        vibration=_spring(p),
+        sensor=sensor,
+        first=0,
+    )
+
+
+def _spring(p: LinearAxisParameters) -> Vibration | None:
+    if p.stiffness > 0.0 and p.payload > 0.0:
+        stiffness, damping, mass = p.stiffness, p.structural_damping, p.payload
+    elif p.transmission_stiffness > 0.0:
+        stiffness, damping = p.transmission_stiffness, p.transmission_damping
+        mass = p.payload + p.carriage_mass
+    else:
+        return None
+    return Vibration(math.sqrt(stiffness / mass), damping / (2.0 * math.sqrt(stiffness * mass)))
+
+
+def _of_gantry(env: ServoEnv, p: GantryParameters, d: int) -> Axis:
+    """Axis X or Y: all that hangs on it is carried."""
+    task, drive = vars(env), env.drives[d]
+    gear = 2 * math.pi / FEED_CONSTANT
+    fastest = _object(drive, "max_profile_velocity") / METRE
+    speed = task["speed"]
+    vibration = sensor = None
+    if p.cable_length > 0.0:
+        natural = math.sqrt(GRAVITY / p.cable_length)
+        inertia = p.payload * p.cable_length**2
+        vibration = Vibration(natural, p.sway_damping / (2.0 * inertia * natural))
+        widest = sway.WIDEST * p.cable_length
+        sensor = Sensor(widest, widest * natural) if task["sway_sensor"] else None
+    acceleration = _object(drive, "profile_acceleration") / METRE
+    jerk = _object(drive, "profile_jerk_1") / METRE
+    return Axis(
+        carriage=_carried(env.machine.model, sway.AXES[d]),
+        rotor=drive.model.rotor_inertia * gear**2,
+        payload=p.payload,
+        heaviest=_heaviest(env, p.payload),
+        coulomb_friction=p.coulomb_friction,
+        viscous_friction=p.viscous_friction,
+        weight=0.0,
+        lost=p.coulomb_friction + p.viscous_friction * speed,
+        force=_torque(drive) * gear,
+        offset=0.0,
+        stroke=sway.STROKE[d],
+        speed=speed,
+        fastest=fastest,
+        profile=Bounds(min(p.max_velocity, speed), acceleration, jerk),
+        vibration=vibration,
+        sensor=sensor,
+        first=d * (sway.SEEN + (sway.SENSED if sensor else 0)),
+    )
+
+
+def _carried(model: Any, joint: str) -> float:
+    """Mass of the body of a joint and of all behind it but the payload, which is drawn (kg)."""
+    carried, mass = {int(model.joint(joint).bodyid[0])}, 0.0
+    for body in range(model.nbody):  # parents come first
+        if body in carried or int(model.body_parentid[body]) in carried:
+            carried.add(body)
+            mass += 0.0 if model.body(body).name == PAYLOAD else float(model.body_mass[body])
+    return mass
+
+
+def _heaviest(env: ServoEnv, payload: float) -> float:
+    return env.randomisation.ranges.get("payload", (payload, payload))[1]
+
+
+def _torque(drive: Drive) -> float:
+    """Maximum torque 6072h (Nm)."""
+    rated = _object(drive, "motor_rated_torque") * 1e-3
+    return _object(drive, "max_torque") * 1e-3 * rated
 
 
 def _object(drive: Drive, name: str) -> int:

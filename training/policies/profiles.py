@@ -4,20 +4,19 @@
 |------|----------|--------------|------|
 | trapezoid | 6081h | 6083h | unlimited: the drive's pp profile, 6086h = 0 |
 | jerk_limited | 6081h | 6083h | 60A4h: the drive's pp profile, 6086h = 3 |
-| ruckig | 607Fh | what the maximum torque 6072h leaves for the heaviest payload | that in 10 ms |
+| ruckig | of action 1 | what the maximum torque 6072h leaves for the heaviest payload | in 10 ms |
 | ruckig+zv | as ruckig, through a zero-vibration shaper for the nominal resonance | | |
 | ruckig+zvd | through it twice: slower, and less particular about the resonance (ZVD) | | |
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import ruckig
 
-from ...envs.linear_axis import GRAVITY
-from .known import Known
+from .known import Axis, Bounds, Known, Vibration
 
 Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the move (m)
 # What the controller needs to hold the path is left to it.
@@ -25,38 +24,21 @@ TORQUE_SHARE = 0.8
 JERK_TIME = 0.01  # s, in which the acceleration builds up; two set-points
 
 
-class Bounds(NamedTuple):
-    """Of a profile."""
-
-    velocity: float  # m/s
-    acceleration: float  # m/s²
-    jerk: float  # m/s³
-
-
-def of_the_profile(known: Known) -> Bounds:
+def of_the_profile(axis: Axis) -> Bounds:
     """Commissioned for profile position mode."""
-    p = known.nominal
-    return Bounds(p.max_velocity, p.max_acceleration, p.max_jerk)
+    return axis.profile
 
 
-def of_the_drive(known: Known) -> Bounds:
+def of_the_drive(axis: Axis) -> Bounds:
     """The most the drive can do with the heaviest payload declared."""
-    p = known.nominal
-    slope = math.radians(p.inclination)
-    mass = known.mass(known.heaviest)
-    carried = p.carriage_mass + known.heaviest
-    lost = carried * GRAVITY * abs(math.sin(slope))
-    lost += max(p.coulomb_friction, p.static_friction)
-    lost += p.chain_drag + p.chain_drag_growth * known.stroke
-    lost += p.viscous_friction * known.speed
-    acceleration = (TORQUE_SHARE * known.force - lost) / mass
+    acceleration = (TORQUE_SHARE * axis.force - axis.lost) / axis.mass(axis.heaviest)
     if acceleration <= 0.0:
         raise ValueError(
-            f"{TORQUE_SHARE:.0%} of the maximum torque are {TORQUE_SHARE * known.force:.0f} N at "
-            f"the carriage, friction and weight take {lost:.0f} N: choose a smaller payload than "
-            f"{known.heaviest:g} kg"
+            f"{TORQUE_SHARE:.0%} of the maximum torque are {TORQUE_SHARE * axis.force:.0f} N at "
+            f"the carriage, friction and weight take {axis.lost:.0f} N: choose a smaller payload "
+            f"than {axis.heaviest:g} kg"
         )
-    return Bounds(known.speed, acceleration, acceleration / JERK_TIME)
+    return Bounds(axis.speed, acceleration, acceleration / JERK_TIME)
 
 
 def trapezoid(way: float, bounds: Bounds) -> Path:
@@ -107,76 +89,85 @@ def shaped(path: Path, frequency: float, ratio: float) -> Path:
     return lambda times: (path(times) + share * path(times - half)) / (1.0 + share)
 
 
-def resonance(known: Known) -> tuple[float, float]:
-    """Nominal vibration against a motor that is held: frequency (rad/s), damping ratio."""
-    p = known.nominal
-    if p.stiffness > 0.0:
-        stiffness, damping, mass = p.stiffness, p.structural_damping, p.payload
-    elif p.transmission_stiffness > 0.0:
-        stiffness, damping = p.transmission_stiffness, p.transmission_damping
-        mass = p.payload + p.carriage_mass
-    else:
+def resonance(known: Known, axis: Axis) -> Vibration:
+    """Nominal vibration against an axis that is held. Raises ValueError where nothing swings."""
+    if axis.vibration is None:
         raise ValueError(
             f"a shaper is of no use: the axis of {known.task} has no spring that could vibrate, "
             "use ruckig"
         )
-    return math.sqrt(stiffness / mass), damping / (2.0 * math.sqrt(stiffness * mass))
+    return axis.vibration
 
 
 class Profile:
-    """Streams a path to the goal as velocities of the set-point.
+    """Streams a path to the goal, one for each axis, as velocities of the set-points.
 
     Args:
         known: of the environment.
-        plan: way (m) -> path.
+        bounds: axis -> what the path keeps to.
+        shapers: how often it goes through a shaper for the nominal resonance.
     """
 
-    def __init__(self, known: Known, plan: Callable[[float], Path]):
-        self._known, self._plan = known, plan
+    def __init__(self, known: Known, bounds: Callable[[Axis], Bounds], shapers: int = 0):
+        self._known = known
+        self._plans = [
+            (axis, bounds(axis), [resonance(known, axis) for _ in range(shapers)])
+            for axis in (known.axis, *known.axes[1:])
+        ]
         self._times = np.arange(known.steps + 1) * known.step_time
+        self._farthest = [axis.speed * known.step_time for axis in known.axes]
+
+    def plan(self, way: float, bounds: Bounds) -> Path:
+        """The path before it is shaped: as short as it can be."""
+        return time_optimal(way, bounds)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Plan from what is seen at rest."""
-        way = float(observation[0]) * self._known.stroke  # goal minus position
-        self._places = self._plan(way)(self._times)
-        self._step, self._place = 0, 0.0
+        self._places = []
+        for axis, bounds, shapers in self._plans:
+            path = self.plan(float(observation[axis.first]) * axis.stroke, bounds)
+            for shaper in shapers:
+                path = shaped(path, *shaper)
+            self._places.append(path(self._times))
+        self._step, self._place = 0, [0.0] * len(self._places)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The velocity that brings the set-point to the next place of the path."""
+        """The velocities that bring the set-points to the next places of their paths."""
         self._step = min(self._step + 1, self._known.steps)
-        farthest = self._known.speed * self._known.step_time
-        wanted = (self._places[self._step] - self._place) / farthest
         action = np.zeros(self._known.actions, np.float32)
-        action[0] = min(max(wanted, -1.0), 1.0)
-        self._place += float(action[0]) * farthest  # what rounding took comes in the next step
+        for d, (places, farthest) in enumerate(zip(self._places, self._farthest, strict=True)):
+            wanted = (places[self._step] - self._place[d]) / farthest
+            action[d] = min(max(wanted, -1.0), 1.0)
+            self._place[d] += float(action[d]) * farthest  # what rounding took comes next
         return action
 
 
-def trapezoid_policy(known: Known, seed: int = 0) -> Profile:
+class Trapezoid(Profile):
     """The drive's pp profile without jerk limit."""
-    bounds = of_the_profile(known)
-    return Profile(known, lambda way: trapezoid(way, bounds))
+
+    def __init__(self, known: Known, seed: int = 0):
+        super().__init__(known, of_the_profile)
+
+    def plan(self, way: float, bounds: Bounds) -> Path:
+        """Without jerk limit."""
+        return trapezoid(way, bounds)
 
 
 def jerk_limited_policy(known: Known, seed: int = 0) -> Profile:
     """The drive's pp profile with jerk limit."""
-    bounds = of_the_profile(known)
-    return Profile(known, lambda way: time_optimal(way, bounds))
+    return Profile(known, of_the_profile)
 
 
 def ruckig_policy(known: Known, seed: int = 0) -> Profile:
     """Time-optimal at the drive's limits."""
-    bounds = of_the_drive(known)
-    return Profile(known, lambda way: time_optimal(way, bounds))
+    return Profile(known, of_the_drive)
 
 
 def ruckig_zv_policy(known: Known, seed: int = 0) -> Profile:
     """The same, shaped."""
-    bounds, (frequency, ratio) = of_the_drive(known), resonance(known)
-    return Profile(known, lambda way: shaped(time_optimal(way, bounds), frequency, ratio))
+    return Profile(known, of_the_drive, shapers=1)
 
 
 def ruckig_zvd_policy(known: Known, seed: int = 0) -> Profile:
     """Shaped twice."""
-    bounds, place = of_the_drive(known), resonance(known)
-    return Profile(known, lambda way: shaped(shaped(time_optimal(way, bounds), *place), *place))
+    return Profile(known, of_the_drive, shapers=2)

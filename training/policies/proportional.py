@@ -13,9 +13,9 @@ class Proportional:
     """Velocity of the set-point = gain × distance, with 6081h and 6083h as its limits."""
 
     def __init__(self, known: Known, seed: int = 0):
-        p = known.nominal
-        self._known, self._velocity_limit = known, p.max_velocity
-        self._change = p.max_acceleration * known.step_time
+        self._axis, self._actions = known.axis, known.actions
+        self._velocity_limit = known.axis.profile.velocity
+        self._change = known.axis.profile.acceleration * known.step_time
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
@@ -23,10 +23,10 @@ class Proportional:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """From the distance."""
-        wanted = GAIN * float(observation[0]) * self._known.stroke
+        wanted = GAIN * float(observation[0]) * self._axis.stroke
         wanted = min(max(wanted, -self._velocity_limit), self._velocity_limit)
         low, high = self._velocity - self._change, self._velocity + self._change
         self._velocity = min(max(wanted, low), high)
-        action = np.zeros(self._known.actions, np.float32)
-        action[0] = min(max(self._velocity / self._known.speed, -1.0), 1.0)
+        action = np.zeros(self._actions, np.float32)
+        action[0] = min(max(self._velocity / self._axis.speed, -1.0), 1.0)
         return action
