@@ -228,3 +228,19 @@ def test_trainings_are_the_seeds_of_a_folder(tmp_path):
     assert [folder[-6:] for folder in folders] == ["seed_1", "seed_2"]
     assert trainings(str(tmp_path / "seed_1"), LinearAxisEnv.ID) == [str(tmp_path / "seed_1")]
     assert trainings("hold", LinearAxisEnv.ID) == []
+
+
+def test_the_quickest_method_finds_the_same_place_from_both_sides_within_the_tolerance():
+    env = HomingEnv()
+    slow, fast = make("built_in", env), make("built_in_fast", env)
+    assert isinstance(slow, BuiltIn)
+    assert isinstance(fast, BuiltIn)
+    for start in (0.05, 0.45):
+        env.reset(seed=2, options={"start": start})
+        usual = env.built_in(slow.method, slow.objects)
+        quick = env.built_in(fast.method, fast.objects)
+        assert quick.attained
+        assert abs(quick.error) < 0.25 * env.tolerance
+        assert quick.time < 0.4 * usual.time
+        assert quick.impact_energy == 0.0
+    assert make("built_in_fast:29", env).method == 29

@@ -144,7 +144,7 @@ class Evaluator:
         first = make(policy, self.env, self.seeds[0])
         observations, infos = self._reset()
         if isinstance(first, BuiltIn):
-            return self._built_in(policy, first.method)
+            return self._built_in(policy, first)
         made: list[Any] = [first]
         made += [
             make(policy, self.vector.envs[i], self.seeds[i]) for i in range(1, len(self.seeds))
@@ -242,13 +242,14 @@ class Evaluator:
             values["settling_time"] = math.nan  # a reference is no goal
         return {name: float(value) for name, value in values.items()}
 
-    def _built_in(self, policy: str, method: int) -> Evaluation:
+    def _built_in(self, policy: str, chosen: BuiltIn) -> Evaluation:
         """What a homing method of the drive makes of the same starts."""
         values = _empty(len(self.seeds))
         recorder = Recorder(self.vector.envs[self._traced])
         for i, env in enumerate(self.vector.envs):
             assert isinstance(env, HomingEnv)
-            figures = env.built_in(method, observer=recorder.look if i == self._traced else None)
+            observer = recorder.look if i == self._traced else None
+            figures = env.built_in(chosen.method, chosen.objects, observer=observer)
             found = figures.attained
             for name, value in (
                 ("episode_return", env.worth(figures)),

@@ -48,13 +48,22 @@ OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
     },
     "servogym/CompliantAxis-v0": {"PPO": {"learning_rate": 5e-4}},
     "servogym/Homing-v0": {
-        # what counts comes at the end, hundreds of steps later
+        # what counts comes at the end, hundreds of steps later; a search goes on for a while
         "PPO": {
             "learning_rate": 5e-4,
             "gamma": 0.998,
-            "gae_lambda": 0.98,
             "n_steps": 128,
-            "n_epochs": 10,
+            "batch_size": 1024,
+            "use_sde": True,
+            "sde_sample_freq": 32,
+            "policy_kwargs": {"log_std_init": -2.5, "net_arch": [64, 64]},
+        },
+    },
+    "servogym/GantrySway-v0": {
+        "PPO": {
+            "learning_rate": 5e-4,
+            "gamma": 0.99,
+            "policy_kwargs": {"log_std_init": -2.0, "net_arch": [64, 64]},
         },
     },
 }

@@ -15,13 +15,13 @@ from ..faces import clip, faulted, limited
 from ..gantry import GantryParameters, gantry
 from ..loop import coordinates, speeds, world_at
 from ..machine import Machine
+from ..rewards import closeness
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = (0.8, 0.5)  # m, of X and Y
 MARGIN = 0.05  # m, starts and goals keep away from the ends
 CABLE = 0.3  # m, what it is built with
-NEAR = 0.05  # m, distance of the load at which the reward for nearness has fallen to one half
 CALM = math.radians(2.0)  # sway at which the reward for calm has fallen to one half
 WIDEST = math.radians(20.0)  # sway that is 1.0 in an observation
 AXES = ("x", "y")
@@ -75,14 +75,15 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             if episode._sensor:
                 seen[at + SEEN] = clip(angle / WIDEST)
                 seen[at + SEEN + 1] = clip(rate / (WIDEST * episode._natural))
-        near, calm = distance / (NEAR * NEAR), sway / (CALM * CALM)
+        calm = sway / (CALM * CALM)
+        off = math.sqrt(distance) / episode._tolerance + math.sqrt(speed) / episode._resting
         settled = (
             distance <= episode._tolerance * episode._tolerance
             and speed <= episode._resting * episode._resting
         )
         episode.distance = math.sqrt(distance)
         episode.sway = math.sqrt(sway)
-        episode.reward_near = 1.0 / (1.0 + near)
+        episode.reward_near = closeness(off, STROKE[0] / episode._tolerance)
         episode.reward_calm = 1.0 / (1.0 + calm)
         episode.reward_settled = 1.0 if settled else 0.0
         episode.reward = (
@@ -128,9 +129,10 @@ class GantrySwayEnv(ServoEnv):
     | 7 | rate of the sway | sensor | 20° × sqrt(g / 0.3 m) |
 
     ## Reward
-    In [0, 1], of the load, not of the axes: 0.4 for nearness, ``1 / (1 + (distance / 50 mm)²)``,
-    0.1 for calm, ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled: closer than `tolerance` and
-    slower than `resting`. ``info`` has the terms, ``distance`` (m) and ``sway`` (rad) of the load,
+    In [0, 1], of the load, not of the axes: 0.4 for nearness, 0.1 for calm,
+    ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled: closer than `tolerance` and slower than
+    `resting`. Nearness is 1 at rest at the goal and 0 a stroke of X away from it, on a logarithmic
+    scale of distance / `tolerance` + velocity / `resting` (`servogym.envs.rewards`). ``info`` has the terms, ``distance`` (m) and ``sway`` (rad) of the load,
     and ``cost``, 1 while an internal limit is active.
 
     ## Episode

@@ -74,8 +74,13 @@ POLICIES: dict[str, Baseline] = {
         lambda known, seed: BuiltIn(known), (HomingEnv.ID,),
         "the drive's method for the reference; built_in:N another one",
     ),
+    "built_in_fast": Baseline(
+        lambda known, seed: BuiltIn(known, fast=True), (HomingEnv.ID,),
+        "the quickest method to it, at the task's limits; built_in_fast:N another one",
+    ),
     "plc": Baseline(plc_policy, (CommissioningEnv.ID,), "the step chain of a PLC"),
 }  # fmt: skip
+BUILT_IN = ("built_in", "built_in_fast")  # of which a method can be asked for
 
 
 def names(task: str) -> list[str]:
@@ -129,7 +134,7 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     if folders := trainings(name, task):
         return Learned(Path(folders[0]), env)
     row = POLICIES.get(base)
-    if row is None or (rest and base != "built_in"):
+    if row is None or (rest and base not in BUILT_IN):
         raise ValueError(
             f"policy {name!r} is unknown: for {task} choose of {', '.join(names(task))}, "
             "FILE.py:function, or a folder of `servogym train`"
@@ -145,6 +150,6 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     if not rest:
         return row.make(data, seed)
     try:
-        return BuiltIn(data, int(rest))
+        return BuiltIn(data, int(rest), fast=base == BUILT_IN[1])
     except ValueError:
         raise ValueError(f"policy {name!r}: after the colon comes a homing method 6098h") from None

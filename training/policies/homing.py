@@ -4,8 +4,10 @@ from functools import partial
 
 import numpy as np
 
+from ...envs.servo_env import METRE
 from ...envs.tasks.homing import REFERENCES
 from .known import Known
+from .profiles import of_the_drive
 from .script import Script, Steps
 
 RAMP = 0.05  # change of the velocity a step, to be gentle
@@ -17,6 +19,10 @@ LEGS = {
     ),
     "negative_limit_switch": ((-0.4, NEGATIVE, True), (0.01, NEGATIVE, False)),
 }  # fmt: skip
+# To the same places, whichever side the start is on: to the home switch negative first, because the
+# way beyond it is shorter there.
+FASTEST = {"home_switch": 30, "negative_limit_switch": 17, "stop": -17}
+SHARE_OF_TOLERANCE = 0.2  # that the slow speed may pass in a cycle in which inputs are sampled
 
 
 def search(legs) -> Steps:
@@ -56,8 +62,24 @@ class BuiltIn:
 
     Args:
         known: of the environment.
-        method: 6098h; the one for the reference of the task if not given.
+        method: 6098h; if not given the one for the reference of the task, or with `fast` the
+            quickest to the same place.
+        fast: with the speeds and the acceleration the task allows, instead of those commissioned.
     """
 
-    def __init__(self, known: Known, method: int | None = None):
-        self.method = REFERENCES[known.reference][0] if method is None else method
+    def __init__(self, known: Known, method: int | None = None, *, fast: bool = False):
+        by_default = FASTEST if fast else {name: row[0] for name, row in REFERENCES.items()}
+        self.method = by_default[known.reference] if method is None else method
+        self.objects = _fast(known) if fast else {}
+
+
+def _fast(known: Known) -> dict[str, int]:
+    """Objects for a homing as fast as an agent may be, the slow part within the tolerance."""
+    axis = known.axis
+    slow = min(SHARE_OF_TOLERANCE * known.tolerance / known.sampling, axis.speed)
+    speeds = {
+        "speed_during_search_for_switch": axis.speed,
+        "speed_during_search_for_zero": slow,
+        "homing_acceleration": of_the_drive(axis).acceleration,
+    }
+    return {name: round(value * METRE) for name, value in speeds.items()}

@@ -74,6 +74,7 @@ class Known:
     step_time: float  # s
     steps: int  # of an episode
     tolerance: float  # m; 0 where the task has none
+    sampling: float  # cycle in which the drive samples its inputs (s)
     axes: tuple[Axis, ...]  # that the agent moves; none where there is no data sheet
     reference: str = ""  # of Homing-v0
 
@@ -100,6 +101,7 @@ def known(env: ServoEnv) -> Known:
         step_time=env.step_time,
         steps=env.STEPS,
         tolerance=task.get("tolerance", 0.0),
+        sampling=env.drive.model.cycle_time["velocity"],
         axes=axes,
         reference=reference if isinstance(reference, str) else "",
     )
@@ -130,7 +132,7 @@ def _linear(env: ServoEnv, p: LinearAxisParameters) -> Axis:
         force=force,
         offset=force * task.get("torque_range", 1.0),
         stroke=positioning.STROKE,
-        speed=fastest,
+        speed=task.get("max_velocity", fastest),
         fastest=fastest,
         profile=Bounds(p.max_velocity, p.max_acceleration, p.max_jerk),
         vibration=_spring(p),
