@@ -112,7 +112,8 @@ class Evaluator:
         )
         self.env = self.vector.envs[0]
         self._actions = math.prod(self.env.action_space.shape or ())
-        self.duration = self.task.STEPS * self.env.step_time
+        self.steps = self.vector.max_episode_steps
+        self.duration = self.steps * self.env.step_time
         for env in self.vector.envs:
             env.machine.probe()
 
@@ -152,7 +153,7 @@ class Evaluator:
             returns += rewards
             steps += active
             limited += active * infos["cost"]
-            if "sway" in infos and steps.max() > 0.75 * self.task.STEPS:
+            if "sway" in infos and steps.max() > 0.75 * self.steps:
                 sway = np.maximum(sway, infos["sway"])
             failing = active & ~infos["is_success"]
             unsettled[failing] = steps[failing]
@@ -169,7 +170,7 @@ class Evaluator:
             "faults": np.array([fault != "" for fault in faults], float),
         }
         if "sway" in infos:
-            values["sway"] = np.where(steps == self.task.STEPS, 1e3 * sway, math.nan)
+            values["sway"] = np.where(steps == self.steps, 1e3 * sway, math.nan)
         for i, env in enumerate(self.vector.envs):
             for name, value in self._measured(env, faults[i]).items():
                 values[name][i] = value
