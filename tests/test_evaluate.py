@@ -195,6 +195,8 @@ def test_each_policy_plays_the_same_episodes_in_the_environment_it_needs():
     assert pd.values["success"].all()
     assert ruckig.values["score"].mean() == pytest.approx(1.0)
     assert 0.8 < pd.values["score"].mean() < 1.0
+    assert ruckig.strata("peak_error")
+    assert not pd.strata("peak_error"), "in cst nothing follows a position"
     heavy, hold = compare.evaluate(
         "LinearAxis-v0", ["pd", "hold"], "generic", 4, 0, {"payload": 20.0, "mode": "cst"}
     )
@@ -208,6 +210,13 @@ def test_arguments_of_the_environment_are_on_the_page(tmp_path):
     page = (tmp_path / "eval.md").read_text(encoding="utf-8")
     assert "--argument mode=cst --argument payload=2" in page
     assert "pd in an environment with mode=cst" in page
+
+
+def test_there_is_no_score_where_the_reference_earns_no_more_than_holding_still():
+    low, high = np.array([1.0, 3.0]), np.array([4.0, 6.0])
+    assert compare.scores(high, low, high).tolist() == pytest.approx([2 / 3, 4 / 3])
+    assert np.isnan(compare.scores(high, high, low)).all()
+    assert np.isnan(compare.scores(high, low, low)).all()
 
 
 def test_one_seed_writes_the_same_bytes(tmp_path):

@@ -1,6 +1,7 @@
 """Policies through one door: what they may know, and that each does its task."""
 
 import sys
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from servogym.envs import TASKS, probe
 from servogym.envs.axis_parameters import LinearAxisParameters
 from servogym.envs.tasks.commissioning import CommissioningEnv
+from servogym.envs.tasks.compliant import PARAMETERS as COMPLIANT
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
@@ -132,6 +134,14 @@ def test_feedback_of_the_load_settles_it_sooner_than_the_best_shaper(task):
     evaluator.close()
     assert lqr["success"].all()
     assert lqr["settling_time"].mean() < 0.8 * zvd["settling_time"].mean()
+
+
+def test_the_regulator_knows_how_far_the_weight_bends_the_spring():
+    parameters = replace(COMPLIANT, inclination=30.0)
+    env = CompliantAxisEnv(parameters=parameters, randomise={})
+    _, info = play(env, make("lqr", env), **MOVE)
+    assert info["deflection"] == pytest.approx(-5.0 * 9.81 * 0.5 / 20_000.0, rel=0.01)
+    assert info["is_success"]
 
 
 @pytest.mark.parametrize(

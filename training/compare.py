@@ -45,9 +45,9 @@ IDLE = ("hold", "random")  # would spoil the scales of all but the score
 
 
 def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
-    """Of each episode; not a number where both are the same."""
+    """Of each episode; not a number where `one` earns no more than `zero`."""
     span = one.mean() - zero.mean()
-    return (returns - zero.mean()) / span if span else np.full_like(returns, np.nan)
+    return (returns - zero.mean()) / span if span > 0.0 else np.full_like(returns, np.nan)
 
 
 def evaluate(
@@ -223,6 +223,8 @@ def _scale(env: str, results: Sequence[Evaluation]) -> str:
     task = next((task for task in ONE if env in (task, task.partition("/")[2])), "")
     if not task:
         return "none, the task has no reference"
+    if not any(result.strata("score") for result in results):
+        return f"none, here {ONE[task]} earns no more than {ZERO}"
     return f"0 is {ZERO}, 1 is {ONE[task]}, by their mean returns on the same episodes"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from ..drive.model import DriveModel
+from ..drive.words import Mode
 from ..envs import TASKS, probe
 from ..envs.servo_env import ServoEnv
 from ..envs.tasks.homing import HomingEnv
@@ -21,6 +22,9 @@ from .metrics import METRICS
 from .policies import LINEAR, BuiltIn, make, trainings
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
+WITHOUT_POSITION = (
+    Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
+)  # fmt: skip
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
 
@@ -206,6 +210,8 @@ class Evaluator:
             "rms_jerk": np.sqrt(probes["jerk_squares"] / np.maximum(probes["jerks"], 1)).max(),
             "energy": probes["work"].sum(),
         }
+        if env.MODES[0] in WITHOUT_POSITION:
+            values["peak_error"] = values["rms_error"] = math.nan  # no demand, nothing follows
         one = probes[0]
         if "_overshoot" in names:
             values["overshoot"] = 1e6 * episode._overshoot

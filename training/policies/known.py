@@ -15,6 +15,8 @@ from ...envs.randomisation import PAYLOAD
 from ...envs.servo_env import METRE, ServoEnv
 from ...envs.tasks import compliant, positioning, sway
 
+SENSORS = ("load_sensor", "sway_sensor")
+
 
 class Bounds(NamedTuple):
     """Of a profile."""
@@ -75,6 +77,7 @@ class Known:
     steps: int  # of an episode
     tolerance: float  # m; 0 where the task has none
     axes: tuple[Axis, ...]  # that the agent moves; none where there is no data sheet
+    sensor: str = ""  # argument of the environment that gives a sensor of the load
     reference: str = ""  # of Homing-v0
 
     @property
@@ -101,6 +104,7 @@ def known(env: ServoEnv) -> Known:
         steps=env.STEPS,
         tolerance=task.get("tolerance", 0.0),
         axes=axes,
+        sensor=next((name for name in SENSORS if name in task), ""),
         reference=reference if isinstance(reference, str) else "",
     )
 

@@ -61,9 +61,9 @@ class Regulated:
 
     def __init__(self, known: Known, axis: Axis):
         if axis.sensor is None:
-            argument = "sway_sensor" if "sway" in known.task.lower() else "load_sensor"
             raise ValueError(
-                f"policy 'lqr' needs the sensor of the load: make {known.task} with {argument}=True"
+                f"policy 'lqr' needs the sensor of the load: make {known.task} with "
+                f"{known.sensor}=True"
             )
         self._axis, self._sensor, self._dt = axis, axis.sensor, known.step_time
         self._vibration = resonance(known, axis)
