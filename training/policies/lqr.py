@@ -3,9 +3,9 @@
 The model is the nominal axis as an integrator and behind it what swings: the state is the set-point
 (m), its velocity (m/s), the deflection of the load from the axis (m), its rate (m/s), and the
 change of velocity commanded last (m/s), which the load feels a step late: so long does the drive
-need (inferred: of 0, 1/2 and 1 step this one left no episode unsettled). The command is the change
-of the velocity in a step. The regulator works on what is left over of a path, which it streams as
-the others do, through a shaper for the nominal resonance.
+need (inferred: of 0, 1/2 and 1 step only this one, at the weights below, settled every episode on
+the spring). The command is the change of the velocity in a step. The regulator works on what is
+left over of a path, which it streams as the others do, through a shaper for the nominal resonance.
 """
 
 import math
