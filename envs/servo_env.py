@@ -55,10 +55,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 200}  # noqa: RUF012
 
     # what makes a task
-    # the first is its own; one that depends on the drive is set before `ServoEnv.__init__`
+    # the first is its own; what depends on drive or arguments is set before `ServoEnv.__init__`
     MODES: tuple[Mode, ...] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)
     DRIVES: tuple[str, ...] = ()  # that the agent commands, first in the machine; none: all of it
-    RPDO: ClassVar[tuple[str, ...]]  # objects the agent commands, beside controlword and mode
+    RPDO: tuple[str, ...]  # objects the agent commands, beside controlword and mode
     TPDO: ClassVar[tuple[str, ...]] = (  # objects it sees, beside statusword and mode displayed
         "position_actual_value", "torque_actual_value", "velocity_actual_value",
         "following_error_actual_value",
@@ -68,7 +68,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     ACTIONS: int  # may depend on arguments, as may DRIVES and OBSERVATIONS
     OBSERVATIONS: int
     EPISODE: ClassVar[np.dtype]  # made by `episode`
-    act: ClassVar[Callable[..., None]]  # (worlds, episodes, actions, rpdos)
+    act: Callable[..., None]  # (worlds, episodes, actions, rpdos)
     judge: ClassVar[Callable[..., None]]  # (worlds, episodes, rpdos, tpdos, observations)
 
     machine: Machine

@@ -188,6 +188,37 @@ def test_holding_still_scores_0_and_the_reference_1():
     assert 0.5 < proportional < 1.0
 
 
+def test_each_policy_plays_the_same_episodes_in_the_environment_it_needs():
+    ruckig, pd = compare.evaluate("LinearAxis-v0", ["ruckig", "pd"], "generic", 4, 0)
+    assert ruckig.seeds == pd.seeds
+    assert ruckig.values["success"].all()
+    assert pd.values["success"].all()
+    assert ruckig.values["score"].mean() == pytest.approx(1.0)
+    assert 0.8 < pd.values["score"].mean() < 1.0
+    assert ruckig.strata("peak_error")
+    assert not pd.strata("peak_error"), "in cst nothing follows a position"
+    heavy, hold = compare.evaluate(
+        "LinearAxis-v0", ["pd", "hold"], "generic", 4, 0, {"payload": 20.0, "mode": "cst"}
+    )
+    assert (heavy.values["settling_time"] > pd.values["settling_time"]).all()
+    assert hold.values["score"].mean() == pytest.approx(0.0, abs=1e-3), "no torque, no motion"
+
+
+def test_arguments_of_the_environment_are_on_the_page(tmp_path):
+    arguments = "eval LinearAxis-v0 --policy pd --argument mode=cst --argument payload=2"
+    assert cli.main([*arguments.split(), "--episodes", "2", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "eval.md").read_text(encoding="utf-8")
+    assert "--argument mode=cst --argument payload=2" in page
+    assert "pd in an environment with mode=cst" in page
+
+
+def test_there_is_no_score_where_the_reference_earns_no_more_than_holding_still():
+    low, high = np.array([1.0, 3.0]), np.array([4.0, 6.0])
+    assert compare.scores(high, low, high).tolist() == pytest.approx([2 / 3, 4 / 3])
+    assert np.isnan(compare.scores(high, high, low)).all()
+    assert np.isnan(compare.scores(high, low, low)).all()
+
+
 def test_one_seed_writes_the_same_bytes(tmp_path):
     for folder in ("a", "b"):
         arguments = "compare CompliantAxis-v0 --policies hold,ruckig+zv --episodes 4 --seed 1"
@@ -216,6 +247,8 @@ def test_one_seed_writes_the_same_bytes(tmp_path):
         ("eval LinearAxis-v0 --policy hold --drive festo_cmmp_as", "has no mode cyclic_sync"),
         ("compare LinearAxis-v0 --policies ,", "--policies is empty"),
         ("benchmark homing --drive bonfiglioli_act", "has no homing method"),
+        ("compare LinearAxis-v0 --policies ruckig --argument mode=cst", "with mode='csp'"),
+        ("eval LinearAxis-v0 --policy hold --argument weight=3", "see the arguments of"),
         ("benchmark positioning --drive festo_cmmp_as", "has no mode cyclic_sync_position"),
     ],
 )

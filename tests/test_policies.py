@@ -1,19 +1,25 @@
 """Policies through one door: what they may know, and that each does its task."""
 
+import sys
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from servogym.envs import TASKS
+from servogym.envs import TASKS, probe
 from servogym.envs.axis_parameters import LinearAxisParameters
 from servogym.envs.tasks.commissioning import CommissioningEnv
+from servogym.envs.tasks.compliant import PARAMETERS as COMPLIANT
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
-from servogym.training.policies import POLICIES, BuiltIn, make, names, trainings
-from servogym.training.policies.known import known
+from servogym.training.evaluate import Evaluator
+from servogym.training.policies import POLICIES, BuiltIn, make, names, needed, trainings
+from servogym.training.policies.known import Vibration, known
+from servogym.training.policies.lqr import gain, model
 from servogym.training.policies.profiles import Bounds, of_the_drive, shaped, trapezoid
 from servogym.training.policies.still import Hold
 
@@ -35,10 +41,10 @@ def play(env, policy, seed=3, **options):
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.ID)
 def test_actions_are_in_the_space_and_an_episode_does_not_depend_on_the_one_before(task):
-    env = task()
     for name in names(task.ID):
         if "+" in name and task is LinearAxisEnv:
             continue  # nothing swings there
+        env = task(**needed(name))
         policy = make(name, env, seed=5)
         if isinstance(policy, BuiltIn):
             continue
@@ -66,7 +72,9 @@ def test_a_move_ends_in_the_window_and_earns_more_than_twice_of_holding_still(na
 
 def test_ruckig_at_the_drives_limits_is_the_fastest_of_the_profiles():
     env = LinearAxisEnv()
-    totals = {n: play(env, make(n, env), **MOVE)[0] for n in names(env.ID) if "+" not in n}
+    totals = {
+        n: play(env, make(n, env), **MOVE)[0] for n in names(env.ID) if "+" not in n and n != "pd"
+    }
     assert max(totals, key=totals.get) == "ruckig"
 
 
@@ -78,6 +86,100 @@ def test_a_shaper_leaves_less_vibration():
     }
     assert energy["ruckig+zv"] < 0.05 * energy["ruckig"]
     assert energy["ruckig+zvd"] < 0.05 * energy["ruckig"]
+
+
+@pytest.mark.parametrize("goal", [0.15, 0.3])
+def test_feed_forward_of_torque_lowers_the_peak_following_error(goal):
+    env = CompliantAxisEnv(randomise={})
+    peaks = {}
+    for name in ("ruckig", "ruckig+ff"):
+        env.machine.probe()
+        observation, info = env.reset(seed=3, options={"start": 0.1, "goal": goal})
+        probe.begin(env.machine, 2.0)
+        policy = make(name, env)
+        policy.reset(observation, info)
+        for _ in range(env.STEPS):
+            observation, *_ = env.step(policy.act(observation))
+        peaks[name] = env.machine.probes["error_peak"][0]
+    assert peaks["ruckig+ff"] < 0.99 * peaks["ruckig"]
+
+
+def test_the_model_of_the_regulator_swings_as_the_data_sheet_says():
+    a, b = model(Vibration(60.0, 0.02), 0.005)
+    (value, _) = np.linalg.eigvals(a[2:4, 2:4])
+    assert abs(value) == pytest.approx(np.exp(-0.02 * 60.0 * 0.005))
+    assert abs(np.angle(value)) == pytest.approx(60.0 * np.sqrt(1 - 0.02**2) * 0.005)
+    # a change of the velocity by 1 m/s leaves the load behind, a step late
+    first = b[:, 0]
+    assert first.tolist() == [0.005, 1.0, 0.0, 0.0, 1.0]
+    second = a @ first
+    assert second[2] == pytest.approx(-0.005, rel=0.05)
+
+
+@pytest.mark.parametrize("task", [CompliantAxisEnv, GantrySwayEnv])
+def test_the_regulator_is_stable_on_loads_far_from_the_nominal(task):
+    env = task()
+    nominal, dt = known(env).axis.vibration, env.step_time
+    k = gain(nominal, dt)[None]
+    # squared: half to twice the stiffness, 2 to 8 of 5 kg; cables of 0.2 to 0.4 of 0.3 m
+    for share in (0.6, 1.0, 1.5):
+        a, b = model(nominal._replace(frequency=share * nominal.frequency), dt)
+        assert np.abs(np.linalg.eigvals(a - b @ k)).max() < 1.0
+
+
+@pytest.mark.parametrize("task", ["CompliantAxis-v0", "GantrySway-v0"])
+def test_feedback_of_the_load_settles_it_sooner_than_the_best_shaper(task):
+    evaluator = Evaluator(task, episodes=12)
+    lqr, zvd = (evaluator.run(name).values for name in ("lqr", "ruckig+zvd"))
+    evaluator.close()
+    assert lqr["success"].all()
+    assert lqr["settling_time"].mean() < 0.8 * zvd["settling_time"].mean()
+
+
+def test_the_regulator_knows_how_far_the_weight_bends_the_spring():
+    parameters = replace(COMPLIANT, inclination=30.0)
+    env = CompliantAxisEnv(parameters=parameters, randomise={})
+    _, info = play(env, make("lqr", env), **MOVE)
+    assert info["deflection"] == pytest.approx(-5.0 * 9.81 * 0.5 / 20_000.0, rel=0.01)
+    assert info["is_success"]
+
+
+@pytest.mark.parametrize(
+    ("task", "arguments", "name", "message"),
+    [
+        (CompliantAxisEnv, {"load_sensor": False}, "lqr", "make .* with load_sensor=True"),
+        (GantrySwayEnv, {"sway_sensor": False}, "lqr", "make .* with sway_sensor=True"),
+        (CompliantAxisEnv, {"torque_range": 0.0}, "ruckig+ff", "a torque_range above 0"),
+        (LinearAxisEnv, {}, "pd", "does not command mode = 'csp': make .* with mode='cst'"),
+        (LinearAxisEnv, {"mode": "cst"}, "ruckig", "command mode = 'cst': make .* mode='csp'"),
+        (LinearAxisEnv, {"mode": "csv"}, "trapezoid", "command mode = 'csv': make .* mode='csp'"),
+    ],
+)
+def test_a_policy_says_which_argument_it_needs(task, arguments, name, message):
+    with pytest.raises(ValueError, match=message):
+        make(name, task(**arguments))
+
+
+def test_without_scipy_the_regulator_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "scipy.linalg", None)
+    with pytest.raises(ImportError, match=r"pip install 'servogym\[lqr\]'"):
+        make("lqr", GantrySwayEnv())
+
+
+@pytest.mark.parametrize(("start", "goal"), [(0.03, 0.47), (0.4, 0.2), (0.3, 0.301)])
+@pytest.mark.parametrize("payload", [1.0, 20.0])
+def test_pd_brings_the_axis_to_the_goal_without_overshoot(start, goal, payload):
+    env = LinearAxisEnv(mode="cst", payload=payload)
+    policy, side = make("pd", env), np.sign(goal - start)
+    observation, info = env.reset(seed=1, options={"start": start, "goal": goal})
+    policy.reset(observation, info)
+    beyond = []
+    for _ in range(env.STEPS):
+        observation, *_, info = env.step(policy.act(observation))
+        beyond.append(-side * info["distance"])
+    assert info["is_success"]
+    assert max(beyond) < env.tolerance
+    assert not info["fault"]
 
 
 def test_feed_forward_of_the_data_sheet_takes_a_third_of_the_tracking_error_where_it_is_true():

@@ -179,6 +179,7 @@ def test_a_wrong_action_is_an_error_that_names_the_fix(action, env):
         ({"history": "two"}, "history = .two."),
         ({"cycles_per_step": 511}, "60C2h"),
         ({"payload": -1.0}, "payload = -1.0"),
+        ({"mode": "pp"}, "mode = 'pp', use one of csp, csv, cst"),
         ({"tolerance": float("nan")}, "tolerance"),
         ({"render_mode": "ascii"}, "render_mode"),
         ({"drive": "acme"}, "unknown drive model"),
@@ -187,6 +188,54 @@ def test_a_wrong_action_is_an_error_that_names_the_fix(action, env):
 def test_wrong_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         LinearAxisEnv(**arguments)
+
+
+def test_in_csv_the_action_is_the_velocity_and_a_limit_ahead_brakes():
+    env = LinearAxisEnv(mode="csv")
+    env.reset(seed=1, options={"start": 0.1})
+    for _ in range(20):
+        observation, *_ = env.step(np.array([0.2], np.float32))
+        assert observation[5] == 0.0
+    assert env.machine.data.qvel[0] == pytest.approx(0.2 * 2.0, rel=0.02)  # 607Fh is 2 m/s
+    for _ in range(400):
+        *_, terminated, _, _ = env.step(np.array([0.2], np.float32))
+        assert not terminated
+    assert 0.49 < env.machine.data.qpos[0] <= 0.501
+
+
+def test_in_cst_the_action_is_the_torque_and_only_the_end_stop_holds_the_axis():
+    env = LinearAxisEnv(mode="cst", payload=5.0)
+    env.reset(seed=1, options={"start": 0.1})
+    for _ in range(8):
+        observation, *_ = env.step(np.array([0.2], np.float32))
+    assert observation[4] == pytest.approx(0.2, abs=1e-3)
+    gear = 2 * np.pi / 0.06
+    mass, force = 6.5 + 6e-5 * gear**2, 0.2 * 3 * 1.27 * gear  # kg, N
+    # of force less 12 N of Coulomb and 20 N·s/m of viscous friction
+    speed = (force - 12.0) / 20.0 * (1.0 - np.exp(-20.0 / mass * 8 * env.step_time))
+    assert env.machine.data.qvel[0] == pytest.approx(speed, rel=0.05)
+    places = []
+    for _ in range(400):
+        observation, reward, *_ = env.step(np.array([1.0], np.float32))
+        places.append(env.machine.data.qpos[0])
+        assert env.observation_space.contains(observation)
+        assert np.isfinite(reward)
+    assert 0.505 < max(places) < 0.54  # limit switch, end stop at 0.52 m and what it gives
+    assert np.ptp(places[-50:]) < 1e-3
+
+
+def test_a_drive_without_the_mode_is_refused_by_its_name():
+    with pytest.raises(ValueError, match="'kollmorgen_akd' has no mode cyclic_sync_torque"):
+        LinearAxisEnv("kollmorgen_akd", mode="cst")
+
+
+def test_an_environment_in_torque_mode_goes_on_from_a_pickle():
+    env = LinearAxisEnv(mode="cst")
+    env.reset(seed=1)
+    env.step(np.array([0.1], np.float32))
+    again = pickle.loads(pickle.dumps(env))
+    one, other = env.step(np.array([0.1], np.float32)), again.step(np.array([0.1], np.float32))
+    np.testing.assert_array_equal(one[0], other[0])
 
 
 def test_wrong_options_are_named(env):

@@ -94,10 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--seed", type=int, help="of environments, weights and actions (0)")
     train.add_argument("--steps", type=int, help="of all environments together")
     train.add_argument("--envs", type=int, help="environments side by side")
-    train.add_argument(
-        "--argument", action="append", metavar="NAME=VALUE", type=_named,
-        help="of the environment, VALUE in JSON or text; repeatable",
-    )  # fmt: skip
+    _add_arguments(train)
     train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
     train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
     train.add_argument("--checkpoint-every", type=int, help="steps")
@@ -119,6 +116,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
         command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
         command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
+        _add_arguments(command)
         command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
         command.set_defaults(run=_compare)
 
@@ -133,6 +131,13 @@ def _parser() -> argparse.ArgumentParser:
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
     benchmark.set_defaults(run=_benchmark)
     return parser
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--argument", action="append", metavar="NAME=VALUE", type=_named,
+        help="of the environment, VALUE in JSON or text; repeatable",
+    )  # fmt: skip
 
 
 def _named(text: str) -> tuple[str, Any]:
@@ -240,7 +245,7 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         raise ValueError("--policies is empty: give names, separated by commas")
     return compare.run(
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
-        options.out, console, options.trace,
+        options.out, console, options.trace, dict(options.argument or ()),
     )  # fmt: skip
 
 

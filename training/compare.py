@@ -4,7 +4,9 @@ Score: 0 is holding still, 1 the reference of the task, both as the means of the
 same episodes.
 """
 
-from collections.abc import Sequence
+import json
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +21,22 @@ from ..envs.tasks.positioning import LinearAxisEnv
 from ..envs.tasks.sway import GantrySwayEnv
 from ..envs.tasks.tracking import LinearAxisTrackingEnv
 from . import trace
-from .evaluate import Evaluation, Evaluator
+from .evaluate import Evaluation, Evaluator, task
 from .metrics import METRICS, RESAMPLES, Summary, summarise
-from .policies import make
+from .policies import POLICIES, make, needed
 from .report import GRID, INK, markdown, number, origin, write_json, write_page
 
 ZERO = "hold"
 ONE = {  # the policy whose score is 1
     LinearAxisEnv.ID: "ruckig",
     CompliantAxisEnv.ID: "ruckig",
-    GantrySwayEnv.ID: "ruckig",
+    GantrySwayEnv.ID: "ruckig+zvd",  # plain ruckig leaves the load swinging, as holding still does
     LinearAxisTrackingEnv.ID: "feed_forward",
     HomingEnv.ID: "search",
     CommissioningEnv.ID: "plc",
 }
+# arguments that are a way to command and not a part of the task
+COMMANDING = {name for row in POLICIES.values() for name in row.arguments}
 SHARES = ("success", "limited", "faults")  # told as means in percent
 SHOWN = (  # in the picture, the first six that apply
     "score", "settling_time", "tracking_error", "overshoot", "vibration", "sway",
@@ -42,37 +46,62 @@ IDLE = ("hold", "random")  # would spoil the scales of all but the score
 
 
 def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
-    """Of each episode; not a number where both are the same."""
+    """Of each episode; not a number where `one` earns no more than `zero`."""
     span = one.mean() - zero.mean()
-    return (returns - zero.mean()) / span if span else np.full_like(returns, np.nan)
+    return (returns - zero.mean()) / span if span > 0.0 else np.full_like(returns, np.nan)
 
 
 def evaluate(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, traced: int = 0
-) -> list[Evaluation]:
+    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, traced: int = 0,
+    arguments: Mapping[str, Any] | None = None,
+) -> list[Evaluation]:  # fmt: skip
     """Each policy on the fixed episodes, with the metric `score` where the task has a reference.
 
-    The episode `traced`, 0 being the first, is recorded.
+    Args:
+        env: id of the environment.
+        policies: by name, each in an environment with the arguments it needs.
+        drive: drive model.
+        episodes: how many, 1..1000.
+        seed: of the episodes.
+        traced: the episode to be recorded, 0 being the first.
+        arguments: of the environment; the ends of the score keep the way they command.
 
     Raises:
         ValueError: an unknown environment, drive or policy, before the first episode.
     """
-    evaluator = Evaluator(env, drive=drive, episodes=episodes, seed=seed, traced=traced)
+    given = dict(arguments or {})
+    common = {name: value for name, value in given.items() if name not in COMMANDING}
+    identity = task(env).ID
+    ends = [ZERO, ONE[identity]] if identity in ONE else []
+    played = [(policy, needed(policy) | given) for policy in dict.fromkeys(policies)]
+    bounds = [(policy, common | needed(policy)) for policy in ends]
+    evaluators: dict[str, Evaluator] = {}
+    done: dict[tuple[str, str], Evaluation] = {}
     try:
-        ends = [ZERO, ONE[evaluator.task.ID]] if evaluator.task.ID in ONE else []
-        wanted = list(dict.fromkeys([*policies, *ends]))
-        for policy in wanted:
-            make(policy, evaluator.env)
-        done = {policy: evaluator.run(policy) for policy in wanted}
+        for policy, own in (*played, *bounds):
+            if repr(own) not in evaluators:
+                try:
+                    evaluators[repr(own)] = Evaluator(
+                        env, drive=drive, episodes=episodes, seed=seed, traced=traced, **own
+                    )
+                except TypeError as error:
+                    raise ValueError(
+                        f"--argument: {error}: see the arguments of {identity}"
+                    ) from None
+            make(policy, evaluators[repr(own)].env)
+        for policy, own in (*played, *bounds):
+            if (policy, repr(own)) not in done:
+                done[policy, repr(own)] = evaluators[repr(own)].run(policy)
     finally:
-        evaluator.close()
-    for result in done.values():
-        if ends:
-            own, zero, one = (
-                r.values["episode_return"] for r in (result, done[ends[0]], done[ends[1]])
-            )
-            result.values["score"] = scores(own, zero, one)
-    return [done[policy] for policy in dict.fromkeys(policies)]
+        for evaluator in evaluators.values():
+            evaluator.close()
+    results = [done[policy, repr(own)] for policy, own in played]
+    if ends:
+        zero, one = (done[policy, repr(own)].values["episode_return"] for policy, own in bounds)
+        values = [scores(result.values["episode_return"], zero, one) for result in results]
+        for result, score in zip(results, values, strict=True):
+            result.values["score"] = score
+    return results
 
 
 def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
@@ -144,13 +173,13 @@ def _arrow(metric: str) -> str:
 
 def run(
     command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
-    out: Path, console: Console, traced: int = 0,
+    out: Path, console: Console, traced: int = 0, arguments: Mapping[str, Any] | None = None,
 ) -> int:  # fmt: skip
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
     The second picture is of the episode `traced`.
     """
-    results = evaluate(env, policies, drive, episodes, seed, traced)
+    results = evaluate(env, policies, drive, episodes, seed, traced, arguments)
     table = summaries(results)
     heading = ["metric", *(_label(result.policy) for result in results)]
     rows = [
@@ -165,11 +194,13 @@ def run(
     source = origin(
         f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
         + (f" --trace {traced}" if traced else "")
+        + "".join(f" --argument {_quoted(*one)}" for one in (arguments or {}).items())
     )
     notes = (
         f"Interquartile mean [95 % interval, stratified bootstrap, {RESAMPLES} resamples] over "
         f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[episodes - 1]}; "
-        f"{_trainings(results)}shares are means. Score: {_scale(env, results)}.\n\n"
+        f"{_trainings(results)}{_needs(policies)}shares are means. "
+        f"Score: {_scale(env, results)}.\n\n"
     )
     notes += "\n".join(
         f"- {METRICS[metric].heading}: {METRICS[metric].what}"
@@ -192,6 +223,11 @@ def _traces(results: Sequence[Evaluation]) -> list[trace.Trace]:
     return [result.trace._replace(policy=_label(result.policy)) for result in moving]
 
 
+def _quoted(name: str, value: Any) -> str:
+    """As typed in a shell: ``NAME=VALUE``, a text as it is, all else in JSON."""
+    return shlex.quote(f"{name}={value if isinstance(value, str) else json.dumps(value)}")
+
+
 def _label(policy: str) -> str:
     """Of a folder its name."""
     return Path(policy).name if Path(policy).is_dir() else policy
@@ -201,7 +237,17 @@ def _scale(env: str, results: Sequence[Evaluation]) -> str:
     task = next((task for task in ONE if env in (task, task.partition("/")[2])), "")
     if not task:
         return "none, the task has no reference"
+    if not any(result.strata("score") for result in results):
+        return f"none, here {ONE[task]} earns no more than {ZERO}"
     return f"0 is {ZERO}, 1 is {ONE[task]}, by their mean returns on the same episodes"
+
+
+def _needs(policies: Sequence[str]) -> str:
+    rows = [(policy, needed(policy)) for policy in policies]
+    return "".join(
+        f"{policy} in an environment with {', '.join(_quoted(*one) for one in own.items())}; "
+        for policy, own in rows if own
+    )  # fmt: skip
 
 
 def _trainings(results: Sequence[Evaluation]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from ..drive.model import DriveModel
+from ..drive.words import Mode
 from ..envs import TASKS, probe
 from ..envs.servo_env import ServoEnv
 from ..envs.tasks.homing import HomingEnv
@@ -22,6 +23,9 @@ from .policies import LINEAR, BuiltIn, make, trainings
 from .trace import Recorder, Trace
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
+WITHOUT_POSITION = (
+    Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
+)  # fmt: skip
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
 
@@ -123,7 +127,8 @@ class Evaluator:
         )
         self.env = self.vector.envs[0]
         self._actions = math.prod(self.env.action_space.shape or ())
-        self.duration = self.task.STEPS * self.env.step_time
+        self.steps = self.vector.max_episode_steps
+        self.duration = self.steps * self.env.step_time
         for env in self.vector.envs:
             env.machine.probe()
 
@@ -167,7 +172,7 @@ class Evaluator:
             if active[self._traced]:
                 recorder.look(float(steps[self._traced]) * self.env.step_time)
             limited += active * infos["cost"]
-            if "sway" in infos and steps.max() > 0.75 * self.task.STEPS:
+            if "sway" in infos and steps.max() > 0.75 * self.steps:
                 sway = np.maximum(sway, infos["sway"])
             failing = active & ~infos["is_success"]
             unsettled[failing] = steps[failing]
@@ -184,7 +189,7 @@ class Evaluator:
             "faults": np.array([fault != "" for fault in faults], float),
         }
         if "sway" in infos:
-            values["sway"] = np.where(steps == self.task.STEPS, 1e3 * sway, math.nan)
+            values["sway"] = np.where(steps == self.steps, 1e3 * sway, math.nan)
         for i, env in enumerate(self.vector.envs):
             for name, value in self._measured(env, faults[i]).items():
                 values[name][i] = value
@@ -224,6 +229,8 @@ class Evaluator:
             "rms_jerk": np.sqrt(probes["jerk_squares"] / np.maximum(probes["jerks"], 1)).max(),
             "energy": probes["work"].sum(),
         }
+        if env.MODES[0] in WITHOUT_POSITION:
+            values["peak_error"] = values["rms_error"] = math.nan  # no demand, nothing follows
         one = probes[0]
         if "_overshoot" in names:
             values["overshoot"] = 1e6 * episode._overshoot

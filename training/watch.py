@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 from rich.console import Console
 
-from .policies import BuiltIn, Policy, make
+from .policies import BuiltIn, Policy, make, needed
 from .video import Recording
 
 FPS = 25  # images a second aimed at, each after a whole number of steps
@@ -47,7 +47,9 @@ def run(
         os.environ.setdefault("MUJOCO_GL", "egl")  # looked at when mujoco is imported, so:
     from ..envs.picture import Picture, require_display
 
-    env: Any = gymnasium.make(_identifier(name), drive=drive, disable_env_checker=True)
+    env: Any = gymnasium.make(
+        _identifier(name), drive=drive, disable_env_checker=True, **needed(policy_name)
+    )
     policy = make(policy_name, env.unwrapped, seed)
     if isinstance(policy, BuiltIn):
         raise ValueError(

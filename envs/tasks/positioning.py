@@ -1,12 +1,14 @@
 """servogym/LinearAxis-v0: bring the carriage of a linear axis to a goal, and hold it there."""
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...drive.jit import entry
 from ...drive.model import DriveModel
+from ...drive.words import Mode
 from ..axis_parameters import LinearAxisParameters, chosen
 from ..batch import episode
 from ..checks import in_range
@@ -36,6 +38,37 @@ def act(worlds, episodes, actions, rpdos):
 
 
 @entry
+def act_velocity(worlds, episodes, actions, rpdos):
+    """Command action × maximum velocity."""
+    for w in range(len(worlds)):
+        if worlds[w] != 0:
+            rpdos[w, 0].target_velocity = round(actions[w, 0] * episodes[w]._speed * METRE)
+
+
+@entry
+def act_torque(worlds, episodes, actions, rpdos):
+    """Command action × maximum torque."""
+    for w in range(len(worlds)):
+        if worlds[w] != 0:
+            rpdos[w, 0].target_torque = round(actions[w, 0] * episodes[w]._max_torque)
+
+
+class Command(NamedTuple):
+    """What an action is, in a mode of the drive."""
+
+    mode: Mode
+    object: str  # in the RPDO
+    act: Callable[..., None]
+
+
+COMMANDS = {
+    "csp": Command(Mode.CYCLIC_SYNC_POSITION, "target_position", act),
+    "csv": Command(Mode.CYCLIC_SYNC_VELOCITY, "target_velocity", act_velocity),
+    "cst": Command(Mode.CYCLIC_SYNC_TORQUE, "target_torque", act_torque),
+}
+
+
+@entry
 def judge(worlds, episodes, rpdos, tpdos, observations):
     """Observation and reward of what the TPDOs brought back."""
     for w in range(len(worlds)):
@@ -50,7 +83,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[2] = clip(velocity / episode._speed)
         seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
         seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen[5] = clip((episode._target - position) / episode._window)
+        seen[5] = clip((episode._target - position) / episode._window) if episode._csp else 0.0
         seen[6] = clip(distance / (FINE * episode._tolerance))
         off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
         near = closeness(off, STROKE / episode._tolerance)
@@ -67,10 +100,12 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
 class LinearAxisEnv(ServoEnv):
     """Bring the carriage of a linear axis to a goal and hold it there.
 
-    The agent is the master of a drive in cyclic synchronous position mode: each step it moves the
-    target position 607Ah in the RPDO, and sees what the TPDOs bring back. Before the first step the
-    drive is enabled and referenced. What the agent asks for is limited as a real drive limits it:
-    too steep a set-point ends in a following error, and the fault ends the episode.
+    The agent is the master of a drive in cyclic synchronous position mode, or as `mode` says: each
+    step it moves the target position 607Ah in the RPDO, and sees what the TPDOs bring back. Before
+    the first step the drive is enabled and referenced. What the agent asks for is limited as a real
+    drive limits it: too steep a set-point ends in a following error, and the fault ends the
+    episode. A torque or a velocity can drive the carriage out of the stroke: behind it are software
+    limits, limit switches and the end stops.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
@@ -78,6 +113,8 @@ class LinearAxisEnv(ServoEnv):
     | no | action | object | scaling |
     |----|--------|--------|---------|
     | 0 | velocity of the set-point | 607Ah target_position | 1 is the maximum velocity 607Fh |
+    | 0 | with ``mode="csv"``: velocity | 60FFh target_velocity | 1 is the maximum velocity 607Fh |
+    | 0 | with ``mode="cst"``: torque | 6071h target_torque | 1 is the maximum torque 6072h |
 
     The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
 
@@ -91,7 +128,7 @@ class LinearAxisEnv(ServoEnv):
     | 2 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
     | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
     | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
+    | 5 | set-point minus position; 0 in csv and cst | 607Ah, 6064h | its window 6065h |
     | 6 | goal minus position, fine | 6064h position_actual_value | 20 × `tolerance` |
 
     ## Reward
@@ -106,15 +143,15 @@ class LinearAxisEnv(ServoEnv):
     (``info["fault"]``: code and meaning). Time truncates, after 200 steps (1 s).
 
     ## Arguments
-    Those of `ServoEnv`, and `payload` (kg), `tolerance` (m), `following_error_window` (m),
-    `parameters`: `LinearAxisParameters` or the name of a preset of `FAMILY` instead of `payload`.
+    Those of `ServoEnv`, and `mode` ("csp", "csv" or "cst"; the drive has to have it), `payload`
+    (kg), `tolerance` (m), `following_error_window` (m), `parameters`: `LinearAxisParameters` or the
+    name of a preset of `FAMILY` instead of `payload`.
 
     ## Version history
     * v0: first version
     """
 
     ID = "servogym/LinearAxis-v0"
-    RPDO = ("target_position",)
     ACTIONS = 1
     OBSERVATIONS = 7
     EPISODE = episode(
@@ -122,6 +159,7 @@ class LinearAxisEnv(ServoEnv):
         ("distance", "f8"),  # goal minus position (m)
         ("reward_near", "f8"),
         ("reward_settled", "f8"),
+        ("_csp", "?"),  # there is a set-point
         ("_target", "f8"),  # set-point (m)
         ("_way", "f8"),  # farthest the set-point goes in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
@@ -129,19 +167,25 @@ class LinearAxisEnv(ServoEnv):
         ("_max_torque", "f8"),  # per mille
         ("_tolerance", "f8"),  # m
     )
-    act = staticmethod(act)
     judge = staticmethod(judge)
 
     def __init__(
         self,
         drive: str | DriveModel = "generic",
         *,
+        mode: str = "csp",
         payload: float = 5.0,
         parameters: LinearAxisParameters | str | None = None,
         tolerance: float = 50e-6,
         following_error_window: float = 0.02,
         **arguments: Any,
     ):
+        if mode not in COMMANDS:
+            raise ValueError(f"mode = {mode!r}, use one of {', '.join(COMMANDS)}")
+        self.mode = mode
+        own, commanded, self.act = COMMANDS[mode]
+        self.MODES = (own, Mode.HOMING)
+        self.RPDO = (commanded,)
         self._parameters = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
@@ -160,6 +204,7 @@ class LinearAxisEnv(ServoEnv):
         self.place({"x": start})
         episode, x = self.episode, self.drive
         episode.goal = goal
+        episode._csp = self.mode == "csp"
         episode._target = x.read("position_actual_value") / METRE
         self.normalise()
         episode._way = episode._speed * self.step_time

@@ -5,9 +5,10 @@ and gives actions. It never touches the physics nor what was drawn at random. `B
 such object: it stands for a homing method of the drive, which runs instead of an agent.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -20,11 +21,13 @@ from ...envs.tasks.homing import HomingEnv
 from ...envs.tasks.positioning import LinearAxisEnv
 from ...envs.tasks.sway import GantrySwayEnv
 from ...envs.tasks.tracking import LinearAxisTrackingEnv
-from .feed_forward import FeedForward
+from .feed_forward import FeedForward, RuckigFeedForward
 from .file import SUFFIX, Function
 from .homing import BuiltIn, search_policy
 from .known import Known, known
 from .learned import Learned
+from .lqr import Lqr
+from .pd import ProportionalDifferential
 from .plc import plc_policy
 from .profiles import (
     Trapezoid,
@@ -53,6 +56,7 @@ class Baseline(NamedTuple):
     make: Callable[[Known, int], Any]
     tasks: tuple[str, ...]  # ids; none: all
     what: str
+    arguments: Mapping[str, Any] = MappingProxyType({})  # that its environment has to have
 
 
 LINEAR = (LinearAxisEnv.ID, CompliantAxisEnv.ID)
@@ -65,7 +69,17 @@ POLICIES: dict[str, Baseline] = {
     "ruckig": Baseline(ruckig_policy, MOVES, "time-optimal at the drive's limits"),
     "ruckig+zv": Baseline(ruckig_zv_policy, MOVES, "the same, shaped for the nominal resonance"),
     "ruckig+zvd": Baseline(ruckig_zvd_policy, MOVES, "shaped twice, less particular about it"),
+    "ruckig+ff": Baseline(
+        RuckigFeedForward, (CompliantAxisEnv.ID,), "ruckig with inertia and friction feed-forward"
+    ),
+    "lqr": Baseline(
+        Lqr, (CompliantAxisEnv.ID, GantrySwayEnv.ID), "state feedback from the sensor of the load"
+    ),
     "proportional": Baseline(Proportional, LINEAR, "velocity from the distance"),
+    "pd": Baseline(
+        ProportionalDifferential, (LinearAxisEnv.ID,), "torque from distance and velocity",
+        {"mode": "cst"},
+    ),
     "feed_forward": Baseline(
         FeedForward, (LinearAxisTrackingEnv.ID,), "inertia and friction of the data sheet"
     ),
@@ -81,6 +95,15 @@ POLICIES: dict[str, Baseline] = {
     "plc": Baseline(plc_policy, (CommissioningEnv.ID,), "the step chain of a PLC"),
 }  # fmt: skip
 BUILT_IN = ("built_in", "built_in_fast")  # of which a method can be asked for
+
+
+MODE = "csp"  # what policies command where they do not need another mode
+
+
+def needed(name: str) -> dict[str, Any]:
+    """The arguments of the environment a policy needs; none for other names than of `POLICIES`."""
+    row = POLICIES.get(name.partition(":")[0])
+    return dict(row.arguments) if row else {}
 
 
 def names(task: str) -> list[str]:
@@ -146,6 +169,14 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
         )
     if env.face == PDO and CommissioningEnv.ID not in row.tasks and row.tasks:
         raise ValueError(f'policy {name!r} moves set-points: make {task} with action="setpoint"')
+    if row.tasks:
+        for argument, value in ({"mode": MODE} | needed(name)).items():
+            given = vars(env).get(argument, value)
+            if given != value:
+                raise ValueError(
+                    f"policy {name!r} does not command {argument} = {given!r}: make {task} with "
+                    f"{argument}={value!r}"
+                )
     data = known(env)
     if not rest:
         return row.make(data, seed)

@@ -1,4 +1,4 @@
-"""Inertia and friction feed-forward on the reference, with the values of the data sheet."""
+"""Inertia and friction feed-forward on a reference or a path, with the values of the data sheet."""
 
 import math
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 
 from ...drive.modes.csp import SMOOTHING
 from .known import Axis, Known
+from .profiles import Profile, of_the_drive
 
 REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), by which friction changes its sign without a jump
 
@@ -17,18 +18,40 @@ def friction(axis: Axis, velocity: float) -> float:
     return axis.coulomb_friction * sign + axis.viscous_friction * velocity
 
 
-class FeedForward:
-    """The force the nominal axis needs, less what the drive feeds forward of its own accord.
+class Torque:
+    """What the nominal axis needs, less what the drive feeds forward of its own accord, as action.
 
     The drive takes the acceleration from the set-points, smoothed, so its own comes late.
     """
+
+    def __init__(self, known: Known):
+        self._axis, self._dt = known.axis, known.step_time
+        self._slope = self._own = 0.0
+
+    def __call__(self, slope: float, middle: float, rate: float) -> float:
+        """For the step to come, in -1..1 of the torque offset.
+
+        Args:
+            slope: of the set-points (m/s).
+            middle: velocity in the middle of the step (m/s).
+            rate: acceleration there (m/s²).
+        """
+        axis = self._axis
+        self._own += SMOOTHING * ((slope - self._slope) / self._dt - self._own)
+        self._slope = slope
+        force = axis.mass(axis.payload) * (rate - self._own) + friction(axis, middle)
+        return min(max(force / axis.offset, -1.0), 1.0)
+
+
+class FeedForward:
+    """Along the reference that is observed."""
 
     def __init__(self, known: Known, seed: int = 0):
         self._known, self._axis = known, known.axis
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
-        self._slope = self._own = 0.0
+        self._torque = Torque(self._known)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque in the middle of the step to come."""
@@ -39,9 +62,36 @@ class FeedForward:
         rate = (ahead - velocity) / dt  # acceleration in the middle of the step to come
         middle = velocity + 0.5 * rate * dt
         slope = velocity + 0.5 * acceleration * dt
-        self._own += SMOOTHING * ((slope - self._slope) / dt - self._own)
-        self._slope = slope
-        force = axis.mass(axis.payload) * (rate - self._own) + friction(axis, middle)
         action = np.zeros(self._known.actions, np.float32)
-        action[1] = min(max(force / axis.offset, -1.0), 1.0)
+        action[1] = self._torque(slope, middle, rate)
+        return action
+
+
+class RuckigFeedForward(Profile):
+    """Along a time-optimal path at the drive's limits.
+
+    Raises:
+        ValueError: the environment has no torque to command.
+    """
+
+    def __init__(self, known: Known, seed: int = 0):
+        super().__init__(known, of_the_drive)
+        if known.axis.offset <= 0.0:
+            raise ValueError(
+                f"policy 'ruckig+ff' commands torque: make {known.task} with a torque_range above 0"
+            )
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Plan, begin at rest."""
+        super().reset(observation, info)
+        self._torque = Torque(self._known)
+        places = np.pad(self._places[0], (1, 2), "edge")  # at rest before and after
+        self._velocities = np.diff(places) / self._known.step_time
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Velocity of the set-point, and the torque for it."""
+        action = super().act(observation)
+        before, now, after = self._velocities[self._step - 1 : self._step + 2]
+        rate = (after - before) / (2.0 * self._known.step_time)
+        action[1] = self._torque(now, now, rate)
         return action

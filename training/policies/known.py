@@ -15,6 +15,8 @@ from ...envs.randomisation import PAYLOAD
 from ...envs.servo_env import METRE, ServoEnv
 from ...envs.tasks import compliant, positioning, sway
 
+SENSORS = ("load_sensor", "sway_sensor")
+
 
 class Bounds(NamedTuple):
     """Of a profile."""
@@ -76,6 +78,7 @@ class Known:
     tolerance: float  # m; 0 where the task has none
     sampling: float  # cycle in which the drive samples its inputs (s)
     axes: tuple[Axis, ...]  # that the agent moves; none where there is no data sheet
+    sensor: str = ""  # argument of the environment that gives a sensor of the load
     reference: str = ""  # of Homing-v0
 
     @property
@@ -103,6 +106,7 @@ def known(env: ServoEnv) -> Known:
         tolerance=task.get("tolerance", 0.0),
         sampling=env.drive.model.cycle_time["velocity"],
         axes=axes,
+        sensor=next((name for name in SENSORS if name in task), ""),
         reference=reference if isinstance(reference, str) else "",
     )
 

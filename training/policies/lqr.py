@@ -1,0 +1,125 @@
+"""State feedback from the sensor of the load: a discrete linear-quadratic regulator (LQR).
+
+The model is the nominal axis as an integrator and behind it what swings: the state is the set-point
+(m), its velocity (m/s), the deflection of the load from the axis (m), its rate (m/s), and the
+change of velocity commanded last (m/s), which the load feels a step late: so long does the drive
+need (inferred: of 0, 1/2 and 1 step only this one, at the weights below, settled every episode on
+the spring). The command is the change of the velocity in a step. The regulator works on what is
+left over of a path, which it streams as the others do, through a shaper for the nominal resonance.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .known import Axis, Known, Vibration
+from .profiles import of_the_drive, resonance, shaped, time_optimal
+
+# Weights, in units of the nominal resonance; tuned on 64 episodes, none of them of an evaluation
+VELOCITY = 3.0  # of the load's velocity / frequency, against its distance
+EFFORT = 0.3  # of the acceleration / frequency²
+SHAPERS = 1  # of the path, best of 0, 1 and 2
+
+
+def model(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """The state after a step and what a change of velocity adds: shapes ``(5, 5)``, ``(5, 1)``."""
+    frequency, ratio = vibration
+    damped = frequency * math.sqrt(1.0 - ratio**2)
+    decay, share = math.exp(-ratio * frequency * dt), ratio * frequency / damped
+    s, c = decay * math.sin(damped * dt), decay * math.cos(damped * dt)
+    swing = np.array([[c + share * s, s / damped], [-(frequency**2) / damped * s, c - share * s]])
+    a = np.eye(5)
+    a[0, 1] = dt
+    a[2:4, 2:4] = swing
+    a[4, 4] = 0.0
+    a[2:4, 4] = -swing[:, 1]
+    return a, np.array([[dt], [1.0], [0.0], [0.0], [1.0]])
+
+
+def gain(vibration: Vibration, dt: float) -> np.ndarray:
+    """Of the state, shape ``(5,)``: change of velocity per state.
+
+    Raises:
+        ImportError: scipy is missing; the message has the command.
+    """
+    try:
+        from scipy.linalg import solve_discrete_are
+    except ModuleNotFoundError as error:
+        raise ImportError(f"lqr needs scipy ({error}): pip install 'servogym[lqr]'") from None
+    frequency = vibration.frequency
+    a, b = model(vibration, dt)
+    load = np.array([[1.0, 0.0, 1.0, 0.0, 0.0]])
+    speed = np.array([[0.0, 1.0, 0.0, 1.0, 0.0]]) / frequency
+    q = load.T @ load + VELOCITY * speed.T @ speed
+    r = np.array([[EFFORT / (frequency**2 * dt) ** 2]])
+    p = solve_discrete_are(a, b, q, r)
+    return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)[0]
+
+
+class Regulated:
+    """One axis: its path, the state that belongs to it, and the feedback of the rest."""
+
+    def __init__(self, known: Known, axis: Axis):
+        if axis.sensor is None:
+            raise ValueError(
+                f"policy 'lqr' needs the sensor of the load: make {known.task} with "
+                f"{known.sensor}=True"
+            )
+        self._axis, self._sensor, self._dt = axis, axis.sensor, known.step_time
+        self._vibration = resonance(known, axis)
+        self._bounds = of_the_drive(axis)
+        self._change = self._bounds.acceleration * known.step_time
+        self._model = model(self._vibration, known.step_time)
+        self._gain = gain(self._vibration, known.step_time)
+        self._times = np.arange(known.steps + 1) * known.step_time
+        incline = axis.weight / (axis.carriage + axis.payload)  # m/s²
+        self._rest = -incline / self._vibration.frequency**2
+
+    def reset(self, seen: np.ndarray) -> None:
+        """Plan from the observations of the axis."""
+        path = time_optimal(float(seen[0]) * self._axis.stroke - self._rest, self._bounds)
+        for _ in range(SHAPERS):
+            path = shaped(path, *self._vibration)
+        self._steps = np.diff(path(self._times)) / self._dt  # velocities (m/s)
+        self._expected, self._step = np.zeros(5), 0
+        self._place = self._velocity = self._last = 0.0
+
+    def act(self, seen: np.ndarray) -> float:
+        """Velocity of the set-point (m/s)."""
+        wanted = self._steps[self._step] if self._step < len(self._steps) else 0.0
+        deflection = float(seen[6]) * self._sensor.deflection - self._rest
+        rate = float(seen[7]) * self._sensor.rate
+        state = np.array([self._place, self._velocity, deflection, rate, self._last])
+        planned = wanted - self._expected[1]
+        change = planned - float(self._gain @ (state - self._expected))
+        change = min(max(change, -self._change), self._change)
+        top = self._axis.speed
+        velocity = min(max(self._velocity + change, -top), top)
+        self._last = velocity - self._velocity
+        self._velocity = velocity
+        self._place += self._velocity * self._dt
+        a, b = self._model
+        self._expected = a @ self._expected + b[:, 0] * planned
+        self._step += 1
+        return self._velocity
+
+
+class Lqr:
+    """Each axis regulated for itself."""
+
+    def __init__(self, known: Known, seed: int = 0):
+        self._known = known
+        self._axes = [Regulated(known, axis) for axis in (known.axis, *known.axes[1:])]
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Plan the paths."""
+        for one, axis in zip(self._axes, self._known.axes, strict=True):
+            one.reset(observation[axis.first :])
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Velocities of the set-points."""
+        action = np.zeros(self._known.actions, np.float32)
+        for d, (one, axis) in enumerate(zip(self._axes, self._known.axes, strict=True)):
+            action[d] = one.act(observation[axis.first :]) / axis.speed
+        return np.clip(action, -1.0, 1.0)

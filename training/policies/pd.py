@@ -1,0 +1,48 @@
+"""A position controller in the master: torque by proportional and differential action (PD).
+
+    force = mass · (ω² · distance - 2 ω · velocity) + weight + friction
+
+Both poles lie at -ω: critically damped. The distance is cut to 2 / ω · the maximum velocity, at
+which both actions cancel, so the axis comes no faster. To brake from there takes at most
+ω · velocity / e; that is all the torque leaves, and it gives ω. Weight and Coulomb friction of the
+data sheet are added, the friction towards the goal and less within the tolerance: without it the
+axis would stick as far away as friction / (mass · ω²). There is no integral action: cogging, and
+what static friction has above the Coulomb one, are not made up for.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .known import Known
+from .profiles import of_the_drive
+
+
+class ProportionalDifferential:
+    """One axis in cyclic synchronous torque."""
+
+    def __init__(self, known: Known, seed: int = 0):
+        axis = self._axis = known.axis
+        self._tolerance = known.tolerance
+        bounds = of_the_drive(axis)
+        self._rate = math.e * bounds.acceleration / bounds.velocity  # ω (rad/s)
+        self._farthest = 2.0 * bounds.velocity / self._rate
+        self._mass = axis.mass(axis.payload)
+        self._actions = known.actions
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """It remembers nothing."""
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Torque as a share of the maximum."""
+        axis, rate = self._axis, self._rate
+        distance = float(observation[0]) * axis.stroke
+        velocity = float(observation[2]) * axis.fastest
+        near = min(max(distance, -self._farthest), self._farthest)
+        towards = min(max(distance / self._tolerance, -1.0), 1.0)
+        force = self._mass * (rate**2 * near - 2.0 * rate * velocity)
+        force += axis.weight + axis.coulomb_friction * towards
+        action = np.zeros(self._actions, np.float32)
+        action[0] = min(max(force / axis.force, -1.0), 1.0)
+        return action
