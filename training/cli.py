@@ -245,7 +245,7 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         raise ValueError("--policies is empty: give names, separated by commas")
     return compare.run(
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
-        options.out, console, options.trace, dict(options.argument or ()),
+        options.out, console, dict(options.argument or ()), options.trace,
     )  # fmt: skip
 
 

@@ -52,8 +52,8 @@ def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray
 
 
 def evaluate(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, traced: int = 0,
-    arguments: Mapping[str, Any] | None = None,
+    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
+    arguments: Mapping[str, Any] | None = None, traced: int = 0,
 ) -> list[Evaluation]:  # fmt: skip
     """Each policy on the fixed episodes, with the metric `score` where the task has a reference.
 
@@ -63,8 +63,8 @@ def evaluate(
         drive: drive model.
         episodes: how many, 1..1000.
         seed: of the episodes.
-        traced: the episode to be recorded, 0 being the first.
         arguments: of the environment; the ends of the score keep the way they command.
+        traced: the episode to be recorded, 0 being the first.
 
     Raises:
         ValueError: an unknown environment, drive or policy, before the first episode.
@@ -173,13 +173,13 @@ def _arrow(metric: str) -> str:
 
 def run(
     command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
-    out: Path, console: Console, traced: int = 0, arguments: Mapping[str, Any] | None = None,
+    out: Path, console: Console, arguments: Mapping[str, Any] | None = None, traced: int = 0,
 ) -> int:  # fmt: skip
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
     The second picture is of the episode `traced`.
     """
-    results = evaluate(env, policies, drive, episodes, seed, traced, arguments)
+    results = evaluate(env, policies, drive, episodes, seed, arguments, traced)
     table = summaries(results)
     heading = ["metric", *(_label(result.policy) for result in results)]
     rows = [

@@ -133,7 +133,8 @@ class GantrySwayEnv(ServoEnv):
     ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled: closer than `tolerance` and slower than
     `resting`. Nearness is 1 at rest at the goal and 0 a stroke of X away from it, on a logarithmic
     scale of distance / `tolerance` + velocity / `resting` (`servogym.envs.rewards`). ``info`` has
-    the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, 1 while an internal limit is active.
+    the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, 1 while an internal
+    limit is active.
 
     ## Episode
     Starts with the load at rest, at a random start with a random goal, both from ``np_random``
