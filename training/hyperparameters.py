@@ -2,7 +2,8 @@
 
 The names are those of the arguments of SB3's algorithms; `n_envs` and `normalize` (running mean and
 variance of observations and rewards) are of what is put around the environments. `batch_size` of
-PPO is made smaller where it does not divide the rollout, `n_steps` times the environments.
+PPO is made smaller where it does not divide the rollout, `n_steps` times the environments. A
+`learning_rate` of two numbers goes from the first to the second in the course of the run.
 """
 
 import math
@@ -46,11 +47,19 @@ OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
         # the actions are small corrections of what the drive does well by itself
         "PPO": {"gamma": 0.9, "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]}},
     },
-    "servogym/CompliantAxis-v0": {"PPO": {"learning_rate": 5e-4}},
+    "servogym/CompliantAxis-v0": {
+        "PPO": {
+            "learning_rate": [1e-3, 0.0],
+            "gamma": 0.99,
+            "use_sde": True,
+            "sde_sample_freq": 4,
+            "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
+        },
+    },
     "servogym/Homing-v0": {
         # what counts comes at the end, hundreds of steps later; a search goes on for a while
         "PPO": {
-            "learning_rate": 5e-4,
+            "learning_rate": [1e-3, 0.0],
             "gamma": 0.998,
             "n_steps": 128,
             "batch_size": 1024,
@@ -59,13 +68,7 @@ OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
             "policy_kwargs": {"log_std_init": -2.5, "net_arch": [64, 64]},
         },
     },
-    "servogym/GantrySway-v0": {
-        "PPO": {
-            "learning_rate": 5e-4,
-            "gamma": 0.99,
-            "policy_kwargs": {"log_std_init": -2.0, "net_arch": [64, 64]},
-        },
-    },
+    "servogym/GantrySway-v0": {"PPO": {"learning_rate": [1e-3, 0.0], "gamma": 0.99}},
 }
 
 

@@ -19,6 +19,7 @@ from . import sb3  # first: tells what has to be installed
 # isort: split
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from ..envs.checks import whole
@@ -161,6 +162,9 @@ def _train(
 ) -> tuple[Score, Score]:  # fmt: skip
     env, judged = run.vector(run.envs), run.vector(EPISODES)
     settings = dict(run.hyperparameters)
+    if isinstance(settings.get("learning_rate"), list):
+        begin, end = settings["learning_rate"]
+        settings["learning_rate"] = LinearSchedule(begin, end, 1.0)
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)
         env = (

@@ -14,13 +14,13 @@ from ..faces import clip, faulted, limited
 from ..linear_axis import LinearAxisParameters, linear_axis
 from ..loop import FARTHEST, coordinates, speeds, world_at
 from ..machine import Machine
+from ..rewards import closeness
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 from .positioning import MARGIN, RESTING, STROKE
 
 DEFLECTION = 5e-3  # m, of the spring, that is 1.0 for the load sensor
 RATE = 0.3  # m/s, of the deflection: that amplitude at 10 Hz
-NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
 GENTLE = 0.05  # J, vibration energy at which the reward for gentleness has fallen to one half
 # A load of 5 kg swings at 10 Hz on a carriage that is held. The damping ratio of 0.01 is typical of
 # bolted steel structures (0.005..0.02, inferred).
@@ -71,12 +71,12 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[7] = clip(rate / RATE) if episode._sensor else 0.0
         sag = deflection - episode._rest
         energy = 0.5 * (episode._stiffness * sag * sag + episode._mass * rate * rate)
-        away = distance / NEAR
+        off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
         settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
         episode.distance = distance
         episode.deflection = deflection
         episode.energy = energy
-        episode.reward_near = 1.0 / (1.0 + away * away)
+        episode.reward_near = closeness(off, STROKE / episode._tolerance)
         episode.reward_settled = 1.0 if settled else 0.0
         episode.reward_gentle = 1.0 / (1.0 + energy / GENTLE)
         kept = 0.4 * episode.reward_near + 0.4 * episode.reward_settled
@@ -123,10 +123,11 @@ class CompliantAxisEnv(ServoEnv):
     and not to the drive; without it (``load_sensor=False``) 6 and 7 are 0.
 
     ## Reward
-    In [0, 1], of the true motion of the load: 0.4 for nearness, ``1 / (1 + (distance / 20 mm)²)``,
-    0.4 for being settled: closer than `tolerance` and slower than 5 mm/s, and 0.2 for nearness ×
-    gentleness, ``1 / (1 + energy / 0.05 J)`` with the energy of spring and load relative to the
-    carriage. The terms are in ``info``, with ``distance`` and ``deflection`` (m) of the load,
+    In [0, 1], of the true motion of the load: 0.4 for nearness, 0.4 for being settled: closer than
+    `tolerance` and slower than 5 mm/s, and 0.2 for nearness × gentleness,
+    ``1 / (1 + energy / 0.05 J)`` with the energy of spring and load relative to the carriage.
+    Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale of
+    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.rewards`). The terms are in ``info``, with ``distance`` and ``deflection`` (m) of the load,
     ``energy`` (J), and ``info["cost"]``, 1 while an internal limit is active.
 
     ## Episode
