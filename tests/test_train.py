@@ -236,6 +236,19 @@ def test_a_wrong_hyper_parameter_is_named(tmp_path):
         brief(tmp_path, settings=SMALL | {"learning_speed": 1})
 
 
+def test_a_learning_rate_of_two_numbers_falls_also_where_a_run_is_continued(tmp_path):
+    falling = SMALL | {"learning_rate": [1e-3, 0.0]}
+    brief(tmp_path / "run", steps=512, settings=falling)
+    brief(tmp_path / "run", steps=1024, resume=True)
+    with (tmp_path / "run" / "progress.csv").open() as file:
+        seen = [row["train/learning_rate"] for row in csv.DictReader(file)]
+    rates = [float(rate) for rate in seen if rate]
+    assert rates[0] == pytest.approx(1e-3 * (1 - 128 / 512))
+    assert rates[-1] < 0.2 * rates[0]
+    with pytest.raises(ValueError, match=r"learning_rate = \[0.1\]: give one number, or"):
+        brief(tmp_path / "other", settings=SMALL | {"learning_rate": [0.1]})
+
+
 @pytest.mark.parametrize(("envs", "batch"), [(64, 512), (4, 256), (12, 384), (1, 64)])
 def test_the_rollout_is_a_multiple_of_the_batch(envs, batch):
     settings = hyperparameters.of("servogym/LinearAxis-v0", "PPO", envs)

@@ -162,9 +162,11 @@ def _train(
 ) -> tuple[Score, Score]:  # fmt: skip
     env, judged = run.vector(run.envs), run.vector(EPISODES)
     settings = dict(run.hyperparameters)
-    if isinstance(settings.get("learning_rate"), list):
-        begin, end = settings["learning_rate"]
-        settings["learning_rate"] = LinearSchedule(begin, end, 1.0)
+    rate = settings.get("learning_rate")
+    if isinstance(rate, list | tuple):
+        if len(rate) != 2:
+            raise ValueError(f"learning_rate = {rate!r}: give one number, or the first and the last")
+        settings["learning_rate"] = LinearSchedule(*rate, 1.0)
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)
         env = (
