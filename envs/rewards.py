@@ -13,3 +13,10 @@ def closeness(off, far):
     to gain from any distance.
     """
     return max(1.0 - math.log(1.0 + off) / math.log(1.0 + far), 0.0)
+
+
+@block
+def decades(off, far):
+    """`off` with its sign on a logarithmic scale, -1 to 1 at `far`; about linear below 1."""
+    share = math.log(1.0 + abs(off)) / math.log(1.0 + far)
+    return math.copysign(min(share, 1.0), off)

@@ -15,6 +15,7 @@ from servogym.envs.homing_figures import true_home
 from servogym.envs.loop import HOME
 from servogym.envs.tasks.homing import REFERENCES, HomingEnv
 from servogym.envs.tasks.homing import vector as make_vector
+from servogym.envs.tasks.positioning import STROKE
 from servogym.training.policies import make
 
 assert servogym.envs
@@ -150,7 +151,7 @@ def test_a_reference_taken_elsewhere_ends_as_missed():
 def test_the_agent_remembers_the_switches_it_met_and_where():
     env = HomingEnv()
     seen, _ = env.reset(seed=1, options={"start": 0.15, "switch_offset": 0.0})
-    assert seen[9:].tolist() == [0.0, 0.0, 0.0, 0.0]
+    assert seen[9:].tolist() == [0.0, 0.0, 0.0]
     for _ in range(80):
         seen = env.step(np.array([0.5, 1, -1], np.float32))[0]
     coupling = env.machine.couplings[0]
@@ -158,11 +159,13 @@ def test_the_agent_remembers_the_switches_it_met_and_where():
     position = float(env.machine.data.qpos[0])
     assert position > edge
     assert seen[9] == 1.0
-    way = 0.25 * env.step_time  # half of a step, in which the switch let go
-    assert seen[10] == pytest.approx(min((position - edge) / 0.05, 1.0), abs=way / 0.05)
+    half = 0.5 * 0.25 * env.step_time  # m, way of half a step, in which the switch let go
+    ways = np.array([position - edge - half, position - edge + half]) / env.tolerance
+    low, high = np.log1p(ways) / np.log1p(STROKE / env.tolerance)
+    assert low < seen[10] < high
     for _ in range(250):
         seen = env.step(np.array([0.5, 1, -1], np.float32))[0]
-    assert seen[12] == 1.0, "the positive limit switch"
+    assert seen[11] == 1.0, "the positive limit switch"
 
 
 def test_the_torque_limit_reaches_the_drive_and_is_forgotten_at_the_reset():

@@ -86,12 +86,12 @@ def test_the_load_is_judged_not_the_axis():
     assert info["reward"] == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("axes", "sensor", "width"), [("x", 0, 6), ("x", 1, 8), ("xy", 1, 16)])
+@pytest.mark.parametrize(("axes", "sensor", "width"), [("x", 0, 7), ("x", 1, 9), ("xy", 1, 18)])
 def test_spaces_are_as_wide_as_axes_and_sensor_make_them(axes, sensor, width):
     env = GantrySwayEnv(axes=axes, sway_sensor=bool(sensor))
     assert env.action_space.shape == (len(axes),)
     assert env.observation_space.shape == (width,)
-    assert GantrySwayEnv(axes=axes, history=3).observation_space.shape == (3 * 8 * len(axes),)
+    assert GantrySwayEnv(axes=axes, history=3).observation_space.shape == (3 * 9 * len(axes),)
 
 
 def test_without_the_sensor_the_torque_still_tells_of_the_sway():

@@ -35,11 +35,20 @@ COMMON: dict[str, dict[str, Any]] = {
     },
 }
 STEPS = 500_000  # of training, of all environments together
+# An exploration that depends on the state can be bold on the way and calm at the goal (gSDE).
+CALM: dict[str, Any] = {
+    "learning_rate": [1e-3, 0.0],
+    "gamma": 0.99,
+    "use_sde": True,
+    "sde_sample_freq": 4,
+    "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
+}
 OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
     "servogym/LinearAxis-v0": {
         # at rest within the tolerance there is no room for noise
         "PPO": {
-            "learning_rate": 5e-4,
+            "learning_rate": [1e-3, 0.0],
+            "gamma": 0.99,
             "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
         },
     },
@@ -47,28 +56,20 @@ OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
         # the actions are small corrections of what the drive does well by itself
         "PPO": {"gamma": 0.9, "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]}},
     },
-    "servogym/CompliantAxis-v0": {
-        "PPO": {
-            "learning_rate": [1e-3, 0.0],
-            "gamma": 0.99,
-            "use_sde": True,
-            "sde_sample_freq": 4,
-            "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
-        },
-    },
+    "servogym/CompliantAxis-v0": {"PPO": CALM},
+    "servogym/GantrySway-v0": {"PPO": {"learning_rate": [1e-3, 0.0], "gamma": 0.99}},
     "servogym/Homing-v0": {
         # what counts comes at the end, hundreds of steps later; a search goes on for a while
-        "PPO": {
-            "learning_rate": [1e-3, 0.0],
+        "PPO": CALM
+        | {
+            "learning_rate": [5e-4, 0.0],
             "gamma": 0.998,
             "n_steps": 128,
             "batch_size": 1024,
-            "use_sde": True,
             "sde_sample_freq": 32,
             "policy_kwargs": {"log_std_init": -2.5, "net_arch": [64, 64]},
         },
     },
-    "servogym/GantrySway-v0": {"PPO": {"learning_rate": [1e-3, 0.0], "gamma": 0.99}},
 }
 
 

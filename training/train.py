@@ -165,7 +165,9 @@ def _train(
     rate = settings.get("learning_rate")
     if isinstance(rate, list | tuple):
         if len(rate) != 2:
-            raise ValueError(f"learning_rate = {rate!r}: give one number, or the first and the last")
+            raise ValueError(
+                f"learning_rate = {rate!r}: give one number, or the first and the last"
+            )
         settings["learning_rate"] = LinearSchedule(*rate, 1.0)
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)

@@ -14,7 +14,7 @@ from ..faces import clip, faulted, limited
 from ..linear_axis import LinearAxisParameters, linear_axis
 from ..loop import FARTHEST, coordinates, speeds, world_at
 from ..machine import Machine
-from ..rewards import closeness
+from ..rewards import closeness, decades
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 from .positioning import MARGIN, RESTING, STROKE
@@ -69,6 +69,8 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[5] = clip((episode._target - position) / episode._window)
         seen[6] = clip(deflection / DEFLECTION) if episode._sensor else 0.0
         seen[7] = clip(rate / RATE) if episode._sensor else 0.0
+        far = STROKE / episode._tolerance
+        seen[8] = decades((episode.goal - position) / episode._tolerance, far)
         sag = deflection - episode._rest
         energy = 0.5 * (episode._stiffness * sag * sag + episode._mass * rate * rate)
         off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
@@ -76,7 +78,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.distance = distance
         episode.deflection = deflection
         episode.energy = energy
-        episode.reward_near = closeness(off, STROKE / episode._tolerance)
+        episode.reward_near = closeness(off, far)
         episode.reward_settled = 1.0 if settled else 0.0
         episode.reward_gentle = 1.0 / (1.0 + energy / GENTLE)
         kept = 0.4 * episode.reward_near + 0.4 * episode.reward_settled
@@ -105,7 +107,7 @@ class CompliantAxisEnv(ServoEnv):
     The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (8,), float32)`, clipped; `history` and `previous_action` let an agent recognise the
+    `Box(-1, 1, (9,), float32)`, clipped; `history` and `previous_action` let an agent recognise the
     resonance
 
     | no | observation | object | 1.0 is |
@@ -118,6 +120,7 @@ class CompliantAxisEnv(ServoEnv):
     | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
     | 6 | deflection of the load from the carriage | load sensor | 5 mm |
     | 7 | velocity of the deflection | load sensor | 0.3 m/s |
+    | 8 | goal minus position, logarithmic | 6064h position_actual_value | the stroke, 0.5 m |
 
     The load sensor is an encoder or an integrated accelerometer on the load, wired to the master
     and not to the drive; without it (``load_sensor=False``) 6 and 7 are 0.
@@ -127,7 +130,8 @@ class CompliantAxisEnv(ServoEnv):
     `tolerance` and slower than 5 mm/s, and 0.2 for nearness × gentleness,
     ``1 / (1 + energy / 0.05 J)`` with the energy of spring and load relative to the carriage.
     Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale of
-    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.rewards`). The terms are in ``info``, with ``distance`` and ``deflection`` (m) of the load,
+    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.rewards`). The terms are in
+    ``info``, with ``distance`` and ``deflection`` (m) of the load,
     ``energy`` (J), and ``info["cost"]``, 1 while an internal limit is active.
 
     ## Episode
@@ -149,7 +153,7 @@ class CompliantAxisEnv(ServoEnv):
     STEPS = 400
     RPDO = ("target_position", "torque_offset")
     ACTIONS = 2
-    OBSERVATIONS = 8
+    OBSERVATIONS = 9
     EPISODE = episode(
         ("goal", "f8"),  # of the load (m)
         ("distance", "f8"),  # goal minus position of the load (m)

@@ -15,7 +15,7 @@ from ..faces import clip, faulted, limited
 from ..gantry import GantryParameters, gantry
 from ..loop import coordinates, speeds, world_at
 from ..machine import Machine
-from ..rewards import closeness
+from ..rewards import closeness, decades
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
@@ -25,7 +25,7 @@ CABLE = 0.3  # m, what it is built with
 CALM = math.radians(2.0)  # sway at which the reward for calm has fallen to one half
 WIDEST = math.radians(20.0)  # sway that is 1.0 in an observation
 AXES = ("x", "y")
-SEEN, SENSED = 6, 2  # observations an axis: of the drive, of the sway sensor
+SEEN, SENSED = 7, 2  # observations an axis: of the drive, of the sway sensor
 RANDOMISED = {"payload": (1.0, 5.0), "cable_length": (0.2, 0.4)}
 
 
@@ -73,8 +73,10 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             seen[at + 4] = clip(tpdo[d].torque_actual_value / episode._max_torque)
             seen[at + 5] = clip((episode._target[d] - position) / episode._window)
             if episode._sensor:
-                seen[at + SEEN] = clip(angle / WIDEST)
-                seen[at + SEEN + 1] = clip(rate / (WIDEST * episode._natural))
+                seen[at + 6] = clip(angle / WIDEST)
+                seen[at + 7] = clip(rate / (WIDEST * episode._natural))
+            off = (episode._goal[d] - position) / episode._tolerance
+            seen[at + width - 1] = decades(off, STROKE[d] / episode._tolerance)
         calm = sway / (CALM * CALM)
         off = math.sqrt(distance) / episode._tolerance + math.sqrt(speed) / episode._resting
         settled = (
@@ -114,7 +116,7 @@ class GantrySwayEnv(ServoEnv):
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (8,), float32)`, clipped; 6 without 6 and 7 with ``sway_sensor=False``; with
+    `Box(-1, 1, (9,), float32)`, clipped; 7, without 6 and 7, with ``sway_sensor=False``; with
     ``axes="xy"`` the same of Y follows
 
     | no | observation | object | 1.0 is |
@@ -127,6 +129,7 @@ class GantrySwayEnv(ServoEnv):
     | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
     | 6 | sway, positive where the load is ahead | sensor | 20° |
     | 7 | rate of the sway | sensor | 20° × sqrt(g / 0.3 m) |
+    | 8 | goal minus position, logarithmic | 6064h position_actual_value | the stroke |
 
     ## Reward
     In [0, 1], of the load, not of the axes: 0.4 for nearness, 0.1 for calm,
