@@ -19,6 +19,7 @@ try:
     # SB3's optimizers import it in any case; after Mesa has rendered, its LLVM makes that crash
     import torch
     import torch._dynamo
+    from stable_baselines3.common.utils import LinearSchedule
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
     raise ImportError(
@@ -42,6 +43,18 @@ def make(env_id: str, num_envs: int = 1, **arguments: Any) -> "ServoVecEnv":
     """`num_envs` environments for SB3; `arguments` as of `ServoVectorEnv` and of the task."""
     same = AutoresetMode.SAME_STEP
     return ServoVecEnv(ServoVectorEnv(task(env_id), num_envs, autoreset_mode=same, **arguments))
+
+
+def learning_rate(rate: float | Sequence[float]) -> float | LinearSchedule:
+    """As SB3 takes it: a number, or what falls from the first of two to the second.
+
+    Raises ValueError for any other number of numbers.
+    """
+    if not isinstance(rate, Sequence):
+        return rate
+    if len(rate) != 2:
+        raise ValueError(f"learning_rate = {rate!r}: give one number, or the first and the last")
+    return LinearSchedule(*rate, 1.0)
 
 
 @contextmanager

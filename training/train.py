@@ -19,7 +19,6 @@ from . import sb3  # first: tells what has to be installed
 # isort: split
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from ..envs.checks import whole
@@ -162,13 +161,7 @@ def _train(
 ) -> tuple[Score, Score]:  # fmt: skip
     env, judged = run.vector(run.envs), run.vector(EPISODES)
     settings = dict(run.hyperparameters)
-    rate = settings.get("learning_rate")
-    if isinstance(rate, list | tuple):
-        if len(rate) != 2:
-            raise ValueError(
-                f"learning_rate = {rate!r}: give one number, or the first and the last"
-            )
-        settings["learning_rate"] = LinearSchedule(*rate, 1.0)
+    settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)
         env = (

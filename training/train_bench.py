@@ -48,6 +48,7 @@ def _learner(env: VecEnv) -> PPO:
     chosen = hyperparameters.of(ENV, "PPO")
     names = ("batch_size", "n_epochs", "learning_rate", "gamma", "policy_kwargs")
     settings = {name: chosen[name] for name in names}
+    settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     n_steps = ROLLOUT // env.num_envs
     return PPO("MlpPolicy", VecMonitor(env), n_steps=n_steps, seed=0, device="cpu", **settings)
 
