@@ -15,7 +15,6 @@ from servogym.envs.homing_figures import true_home
 from servogym.envs.loop import HOME
 from servogym.envs.tasks.homing import REFERENCES, HomingEnv
 from servogym.envs.tasks.homing import vector as make_vector
-from servogym.envs.tasks.positioning import STROKE
 from servogym.training.policies import make
 
 assert servogym.envs
@@ -151,7 +150,7 @@ def test_a_reference_taken_elsewhere_ends_as_missed():
 def test_the_agent_remembers_the_switches_it_met_and_where():
     env = HomingEnv()
     seen, _ = env.reset(seed=1, options={"start": 0.15, "switch_offset": 0.0})
-    assert seen[9:].tolist() == [0.0, 0.0, 0.0]
+    assert seen[9:].tolist() == [0.0, 0.0, 0.0, 0.0]
     for _ in range(80):
         seen = env.step(np.array([0.5, 1, -1], np.float32))[0]
     coupling = env.machine.couplings[0]
@@ -160,12 +159,11 @@ def test_the_agent_remembers_the_switches_it_met_and_where():
     assert position > edge
     assert seen[9] == 1.0
     half = 0.5 * 0.25 * env.step_time  # m, way of half a step, in which the switch let go
-    ways = np.array([position - edge - half, position - edge + half]) / env.tolerance
-    low, high = np.log1p(ways) / np.log1p(STROKE / env.tolerance)
-    assert low < seen[10] < high
+    assert seen[10] == pytest.approx((position - edge) / 0.05, abs=half / 0.05)
+    assert seen[11] == 1.0, "farther than the fine one can tell"
     for _ in range(250):
         seen = env.step(np.array([0.5, 1, -1], np.float32))[0]
-    assert seen[11] == 1.0, "the positive limit switch"
+    assert seen[12] == 1.0, "the positive limit switch"
 
 
 def test_the_torque_limit_reaches_the_drive_and_is_forgotten_at_the_reset():

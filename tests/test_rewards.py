@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from servogym.envs.rewards import closeness, decades
 from servogym.envs.tasks.compliant import CompliantAxisEnv
-from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 
 FAR = 10_000.0
@@ -38,7 +37,7 @@ def test_what_is_seen_is_odd_and_can_be_turned_back_into_the_distance(off):
         assert back == pytest.approx(off, abs=1e-6)
 
 
-@pytest.mark.parametrize("task", [LinearAxisEnv, CompliantAxisEnv, GantrySwayEnv])
+@pytest.mark.parametrize("task", [CompliantAxisEnv, GantrySwayEnv])
 def test_the_last_observation_is_the_distance_on_that_scale(task):
     env = task()
     seen, _ = env.reset(seed=3, options={"start": 0.3, "goal": 0.3 + 3 * env.tolerance})

@@ -47,8 +47,7 @@ OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
     "servogym/LinearAxis-v0": {
         # at rest within the tolerance there is no room for noise
         "PPO": {
-            "learning_rate": [1e-3, 0.0],
-            "gamma": 0.99,
+            "learning_rate": 5e-4,
             "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
         },
     },
@@ -62,7 +61,7 @@ OWN: dict[str, dict[str, dict[str, Any]]] = {  # id: algorithm: what differs
         # what counts comes at the end, hundreds of steps later; a search goes on for a while
         "PPO": CALM
         | {
-            "learning_rate": [5e-4, 0.0],
+            "learning_rate": 5e-4,
             "gamma": 0.998,
             "n_steps": 128,
             "batch_size": 1024,

@@ -18,7 +18,7 @@ from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, 
 from ..linear_axis import linear_axis
 from ..loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..machine import Machine
-from ..rewards import closeness, decades
+from ..rewards import closeness
 from ..servo_env import METRE, ServoEnv
 from ..supervisor import Supervisor
 from ..vector_env import ServoVectorEnv
@@ -33,6 +33,7 @@ THRESHOLD = 0.5  # of the action "reference here"
 LEAST_TORQUE = 0.05  # share of the maximum torque that the agent cannot go below
 SHORTEST = 1e-3  # m, of a way to the reference that is shared out as a reward
 SEARCH, TAKEN = 0.2, 0.8  # what the way to the reference is worth, and what taking it
+COARSE, FINE = 0.05, 20.0  # m and tolerances, way from an edge that is 1.0 in an observation
 NEAR = 0.01  # m, an error with which accuracy has fallen to nothing
 DURATION = 1.0  # s, at which the reward for speed has fallen to one half
 IMPACT = 0.1  # J, at which the reward for gentleness has lost half of what impacts take
@@ -112,8 +113,9 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         _watch_switches(episode, inputs, position)
         way = position - episode._edge if episode._edges else 0.0
         seen[9] = 1.0 if episode._edges else 0.0
-        seen[10] = decades(way / episode._tolerance, STROKE / episode._tolerance)
-        seen[11] = episode._limit
+        seen[10] = clip(way / COARSE)
+        seen[11] = clip(way / (FINE * episode._tolerance))
+        seen[12] = episode._limit
         measure(world_at(worlds[w], 1)[0], episode)
         home, now = episode._home, episode._position
         passed = (now - home) * (episode.start - home) <= 0.0
@@ -158,7 +160,7 @@ class HomingEnv(ServoEnv):
     effect.
 
     ## Observation space
-    `Box(-1, 1, (12,), float32)`, clipped
+    `Box(-1, 1, (13,), float32)`, clipped
 
     | no | observation | object | 1.0 is |
     |----|-------------|--------|--------|
@@ -172,11 +174,12 @@ class HomingEnv(ServoEnv):
     | 7 | torque limit set, -1..1 | 6072h max_torque | the commissioned one |
     | 8 | time t | | t / (t + 1 s) |
     | 9 | the switch of the reference has changed | 60FDh | at least once |
-    | 10 | way since it changed last, logarithmic | 6064h position_actual_value | 0.5 m |
-    | 11 | limit switch met last | 60FDh bits 0, 1 | the positive one; -1 the negative, 0 none |
+    | 10 | way since it changed last, coarse | 6064h position_actual_value | 50 mm |
+    | 11 | the same, fine | 6064h position_actual_value | 20 × `tolerance` |
+    | 12 | limit switch met last | 60FDh bits 0, 1 | the positive one; -1 the negative, 0 none |
 
     The way counts from the middle of the step in which the switch changed. Without a switch of the
-    reference 9 and 10 are 0.
+    reference 9, 10 and 11 are 0.
 
     ## Reference
     The home of the built-in method in the table; the switch lets go 0.3 mm later than it came on.
@@ -221,7 +224,7 @@ class HomingEnv(ServoEnv):
         "velocity_demand_value", "torque_actual_value",
     )  # fmt: skip
     ACTIONS = 3
-    OBSERVATIONS = 12
+    OBSERVATIONS = 13
     EPISODE = episode(
         *FIELDS,
         ("start", "f8"),  # m

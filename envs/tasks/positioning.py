@@ -15,12 +15,13 @@ from ..checks import in_range
 from ..faces import clip, faulted, limited
 from ..linear_axis import linear_axis
 from ..machine import Machine
-from ..rewards import closeness, decades
+from ..rewards import closeness
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 
 STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts and goals keep away from the ends
+FINE = 20.0  # tolerances, distance that is 1.0 in the fine one of the observations
 RESTING = 5e-3  # m/s, slower counts as settled
 
 
@@ -83,10 +84,9 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
         seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
         seen[5] = clip((episode._target - position) / episode._window) if episode._csp else 0.0
-        far = STROKE / episode._tolerance
-        seen[6] = decades(distance / episode._tolerance, far)
+        seen[6] = clip(distance / (FINE * episode._tolerance))
         off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
-        near = closeness(off, far)
+        near = closeness(off, STROKE / episode._tolerance)
         settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
         episode.distance = distance
         episode.reward_near = near
@@ -129,7 +129,7 @@ class LinearAxisEnv(ServoEnv):
     | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
     | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
     | 5 | set-point minus position; 0 in csv and cst | 607Ah, 6064h | its window 6065h |
-    | 6 | goal minus position, logarithmic | 6064h position_actual_value | the stroke, 0.5 m |
+    | 6 | goal minus position, fine | 6064h position_actual_value | 20 × `tolerance` |
 
     ## Reward
     In [0, 1]: half for nearness, half for being settled: closer than `tolerance` and slower than
