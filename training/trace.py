@@ -116,7 +116,7 @@ def draw(path: Path, title: str, traces: Sequence[Trace]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    image.quantize(SHADES).save(path, optimize=True)  # a quarter of the bytes
+    image.quantize(SHADES, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)  # a quarter of the bytes
 
 
 def outcome(trace: Trace) -> str:
