@@ -78,7 +78,7 @@ def test_every_drive_model_does_the_task_or_is_refused_by_the_mode_it_lacks(mode
     assert little < shake
     assert late == pytest.approx(end), "after a direct move it swings on"
     assert env.unwrapped.info()["energy"] < 0.01 * swinging
-    assert smooth > plain + 0.1 * STEPS > held + 0.3 * STEPS
+    assert smooth > plain + 0.1 * STEPS > held + 0.2 * STEPS
 
 
 def test_the_shaper_also_serves_loads_drawn_at_random(env):
@@ -108,9 +108,10 @@ def test_without_the_load_sensor_the_agent_sees_the_drive_only():
         env.reset(seed=1)
         env.machine.data.qpos[1] = 2e-3
         seen[sensor] = np.array([env.step(np.zeros(2))[0] for _ in range(20)])
-    np.testing.assert_array_equal(seen[True][:, :6], seen[False][:, :6])
-    assert np.abs(seen[True][:, 6:]).max(axis=0).min() > 0.1
-    assert not seen[False][:, 6:].any()
+    of_the_drive = [0, 1, 2, 3, 4, 5, 8]
+    np.testing.assert_array_equal(seen[True][:, of_the_drive], seen[False][:, of_the_drive])
+    assert np.abs(seen[True][:, 6:8]).max(axis=0).min() > 0.1
+    assert not seen[False][:, 6:8].any()
 
 
 def test_torque_feed_forward_moves_it_within_its_range():
@@ -129,7 +130,7 @@ def test_history_and_previous_action_are_shown():
     env = CompliantAxisEnv(history=4, previous_action=True)
     env.reset(seed=1)
     observation, *_ = env.step(np.array([0.25, -0.5]))
-    assert observation.shape == (4 * 8 + 2,)
+    assert observation.shape == (4 * 9 + 2,)
     assert observation[-2:] == pytest.approx([0.25, -0.5])
 
 
