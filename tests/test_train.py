@@ -186,13 +186,25 @@ def test_a_checkpoint_of_something_else_is_refused_naming_both(made, env_id, arg
     assert says in str(refusal.value)
 
 
-def test_another_version_is_told_with_both(made, monkeypatch, capsys):
-    monkeypatch.setattr(checkpoint, "version", lambda name: "99.1")
-    mujoco = checkpoint.read(checkpoint.numbered(made)[-1])["versions"]["mujoco"]
-    assert cli.main(["train", ID, "--out", str(made), "--resume", "--steps", "256"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"made with mujoco {mujoco}, this is 99.1" in said
-    assert "holding still" in said
+def resume_with_another(package, made, monkeypatch, capsys):
+    """Exit status, and what was said of the version the checkpoint has and the present one."""
+    real = checkpoint.version
+    monkeypatch.setattr(checkpoint, "version", lambda n: "99.1" if n == package else real(n))
+    then = checkpoint.read(checkpoint.numbered(made)[-1])["versions"][package]
+    status = cli.main(["train", ID, "--out", str(made), "--resume", "--steps", "256"])
+    said = " ".join("".join(capsys.readouterr()).split())
+    return status, f"made with {package} {then}, this is 99.1" in said
+
+
+@pytest.mark.parametrize("package", checkpoint.DECIDING)
+def test_another_version_of_the_environment_is_refused_naming_both(
+    package, made, monkeypatch, capsys
+):
+    assert resume_with_another(package, made, monkeypatch, capsys) == (2, True)
+
+
+def test_another_version_of_the_learner_is_told_with_both(made, monkeypatch, capsys):
+    assert resume_with_another("torch", made, monkeypatch, capsys) == (0, True)
 
 
 @pytest.mark.parametrize(

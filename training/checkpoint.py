@@ -20,6 +20,7 @@ FOLDER = "checkpoints"
 ABOUT = "checkpoint.json"
 MODEL, STATISTICS, REPLAY = "model.zip", "vecnormalize.pkl", "replay_buffer.pkl"
 VERSIONED = ("servogym", "mujoco", "gymnasium", "stable-baselines3", "torch")
+DECIDING = ("servogym", "mujoco")  # of them those that make another environment of the same id
 STEPS_COLUMN = "time/total_timesteps"
 
 

@@ -86,8 +86,15 @@ def _continued(folder: Path, env_id: str, asked: Mapping[str, Any], console: Con
                 "leave it out, or begin a new run with another --out"
             )
     for name, present in checkpoint.versions().items():
-        if (then := about["versions"].get(name)) != present:
-            console.print(f"note: the checkpoint was made with {name} {then}, this is {present}")
+        then = about["versions"].get(name)
+        if then == present:
+            continue
+        if name in checkpoint.DECIDING:
+            raise ValueError(
+                f"checkpoint {folder} was made with {name} {then}, this is {present}: "
+                "go on with that version, or begin a new run with another --out"
+            )
+        console.print(f"note: the checkpoint was made with {name} {then}, this is {present}")
     return Run(**{name: about[name] for name in Run.__dataclass_fields__})
 
 
