@@ -54,7 +54,8 @@ def learning_rate(rate: float | Sequence[float]) -> float | LinearSchedule:
         return rate
     if len(rate) != 2:
         raise ValueError(f"learning_rate = {rate!r}: give one number, or the first and the last")
-    return LinearSchedule(*rate, 1.0)
+    first, last = rate
+    return LinearSchedule(first, last, 1.0)
 
 
 @contextmanager
