@@ -155,8 +155,9 @@ def test_ctrl_c_says_how_to_continue_and_exits_with_130(tmp_path):
         str(tmp_path), "--steps", "10000000", "--checkpoint-every", "256",
     ]  # fmt: skip
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8"
-    )
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8",
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
+    )  # fmt: skip
     end = time.monotonic() + 120
     while not checkpoint.numbered(tmp_path) and process.poll() is None:
         assert time.monotonic() < end
