@@ -1,4 +1,4 @@
-"""What several tasks reward the same way."""
+"""Logarithmic scales of the distance to a goal: what it earns, and how it is seen."""
 
 import math
 

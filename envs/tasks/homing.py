@@ -83,7 +83,7 @@ def _watch_switches(episode, inputs, position):
         on = (inputs >> episode._switch & 1) != 0
         if on != episode._on:
             episode._edge = 0.5 * (episode._before + position)
-            episode._edges += 1
+            episode._edged = True
         episode._on = on
     episode._before = position
     if inputs & 3:
@@ -111,8 +111,8 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         seen[7] = clip(2.0 * rpdos[w, 0].max_torque / episode._max_torque - 1.0)
         seen[8] = episode._time / (episode._time + DURATION)
         _watch_switches(episode, inputs, position)
-        way = position - episode._edge if episode._edges else 0.0
-        seen[9] = 1.0 if episode._edges else 0.0
+        way = position - episode._edge if episode._edged else 0.0
+        seen[9] = 1.0 if episode._edged else 0.0
         seen[10] = clip(way / COARSE)
         seen[11] = clip(way / (FINE * episode._tolerance))
         seen[12] = episode._limit
@@ -241,7 +241,7 @@ class HomingEnv(ServoEnv):
         ("_power_on", "f8"),  # position actual value (m)
         ("_switch", "i8"),  # bit of 60FDh; -1: none
         ("_on", "?"),
-        ("_edges", "i8"),  # changes of the switch so far
+        ("_edged", "?"),  # whether the switch has changed
         ("_edge", "f8"),  # position actual value of the last one (m)
         ("_limit", "f8"),  # limit switch met last: -1, 1, or 0
         ("_before", "f8"),  # position actual value a step ago (m)
