@@ -4,18 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out
 # without JIT these take long and show nothing about drive/ that the others do not
-NOT_THE_DRIVE := test_cli.py test_readme.py test_scope.py test_homing_gallery.py test_machine.py \
-	test_linear_axis.py test_positioning.py test_vector_env.py test_gantry.py test_bridge.py \
-	test_coordination.py test_compliance.py test_sb3.py test_train.py test_examples.py \
+NOT_THE_DRIVE := cli docs engine evaluate learn pictures plants masters tasks view policies \
 	canopen/test_interop.py canopen/test_bus.py
 
-.PHONY: demo test lint types format bench coverage slow clean
+.PHONY: demo test docs lint types stub format bench coverage slow clean
 
 demo: $(VENV)/run
 	$(BIN)/servogym demo --out $(OUT)
 
 test: lint
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest
+	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(VENV)/test
 	$(BIN)/ruff check .
@@ -28,12 +26,18 @@ types: $(VENV)/test # the package as it is installed
 	$(BIN)/python -m pip install --quiet --no-deps --target $(VENV)/typed .
 	MYPYPATH=$(VENV)/typed $(BIN)/mypy
 
+stub: $(VENV)/test # the record as types, after a change of its fields
+	$(BIN)/python tests/kernel/record_stub.py
+
 format: $(VENV)/test
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 bench: $(VENV)/run
 	$(BIN)/servogym bench
+
+docs: $(VENV)/test # with the pictures of the lessons
+	$(BIN)/python -m sphinx -W -b html docs $(OUT)/docs
 
 coverage: $(VENV)/test
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term-missing:skip-covered $(addprefix --ignore=tests/,$(NOT_THE_DRIVE))

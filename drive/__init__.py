@@ -1,17 +1,27 @@
 """The emulated CiA 402 drive: the block diagram of a servo drive, one box a file.
 
-encoder -> device_control -> modes -> limits -> cascade -> torque      cycle.py has the order
-   probe      |  stop, brake     ramps, homing     thermal, dc_link, monitor, sync, faults
-              inverter: the contacts that start a frequency inverter instead of a master
-
-record.py holds every quantity, factors.py converts units, statusword.py says how it went.
-model.py reads what makes a drive the one it is, rows.py its files; drive.py is the face, and
-parameters.py what it keeps. A master has two doors: objects.py, with hooks/ for what an object does
-beside moving bytes, and process_data.py. canopen/ and ethercat.py put them on a bus.
+kernel/  encoder -> device_control -> modes -> limits -> cascade -> torque   cycle.py has the order
+            probe      |  stop, brake    ramps, homing    thermal, dc_link, monitor, sync, faults
+                       contacts: what starts a frequency inverter instead of a master
+         record/ holds every quantity, factors.py converts units, statusword.py says how it went.
+model/   what makes a drive the one it is: a folder of files.
+objects/ the first door of a master: the dictionary, its hooks, what is stored. The second one is
+         process data. drive.py is the face of both.
+master/  who commands drives, on any bus: one class over ports.
+canopen/ and ethercat/ put them on a bus, in bytes and given time; wire/ has clock and sockets.
 """
 
-from .abort import Abort, SdoAbort
+import sys
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+
 from .drive import Drive
-from .model import DriveModel
+from .model.model import DriveModel
+from .objects.abort import Abort, SdoAbort
 
 __all__ = ["Abort", "Drive", "DriveModel", "SdoAbort"]
+
+with suppress(
+    PackageNotFoundError
+):  # servogym is a namespace of packages, without a file of its own
+    sys.modules["servogym"].__version__ = version("servogym")  # type: ignore[attr-defined]

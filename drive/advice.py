@@ -1,6 +1,16 @@
-"""What keeps a drive from obeying, as far as its statusword tells."""
+"""What a drive shows in words: its faults, and what keeps it from obeying."""
 
-from .words import Command, Statusword, command_of, decode_controlword, decode_statusword
+from .kernel.faults import Cause
+from .kernel.record import Axis
+from .kernel.words import (
+    Command,
+    State,
+    Statusword,
+    command_of,
+    decode_controlword,
+    decode_statusword,
+)
+from .model.model import DriveModel
 
 # what has to be there for a command to be obeyed (CiA 402-2, transitions 2-16)
 OBEYED = {
@@ -46,3 +56,28 @@ def advice(statusword: int, controlword: int) -> str:
     command = command_of(controlword)
     needed = f"{command.name}: {OBEYED[command]}; else look for a missing enable input (60FDh)"
     return "; ".join(hindrances) or needed
+
+
+def refusal(axis: Axis) -> str:
+    """Why the last command was refused: command, state, and what is missing."""
+    command = Command(int(axis.refused_command))
+    if command is Command.NONE:
+        return "no command has been refused"
+    state = State(int(axis.refused_state))
+    needed = OBEYED[command]
+    if not axis.sto_input or not axis.enable_input:
+        needed = "an enable input is missing: safe torque off or controller enable"
+    elif command is Command.FAULT_RESET and axis.faults_present:
+        present = int(axis.faults_present & ~axis.warnings)
+        needed = f"still present: {', '.join(c.name for c in Cause if c and present >> c & 1)}"
+    return f"{command.name} was refused in {state.name}: {needed}"
+
+
+def meaning(model: DriveModel, axis: Axis, cause: int) -> str:
+    """Error code and words of a cause of faults, empty where the model has no row of it."""
+    code = int(axis.fault_code[cause])
+    for fault in model.faults if cause else ():
+        external = cause == Cause.EXTERNAL and fault.code == code
+        if fault.cause == cause or external:
+            return f"{fault.code:04X}h {fault.meaning}"
+    return ""

@@ -7,28 +7,33 @@
 'SWITCH_ON_DISABLED'
 """
 
+import functools
+import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import cycle, process_data, record
-from .abort import Abort, SdoAbort
-from .advice import OBEYED, describe
-from .faults import Cause
-from .hooks import HOOKS
-from .hooks.ars import reaction_to
-from .hooks.ethercat import ASSIGNMENTS, FLEXIBLE, assign
-from .model import DriveModel, load
-from .objects import ObjectDictionary, compile_default
-from .parameters import Parameters, kept_bytes
-from .process_data import INVALID
-from .slots import Slot
-from .store import Values
-from .words import Command, Mode, State
-
-VERSION = 1  # of the snapshot layout
+from .advice import describe, meaning, refusal
+from .kernel import cycle, process_data, record
+from .kernel.factors import units_changed
+from .kernel.faults import Cause
+from .kernel.record import Axis
+from .kernel.words import Mode, State
+from .model.model import DriveModel, load
+from .objects import snapshot as snapshots
+from .objects.abort import Abort, SdoAbort
+from .objects.dictionary import ObjectDictionary
+from .objects.hooks import HOOKS
+from .objects.hooks.ethercat import ASSIGNMENTS, assign
+from .objects.kept import FIELDS, factors, keep, kept, written
+from .objects.map_by_name import map_by_name
+from .objects.mapping import compile_default
+from .objects.parameters import Parameters, kept_bytes
+from .objects.reactions import reaction_to
+from .objects.slots import Slot
+from .objects.store import Values
 
 
 class Drive:
@@ -36,33 +41,36 @@ class Drive:
 
     Args:
         model: name of a drive model, path of a model folder, or a loaded `DriveModel`.
+        bus: "can" or "ethercat": for which of its field buses; the model's first if not given.
         axes: records shape ``(n,)`` to live in, made by `record.make`; its own one if not given.
         index: which of `axes`.
         node_id: CANopen node-id 1..127, for the default identifiers of the PDOs.
         parameter_file: where 1010h stores parameters and power-on looks for them.
 
     Raises:
-        ValueError: unknown model, node-id out of range.
+        ValueError: unknown model, one that is not for `bus`, node-id out of range.
     """
 
     def __init__(
         self,
         model: str | Path | DriveModel = "generic",
         *,
+        bus: str | None = None,
         axes: np.ndarray | None = None,
         index: int = 0,
         node_id: int = 1,
         parameter_file: str | Path | None = None,
     ):
-        self.model = load(model)
-        self.operational = False  # NMT state, told by the node
+        self.model = load(model, bus)
+        self.operational = False  # the bus exchanges process data, told by node or slave
+        self.synchronisation: Any = None  # what a slave on EtherCAT measures, see hooks.ethercat
         self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self.node_id = node_id
         self.axes = record.make(1) if axes is None else axes
         self.index = index
-        self.axis: Any = self.axes[index]
+        self.axis: Axis = self.axes[index]
         self.rpdos = process_data.make(len(self.model.rpdos))
         self.tpdos = process_data.make(len(self.model.tpdos))
         self.memory = process_data.memory(self.axes)
@@ -80,8 +88,13 @@ class Drive:
         )
         self.parameters = Parameters(self, parameter_file)
         self._kept = kept_bytes(self.model)
-        self._powered_on: tuple[int, np.ndarray] = 0, np.empty(0)  # by node-id
+        # by node-id and what makes the units
+        self._powered_on: tuple[tuple[int, bytes], np.ndarray] = (0, b""), np.empty(0)
         self.reset()
+
+    def __repr__(self) -> str:
+        fault = f", fault {self.fault}" if self.fault else ""
+        return f"Drive({self.model.name}, {self.state.name}, {self.mode.name}{fault})"
 
     # ------------------------------------------------------------------ power
 
@@ -91,11 +104,12 @@ class Drive:
         With `keep_parameters` the storable objects and the PDO mapping stay as they are now, as if
         they had been stored before.
         """
-        if keep_parameters and self._powered_on[0] == self.node_id:
+        if keep_parameters and self._powered_on[0] == (self.node_id, factors(self)):
             record = self.memory[self.index]
-            kept = record[self._kept]
+            stored, as_written = record[self._kept], kept(self)
             record[:] = self._powered_on[1]
-            record[self._kept] = kept
+            record[self._kept] = stored
+            keep(self, as_written)
         else:
             self._power_on(
                 self.parameters.values() if keep_parameters else self.parameters.stored()
@@ -115,7 +129,15 @@ class Drive:
             setattr(self.axis.od, name, value)
         self.parameters.defaults()
         self.parameters.restore(values)
-        self._powered_on = self.node_id, self.memory[self.index].copy()
+        if self.model.quirk("values_keep_meaning"):
+            units_changed(self.axes, self.index)  # as `restore` does where factors are stored
+        self._powered_on = (self.node_id, factors(self)), self.memory[self.index].copy()
+
+    def use_parameter_file(self, file: str | Path) -> None:
+        """Store parameters (1010h, LSS) in a file from now on, and take over what it holds."""
+        self.parameters.use(Path(file))
+        self._powered_on = (0, b""), np.empty(0)
+        self._compile_pdos()
 
     def _compile_pdos(self) -> None:
         for pdos, receive in ((self.rpdos, True), (self.tpdos, False)):
@@ -144,9 +166,11 @@ class Drive:
             if name in self.objects.names:
                 self.write(name, round(value))
             elif name in record.OD.names:  # type: ignore[operator]
-                self._commissioned[name] = round(value)
+                self._commissioned[name] = int(round(value))
                 setattr(self.axis.od, name, round(value))
-                self._powered_on = 0, np.empty(0)
+                if self.model.quirk("values_keep_meaning") and name in FIELDS:
+                    written(self, FIELDS[name])
+                self._powered_on = (0, b""), np.empty(0)
         self.axis.parameters_changed = 1
 
     # ---------------------------------------------------------------- objects
@@ -178,7 +202,7 @@ class Drive:
             value = int(value)
         abort = self.objects.store(slot, value)
         if abort:
-            raise SdoAbort(abort, slot.row.index, slot.row.subindex, _range(slot))
+            raise SdoAbort(abort, slot.row.index, slot.row.subindex, slot.accepts)
 
     # ----------------------------------------------------------- process data
 
@@ -193,38 +217,7 @@ class Drive:
 
         Raises SdoAbort where the drive refuses an entry, ValueError for too many PDOs.
         """
-        ethercat = self.model.bus == "ethercat"
-        for pdos, lists, communication, mapping in (
-            (self.rpdos, rpdos, 0x1400, 0x1600),
-            (self.tpdos, tpdos, 0x1800, 0x1A00),
-        ):
-            if lists is None:
-                continue
-            wanted = [list(names) for names in lists]
-            free = FLEXIBLE if ethercat else len(pdos)
-            if len(wanted) > free:
-                raise ValueError(f"{len(wanted)} PDOs are wanted, the model has {free}")
-            manager = ASSIGNMENTS[pdos is self.tpdos]
-            if ethercat:
-                self.write(manager, 0, 0)
-            for i in range(free):
-                cob_id = int(pdos[i].cob_id)
-                if not ethercat:
-                    self.write(communication + i, 1, cob_id | INVALID)
-                self.write(mapping + i, 0, 0)
-                if i >= len(wanted):
-                    continue
-                for n, name in enumerate(wanted[i]):
-                    row = self.objects.slot(name, 0).row
-                    entry = row.index << 16 | row.subindex << 8 | row.size * 8
-                    self.write(mapping + i, n + 1, entry)
-                self.write(mapping + i, 0, len(wanted[i]))
-                if ethercat:
-                    self.write(manager, i + 1, mapping + i)
-                else:
-                    self.write(communication + i, 1, cob_id & ~INVALID)
-            if ethercat:
-                self.write(manager, 0, len(wanted))
+        map_by_name(self, (rpdos, tpdos))
 
     def image_changed(self) -> None:
         """Forget what was derived from the PDO mapping."""
@@ -329,14 +322,16 @@ class Drive:
 
     @property
     def fault(self) -> str:
-        """Code and meaning of the fault the drive is in, empty without one."""
-        cause = int(self.axis.fault)
-        code = int(self.axis.fault_code[cause])
-        for fault in self.model.faults if cause else ():
-            external = cause == Cause.EXTERNAL and fault.code == code
-            if fault.cause == cause or external:
-                return f"{fault.code:04X}h {fault.meaning}"
-        return ""
+        """Code and meaning of the fault that has stopped the drive, empty without one."""
+        return meaning(self.model, self.axis, int(self.axis.fault))
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Codes and meanings of all faults that are not reset, the one that stopped it first."""
+        first = int(self.axis.fault)
+        others = (c for c in Cause if int(self.axis.faults) >> c & 1 and c != first)
+        told = (meaning(self.model, self.axis, int(cause)) for cause in (first, *others))
+        return tuple(filter(None, told))
 
     def describe(self) -> str:
         """The statusword by name."""
@@ -344,21 +339,7 @@ class Drive:
 
     def why(self) -> str:
         """Why the last command was refused: command, state, and what is missing."""
-        command = Command(int(self.axis.refused_command))
-        if command is Command.NONE:
-            return "no command has been refused"
-        state = State(int(self.axis.refused_state))
-        needed = OBEYED[command]
-        if not self.axis.sto_input or not self.axis.enable_input:
-            needed = "an enable input is missing: safe torque off or controller enable"
-        elif command is Command.FAULT_RESET and self.axis.faults_present:
-            present = [
-                c.name
-                for c in Cause
-                if c and int(self.axis.faults_present & ~self.axis.warnings) >> c & 1
-            ]
-            needed = f"still present: {', '.join(present)}"
-        return f"{command.name} was refused in {state.name}: {needed}"
+        return refusal(self.axis)
 
     @property
     def injectable(self) -> tuple[str, ...]:
@@ -394,6 +375,8 @@ class Drive:
         fault = next(fault for fault in self.model.faults if fault.name == number)
         cause = fault.cause or Cause.EXTERNAL
         if not fault.cause:
+            if self.axis.fault_code[cause] != fault.code:
+                self.axis.faults &= ~(1 << cause)  # another fault than the one that had its place
             self.axis.fault_code[cause] = fault.code
             self.axis.fault_register[cause] = 1 | 1 << fault.register
             self.axis.od.fault_reaction[cause] = reaction_to(self, fault)
@@ -406,32 +389,69 @@ class Drive:
 
     # --------------------------------------------------------------- snapshot
 
+    def _identity(self) -> dict[str, Any]:
+        sizes = [len(self._record), self.rpdos.nbytes, self.tpdos.nbytes]
+        return {
+            "kind": "drive", "model": self.model.name, "bus": self.model.bus,
+            "objects": _layout(self.model),
+            "record": RECORD, "sizes": sizes,
+        }  # fmt: skip
+
     def snapshot(self) -> bytes:
-        """Everything the drive is, as bytes; `restore` continues bit by bit the same."""
-        head = f"{VERSION} {self.model.name} {record.AXIS.itemsize}\n".encode()
-        return head + bytes(self._record) + self.rpdos.tobytes() + self.tpdos.tobytes()
+        """Everything the drive is, as bytes; `restore` continues bit by bit the same.
+
+        What 1010h has stored and what was commissioned belong to it; a parameter file does not.
+        """
+        state = {
+            "operational": bool(self.operational),
+            "commissioned": self._commissioned,
+            "stored": self.parameters.kept,
+            "alias": self.parameters.alias,
+        }
+        parts = [bytes(self._record), self.rpdos.tobytes(), self.tpdos.tobytes()]
+        return snapshots.seal(self._identity(), state, parts)
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was. Raises ValueError for one of another model or version."""
-        head, _, body = snapshot.partition(b"\n")
-        expected = f"{VERSION} {self.model.name} {record.AXIS.itemsize}"
-        size = len(self._record) + self.rpdos.nbytes + self.tpdos.nbytes
-        if head.decode(errors="replace") != expected or len(body) != size:
-            raise ValueError(
-                f"this snapshot is {head[:60]!r} with {len(body)} bytes; the drive needs "
-                f"{expected!r} with {size} bytes: take a new one"
-            )
-        at = 0
-        for view in (self._record, process_data.raw(self.rpdos), process_data.raw(self.tpdos)):
-            view[:] = body[at : at + len(view)]
-            at += len(view)
+        """Become what `snapshot` was.
+
+        Raises:
+            ValueError: it is none, altered, or of another model or version; nothing has changed.
+        """
+        self.take(self.opened(snapshot))
+
+    def opened(self, snapshot: bytes) -> tuple[dict[str, Any], list[bytes]]:
+        """What `take` takes over, from a snapshot. Raises ValueError as `restore` does."""
+        return snapshots.unseal(snapshot, self._identity())
+
+    def take(self, opened: tuple[dict[str, Any], list[bytes]]) -> None:
+        """Become what was `opened`."""
+        state, parts = opened
+        views = self._record, process_data.raw(self.rpdos), process_data.raw(self.tpdos)
+        for view, part in zip(views, parts, strict=True):
+            view[:] = part
+        self.operational = state["operational"]
+        self.parameters.become(state["stored"], state["alias"])
+        if state["commissioned"] != self._commissioned:
+            self._commissioned = state["commissioned"]
+            self._powered_on = (0, b""), np.empty(0)
         self.image_changed()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy or a pickle is a drive of its own, as this one is now."""
+        return _rebuild, (self.model, self.node_id, self.parameters.file, self.snapshot())
 
-def _range(slot: Slot) -> str:
-    row = slot.row
-    if row.allowed is not None:
-        return f"{row.name} may be one of {sorted(row.allowed)}"
-    if row.format and row.access == "rw":
-        return f"{row.name} {row.data_type} {row.minimum:.0f}..{row.maximum:.0f} {row.unit}".strip()
-    return row.name
+
+def _rebuild(model: DriveModel, node_id: int, file: Path | None, snapshot: bytes) -> Drive:
+    drive = Drive(model, node_id=node_id, parameter_file=file)
+    drive.restore(snapshot)
+    return drive
+
+
+RECORD = zlib.crc32(repr(record.AXIS.descr).encode())  # tells layouts of the record apart
+
+
+@functools.cache
+def _layout(model: DriveModel) -> int:
+    """Tells models apart that have one name: where each object lies."""
+    places = [(key, row.area, row.offset, row.format) for key, row in model.objects.items()]
+    return zlib.crc32(repr(sorted(places, key=repr)).encode())

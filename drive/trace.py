@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .drive import Drive
-from .record import OD, UNITS
+from .kernel.record import OD, UNITS
 
 
 class Edge(IntEnum):

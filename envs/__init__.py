@@ -1,30 +1,43 @@
-"""Plants, machines and Gymnasium environments."""
+"""Plants, machines and Gymnasium environments; and what a task of your own is written with."""
 
-import gymnasium
-
-from .axis_parameters import FAMILY, LinearAxisParameters
-from .commissioning import commission_joint
-from .gantry import Gantry, GantryParameters, gantry
-from .linear_axis import linear_axis
-from .machine import Machine
-from .tasks import TASKS
+from .batch import episode
+from .engine.machine import Machine
+from .faces import clip, faulted, limited
+from .fields import action, observation
+from .plants.axis_parameters import FAMILY, LinearAxisParameters
+from .plants.commissioning import commission_joint
+from .plants.gantry import Gantry, GantryParameters, gantry
+from .plants.linear_axis import linear_axis
+from .plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
+from .registry import register, task
+from .servo_env import METRE, ServoEnv
+from .tasks import POINT_TO_POINT, TASKS
 
 __all__ = [
     "FAMILY",
+    "METRE",
+    "POINT_TO_POINT",
+    "ROTARY_FAMILY",
     "TASKS",
     "Gantry",
     "GantryParameters",
     "LinearAxisParameters",
     "Machine",
+    "RotaryParameters",
+    "ServoEnv",
+    "action",
+    "clip",
     "commission_joint",
+    "episode",
+    "faulted",
     "gantry",
+    "limited",
     "linear_axis",
+    "observation",
+    "register",
+    "rotary_axis",
+    "task",
 ]
 
-for task in TASKS:
-    gymnasium.register(
-        task.ID,
-        entry_point=f"{task.__module__}:{task.__name__}",
-        vector_entry_point=f"{task.__module__}:vector",
-        max_episode_steps=task.STEPS,
-    )
+for _task in TASKS:
+    register(_task, f"{_task.__module__}:vector")

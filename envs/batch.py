@@ -5,18 +5,23 @@ observation. A step of some rows is three compiled calls: the task makes RPDO im
 the loop latches them, runs and collects TPDO images, and the task judges what came back.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..drive.drive import Drive
-from ..drive.record import accessible
-from . import loop
-from .faces import CONTROL_ACTIONS, STATUS_OBSERVATIONS, control, report
+from ..drive.kernel.record import accessible
+from . import fields
+from .engine import loop
+from .engine.guard import Turn
+from .engine.machine import Machine
+from .faces import CONTROL, STATUS, control, report
 
 PDO_BYTES = 8
-CONTROL = ("controlword", "modes_of_operation")  # first in each RPDO image
-STATUS = ("statusword", "modes_of_operation_display")  # first in each TPDO image
+TICKS_A_CALL = 20_000  # physics steps, some 40 ms: how long Ctrl-C waits
+COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
+REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO image
 # what every task keeps of an episode; fields with an underscore are not shown in the infos
 JUDGED = [("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?")]
 
@@ -50,6 +55,24 @@ def mapping(image: np.dtype) -> list[list[str]]:
     return pdos
 
 
+class Part(NamedTuple):
+    """Views of some rows of a `Batch`."""
+
+    worlds: np.ndarray  # addresses; 0: left out
+    episodes: np.ndarray
+    actions: np.ndarray  # (n, actions)
+    commands: np.ndarray  # records of the task in them
+    controls: np.ndarray  # (n, drives), with the face "pdo"
+    rpdos: np.ndarray  # (n, drives)
+    tpdos: np.ndarray
+    observations: np.ndarray  # (n, observations)
+    seen: np.ndarray  # records of the task in them
+    status: np.ndarray  # (n, drives), with the face "pdo"
+    received: np.ndarray  # the images as bytes
+    transmitted: np.ndarray
+    turn: Turn  # of their machines
+
+
 class Batch:
     """Arrays of `n` environments.
 
@@ -70,50 +93,82 @@ class Batch:
     ):  # fmt: skip
         self.task = task
         self.ticks = ticks
+        self.exchange: Callable[..., None] = loop.run  # images against cycles of the machines
+        self.stopped = False  # set by another thread: a step ends as soon as it can
         self.modes = np.array(modes, np.int8)
-        faces = drives if modes else 0
-        actions = task.ACTIONS + faces * CONTROL_ACTIONS
-        observations = task.OBSERVATIONS + faces * STATUS_OBSERVATIONS
+        self.action, self.observation = task.ACTION, task.OBSERVATION
+        if modes:
+            self.action = _with(self.action, "control", CONTROL, drives)
+            self.observation = _with(self.observation, "status", STATUS, drives)
+        actions, observations = fields.width(self.action), fields.width(self.observation)
         self.worlds = np.zeros(n, np.int64)
+        self.machines: list[Machine | None] = [None] * n  # keeps them alive
         self.episodes = np.zeros(n, accessible(task.EPISODE))
         self.actions = np.zeros((n, actions))
         self.rpdos = np.zeros((n, drives), accessible(rpdo))
         self.tpdos = np.zeros((n, drives), accessible(tpdo))
         self.observations = np.zeros((n, observations), np.float32)
+        faces = drives if modes else 0
+        self._controls = np.zeros((n, faces), accessible(CONTROL))
+        self._status = np.zeros((n, faces), accessible(STATUS))
+        # without a face the records are the vectors; with one compiled code has them beside it, so
+        # that it meets the same types
+        commands = np.zeros((n, fields.width(task.ACTION))) if modes else self.actions
+        seen = (
+            np.zeros((n, fields.width(task.OBSERVATION)), np.float32)
+            if modes
+            else self.observations
+        )
+        self._commands = commands.view(accessible(task.ACTION))[:, 0]
+        self._seen = seen.view(accessible(task.OBSERVATION))[:, 0]
         self.words = self.tpdos["statusword"]
         self._frames = np.zeros((n, history, observations), np.float32)
         self._previous_action = previous_action
         self.width = history * observations + previous_action * actions
-        self._rpdo_images = self.rpdos.view(np.ndarray).view(np.uint8).reshape(n, -1)
-        self._tpdo_images = self.tpdos.view(np.ndarray).view(np.uint8).reshape(n, -1)
+        self._rpdo_images = _bytes(self.rpdos)
+        self._tpdo_images = _bytes(self.tpdos)
 
-    def part(self, begin: int, end: int) -> tuple[np.ndarray, ...]:
-        """Views of the rows `begin` to `end`, as `run` takes them."""
-        arrays = (
-            self.worlds, self.episodes, self.actions, self.rpdos, self.tpdos, self.observations,
-            self._rpdo_images, self._tpdo_images,
+    def part(self, begin: int, end: int) -> Part:
+        """Views of the rows `begin` to `end`, whose machines share a turn, as `run` takes them."""
+        arrays: Any = (
+            self.worlds, self.episodes, self.actions, self._commands, self._controls, self.rpdos,
+            self.tpdos, self.observations, self._seen, self._status, self._rpdo_images,
+            self._tpdo_images,
         )  # fmt: skip
-        return tuple(array[begin:end] for array in arrays)
+        machine: Any = self.machines[begin]
+        return Part._make([*(array[begin:end] for array in arrays), machine.turn])
 
-    def run(self, part: tuple[np.ndarray, ...]) -> None:
-        """One step of the rows of a part; rows whose world is 0 are left out."""
-        worlds, episodes, actions, rpdos, tpdos, observations, received, transmitted = part
-        self.task.act(worlds, episodes, actions, rpdos)
+    def run(self, part: Part) -> None:
+        """One step of the rows of a part; rows whose world is 0 are left out.
+
+        Raises what `loop.run` does, and RuntimeError once `stopped`.
+        """
+        with part.turn:
+            if len(self.modes):
+                _split(part.actions, part.commands, part.controls)
+            self.task.act(part.worlds, part.episodes, part.commands, part.rpdos)
+            if len(self.modes):
+                control(part.worlds, part.controls, self.modes, part.rpdos)
+            rows = max(TICKS_A_CALL // self.ticks, 1)
+            for i in range(0, len(part.worlds), rows):
+                if self.stopped:
+                    raise RuntimeError("the step was interrupted")
+                now = slice(i, i + rows)
+                images = part.received[now], part.transmitted[now]
+                self.exchange(part.worlds[now], self.ticks, *images)
+            self._judge(part)
+
+    def _judge(self, part: Part) -> None:
+        self.task.judge(part.worlds, part.episodes, part.rpdos, part.tpdos, part.seen)
         if len(self.modes):
-            control(worlds, actions, self.task.ACTIONS, self.modes, rpdos)
-        loop.run(worlds, self.ticks, received, transmitted)
-        self._judge(worlds, episodes, rpdos, tpdos, observations)
+            report(part.tpdos, self.modes, part.status)
+            _join(part.seen, part.status, part.observations)
 
-    def _judge(self, worlds, episodes, rpdos, tpdos, observations) -> None:
-        self.task.judge(worlds, episodes, rpdos, tpdos, observations)
-        if len(self.modes):
-            report(tpdos, self.modes, observations, self.task.OBSERVATIONS)
-
-    def look(self, part: tuple[np.ndarray, ...]) -> None:
+    def look(self, part: Part) -> None:
         """Latch the RPDO images as they are and judge the present, without a step."""
-        worlds, episodes, _, rpdos, tpdos, observations, received, transmitted = part
-        loop.run(worlds, 0, received, transmitted)
-        self._judge(worlds, episodes, rpdos, tpdos, observations)
+        with part.turn:
+            loop.run(part.worlds, 0, part.received, part.transmitted)
+            self._judge(part)
 
     def begin(self, row: int) -> None:
         """Fill the history of a row with its present observation."""
@@ -141,3 +196,30 @@ class Batch:
         if not self._previous_action:
             return frames.copy()
         return np.concatenate([frames, self.actions[rows]], axis=1, dtype=np.float32)
+
+
+def _with(record: np.dtype, name: str, kind: np.dtype, drives: int) -> np.dtype:
+    """A record of a task, and what the face "pdo" adds for each drive."""
+    return np.dtype([*((n, record[n]) for n in record.names or ()), (name, kind, (drives,))])
+
+
+def _bytes(records: np.ndarray) -> np.ndarray:
+    """The same memory, shape ``(n, bytes)``."""
+    return records.view(np.ndarray).view(np.uint8).reshape(len(records), -1)
+
+
+def _numbers(records: np.ndarray, number: type) -> np.ndarray:
+    """The same memory, shape ``(n, numbers)``."""
+    return records.view(np.ndarray).view(number).reshape(len(records), -1)
+
+
+def _split(actions: np.ndarray, commands: np.ndarray, controls: np.ndarray) -> None:
+    own = _numbers(commands, np.float64)
+    own[:] = actions[:, : own.shape[1]]
+    _numbers(controls, np.float64)[:] = actions[:, own.shape[1] :]
+
+
+def _join(seen: np.ndarray, status: np.ndarray, observations: np.ndarray) -> None:
+    own = _numbers(seen, np.float32)
+    observations[:, : own.shape[1]] = own
+    observations[:, own.shape[1] :] = _numbers(status, np.float32)

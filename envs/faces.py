@@ -1,58 +1,59 @@
 """The two faces of an action: set-points only, or all an RPDO carries.
 
-With ``action="setpoint"`` a supervisor has enabled the drive and chosen its mode; the agent moves
+With ``action="setpoint"`` a master has enabled the drive and chosen its mode; the agent moves
 set-points. With ``action="pdo"`` the agent is the whole master: each drive gets further components
 
-| no | action | object | scaling |
-|----|--------|--------|---------|
-| 0–8 | bits 0 to 8 | 6040h controlword | above 0: set |
-| 9 | mode | 6060h modes_of_operation | -1..1 in equal parts over `modes` |
+| no | name | action | object | scaling |
+|----|------|--------|--------|---------|
+| 0–8 | control[:].controlword[:] | bits 0 to 8 | 6040h controlword | above 0: set |
+| 9 | control[:].mode | mode | 6060h modes_of_operation | -1..1 in equal parts over `modes` |
 
-and further observations: the 16 bits of the statusword as 0 or 1, and the mode displayed (6061h) on
-the same scale, 0 where it is none of them.
+and further observations: the 16 bits of the statusword as 0 or 1, ``status[:].statusword[:]``, and
+the mode displayed (6061h) on the same scale, 0 where it is none of them, ``status[:].mode``.
 """
 
-from ..drive.jit import block, entry
+from ..drive.kernel.jit import block, entry
+from .fields import action, observation
 
 SETPOINT, PDO = "setpoint", "pdo"
 FACES = (SETPOINT, PDO)
 CONTROL_BITS = 9
-CONTROL_ACTIONS = CONTROL_BITS + 1
 STATUS_BITS = 16
-STATUS_OBSERVATIONS = STATUS_BITS + 1
+CONTROL = action(("controlword", CONTROL_BITS), "mode")
+STATUS = observation(("statusword", STATUS_BITS), "mode")
 FAULT = 0x08
 INTERNAL_LIMIT = 0x800
 
 
 @entry
-def control(worlds, actions, first, modes, rpdos):
-    """Controlword and mode of every drive from the components of `actions` from `first` on."""
+def control(worlds, controls, modes, rpdos):
+    """Controlword and mode of every drive, of `controls`, shape ``(n, drives)``."""
     for w in range(len(worlds)):
         for d in range(rpdos.shape[1]):
-            at = first + d * CONTROL_ACTIONS
+            wanted = controls[w, d]
             word = 0
             for bit in range(CONTROL_BITS):
-                if actions[w, at + bit] > 0.0:
+                if wanted.controlword[bit] > 0.0:
                     word |= 1 << bit
             rpdos[w, d].controlword = word
-            share = 0.5 * (actions[w, at + CONTROL_BITS] + 1.0)
+            share = 0.5 * (wanted.mode + 1.0)
             chosen = min(max(int(share * len(modes)), 0), len(modes) - 1)
             rpdos[w, d].modes_of_operation = modes[chosen]
 
 
 @entry
-def report(tpdos, modes, observations, first):
-    """Statusword and mode of every drive as observations from `first` on."""
+def report(tpdos, modes, status):
+    """Statusword and mode of every drive as observations `status`, shape ``(n, drives)``."""
     for w in range(len(tpdos)):
         for d in range(tpdos.shape[1]):
-            at = first + d * STATUS_OBSERVATIONS
+            seen = status[w, d]
             word = int(tpdos[w, d].statusword)
             for bit in range(STATUS_BITS):
-                observations[w, at + bit] = word >> bit & 1
-            observations[w, at + STATUS_BITS] = 0.0
+                seen.statusword[bit] = word >> bit & 1
+            seen.mode = 0.0
             for m in range(len(modes)):
                 if tpdos[w, d].modes_of_operation_display == modes[m]:
-                    observations[w, at + STATUS_BITS] = (2.0 * m + 1.0) / len(modes) - 1.0
+                    seen.mode = (2.0 * m + 1.0) / len(modes) - 1.0
 
 
 @block

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from .machine import Machine
+from .engine.machine import Machine
 
 PAYLOAD, CABLE = "payload", "cable"
 GAINS = ("velocity_control_gain", "position_control_gain")

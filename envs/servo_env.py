@@ -5,23 +5,32 @@ episode, and two compiled functions, `act` and `judge`. All else is here: mappin
 and homing, the two faces of an action, randomisation, injected faults, infos, rendering, pickling.
 """
 
-from collections.abc import Callable, Mapping
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 
-from ..drive.abort import SdoAbort
-from ..drive.model import DriveModel, load
-from ..drive.words import ENABLED, Mode, state_of
-from .batch import CONTROL, STATUS, Batch, image_type, mapping
+from ..drive.drive import Drive
+from ..drive.kernel.words import ENABLED, Mode, state_of
+from ..drive.master.master import Master
+from ..drive.model.model import DriveModel, load
+from ..drive.objects.abort import SdoAbort
+from . import fields
+from .about import Metric, Sensor
+from .batch import COMMANDED, REPORTED, Batch, image_type, mapping
 from .checks import whole
-from .coordination import Group
+from .engine.machine import Machine
 from .faces import FACES, FAULT, PDO
-from .machine import Machine
-from .picture import Picture
+from .masters.port import MachinePort
+from .plants.axis_parameters import LinearAxisParameters
+from .plants.gantry import GantryParameters
 from .randomisation import Randomisation
+from .view import channels
+from .view.picture import Picture
 
 METRE = 1e6  # position units
 STATE_MASK = 0x6F
@@ -33,6 +42,17 @@ INTERPOLATING = {  # modes in which the drive has to know the period of the set-
     Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY,
     Mode.CYCLIC_SYNC_TORQUE,
 }  # fmt: skip
+NEEDED = {  # what a task has to say: what it is
+    "ID": "its id in the registry of Gymnasium, such as 'mylab/Nudge-v0'",
+    "RPDO": "the names of the objects the agent commands",
+    "ACTION": "a record made by servogym.envs.fields.action",
+    "OBSERVATION": "a record made by servogym.envs.fields.observation",
+    "EPISODE": "a record made by servogym.envs.batch.episode",
+    "act": "a compiled function (worlds, episodes, actions, rpdos)",
+    "judge": "a compiled function (worlds, episodes, rpdos, tpdos, observations)",
+    "_make": "a method (model) that builds the machine",
+    "_begin": "a method (options) that begins an episode",
+}
 
 
 class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -45,7 +65,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         history: number of observations shown, the latest first, 1..100.
         previous_action: whether the action taken last is shown, after the observations.
         randomise: ranges by name, drawn for each episode: `servogym.envs.randomisation`.
-        faults: probability per step of causes of faults to be injected into the first drive.
+        faults: probability per step of causes of faults to be injected: ``{"encoder_loss": 1e-4}``
+            into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
@@ -65,12 +86,26 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     )  # fmt: skip
     ID: ClassVar[str]  # in the registry of Gymnasium
     STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
-    ACTIONS: int  # may depend on arguments, as may DRIVES and OBSERVATIONS
-    OBSERVATIONS: int
+    ACTION: np.dtype  # made by `fields.action`; may depend on arguments, as may DRIVES and
+    OBSERVATION: np.dtype  # made by `fields.observation`
     EPISODE: ClassVar[np.dtype]  # made by `episode`
     act: Callable[..., None]  # (worlds, episodes, actions, rpdos)
-    judge: ClassVar[Callable[..., None]]  # (worlds, episodes, rpdos, tpdos, observations)
+    judge: Callable[..., None]  # (worlds, episodes, rpdos, tpdos, observations)
 
+    # what it tells of itself, for those who train, judge and draw; this will do for most
+    POLICIES: ClassVar[tuple[str, ...]] = ()  # baselines by name, beside hold and random
+    REFERENCE: ClassVar[str] = ""  # the one whose score is 1, as hold's is 0; none: no score
+    HOLD: ClassVar[Mapping[str, float]] = {}
+    METRIC: ClassVar[str] = "episode_return"  # by which one policy is better than another
+    METRICS: ClassVar[Mapping[str, Metric]] = {}
+    CHANNELS: ClassVar[tuple[channels.Channel, ...]] = channels.FIRST_DRIVE
+    DONE: ClassVar[tuple[str, str]] = ("settled", "not settled")  # what success is called
+    HYPERPARAMETERS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    STROKE: ClassVar[tuple[float, ...]] = ()  # of each axis (m)
+    SENSOR: ClassVar[str] = ""  # the argument that gives `sensor`
+
+    datasheet: LinearAxisParameters | GantryParameters | None = None  # what policies may know
+    homing_method: int | None = None  # of the drive, that looks for what the agent looks for
     machine: Machine
     _window: float  # of the following error (m), of tasks that `normalise` by it
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
@@ -87,6 +122,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         faults: Mapping[str, float] | None = None,
         render_mode: str | None = None,
     ):
+        for name, what in NEEDED.items():
+            given = vars(self).get(name, getattr(type(self), name, None))
+            if given is getattr(ServoEnv, name, None):
+                raise ValueError(f"task {type(self).__name__} lacks {name}: give it {what}")
         model = load(drive)
         for mode in self.MODES:
             if mode not in model.modes:
@@ -106,7 +145,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.drive = self.drives[0]
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
-        self._faults = _probabilities(faults or {}, self.drive.injectable)
+        self._faults = _injections(faults or {}, self.machine.drives, self.drives)
         self.randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
         self._history = whole("history", history, 1, MAX_HISTORY)
         self._previous_action = bool(previous_action)
@@ -119,6 +158,9 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self._injected: list[str] = []
         self._steps = 0
         self._picture: Picture | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.machine!r}, action={self.face})"
 
     def __new__(cls, *args: Any, **arguments: Any) -> "ServoEnv":
         """Remember the arguments, for pickling."""
@@ -136,6 +178,29 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         """Bring the machine where an episode begins, from `np_random` and the reset's options."""
         raise NotImplementedError
 
+    def sensor(self) -> Sensor | None:
+        """Of the load; None: nothing is seen of it."""
+        return None
+
+    def settling(self) -> dict[str, float]:
+        """``goal`` and ``window`` (m) in which what is moved settles, watched at physics steps.
+
+        Without them settling is what ``is_success`` says at the steps of the agent.
+        """
+        return {}
+
+    def figures(self) -> dict[str, float]:
+        """Metrics, common or own, of an episode that has ended; they stand before measured ones."""
+        return {}
+
+    def declared(self) -> bool | None:
+        """Whether the agent has declared itself done; None: it does not, success decides."""
+        return None
+
+    def outcome(self) -> str:
+        """What ended the episode, beside a fault; empty: nothing did."""
+        return ""
+
     def ghosts(self) -> dict[str, np.ndarray]:
         """Where bodies should be, by name: displacement (m), shape ``(3,)``; drawn translucent."""
         return {}
@@ -146,8 +211,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         """PDO mapping and interpolation period, through the objects of the drives."""
         for drive in self.drives:
             self._images = [
-                image_type(drive, [*CONTROL, *self.RPDO]),
-                image_type(drive, [*STATUS, *self.TPDO]),
+                image_type(drive, [*COMMANDED, *self.RPDO]),
+                image_type(drive, [*REPORTED, *self.TPDO]),
             ]
             try:
                 drive.map_pdos(*(mapping(image) for image in self._images))
@@ -175,9 +240,14 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     def join(self, batch: Batch, row: int) -> None:
         """Live in a row of `batch` from the next reset on."""
         self._batch, self._row = batch, row
+        batch.machines[row] = self.machine
         self._part = batch.part(row, row + 1)
         self.episode: Any = batch.episodes[row]
         batch.worlds[row] = self.machine.addresses[0]
+
+    def exchange_by(self, exchange: Callable[..., None]) -> None:
+        """Let images go another way than through memory: a function called as `loop.run` is."""
+        self._batch.exchange = exchange
 
     # -------------------------------------------------------------------- the episode
 
@@ -195,12 +265,12 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.parameters = self.randomisation.draw(self.np_random)
         self._injected = []
         self._steps = 0
-        for array in (self._part[1], self._part[3]):  # episode, RPDO image
+        for array in (self._part.episodes, self._part.rpdos):
             array.view(np.ndarray).view(np.uint8)[:] = 0
         self._begin(dict(options or {}))
         if self.face != PDO:
-            self._part[3]["controlword"] = ENABLED
-            self._part[3]["modes_of_operation"] = self.MODES[0]
+            self._part.rpdos["controlword"] = ENABLED
+            self._part.rpdos["modes_of_operation"] = self.MODES[0]
         self._batch.look(self._part)
         self._batch.begin(self._row)
 
@@ -213,20 +283,20 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         With ``action="pdo"`` the drives are left disabled, else enabled in the mode of the task.
         """
         self.machine.reset(positions=positions)
-        masters = Group(self.machine, positions)
+        master = Master(MachinePort(self.machine), *positions)
         for name, position in (dict(positions) | dict(believed or {})).items():
             drive = self.machine.drives[name]
             drive.write("home_offset", -round(position * METRE))
             drive.write("homing_method", drive.model.homes_here)
-        masters.enable()
-        masters.home()
+        master.enable()
+        master.home()
         if self.face == PDO:
             for drive in self.drives:
                 drive.write("controlword", 0)
-            masters.step()
+            self.machine.step()
         if "target_position" in self.RPDO:  # in force until the first RPDO of the agent arrives
             positions_now = [drive.read("position_actual_value") for drive in self.drives]
-            self._part[3]["target_position"][0] = positions_now
+            self._part.rpdos["target_position"][0] = positions_now
 
     def normalise(self) -> None:
         """Keep what observations are normalised by: limits of the first drive, and the window."""
@@ -242,7 +312,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             value = float(value)
             if not abs(value) <= 1.0 + 1e-6:
                 raise ValueError(self._refusal(action))
-            self._part[2][0, i] = value
+            self._part.actions[0, i] = value
         self.inject_faults()
         self._batch.run(self._part)
         rows = slice(self._row, self._row + 1)
@@ -259,18 +329,39 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             "clip it, and see that the policy's output is finite"
         )
 
+    def seen(self, observation: np.ndarray) -> Any:
+        """An observation by the names of its components, of a history the latest: a record.
+
+        ``env.seen(observation).velocity``; `observation_record` has all names.
+        """
+        return fields.seen(self._batch.observation, observation)
+
+    @property
+    def action_record(self) -> np.dtype:
+        """The names of an action, with what the face adds: `fields.names` lists them."""
+        return self._batch.action
+
+    @property
+    def observation_record(self) -> np.dtype:
+        """The names of an observation, without history, with what the face adds."""
+        return self._batch.observation
+
+    def channels(self) -> tuple[channels.Channel, ...]:
+        """What a picture of an episode shows: of the task, and of its drives."""
+        return self.CHANNELS + channels.drives(len(self.drives) > 1)
+
     def inject_faults(self) -> None:
         """Let the declared faults happen with their probabilities."""
-        for cause, probability in self._faults.items():
+        for name, drive, cause, probability in self._faults:
             if self.np_random.random() < probability:
-                self.drive.inject(cause)
-                self._injected.append(cause)
+                drive.inject(cause)
+                self._injected.append(name)
 
     def info(self) -> dict[str, Any]:
         """What is known of the present, with the same keys at any time."""
-        values = self._part[1].item(0)
+        values = self._part.episodes.item(0)
         self._terminated = values[self._TERMINATED]
-        words = self._part[4]["statusword"][0].tolist()
+        words = self._part.tpdos["statusword"][0].tolist()
         info = {name: values[i] for i, name in self._SHOWN}
         info["fault"] = self.faults(words)
         info["injected"] = tuple(self._injected)
@@ -293,7 +384,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
-        names = cls.EPISODE.names or ()
+        episode = getattr(cls, "EPISODE", None)  # without one no environment can be made
+        names = (episode.names if isinstance(episode, np.dtype) else None) or ("_terminated",)
         cls._TERMINATED = names.index("_terminated")
         cls._SHOWN = [(i, name) for i, name in enumerate(names) if not name.startswith("_")]
 
@@ -303,22 +395,30 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     # ------------------------------------------------------------------ keeping, seeing
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """As built, and everything that has happened since; a window is not kept."""
-        kept = (
-            self.parameters, self.machine.snapshot(), [array.tobytes() for array in self._part],
-            self._batch.history(self._row), self._injected, self._steps, self._np_random,
-        )  # fmt: skip
-        return _rebuild, (type(self), *self._arguments, kept)
+        """A copy or a pickle: as built, and all that has happened since; a window is not kept."""
+        return _rebuild, (type(self), *self._arguments, self.kept())
 
-    def _resume(self, kept: tuple[Any, ...]) -> None:
-        parameters, machine, rows, history, self._injected, self._steps, generator = kept
-        self.randomisation.set(parameters)
-        self.parameters = parameters
-        self.machine.restore(machine)
-        for array, row in zip(self._part[1:], rows[1:], strict=True):
-            array.view(np.ndarray).view(np.uint8).reshape(-1)[:] = np.frombuffer(row, np.uint8)
-        self._batch.set_history(self._row, history)
-        self._np_random = generator
+    def kept(self) -> tuple[Any, ...]:
+        """All that has happened since it was built, for `resume`."""
+        with self.machine.turn:
+            return (
+                dict(self.parameters), self.machine.snapshot(),
+                [array.tobytes() for array in self._part[1:-1]], self._batch.history(self._row),
+                list(self._injected), self._steps, copy.deepcopy(self._np_random),
+                copy.deepcopy((self.action_space, self.observation_space)),
+            )  # fmt: skip
+
+    def resume(self, kept: tuple[Any, ...]) -> None:
+        """Go on where `kept` was taken, of an environment with the same arguments."""
+        with self.machine.turn:
+            parameters, machine, rows, history, injected, self._steps, generator, spaces = kept
+            self.parameters, self._injected = dict(parameters), list(injected)
+            self.machine.restore(machine)
+            for array, row in zip(self._part[1:-1], rows, strict=True):
+                array.view(np.ndarray).view(np.uint8).reshape(-1)[:] = np.frombuffer(row, np.uint8)
+            self._batch.set_history(self._row, history)
+            self._np_random = generator
+            self.action_space, self.observation_space = spaces
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """An image with an overlay, shape ``(540, 960, 3)`` uint8: `Picture`, `Overlay`."""
@@ -342,17 +442,30 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
 def _rebuild(task: type[ServoEnv], args: tuple, arguments: dict, kept: tuple) -> ServoEnv:
     env = task(*args, **arguments)
-    env._resume(kept)
+    env.resume(kept)
     return env
 
 
-def _probabilities(faults: Mapping[str, float], known: tuple[str, ...]) -> dict[str, float]:
-    for cause, probability in faults.items():
-        if cause not in known:
-            raise ValueError(f"faults: unknown cause {cause!r}, choose of {', '.join(known)}")
-        if not 0.0 <= probability <= 1.0:
-            raise ValueError(f"faults[{cause!r}] = {probability!r} is out of range 0..1")
-    return dict(faults)
+def _injections(
+    faults: Mapping[str, float], machine: Mapping[str, Drive], drives: Sequence[Drive]
+) -> list[tuple[str, Drive, str, float]]:
+    """What may be injected: the name it has in an info, drive, cause, probability a step."""
+    own = {name: drive for name, drive in machine.items() if drive in drives}
+    several = len(own) > 1
+    injections = []
+    for key, probability in faults.items():
+        named, dot, cause = key.rpartition(".")
+        if dot and named not in own:
+            raise ValueError(f"faults[{key!r}]: there is no drive {named!r}, only {[*own]}")
+        for name in [named] if dot else own:
+            known = own[name].injectable
+            if cause not in known:
+                raise ValueError(f"faults: unknown cause {cause!r}, choose of {', '.join(known)}")
+            told = f"{name}.{cause}" if several else cause
+            injections.append((told, own[name], cause, probability))
+        if not (isinstance(probability, Real) and 0.0 <= probability <= 1.0):
+            raise ValueError(f"faults[{key!r}] = {probability!r} is out of range 0..1")
+    return injections
 
 
 def _interpolation_period(step_time: float) -> tuple[int, int]:

@@ -1,7 +1,9 @@
 """Many environments of one task: the compiled loops run side by side on threads."""
 
+import copy
 import os
-from concurrent.futures import ThreadPoolExecutor
+import weakref
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from typing import Any
 
@@ -10,6 +12,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from .checks import whole
+from .engine.guard import Turn
+from .engine.machine import Residence
 from .faces import FAULT
 from .servo_env import ServoEnv
 
@@ -45,6 +49,10 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         max_episode_steps: int | None = None,
         **arguments: Any,
     ):
+        self._arguments = {
+            "task": task, "autoreset_mode": autoreset_mode, "threads": threads,
+            "max_episode_steps": max_episode_steps, **arguments,
+        }  # fmt: skip
         self.num_envs = whole("num_envs", num_envs, 1, MOST)
         if threads is not None:
             threads = whole("threads", threads, 1, MOST)
@@ -55,11 +63,12 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
         self.envs: list[ServoEnv] = []
         for begin, end in pairwise(edges):
-            resident = np.zeros(1, np.int64)
             for _ in range(begin, end):
                 env = task(**arguments)
                 self.envs.append(env)
-                env.machine.share(self.envs[begin].machine, resident)
+                if len(self.envs) == begin + 1:
+                    residence = Residence(env.machine)
+                env.machine.share(residence)
         first = self.envs[0]
         self.metadata = first.metadata | {"autoreset_mode": self.autoreset_mode}
         self.render_mode = first.render_mode
@@ -75,6 +84,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self._worlds = self._batch.worlds.copy()
         self._parts = [self._batch.part(*edge) for edge in pairwise(edges)]
         self._pool: ThreadPoolExecutor | None = None
+        self._turn = Turn()
         self._steps = np.full(self.num_envs, -1, np.int64)  # -1: not begun
         self._ended = np.zeros(self.num_envs, bool)
         self._all = np.ones(self.num_envs, bool)
@@ -83,6 +93,12 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin anew, all, or those of ``options["reset_mask"]``; seed + i is that of the i-th."""
+        with self._turn:
+            return self._reset(seed, options)
+
+    def _reset(
+        self, seed: int | list[int | None] | None, options: dict[str, Any] | None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         options = dict(options or {})
         mask = options.pop("reset_mask", self._all)
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
@@ -103,7 +119,18 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     def step(  # type: ignore[override]
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One step of each. Raises ValueError for actions out of the space."""
+        """One step of each.
+
+        Raises:
+            ValueError: actions out of the space.
+            Exception: what `Machine.step` raises, or Ctrl-C; then all have to be reset.
+        """
+        with self._turn:
+            return self._step(actions)
+
+    def _step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         batch = self._batch
         given = np.asarray(actions, np.float64)
         if given.shape != batch.actions.shape or not (np.abs(given) <= 1.0 + 1e-6).all():
@@ -117,8 +144,13 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         moving = ~resting
         batch.worlds[:] = np.where(resting, 0, self._worlds)
         batch.actions[moving] = given[moving]
-        self._run(moving)
-        batch.worlds[:] = self._worlds
+        try:
+            self._run(moving)
+        except BaseException:
+            self._steps[:] = -1  # some have stepped, some have not
+            raise
+        finally:
+            batch.worlds[:] = self._worlds
         batch.remember(moving if resting.any() else slice(None))
         self._steps += moving
         rewards = np.where(resting, 0.0, batch.episodes["reward"])
@@ -150,10 +182,25 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(len(self._parts) - 1, "servogym")
+            _with_threads.add(self)
         others = [self._pool.submit(self._batch.run, part) for part in self._parts[1:]]
-        self._batch.run(self._parts[0])  # by this thread: no time is lost to waking another
-        for other in others:
-            other.result()
+        try:
+            self._batch.run(self._parts[0])  # by this thread: no time is lost to waking another
+            for other in others:
+                other.result()
+        except BaseException:
+            self._batch.stopped = True
+            wait(others)
+            raise
+        finally:
+            self._batch.stopped = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy or a pickle is a vector of its own, as this one is now; threads are not kept."""
+        with self._turn:
+            kept = [env.kept() for env in self.envs]
+            own = self._steps.copy(), self._ended.copy(), copy.deepcopy(self._np_random)
+            return _rebuild, (self.num_envs, self._arguments, kept, own)
 
     def _infos(self) -> dict[str, Any]:
         batch = self._batch
@@ -185,3 +232,24 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             self._pool = None
         for env in self.envs:
             env.close()
+
+
+_with_threads: "weakref.WeakSet[ServoVectorEnv]" = weakref.WeakSet()
+
+
+def _forked() -> None:
+    """A forked process has none of the threads."""
+    for vector in _with_threads:
+        vector._pool = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
+
+
+def _rebuild(num_envs: int, arguments: dict[str, Any], kept: list, own: tuple) -> ServoVectorEnv:
+    vector = ServoVectorEnv(num_envs=num_envs, **arguments)
+    for env, its in zip(vector.envs, kept, strict=True):
+        env.resume(its)
+    vector._steps[:], vector._ended[:], vector._np_random = own
+    return vector

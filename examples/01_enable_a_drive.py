@@ -16,11 +16,11 @@
 import sys
 from pathlib import Path
 
+from servogym.drive.kernel.words import Mode, State, decode_controlword
 from servogym.drive.trace import Trace
-from servogym.drive.words import Mode, State, decode_controlword
 from servogym.envs import linear_axis
-from servogym.training.demo import CHANNELS, Phase
-from servogym.training.scope import draw
+from servogym.training.pictures.demo import CHANNELS, Phase
+from servogym.training.pictures.scope import draw
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/01_enable_a_drive.png"))
 

@@ -10,19 +10,20 @@ import sys
 from pathlib import Path
 
 from servogym.drive import Abort, SdoAbort
+from servogym.drive.kernel.words import Limit, Mode
+from servogym.drive.master import Master
 from servogym.drive.trace import Trace
-from servogym.drive.words import Limit, Mode
 from servogym.envs import linear_axis
-from servogym.envs.supervisor import Supervisor
-from servogym.training.demo import CHANNELS, Phase
-from servogym.training.scope import draw
+from servogym.envs.masters.port import MachinePort
+from servogym.training.pictures.demo import CHANNELS, Phase
+from servogym.training.pictures.scope import draw
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/02_why_did_it_refuse.png"))
 machine = linear_axis("generic", payload=5.0)
 machine.reset(positions={"x": 0.12})
 x = machine.drives["x"]
 trace = Trace(x, CHANNELS)
-master = Supervisor(machine, "x", lambda: trace.sample(machine.time))
+master = Master(MachinePort(machine, lambda: trace.sample(machine.time)))
 phases = []
 
 
@@ -37,9 +38,9 @@ def begin(name: str) -> None:
 
 # %%
 begin("not in order")
-master.step(60)
+master.wait(0.03)
 x.write("controlword", 0x0F)
-master.step(60)
+master.wait(0.03)
 print(x.why())
 assert x.why().startswith("ENABLE_OPERATION was refused in SWITCH_ON_DISABLED")
 
@@ -50,13 +51,13 @@ assert x.why().startswith("ENABLE_OPERATION was refused in SWITCH_ON_DISABLED")
 # %%
 begin("fault")
 master.enable()
-master.step(60)
+master.wait(0.03)
 x.inject("overvoltage")
-master.step(60)
+master.wait(0.03)
 print(x.state.name, x.fault)
 for controlword in (0x00, 0x80):
     master.control(controlword)
-master.step(60)
+master.wait(0.03)
 print(x.why())
 assert "OVERVOLTAGE" in x.why()
 x.clear_injected()
@@ -77,8 +78,8 @@ x.write("modes_of_operation", Mode.PROFILE_POSITION)
 x.write("target_position", 200_000)
 for controlword in (0x0F, 0x1F):
     master.control(controlword)
-    master.step(4)
-master.step(800)
+    master.wait(0.002)
+master.wait(0.4)
 active = [limit.name for limit in Limit if x.read("active_limits") & limit]
 print(x.describe(), "|", *active, "|", x.read("position_actual_value"), "µm")
 assert active == ["SOFTWARE_POSITION_MAX"]
@@ -93,8 +94,8 @@ x.write("max_torque", 150)  # per mille of rated torque
 x.write("target_position", 0)
 for controlword in (0x0F, 0x1F):
     master.control(controlword)
-    master.step(4)
-master.step(400)
+    master.wait(0.002)
+master.wait(0.2)
 print(x.state.name, x.fault)
 fault = x.fault
 assert fault.startswith("8611h")

@@ -13,16 +13,17 @@ import control
 import matplotlib.pyplot as plt
 import numpy as np
 
+from servogym.drive.kernel.words import Mode
+from servogym.drive.master import Master
 from servogym.drive.trace import Trace
-from servogym.drive.words import Mode
 from servogym.envs import linear_axis
-from servogym.envs.supervisor import Supervisor
+from servogym.envs.masters.port import MachinePort
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/03_tune_the_cascade.png"))
 machine = linear_axis("generic", payload=5.0)
 machine.reset(positions={"x": 0.05})
 x = machine.drives["x"]
-master = Supervisor(machine, "x")
+master = Master(MachinePort(machine), "x")
 
 # %% [markdown]
 # The gains that the axis was commissioned with, in the units of the drive and in SI. They are
@@ -48,8 +49,8 @@ FREQUENCIES = np.geomspace(8.0, 500.0, 28)  # Hz
 OMEGA = 2 * np.pi * FREQUENCIES
 master.enable()
 x.write("target_velocity", 100_000)  # µm/s
-master.mode(Mode.CYCLIC_SYNC_VELOCITY)
-master.step(300)
+master.set_mode(Mode.CYCLIC_SYNC_VELOCITY)
+machine.step(300)
 moving = machine.snapshot()
 Ts, T = machine.cycle_time, x.model.cycle_time["velocity"]  # s, position and velocity cycle
 
@@ -82,10 +83,10 @@ def measure(gain: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     machine.restore(moving)
     x.write("velocity_control_gain", round(kp * gain / x.axis.velocity_gain_unit))
     trace = Trace(x, ["velocity_demand_value", "velocity_actual_value"])
-    step = Supervisor(machine, "x", lambda: trace.sample(machine.time))
-    step.step(20)
+    step = Master(MachinePort(machine, lambda trace=trace: trace.sample(machine.time)))
+    step.wait(20 * machine.cycle_time)
     x.write("target_velocity", 120_000)
-    step.step(120)
+    step.wait(120 * machine.cycle_time)
     return np.array(points), trace.arrays()
 
 

@@ -18,10 +18,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from servogym.drive.master import Master
 from servogym.drive.trace import Trace
-from servogym.envs import linear_axis, loop
-from servogym.envs.homing_figures import built_in
-from servogym.envs.supervisor import Supervisor
+from servogym.envs import linear_axis
+from servogym.envs.engine import loop
+from servogym.envs.masters.homing_figures import built_in
+from servogym.envs.masters.port import MachinePort
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/04_home_it.png"))
 METHODS = {17: "negative limit switch", 7: "home switch and index pulse", -17: "mechanical stop"}
@@ -32,7 +34,7 @@ x.write("home_offset", 0)  # the home position is zero
 
 # %% [markdown]
 # The procedure is the same for each: mode 6, method, and a rising edge of bit 4 of the
-# controlword. `Supervisor.home` waits for *homing attained*, or for *homing error*. The search
+# controlword. `Master.home` waits for *homing attained*, or for *homing error*. The search
 # for the switch is fast (6099h:01), the search for the zero slow (6099h:02). Only the simulation
 # knows the true place.
 
@@ -48,7 +50,7 @@ def home(method: int) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
         trace.sample(machine.time)
         places.append(machine.data.qpos[0])
 
-    master = Supervisor(machine, "x", look)
+    master = Master(MachinePort(machine, look), "x")
     # onto a stop all the way goes at the slower speed, else it would take 12 s
     x.write("speed_during_search_for_zero", 50_000 if method < 0 else 10_000)  # µm/s
     master.enable()

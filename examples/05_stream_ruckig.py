@@ -14,10 +14,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import ruckig
 
+from servogym.drive.kernel.words import ENABLED, Mode
+from servogym.drive.master import Master
 from servogym.drive.trace import Trace
-from servogym.drive.words import ENABLED, Mode
 from servogym.envs import linear_axis
-from servogym.envs.supervisor import Supervisor
+from servogym.envs.masters.port import MachinePort
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/05_stream_ruckig.png"))
 BUS_CYCLE = 1e-3  # s
@@ -35,17 +36,16 @@ x = machine.drives["x"]
 x.write("interpolation_time_period_value", 1)
 x.write("interpolation_time_index", -3)  # 1 x 10^-3 s
 x.map_pdos([["controlword", "target_position"]], [["statusword", "position_actual_value"]])
-cycles = round(BUS_CYCLE / machine.cycle_time)  # position cycles a bus cycle
 
 
 def stream(jerk: float) -> dict[str, np.ndarray]:
     """Move by 0.3 m at 1 m/s and 10 m/s² with a jerk (m/s³); -> trace."""
     machine.reset(positions={"x": 0.1})
     trace = Trace(x, CHANNELS)
-    master = Supervisor(machine, "x", lambda: trace.sample(machine.time))
+    master = Master(MachinePort(machine, lambda: trace.sample(machine.time)))
     x.exchange(x.pack(target_position=x.read("position_actual_value")))
     master.enable()
-    master.mode(Mode.CYCLIC_SYNC_POSITION)
+    master.set_mode(Mode.CYCLIC_SYNC_POSITION)
     planner = ruckig.Ruckig(1, BUS_CYCLE)
     wanted, now = ruckig.InputParameter(1), ruckig.OutputParameter(1)
     begin = x.read("position_demand_value") * 1e-6
@@ -55,9 +55,9 @@ def stream(jerk: float) -> dict[str, np.ndarray]:
     while result == ruckig.Result.Working:
         result = planner.update(wanted, now)
         x.exchange(x.pack(controlword=ENABLED, target_position=round(now.new_position[0] * 1e6)))
-        master.step(cycles)
+        master.wait(BUS_CYCLE)
         now.pass_to_input(wanted)
-    master.step(200)
+    master.wait(200 * machine.cycle_time)
     return {name: column[start:] for name, column in trace.arrays().items()}
 
 
@@ -88,9 +88,9 @@ assert steps[0] < window
 
 # %%
 machine.reset(positions={"x": 0.1})
-master = Supervisor(machine, "x")
+master = Master(MachinePort(machine), "x")
 master.enable()
-master.mode(Mode.CYCLIC_SYNC_POSITION)
+master.set_mode(Mode.CYCLIC_SYNC_POSITION)
 x.exchange(x.pack(controlword=ENABLED, target_position=300_000))
 machine.step(200)
 print(x.state.name, x.fault)

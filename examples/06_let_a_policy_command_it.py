@@ -42,7 +42,8 @@ class Braking:
         self.velocity = 0.0  # of the set-point (m/s)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        left = observation[0] * STROKE - observation[5] * WINDOW  # m
+        seen = env.unwrapped.seen(observation)  # by the names in the docstring of the task
+        left = seen.distance * STROKE - seen.set_point * WINDOW  # m
         step = ACCELERATION * STEP
         # the parabola, reached at the end of the step; within one step it is a straight line
         allowed = np.sqrt((step / 2) ** 2 + 2 * ACCELERATION * abs(left)) - step / 2

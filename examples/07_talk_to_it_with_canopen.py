@@ -17,10 +17,11 @@ import canopen
 import matplotlib.pyplot as plt
 from canopen.profiles.p402 import BaseNode402
 
+from servogym.drive.canopen.decode import Decoder
+from servogym.drive.canopen.eds import object_dictionary
 from servogym.drive.canopen.frame import parse
-from servogym.training.decode import Decoder
-from servogym.training.eds import object_dictionary
-from servogym.training.node import Server, axis_for
+from servogym.drive.wire.server import Server
+from servogym.envs.plants.catalogue import axis_for
 
 picture = Path(
     next((a for a in sys.argv if a.endswith(".png")), "out/07_talk_to_it_with_canopen.png")
@@ -66,7 +67,7 @@ try:
     until(lambda: node.state == "SWITCH ON DISABLED", "switch on disabled")
     node.sdo["homing_method"].raw = 34
     node.sdo[0x6099][2].raw = 50_000  # µm/s, search for zero
-    assert node.homing(timeout=10)
+    assert node.homing(timeout=30)
     node.controlword = 0x0F
     node.op_mode = "PROFILED POSITION"
     node.state = "OPERATION ENABLED"

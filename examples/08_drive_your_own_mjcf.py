@@ -12,9 +12,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from servogym.drive.master import Master
 from servogym.drive.trace import Trace
 from servogym.envs import Machine, commission_joint
-from servogym.envs.supervisor import Supervisor
+from servogym.envs.masters.port import MachinePort
 
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/08_drive_your_own_mjcf.png"))
 ARM = """
@@ -46,10 +47,11 @@ machine = Machine.from_mjcf(
     gears={"shoulder": 100, "elbow": 50},
 )
 CHANNELS = ["position_demand_value", "position_actual_value", "axis.torque"]
+port = MachinePort(machine)
 masters, traces = {}, {}
 for name, x in machine.drives.items():
     commission_joint(machine, name, max_velocity=3.0, max_acceleration=20.0)  # rad/s, rad/s²
-    masters[name] = Supervisor(machine, name)
+    masters[name] = Master(port, name)
     traces[name] = Trace(x, CHANNELS)
     masters[name].enable()
     masters[name].home()
@@ -59,7 +61,7 @@ for name, x in machine.drives.items():
 print(f"physics step {machine.model.opt.timestep * 1e6:g} µs")
 
 # %% [markdown]
-# Each supervisor waits for its own drive; while one waits both are traced, and both hold their
+# Each master waits for its own drive; while one waits both are traced, and both hold their
 # place.
 
 # %%
@@ -71,15 +73,14 @@ def look() -> None:
         trace.sample(machine.time)
 
 
-for master in masters.values():
-    master.on_step = look
-TARGETS = [("shoulder", 1_200_000), ("elbow", -900_000), ("shoulder", 0), ("elbow", 0)]  # µrad
+port.on_step = look
+TARGETS = [("shoulder", 1.2), ("elbow", -0.9), ("shoulder", 0.0), ("elbow", 0.0)]  # rad
 for name, target in TARGETS:
-    masters[name].move(target)
-    masters[name].step(100)
+    masters[name].move_to(target)
+    masters[name].wait(100 * machine.cycle_time)
     joint = machine.data.joint(name).qpos[0]
-    print(f"{name} at {joint:+.4f} rad, told {target * 1e-6:+.4f}")
-    assert abs(joint - target * 1e-6) < 1e-3
+    print(f"{name} at {joint:+.4f} rad, told {target:+.4f}")
+    assert abs(joint - target) < 1e-3
 
 # %% [markdown]
 # The torque at rest is the weight of the links divided by the gear: it is largest while the arm

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import settings
 
 from servogym.drive.drive import Drive
-from servogym.drive.words import State
+from servogym.drive.kernel.words import State
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo looks at it when it is imported
 
@@ -26,6 +26,7 @@ class Shaft:
     def __init__(self, model="generic", **arguments):
         self.drive = Drive(model, **arguments)
         self.axis = self.drive.axis
+        self.cycle_time = self.drive.model.cycle_time["position"]
         self.angle = 0.0
         self.speed = 0.0
         self.inertia = INERTIA  # kg·m²

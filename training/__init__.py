@@ -1,1 +1,1 @@
-"""The command line, the demo, pictures, benchmarks; later policies and training."""
+"""Learning, judging, pictures, benchmarks, and the command line."""

@@ -1,7 +1,5 @@
 """`servogym watch`: see an environment move in a window, in real time, or record it."""
 
-import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +8,8 @@ from typing import Any
 import gymnasium
 from rich.console import Console
 
+from .pictures.video import Recording
 from .policies import BuiltIn, Policy, make, needed
-from .video import Recording
 
 FPS = 25  # images a second aimed at, each after a whole number of steps
 
@@ -23,7 +21,7 @@ def run(
     """Play episodes of a policy, in a window or to a file.
 
     Args:
-        name: of the environment, with or without ``servogym/``.
+        name: id of the environment.
         policy_name: of `policies.make`.
         drive: drive model.
         episodes: how many, from 1 on.
@@ -43,12 +41,12 @@ def run(
         raise ValueError(f"--seed = {seed} is out of range 0..")
     if not 0.01 <= speed <= 100.0:
         raise ValueError(f"--speed = {speed:g} is out of range 0.01..100; 1 is real time")
-    if record is not None and sys.platform == "linux":
-        os.environ.setdefault("MUJOCO_GL", "egl")  # looked at when mujoco is imported, so:
-    from ..envs.picture import Picture, require_display
+    from ..envs.registry import task
+    from ..envs.view.picture import Picture, require_display
 
+    identity = task(name).ID
     env: Any = gymnasium.make(
-        _identifier(name), drive=drive, disable_env_checker=True, **needed(policy_name)
+        identity, drive=drive, disable_env_checker=True, **needed(policy_name)
     )
     policy = make(policy_name, env.unwrapped, seed)
     if isinstance(policy, BuiltIn):
@@ -110,14 +108,3 @@ def _episode(
             watched = frame()
     outcome = info["fault"] or ("success" if info["is_success"] else "no success")
     return watched, f"{steps} steps, {info['time']:.3f} s, return {total:.2f}, {outcome}"
-
-
-def _identifier(name: str) -> str:
-    """The registered id of an environment. Raises ValueError naming those there are."""
-    from ..envs import TASKS
-
-    known = {task.ID.partition("/")[2]: task.ID for task in TASKS}
-    short = name.rpartition("/")[2]
-    if short not in known:
-        raise ValueError(f"unknown environment {name!r}: choose one of {', '.join(known)}")
-    return known[short]

@@ -2,8 +2,9 @@
 
 Two kinds of errors meet here. Faults of the drive are entered in 1001h and 1003h by its control
 cycle. Communication errors are *conditions* that the services of the node report and clear; they
-are entered here and keep bit 4 of the error register set as long as one is present. Each entry of
-the history is sent once; a bit of the register that goes is told by an EMCY with the code 0.
+are entered here and keep bit 4 of the error register set as long as one is present. Each event is
+sent once, whatever a master makes of the history meanwhile; a bit of the register that goes is told
+by an EMCY with the code 0.
 """
 
 import struct
@@ -12,8 +13,8 @@ from collections.abc import Callable, Hashable
 from enum import IntEnum
 
 from ..drive import Drive
-from ..faults import Cause, Reaction
-from ..record import HISTORY
+from ..kernel.faults import Cause, Reaction
+from ..kernel.record import HISTORY
 from .frame import Base
 
 COMMUNICATION = 0x11  # error register: generic and communication
@@ -59,7 +60,8 @@ class Emergency:
         self._seen = self._events.item(0)
         self._told = self._register.item(0)
         self._sent_at = -(1 << 62)
-        self._queue: deque[tuple[int, int]] = deque(maxlen=HISTORY)  # code, error register
+        # code, cause, error register
+        self._queue: deque[tuple[int, int, int]] = deque(maxlen=HISTORY)
 
     def report(self, code: ErrorCode, source: Hashable, cause: Cause = Cause.NONE) -> None:
         """A communication error is present, until `clear`.
@@ -67,25 +69,31 @@ class Emergency:
         It is entered in the history here, unless the control cycle will do so because `cause` is a
         fault or a warning of the drive.
         """
+        silent = self._drive.model.quirk("only_faults_are_told")
+        if silent and cause is Cause.CONNECTION and not self._drive_reports(cause):
+            return
         if (code, source) in self._present:
             return
         first = all(code != other for other, _ in self._present)
         self._present.add((code, source))
         if cause and first and self._drive_reports(cause):
             return
-        od = self._drive.axis.od
+        axis, od = self._drive.axis, self._drive.axis.od
+        place = axis.error_events % HISTORY
+        axis.event_code[place], axis.event_cause[place] = int(code), Cause.NONE
+        axis.error_events += 1
         od.error_field[1:] = od.error_field[:-1]
         od.error_field[0] = od.error_code = int(code)
-        od.error_count = min(int(od.error_count) + 1, HISTORY)
+        od.error_count = min(int(od.error_count) + 1, int(axis.history_depth) or HISTORY)
         od.error_register |= COMMUNICATION
-        self._drive.axis.error_events += 1
 
     def _drive_reports(self, cause: Cause) -> bool:
         axis = self._drive.axis
         if cause is Cause.CONNECTION and axis.od.abort_connection_option_code != 1:
             return False
         reaction = axis.od.fault_reaction[cause]
-        return reaction != Reaction.IGNORE and (axis.fault == 0 or reaction == Reaction.WARNING)
+        known = axis.warnings if reaction == Reaction.WARNING else axis.faults
+        return reaction != Reaction.IGNORE and not int(known) >> cause & 1
 
     def clear(self, code: ErrorCode, source: Hashable) -> None:
         """A communication error is gone; with the last one bit 4 of the error register goes."""
@@ -96,7 +104,7 @@ class Emergency:
             axis = self._drive.axis
             register = 0
             for cause in Cause:
-                if cause and (axis.fault == cause or int(axis.warnings) >> cause & 1):
+                if int(axis.faults | axis.warnings) >> cause & 1:
                     register |= int(axis.fault_register[cause])
             axis.od.error_register = register
 
@@ -110,25 +118,27 @@ class Emergency:
             self._register[0] = register
         new = min(max(events - self._seen, 0), HISTORY)
         self._seen = events
-        for code in reversed(self._drive.axis.od.error_field[:new].tolist()):
-            self._queue.append((code & 0xFFFF, register))
+        axis = self._drive.axis
+        for event in range(events - new, events):
+            place = event % HISTORY
+            code, cause = int(axis.event_code[place]), int(axis.event_cause[place])
+            self._queue.append((code, cause, register))
         if time - self._sent_at < self._inhibit:
             return
         if self._queue:
-            code, self._told = self._queue.popleft()
+            code, cause, self._told = self._queue.popleft()
         elif self._told & ~register:
-            code, self._told = ErrorCode.NONE, register
+            code, cause, self._told = ErrorCode.NONE, Cause.NONE, register
         else:
             self._told = register
             return
         self._sent_at = time
         if self._valid:
-            self._send(self._identifier, _FRAME.pack(code, self._told, self._internal(code)))
+            self._send(self._identifier, _FRAME.pack(code, self._told, self._internal(code, cause)))
 
-    def _internal(self, code: int) -> int:
+    def _internal(self, code: int, cause: int) -> int:
         """The manufacturer's fault number in bytes 6 and 7, in models that send it."""
         model = self._drive.model
         if not code or not model.quirk("emcy_internal_code"):
             return 0
-        cause = self._drive.axis.fault or self._drive.axis.fault_raised
-        return model.fault_key(code, cause)
+        return model.fault_key(code, cause, int(self._drive.axis.lost_node))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 from ..drive import Drive
-from ..faults import Cause
+from ..kernel.faults import Cause
 from .emcy import Emergency, ErrorCode
 
 
@@ -41,9 +41,14 @@ class HeartbeatProducer:
         if self._booted:
             self._booted, self._sent_at = False, time
             return False
-        if self._sent_at is not None and time - self._sent_at < self._period:
+        if self._sent_at is None:
+            self._sent_at = time
+            return True
+        late = time - self._sent_at - self._period
+        if late < 0:
             return False
-        self._sent_at = time
+        # a late poll does not add up; whoever polls this seldom loses some
+        self._sent_at = time - late if late < self._period else time
         return True
 
 
@@ -52,6 +57,7 @@ class HeartbeatConsumer:
 
     def __init__(self, drive: Drive, emergency: Emergency):
         self._objects = drive.objects
+        self._axis = drive.axis
         self._subs = sorted(sub for index, sub in drive.objects.slots if index == 0x1016 and sub)
         self._emergency = emergency
         self.reset()
@@ -100,6 +106,7 @@ class HeartbeatConsumer:
         for node in late:
             del self._heard[node]
             self.lost.add(node)
+            self._axis.lost_node = node
             self._emergency.report(ErrorCode.CONNECTION, node, Cause.CONNECTION)
         return bool(late)
 
@@ -109,6 +116,7 @@ class NodeGuarding:
 
     def __init__(self, drive: Drive, emergency: Emergency):
         self._objects = drive.objects
+        self._axis = drive.axis
         self._emergency = emergency
         self.reset()
 
@@ -151,5 +159,6 @@ class NodeGuarding:
         if self._guarded_at is None or not self._life or time - self._guarded_at <= self._life:
             return False
         self._guarded_at, self.lost = None, True
+        self._axis.lost_node = 0
         self._emergency.report(ErrorCode.CONNECTION, "guarding", Cause.CONNECTION)
         return True

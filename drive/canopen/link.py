@@ -2,7 +2,7 @@
 
 A `Link` is what one member sees of the bus: it sends frames and receives those of the others.
 `Loopback` is a bus within the process, with or without the time that frames take; `Faulty` makes
-any link a bad one. Links to python-can and to log files: `servogym.training.can_link`.
+any link a bad one. Links to python-can and to log files: `servogym.drive.wire.can_link`.
 """
 
 from collections import deque

@@ -58,6 +58,8 @@ class LssSlave:
         identity: vendor-id, product code, revision number, serial number (1018h).
         node_id: active node-id, 255 without one.
         send: takes the eight bytes of each response.
+        bit_rate: that is stored (bit/s), None: none.
+        store: keeps node-id and bit rate for the next power-on; False if it failed.
     """
 
     def __init__(
@@ -65,11 +67,14 @@ class LssSlave:
         identity: tuple[int, int, int, int],
         node_id: int,
         send: Callable[[bytes], None],
+        bit_rate: int | None = None,
+        store: Callable[[int, int | None], bool] = lambda node_id, bit_rate: True,
     ):
         self._identity = identity
         self._send = send
+        self._keep = store
         self.stored_node_id = node_id  # what a power-on would find
-        self.stored_bit_rate: int | None = None  # bit/s; None: never stored
+        self.stored_bit_rate = bit_rate  # bit/s; None: never stored
         self.active_node_id = node_id
         self.bit_rate: int | None = None  # bit/s that the bus is to have; None: as it was
         self.bit_rate_switch: BitRateSwitch | None = None  # in progress
@@ -199,8 +204,11 @@ class LssSlave:
             self.bit_rate_switch = BitRateSwitch(time + delay, time + 2 * delay, self._bit_rate)
 
     def _store(self, data: bytes, time: int) -> None:
-        self.stored_node_id, self.stored_bit_rate = self.node_id, self._bit_rate
-        self._answer(data[0], b"\0")
+        """Error code 2: the medium cannot be accessed."""
+        kept = self._keep(self.node_id, self._bit_rate)
+        if kept:
+            self.stored_node_id, self.stored_bit_rate = self.node_id, self._bit_rate
+        self._answer(data[0], bytes([0 if kept else 2]))
 
     def _inquire_node_id(self, data: bytes, time: int) -> None:
         self._answer(data[0], bytes([self.active_node_id]))

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ..drive import Drive
+from ..model.model import load
 from .emcy import Emergency
 from .frame import Base, Frame, Route
 from .heartbeat import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
@@ -35,14 +36,20 @@ class Node:
 
     Args:
         drive: the drive.
-        node_id: 1..127, or 255: none, the node waits until LSS gives it one. The drive's if left
-            out.
+        node_id: 1..127, or 255: none, the node waits until LSS gives it one. If left out, what
+            LSS has stored in the drive, else the drive's.
 
-    Raises ValueError: node_id is out of range.
+    Raises ValueError: node_id is out of range, the drive is on another bus.
     """
 
     def __init__(self, drive: Drive, node_id: int | None = None):
-        node_id = drive.node_id if node_id is None else node_id
+        load(drive.model, "can")
+        if drive.model.bus != "can":
+            raise ValueError(
+                f'drive {drive.model.name!r} is on {drive.model.bus}: make it with bus="can"'
+            )
+        stored_node_id, stored_bit_rate = drive.parameters.lss or (drive.node_id, 0)
+        node_id = stored_node_id if node_id is None else node_id
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
             raise ValueError(
                 f"node_id = {node_id} is out of range 1..127; 255 lets the node wait for LSS"
@@ -56,7 +63,11 @@ class Node:
         )  # synchronous TPDOs, dropped when the window closes
         vendor, product, revision, serial = (drive.objects.value(0x1018, n) for n in range(1, 5))
         self.lss = LssSlave(
-            (vendor, product, revision, serial), node_id, self._sender(Base.LSS_RESPONSE)
+            (vendor, product, revision, serial),
+            node_id,
+            self._sender(Base.LSS_RESPONSE),
+            stored_bit_rate or None,
+            drive.parameters.keep_lss,
         )
         self.emergency = Emergency(drive, self._send)
         self.sync = Sync(drive, self.emergency)

@@ -1,14 +1,15 @@
-"""How a master reaches the bus: frames and time pass through a port the user gives."""
+"""How frames reach nodes: they and time pass through a port the user gives."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Protocol
 
+from ..machine import Machine
 from .frame import Frame
 from .node import Node
 
 
-class Port(Protocol):
-    """A member of a bus; `servogym.training.bus.CanPort` is one of python-can."""
+class FramePort(Protocol):
+    """A member of a bus; `servogym.drive.wire.bus.CanPort` is one of python-can."""
 
     def now(self) -> float:
         """Time (s) from any beginning; it passes while frames are exchanged."""
@@ -18,18 +19,17 @@ class Port(Protocol):
 
 
 class NodePort:
-    """An emulated node in this process, in simulated time.
+    """The drives of a machine as nodes in this process, in simulated time.
 
     Args:
-        node: the node.
-        step: lets one cycle of the machine pass, such as `Machine.step`.
-        period: of that cycle (s).
+        machine: a cycle of it passes with every exchange.
+        nodes: that hear the frames; one for each of its drives, with its node-id, if not given.
     """
 
-    def __init__(self, node: Node, step: Callable[[], object], period: float):
-        self._node = node
-        self._step = step
-        self._period = round(period * 1e6)
+    def __init__(self, machine: Machine, *nodes: Node):
+        self.nodes = nodes or tuple(Node(drive) for drive in machine.drives.values())
+        self._machine = machine
+        self._period = round(machine.cycle_time * 1e6)
         self._time = 0  # µs
 
     def now(self) -> float:
@@ -37,9 +37,10 @@ class NodePort:
         return self._time * 1e-6
 
     def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
-        """Frames to the node, one cycle, frames from the node; a cycle takes one SDO request."""
+        """Frames to the nodes, one cycle, frames from them; a cycle takes one SDO request."""
         for frame in frames:
-            self._node.receive(frame, self._time)
-        self._step()
+            for node in self.nodes:
+                node.receive(frame, self._time)
+        self._machine.step()
         self._time += self._period
-        return self._node.poll(self._time)
+        return [frame for node in self.nodes for frame in node.poll(self._time)]

@@ -1,19 +1,99 @@
-"""The objects of a drive as a master sees them: by name, over SDO, or over PDO where mapped."""
+"""Drives on CANopen as a master reaches them: objects over SDO, or over PDO where mapped."""
 
 import struct
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..abort import Abort, SdoAbort
-from ..model import DriveModel, Object, load
+from ..master.port import Units
+from ..model.model import DriveModel, Object, load
+from ..objects.abort import Abort, SdoAbort
 from .frame import Base, Frame
 from .node import NmtCommand
-from .port import Port
+from .port import FramePort
 from .sdo_client import SdoClient
 
 SYNC = Frame(Base.SYNC)
 PDOS = 512  # of each direction at most (CiA 301)
 SYNCHRONOUS = range(241)  # transmission types
+LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
+
+
+class CanOpenPort:
+    """Nodes of one bus.
+
+    Args:
+        bus: the way to it: `NodePort`, or `servogym.drive.wire.bus.CanPort` for real ones.
+        nodes: node-id 1..127, or several by the name that the drive goes by; alone it is ``node``.
+        model: the drive model whose objects go by name; `generic` has those of the standard.
+        sdo_timeout: for the answer to one SDO request (s).
+        units: of the drives, where their factors are known.
+
+    Raises:
+        ValueError: node-id out of range, unknown model.
+    """
+
+    latency = LATENCY
+
+    def __init__(
+        self,
+        bus: FramePort,
+        nodes: int | Mapping[str, int] = 1,
+        model: str | Path | DriveModel = "generic",
+        *,
+        sdo_timeout: float = 1.0,
+        units: Units | None = None,
+    ):
+        self._bus = bus
+        self._units = units or Units()
+        known = load(model)
+        named = nodes if isinstance(nodes, Mapping) else {"node": nodes}
+        self.nodes = {
+            axis: RemoteObjects(self, node_id, known, sdo_timeout)
+            for axis, node_id in named.items()
+        }
+        self.models = dict.fromkeys(self.nodes, known)
+
+    def now(self) -> float:
+        """Time of the bus (s)."""
+        return self._bus.now()
+
+    def read(self, axis: str, name: str) -> int | float:
+        """An object (drive units), of the last PDO that has it, else by SDO."""
+        return self.nodes[axis].read(name)
+
+    def upload(self, axis: str, name: str) -> int | float:
+        """An object (drive units), by SDO."""
+        return self.nodes[axis].upload(name)
+
+    def write(self, axis: str, name: str, value: int | float) -> None:
+        """Set an object (drive units), by SDO, or by PDO with the next exchange."""
+        self.nodes[axis].write(name, value)
+
+    def exchange(self, frames: Iterable[Frame] = ()) -> list[Frame]:
+        """Send frames, changed RPDOs, and a SYNC where a PDO in use needs it; -> what has come."""
+        out = [*frames, *(frame for node in self.nodes.values() for frame in node.changed())]
+        if any(node.synchronous for node in self.nodes.values()):
+            out.append(SYNC)
+        received = list(self._bus.exchange(out))
+        for frame in received:
+            for node in self.nodes.values():
+                node.take(frame)
+        return received
+
+    def units(self, axis: str) -> Units:
+        """As given."""
+        return self._units
+
+    def nmt(self, command: NmtCommand) -> None:
+        """Send an NMT command to each of the nodes."""
+        for node in self.nodes.values():
+            node.nmt(command)
+
+    def use_pdos(self) -> None:
+        """Read the mapping of the valid PDOs and use them from now on; starts the nodes (NMT)."""
+        for node in self.nodes.values():
+            node.use_pdos()
 
 
 @dataclass
@@ -27,47 +107,39 @@ class _Pdo:
 
 
 class RemoteObjects:
-    """Reads and writes objects of a drive on the bus.
+    """Reads and writes objects of one node; `CanOpenPort` has the arguments and errors."""
 
-    Args:
-        port: the way to the bus.
-        node_id: of the drive, 1..127.
-        model: the drive model whose objects go by name; `generic` has those of the standard.
-        sdo_timeout: for the answer to one SDO request (s).
-
-    Raises:
-        ValueError: node-id out of range, unknown model.
-    """
-
-    def __init__(
-        self,
-        port: Port,
-        node_id: int,
-        model: str | Path | DriveModel = "generic",
-        sdo_timeout: float = 1.0,
-    ):
+    def __init__(self, port: CanOpenPort, node_id: int, model: DriveModel, sdo_timeout: float):
         self.port = port
         self.node_id = node_id
-        self.sdo = SdoClient(port, node_id, sdo_timeout, self._take)
-        self._rows = load(model).names
+        self.sdo = SdoClient(port, node_id, sdo_timeout)
+        self.synchronous = False
+        self._rows = model.names
         self._rpdos: list[_Pdo] = []
         self._tpdos: list[_Pdo] = []
-        self._synchronous = False
+        self._pending: dict[int, _Pdo] = {}
 
     def nmt(self, command: NmtCommand) -> None:
-        """Send an NMT command to the drive's node."""
+        """Send an NMT command to the node."""
         for pdo in self._tpdos:
             pdo.heard = False  # what the last one told may not be true any more
-        self.exchange(Frame(Base.NMT, bytes([command, self.node_id])))
+        self.port.exchange([Frame(Base.NMT, bytes([command, self.node_id]))])
 
-    def exchange(self, *frames: Frame) -> None:
-        """Send frames, and a SYNC where a PDO in use is synchronous; take what has come."""
-        sync = [SYNC] if self._synchronous else []
-        for frame in self.port.exchange([*frames, *sync]):
-            self._take(frame)
+    def changed(self) -> list[Frame]:
+        """The RPDOs written to since the last call, in that order."""
+        frames = [Frame(pdo.cob_id, bytes(pdo.data)) for pdo in self._pending.values()]
+        self._pending.clear()
+        return frames
+
+    def take(self, frame: Frame) -> None:
+        """Hear a frame of the bus."""
+        for pdo in self._tpdos:
+            if frame.id == pdo.cob_id and not frame.remote and len(frame.data) >= len(pdo.data):
+                pdo.data[:] = frame.data[: len(pdo.data)]
+                pdo.heard = True
 
     def read(self, name: str) -> int | float:
-        """An object's value (drive units), of the last TPDO that has it, else by SDO."""
+        """An object's value (drive units), of the last PDO that has it, else by SDO."""
         for pdo in self._tpdos:
             if pdo.heard and name in pdo.places:
                 return _code(self._row(name)).unpack_from(pdo.data, pdo.places[name])[0]
@@ -78,7 +150,7 @@ class RemoteObjects:
         row = self._row(name)
         return _code(row).unpack(self.sdo.upload(row.index, row.subindex))[0]
 
-    def write(self, name: str, value: int) -> None:
+    def write(self, name: str, value: int | float) -> None:
         """Set an object (drive units), in the first RPDO that has it, else by SDO.
 
         Raises:
@@ -94,13 +166,13 @@ class RemoteObjects:
             if name in pdo.places:
                 at = pdo.places[name]
                 pdo.data[at : at + len(data)] = data
-                self.exchange(Frame(pdo.cob_id, bytes(pdo.data)))
+                self._pending[pdo.cob_id] = pdo
                 return
         self.sdo.download(row.index, row.subindex, data)
 
     def use_pdos(self) -> None:
-        """Read the mapping of the valid PDOs and use them from now on; starts the node (NMT)."""
-        self._synchronous = False
+        """See `CanOpenPort.use_pdos`."""
+        self.synchronous = False
         rpdos = self._mapped(0x1400, 0x1600)
         for pdo in rpdos:
             for name, at in pdo.places.items():
@@ -131,7 +203,7 @@ class RemoteObjects:
             pdo.data = bytearray(bits // 8)
             pdos.append(pdo)
             if self._number(communication + number, 2) in SYNCHRONOUS:
-                self._synchronous = True
+                self.synchronous = True
         return pdos
 
     def _number(self, index: int, subindex: int) -> int:
@@ -141,12 +213,6 @@ class RemoteObjects:
         if name not in self._rows or not self._rows[name].format:
             raise ValueError(f"the model has no number {name!r}; use sdo.upload and sdo.download")
         return self._rows[name]
-
-    def _take(self, frame: Frame) -> None:
-        for pdo in self._tpdos:
-            if frame.id == pdo.cob_id and not frame.remote and len(frame.data) >= len(pdo.data):
-                pdo.data[:] = frame.data[: len(pdo.data)]
-                pdo.heard = True
 
 
 def _code(row: Object) -> struct.Struct:

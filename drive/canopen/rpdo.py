@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from .. import process_data
 from ..drive import Drive
-from ..faults import Cause
-from ..jit import entry
+from ..kernel import process_data
+from ..kernel.faults import Cause
+from ..kernel.jit import entry
 from .emcy import Emergency, ErrorCode
 from .frame import SYNCHRONOUS, Route
 from .sync import Sync

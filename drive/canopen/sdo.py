@@ -1,15 +1,17 @@
 """SDO server: expedited, segmented and block transfer (CiA 301, SDO protocol).
 
 One transfer at a time. A request is answered or aborted, an abort of the client ends the transfer,
-and a client that stays silent for the time-out finds the server aborting.
+and a client that stays silent for the time-out finds the server aborting. In a block download any
+frame may be a segment; only one that goes on with it counts as a sign of its client, so that the
+requests of others do not keep the transfer of a dead client alive.
 """
 
 import binascii
 import struct
 from collections.abc import Callable
 
-from ..abort import Abort
-from ..objects import ObjectDictionary
+from ..objects.abort import Abort
+from ..objects.dictionary import ObjectDictionary
 
 TIME_OUT = 1_000_000  # µs between two frames of a transfer
 BLOCK_SIZE = 127  # segments a block
@@ -44,10 +46,10 @@ class SdoServer:
         """Take the eight bytes of a request at `time` (µs); what is not eight long is ignored."""
         if len(data) != 8:
             return
-        self._last = time
         if self._handler and self._handler == self._download_block and data[0] != 0x80:
-            self._download_block(data)
+            self._download_block(data, time)
             return
+        self._last = time
         _SERVICES[data[0] >> 5](self, data)
 
     def poll(self, time: int) -> None:
@@ -58,6 +60,7 @@ class SdoServer:
     def _abort(self, code: Abort, request: bytes = b"") -> None:
         if request and self._handler is None:
             _, self._index, self._subindex = _HEAD.unpack_from(request)
+        code = self._objects.drive.model.abort_codes.get(code, code)  # type: ignore[assignment]
         self._answer(0x80, self._index, self._subindex, struct.pack("<I", code))
         self._handler = None
 
@@ -183,9 +186,10 @@ class SdoServer:
         self._sequence = 0
         self._answer(0xA4, self._index, self._subindex, bytes([BLOCK_SIZE]))
 
-    def _download_block(self, data: bytes) -> None:
+    def _download_block(self, data: bytes, time: int = 0) -> None:
         number, last = data[0] & 0x7F, data[0] & 0x80
         if number == self._sequence + 1:
+            self._last = time
             self._sequence = number
             self._data += data[1:]
         if len(self._data) > LIMIT + 7:
@@ -217,7 +221,10 @@ class SdoServer:
         elif kind == 3:  # start
             self._send_block()
         elif kind == 2:  # what the client has received of the block
-            self._at += min(data[1], self._sequence) * 7
+            if data[1] > self._sequence:  # more than were sent
+                self._abort(Abort.SEQUENCE_NUMBER)
+                return
+            self._at += data[1] * 7
             self._block = data[2]
             if not 1 <= self._block <= 127:
                 self._abort(Abort.BLOCK_SIZE)

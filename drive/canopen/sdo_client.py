@@ -1,15 +1,16 @@
 """The SDO client: reads and writes objects of a node, over any port (CiA 301, SDO).
 
-Expedited and segmented transfers; every node has those. Frames and time pass through a `Port`,
-which may be an emulated node in the same process or a real bus.
+Expedited and segmented transfers; every node has those. Frames and time pass through a
+`FramePort`, which may be an emulated node in the same process or a real bus.
 """
 
 import struct
 from collections.abc import Callable
 
-from ..abort import Abort, SdoAbort
+from ..master.errors import Timeout
+from ..objects.abort import Abort, SdoAbort
 from .frame import Base, Frame
-from .port import Port
+from .port import FramePort
 
 
 class SdoClient:
@@ -19,28 +20,20 @@ class SdoClient:
         port: the way to the bus.
         node_id: of the server, 1..127.
         timeout: for the answer to one request (s).
-        other: called with each frame that is no answer to a request.
 
     Raises:
         ValueError: node-id out of range.
     """
 
-    def __init__(
-        self,
-        port: Port,
-        node_id: int,
-        timeout: float = 1.0,
-        other: Callable[[Frame], None] = lambda frame: None,
-    ):
+    def __init__(self, port: FramePort, node_id: int, timeout: float = 1.0):
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self._port = port
         self._node_id = node_id
         self._timeout = timeout
-        self._other = other
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object. Raises SdoAbort if refused, TimeoutError without an answer."""
+        """The bytes of an object. Raises SdoAbort if refused, Timeout without an answer."""
         head = struct.pack("<HB", index, subindex)
         answer = self._initiate(b"\x40" + head + bytes(4), 0x40)
         if answer[0] & 2:  # expedited; without the size bit all four bytes are data
@@ -54,7 +47,7 @@ class SdoClient:
             toggle ^= 0x10
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write an object's bytes. Raises SdoAbort if refused, TimeoutError without an answer."""
+        """Write an object's bytes. Raises SdoAbort if refused, Timeout without an answer."""
         head = struct.pack("<HB", index, subindex)
         if 1 <= len(data) <= 4:
             command = 0x23 | 4 - len(data) << 2
@@ -85,12 +78,11 @@ class SdoClient:
         end = self._port.now() + self._timeout
         frames = [Frame(Base.SDO_REQUEST + self._node_id, request)]
         while True:
-            answers = []
-            for frame in self._port.exchange(frames):
-                if frame.id == Base.SDO_RESPONSE + self._node_id and len(frame.data) == 8:
-                    answers.append(frame.data)
-                else:
-                    self._other(frame)
+            answers = [
+                frame.data
+                for frame in self._port.exchange(frames)
+                if frame.id == Base.SDO_RESPONSE + self._node_id and len(frame.data) == 8
+            ]
             frames = []
             for answer in answers:
                 if answer[0] == 0x80 and answer[1:4] == head:
@@ -100,17 +92,16 @@ class SdoClient:
             if self._port.now() >= end:
                 self._give_up(Abort.TIME_OUT, head)
                 index, subindex = _address(head)
-                raise TimeoutError(
-                    f"node {self._node_id} did not answer the SDO request for "
-                    f"{index:04X}h:{subindex:02X}h within {self._timeout:g} s: check its node-id, "
-                    "the bit rate, and that NMT has not stopped it"
+                raise Timeout(
+                    f"node {self._node_id}, SDO request for {index:04X}h:{subindex:02X}h",
+                    f"no answer within {self._timeout:g} s",
+                    "check its node-id, the bit rate, and that NMT has not stopped it",
                 )
 
     def _give_up(self, code: Abort, head: bytes) -> SdoAbort:
         """Tell the server, as CiA 301 wants; -> the exception."""
         data = b"\x80" + head + struct.pack("<I", code)
-        for frame in self._port.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)]):
-            self._other(frame)
+        self._port.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)])
         return SdoAbort(code, *_address(head))
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from ..drive import Drive
-from ..objects import indices
+from ..objects.dictionary import indices
 from .frame import Base, Route
 from .sdo import SdoServer
 

@@ -10,10 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from .. import process_data
 from ..drive import Drive
-from ..jit import entry
-from ..objects import NO_RTR
+from ..kernel import process_data
+from ..kernel.jit import entry
+from ..objects.mapping import NO_RTR
 from .frame import SYNCHRONOUS, Frame, Route
 
 CYCLIC, ON_CHANGE = 254, 255  # with the quirk cyclic_event the inhibit time is a period
@@ -71,7 +71,7 @@ class _Transmit:
         """Begin anew, as on entering OPERATIONAL: event-driven PDOs are sent once."""
         self._last: bytes | None = None
         self._sampled = b""
-        self._sent_at = -(1 << 62)
+        self._sent_at = -(1 << 62)  # when it was due, so that a late poll does not add up
         self._syncs = 0
 
     def _content(self) -> bytes:
@@ -108,8 +108,10 @@ class _Transmit:
         if waited < self._inhibit:
             return None
         data = self._content()
-        due = self._timer and waited >= self._timer
-        return self._frame(data, time) if due or self._changed(data) else None
+        if self._timer and waited >= self._timer:
+            late = waited - self._timer
+            return self._frame(data, time - late if late < self._timer else time)
+        return self._frame(data, time) if self._changed(data) else None
 
     def request(self, time: int) -> Frame:
         """Answer to a remote frame (RTR)."""
@@ -132,7 +134,7 @@ class Transmitter:
         """Read 1800h… and 1A00h…."""
         tpdos, before = self._drive.tpdos, self._tpdos
         self._tpdos, self.routes = {}, []
-        numbers = np.flatnonzero(tpdos["valid"])
+        numbers = np.flatnonzero((tpdos["valid"] == 1) & (tpdos["width"] > 0))
         fields = ("cob_id", "transmission_type", "inhibit_time", "event_timer", "sync_start")
         columns = (tpdos[field][numbers].tolist() for field in (*fields, "width"))
         for number, cob_id, *more in zip(numbers.tolist(), *columns, strict=True):

@@ -19,3 +19,4 @@ TASKS = (
     GantryContourEnv,
     GantrySwayEnv,
 )
+POINT_TO_POINT = LinearAxisEnv  # what speed and positioning are measured with

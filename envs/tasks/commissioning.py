@@ -6,19 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.faults import Cause, Reaction
-from ...drive.jit import entry
-from ...drive.model import DriveModel
-from ...drive.words import Mode, State
-from ..axis_parameters import LinearAxisParameters, chosen
+from ...drive.kernel.faults import Cause, Reaction
+from ...drive.kernel.jit import entry
+from ...drive.kernel.words import Mode, State
+from ...drive.model.model import DriveModel
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import axes_at, world_at
+from ..engine.machine import Machine
 from ..faces import PDO, clip, limited
-from ..linear_axis import linear_axis
-from ..loop import axes_at, world_at
-from ..machine import Machine
+from ..fields import action, observation
+from ..plants.axis_parameters import LinearAxisParameters, chosen
+from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import Channel, goal, in_mm, position, velocity
 from .positioning import STROKE
 
 MARGIN = 0.02  # m, starts and goals keep away from the ends
@@ -46,7 +48,9 @@ def act(worlds, episodes, actions, rpdos):
         if worlds[w] == 0:
             continue
         episode = episodes[w]
-        rpdos[w, 0].target_position = round(0.5 * (actions[w, 0] + 1.0) * STROKE * METRE)
+        rpdos[w, 0].target_position = round(
+            0.5 * (actions[w].target_position + 1.0) * STROKE * METRE
+        )
         world = world_at(worlds[w], 1)[0]
         axis = axes_at(world.axes, world.drives)[0]
         if axis.injected:
@@ -68,12 +72,12 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         word, mode = int(tpdo.statusword), int(tpdo.modes_of_operation_display)
         distance = episode.goal - position
         faulty = word & FAULT != 0
-        seen[0] = clip(2.0 * episode.goal / STROKE - 1.0)
-        seen[1] = clip(2.0 * position / STROKE - 1.0)
-        seen[2] = clip(velocity / episode._speed)
-        seen[3] = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen[4] = (int(tpdo.error_code) >> 12 & 0xF) / 15.0 if faulty else 0.0
-        seen[5] = episode.milestones / MILESTONES
+        seen.goal = clip(2.0 * episode.goal / STROKE - 1.0)
+        seen.position = clip(2.0 * position / STROKE - 1.0)
+        seen.velocity = clip(velocity / episode._speed)
+        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen.fault_class = (int(tpdo.error_code) >> 12 & 0xF) / 15.0 if faulty else 0.0
+        seen.milestones = episode.milestones / MILESTONES
         enabled = word & STATE == OPERATION_ENABLED
         referenced = word & ATTAINED and word & REACHED and not word & HOMING_ERROR
         travelling = enabled and mode == PROFILE_POSITION
@@ -114,26 +118,27 @@ class CommissioningEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (11,), float32)`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0 | target position | 607Ah target_position | -1 and 1: ends of the stroke, 0 and 0.5 m |
-    | 1–9 | bits 0 to 8 | 6040h controlword | above 0: set |
-    | 10 | mode | 6060h modes_of_operation | below 0: 6 hm, else 1 pp |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0 | target_position | target position | 607Ah | -1 and 1: ends of the stroke, 0 and 0.5 m |
+    | 1–9 | control[:].controlword[:] | bits 0 to 8 | 6040h controlword | above 0: set |
+    | 10 | control[:].mode | mode | 6060h modes_of_operation | below 0: 6 hm, else 1 pp |
 
     ## Observation space
     `Box(-1, 1, (23,), float32)`, clipped
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0 | goal, scaled as action 0 | | right end of the stroke |
-    | 1 | position, scaled as action 0 | 6064h position_actual_value | right end of the stroke |
-    | 2 | velocity | 606Ch velocity_actual_value | the profile velocity 6081h |
-    | 3 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 4 | class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without one | \
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0 | goal | goal, scaled as action 0 | | right end of the stroke |
+    | 1 | position | position, scaled as action 0 | 6064h | right end of the stroke |
+    | 2 | velocity | velocity | 606Ch velocity_actual_value | the profile velocity 6081h |
+    | 3 | torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 4 | fault_class | \
+class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without one | \
 603Fh error_code bits 12–15 | 15 |
-    | 5 | milestones reached | | all 5 |
-    | 6–21 | bits 0 to 15 | 6041h statusword | set |
-    | 22 | mode | 6061h modes_of_operation_display | 0.5 is pp, -0.5 is hm, 0 none of them |
+    | 5 | milestones | milestones reached | | all 5 |
+    | 6–21 | status[:].statusword[:] | bits 0 to 15 | 6041h statusword | set |
+    | 22 | status[:].mode | mode | 6061h | 0.5 is pp, -0.5 is hm, 0 none of them |
 
     ## Reward
     In [0, 1], and so is its sum: a fifth for each milestone, in the step that reaches it, in this
@@ -166,8 +171,8 @@ class CommissioningEnv(ServoEnv):
     TPDO = (
         "position_actual_value", "velocity_actual_value", "torque_actual_value", "error_code",
     )  # fmt: skip
-    ACTIONS = 1
-    OBSERVATIONS = 6
+    ACTION = action("target_position")
+    OBSERVATION = observation("goal", "position", "velocity", "torque", "fault_class", "milestones")
     EPISODE = episode(
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus position (m)
@@ -186,6 +191,19 @@ class CommissioningEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
+    POLICIES = ("plc",)
+    REFERENCE = "plc"
+    METRIC = "settling_time"
+    DONE = ("in position", "not in position")
+    CHANNELS = (
+        Channel("carriage\n(mm)", in_mm(position), goal),
+        Channel("milestones\nreached", lambda env: float(env.episode.milestones)),
+        Channel("velocity\n(m/s)", velocity),
+    )
+    STROKE = (STROKE,)
+
+    datasheet: LinearAxisParameters
+
     def __init__(
         self,
         drive: str | DriveModel = "generic",
@@ -200,7 +218,7 @@ class CommissioningEnv(ServoEnv):
     ):
         if action != PDO:
             raise ValueError(f'action = {action!r}: here the agent is the whole master, use "pdo"')
-        self._parameters = chosen(parameters, payload)
+        self.datasheet = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 20e-6, 0.1, "m")
         self.outage = int(in_range("outage", outage, 0, 1000, "steps"))
         super().__init__(drive, action=action, **arguments)
@@ -211,7 +229,7 @@ class CommissioningEnv(ServoEnv):
             raise ValueError(f"causes = {self.causes!r}, choose some of {', '.join(possible)}")
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self._parameters)
+        machine = linear_axis(model, parameters=self.datasheet)
         machine.drives["x"].commission({"speed_during_search_for_switch": SEARCH_SPEED})
         return machine
 

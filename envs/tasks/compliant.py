@@ -6,18 +6,23 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.jit import block, entry
-from ...drive.model import DriveModel
+from ...drive.kernel.jit import block, entry
+from ...drive.model.model import DriveModel
+from ..about import Sensor
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import FARTHEST, coordinates, load_noise, speeds, world_at
+from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
-from ..linear_axis import LinearAxisParameters, linear_axis
-from ..loop import FARTHEST, coordinates, speeds, world_at
-from ..machine import Machine
-from ..rewards import closeness, decades
+from ..fields import action, observation
+from ..plants.linear_axis import LinearAxisParameters, linear_axis
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import MM, Channel, joint
+from ..view.channels import linear_axis as linear_axis_channels
+from .exploration import CALM
 from .positioning import MARGIN, RESTING, STROKE
+from .rewards import closeness, decades
 
 DEFLECTION = 5e-3  # m, of the spring, that is 1.0 for the load sensor
 RATE = 0.3  # m/s, of the deflection: that amplitude at 10 Hz
@@ -35,10 +40,10 @@ def act(worlds, episodes, actions, rpdos):
         if worlds[w] == 0:
             continue
         episode = episodes[w]
-        target = episode._target + actions[w, 0] * episode._way
+        target = episode._target + actions[w].velocity * episode._way
         episode._target = min(max(target, 0.0), STROKE)
         rpdos[w, 0].target_position = round(episode._target * METRE)
-        rpdos[w, 0].torque_offset = round(actions[w, 1] * episode._torque_range)
+        rpdos[w, 0].torque_offset = round(actions[w].torque * episode._torque_range)
 
 
 @block
@@ -61,16 +66,19 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         distance = episode.goal - _finite(qpos[episode._x]) - deflection
         velocity = _finite(qvel[episode._x]) + rate
         position = tpdo.position_actual_value / METRE
-        seen[0] = clip((episode.goal - position) / STROKE)
-        seen[1] = clip(2.0 * position / STROKE - 1.0)
-        seen[2] = clip(tpdo.velocity_actual_value / METRE / episode._speed)
-        seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
-        seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen[5] = clip((episode._target - position) / episode._window)
-        seen[6] = clip(deflection / DEFLECTION) if episode._sensor else 0.0
-        seen[7] = clip(rate / RATE) if episode._sensor else 0.0
+        seen.distance = clip((episode.goal - position) / STROKE)
+        seen.position = clip(2.0 * position / STROKE - 1.0)
+        seen.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+        seen.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen.set_point = clip((episode._target - position) / episode._window)
+        noise = load_noise(world)
+        seen.deflection = clip((deflection + noise) / DEFLECTION) if episode._sensor else 0.0
+        jump = (noise - episode._noise) / episode._step_time  # of a rate that is differentiated
+        seen.deflection_rate = clip((rate + jump) / RATE) if episode._sensor else 0.0
+        episode._noise = noise
         far = STROKE / episode._tolerance
-        seen[8] = decades((episode.goal - position) / episode._tolerance, far)
+        seen.distance_logarithmic = decades((episode.goal - position) / episode._tolerance, far)
         sag = deflection - episode._rest
         energy = 0.5 * (episode._stiffness * sag * sag + episode._mass * rate * rate)
         off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
@@ -99,10 +107,10 @@ class CompliantAxisEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0 | velocity of the set-point | 607Ah target_position | 1 is the maximum velocity 607Fh |
-    | 1 | torque feed-forward | 60B2h torque_offset | 1 is `torque_range` × maximum torque 6072h |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0 | velocity | velocity of the set-point | 607Ah | 1 is the maximum velocity 607Fh |
+    | 1 | torque | torque feed-forward | 60B2h | 1 is `torque_range` × maximum torque 6072h |
 
     The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
 
@@ -110,27 +118,28 @@ class CompliantAxisEnv(ServoEnv):
     `Box(-1, 1, (9,), float32)`, clipped; `history` and `previous_action` let an agent recognise the
     resonance
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0 | goal minus position | 6064h position_actual_value | the stroke, 0.5 m |
-    | 1 | position, -1 and 1 at the ends | 6064h position_actual_value | half the stroke |
-    | 2 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
-    | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
-    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
-    | 6 | deflection of the load from the carriage | load sensor | 5 mm |
-    | 7 | velocity of the deflection | load sensor | 0.3 m/s |
-    | 8 | goal minus position, logarithmic | 6064h position_actual_value | the stroke, 0.5 m |
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0 | distance | goal minus position | 6064h position_actual_value | the stroke, 0.5 m |
+    | 1 | position | position, -1 and 1 at the ends | 6064h | half the stroke |
+    | 2 | velocity | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 3 | following_error | following error | 60F4h | its window 6065h |
+    | 4 | torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 5 | set_point | set-point minus position | 607Ah, 6064h | its window 6065h |
+    | 6 | deflection | deflection of the load from the carriage | load sensor | 5 mm |
+    | 7 | deflection_rate | velocity of the deflection | load sensor | 0.3 m/s |
+    | 8 | distance_logarithmic | goal minus position, logarithmic | 6064h | the stroke, 0.5 m |
 
     The load sensor is an encoder or an integrated accelerometer on the load, wired to the master
-    and not to the drive; without it (``load_sensor=False``) 6 and 7 are 0.
+    and not to the drive, with the `encoder_noise` of `randomise` too; without it
+    (``load_sensor=False``) 6 and 7 are 0.
 
     ## Reward
     In [0, 1], of the true motion of the load: 0.4 for nearness, 0.4 for being settled: closer than
     `tolerance` and slower than 5 mm/s, and 0.2 for nearness × gentleness,
     ``1 / (1 + energy / 0.05 J)`` with the energy of spring and load relative to the carriage.
     Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale of
-    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.rewards`). The terms are in
+    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). The terms are in
     ``info``, with ``distance`` and ``deflection`` (m) of the load,
     ``energy`` (J), and ``info["cost"]``, 1 while an internal limit is active.
 
@@ -152,8 +161,11 @@ class CompliantAxisEnv(ServoEnv):
     ID = "servogym/CompliantAxis-v0"
     STEPS = 400
     RPDO = ("target_position", "torque_offset")
-    ACTIONS = 2
-    OBSERVATIONS = 9
+    ACTION = action("velocity", "torque")
+    OBSERVATION = observation(
+        "distance", "position", "velocity", "following_error", "torque", "set_point",
+        "deflection", "deflection_rate", "distance_logarithmic",
+    )  # fmt: skip
     EPISODE = episode(
         ("goal", "f8"),  # of the load (m)
         ("distance", "f8"),  # goal minus position of the load (m)
@@ -168,6 +180,8 @@ class CompliantAxisEnv(ServoEnv):
         ("_stiffness", "f8"),  # N/m
         ("_rest", "f8"),  # deflection by the weight on an inclined axis (m)
         ("_sensor", "?"),
+        ("_noise", "f8"),  # of the sensor of the load, a step before (m)
+        ("_step_time", "f8"),  # s
         ("_target", "f8"),  # set-point (m)
         ("_way", "f8"),  # farthest the set-point goes in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
@@ -178,6 +192,22 @@ class CompliantAxisEnv(ServoEnv):
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
+
+    POLICIES = (
+        "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ff", "lqr",
+        "adaptive_lqr",
+        "proportional",
+    )  # fmt: skip
+    REFERENCE = "ruckig"
+    METRIC = "settling_time"
+    CHANNELS = linear_axis_channels(
+        "load", Channel("deflection of\nthe load (mm)", lambda env: MM * joint(env, "load")[0])
+    )
+    STROKE = (STROKE,)
+    SENSOR = "load_sensor"
+    HYPERPARAMETERS = {"PPO": CALM}  # noqa: RUF012
+
+    datasheet: LinearAxisParameters
 
     def __init__(
         self,
@@ -197,7 +227,7 @@ class CompliantAxisEnv(ServoEnv):
                 f"{parameters.payload!r} kg must both be above 0: this task needs a load on a "
                 "spring, for a rigid one take servogym/LinearAxis-v0"
             )
-        self._parameters = parameters
+        self.datasheet = parameters
         self.load_sensor = bool(load_sensor)
         self.torque_range = in_range("torque_range", torque_range, 0.0, 1.0, "of 6072h")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
@@ -207,7 +237,7 @@ class CompliantAxisEnv(ServoEnv):
         super().__init__(drive, randomise=ranges, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self._parameters)
+        machine = linear_axis(model, parameters=self.datasheet)
         machine.drives["x"].write("following_error_window", round(self._window * METRE))
         return machine
 
@@ -225,11 +255,21 @@ class CompliantAxisEnv(ServoEnv):
         episode._stiffness = load.stiffness[0]
         episode._rest = episode._mass * model.opt.gravity[0] / episode._stiffness
         episode._sensor = self.load_sensor
+        episode._step_time = self.step_time
         episode._target = x.read("position_actual_value") / METRE
         self.normalise()
         episode._way = episode._speed * self.step_time
         episode._torque_range = self.torque_range * episode._max_torque
         episode._tolerance = self.tolerance
+
+    def sensor(self) -> Sensor | None:
+        """On the load, as far as there is one."""
+        one = Sensor("deflection", "deflection_rate", DEFLECTION, RATE)
+        return one if self.load_sensor else None
+
+    def settling(self) -> dict[str, float]:
+        """The load, at the goal."""
+        return {"goal": float(self.episode.goal), "window": self.tolerance}
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The carriage and the load at the goal."""

@@ -6,24 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.jit import block, entry
-from ...drive.model import DriveModel
+from ...drive.kernel.jit import block, entry
+from ...drive.model.model import DriveModel
+from ..about import Metric
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import coordinates, world_at
+from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
-from ..gantry import gantry
-from ..loop import coordinates, world_at
-from ..machine import Machine
+from ..fields import action, observation
+from ..plants.gantry import gantry
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import MM, UM, Channel, joint
 
 CONTOURS = ("circle", "square")
 CIRCLE = CONTOURS.index("circle")
 CENTRE = (0.4, 0.25)  # m, in X and Y
 CLOSE = 20e-6  # m, contour error at which the reward for closeness has fallen to one half
 SLOWEST = 0.2  # feed override
+PROGRESS = 0.8  # of the way at full feed that success asks for
+CORNER = 2e-3  # m, so near to one in X and Y counts as at the corner
 AHEAD = (1.0, 2.0, 4.0, 8.0)  # steps at full feed, where the points of the preview lie
-AXIS = 5  # observations an axis, after the preview
+AXIS = observation("distance", "velocity", "following_error", "torque", "correction")
 
 
 @block
@@ -65,12 +70,12 @@ def act(worlds, episodes, actions, rpdos):
         if worlds[w] == 0:
             continue
         episode = episodes[w]
-        episode._override = SLOWEST + (1.0 - SLOWEST) * 0.5 * (actions[w, 2] + 1.0)
+        episode._override = SLOWEST + (1.0 - SLOWEST) * 0.5 * (actions[w].override + 1.0)
         episode._way += episode._override * episode._step
         for d in range(2):
-            episode._correction[d] = actions[w, d]
+            episode._correction[d] = actions[w].correction[d]
             target = CENTRE[d] + point(episode._contour, episode._radius, episode._way, d)
-            target += actions[w, d] * episode._range
+            target += actions[w].correction[d] * episode._range
             rpdos[w, d].target_position = round(target * METRE)
 
 
@@ -87,27 +92,52 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             for k in range(len(AHEAD)):
                 ahead = AHEAD[k] * episode._step
                 there = point(contour, radius, episode._way + ahead, d)
-                seen[2 * k + d] = clip((there - here) / ahead)
-            at = 2 * len(AHEAD) + AXIS * d
+                seen.path[k, d] = clip((there - here) / ahead)
+            axis = seen.axes[d]
             position = tpdo[d].position_actual_value / METRE
-            seen[at] = clip((CENTRE[d] + here - position) / episode._window)
-            seen[at + 1] = clip(tpdo[d].velocity_actual_value / METRE / episode._speed)
-            seen[at + 2] = clip(tpdo[d].following_error_actual_value / METRE / episode._window)
-            seen[at + 3] = clip(tpdo[d].torque_actual_value / episode._max_torque)
-            seen[at + 4] = episode._correction[d]
+            axis.distance = clip((CENTRE[d] + here - position) / episode._window)
+            axis.velocity = clip(tpdo[d].velocity_actual_value / METRE / episode._speed)
+            axis.following_error = clip(
+                tpdo[d].following_error_actual_value / METRE / episode._window
+            )
+            axis.torque = clip(tpdo[d].torque_actual_value / episode._max_torque)
+            axis.correction = episode._correction[d]
         qpos = coordinates(world_at(worlds[w], 1)[0])
         x, y = qpos[episode._x_at] - CENTRE[0], qpos[episode._y_at] - CENTRE[1]
         error = deviation(contour, radius, x, y)
         away = error / CLOSE
         episode.contour_error = error
         episode.worst = max(episode.worst, abs(error))
+        if episode._way > episode._begin:  # it has begun
+            episode._steps += 1.0
+            episode._sum += abs(error)
+            episode.mean_error = episode._sum / episode._steps
+            episode.progress = (episode._way - episode._begin) / (episode._step * episode._steps)
+        if contour != CIRCLE and min(abs(x), abs(y)) >= radius - CORNER:
+            episode.worst_corner = max(episode.worst_corner, abs(error))
         episode.laps = (episode._way - episode._begin) / length(contour, radius)
         episode.reward_close = 1.0 / (1.0 + away * away)
         episode.reward_progress = episode._override
         episode.reward = 0.6 * episode.reward_close + 0.4 * episode.reward_progress
         episode.cost = limited(tpdo)
-        episode.is_success = episode.laps >= 1.0 and episode.worst <= episode._tolerance
+        episode.is_success = (
+            episode.laps >= 1.0
+            and episode.progress >= PROGRESS
+            and episode.worst <= episode._tolerance
+        )
         episode._terminated = faulted(tpdo)
+
+
+def _tool(d: int) -> Channel:
+    """Position of the tool in X or Y, and the point of the path."""
+    name = "xy"[d]
+    return Channel(
+        f"tool in {name.upper()}\n(mm)",
+        lambda env: MM * joint(env, name)[0],
+        lambda env: MM * (
+            CENTRE[d] + point(env.episode._contour, env.episode._radius, env.episode._way, d)
+        ),
+    )  # fmt: skip
 
 
 class GantryContourEnv(ServoEnv):
@@ -122,10 +152,10 @@ class GantryContourEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more a drive, see `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0, 1 | correction of the set-point in X, Y | 607Ah target_position | 1 is `correction` |
-    | 2 | feed override | 607Ah target_position | -1 is 0.2, 1 is 1.0 |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0, 1 | correction[:] | correction of the set-point in X, Y | 607Ah | 1 is `correction` |
+    | 2 | override | feed override | 607Ah target_position | -1 is 0.2, 1 is 1.0 |
 
     The path goes on by override × `feed` × step time; the target position (1 µm) is the point of
     the path plus the correction of this step.
@@ -133,22 +163,25 @@ class GantryContourEnv(ServoEnv):
     ## Observation space
     `Box(-1, 1, (18,), float32)`, clipped
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0–7 | path ahead: X and Y of its points 1, 2, 4 and 8 steps on, from where it is | | \
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0–7 | path[:, :] | \
+path ahead: X and Y of its points 1, 2, 4 and 8 steps on, from where it is | | \
 steps × `feed` × step time |
-    | 8, 13 | path minus position, X and Y | 6064h position_actual_value | the window 6065h |
-    | 9, 14 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
-    | 10, 15 | following error | 60F4h following_error_actual_value | its window 6065h |
-    | 11, 16 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 12, 17 | correction in force | 607Ah | `correction` |
+    | 8, 13 | axes[:].distance | path minus position, X and Y | 6064h | the window 6065h |
+    | 9, 14 | axes[:].velocity | velocity | 606Ch | the maximum profile velocity 607Fh |
+    | 10, 15 | axes[:].following_error | following error | 60F4h | its window 6065h |
+    | 11, 16 | axes[:].torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 12, 17 | axes[:].correction | correction in force | 607Ah | `correction` |
 
     ## Reward
     In [0, 1]: 0.6 for closeness, ``1 / (1 + (contour error / 20 µm)²)``, and 0.4 for progress, the
     feed override. The contour error is the true perpendicular distance to the contour, positive
-    outside. ``info`` has the terms, ``contour_error`` and ``worst``, the largest so far (m),
-    ``laps``, and ``cost``, 1 while an internal limit is active. ``is_success``: a lap is done, and
-    `worst` is within `tolerance`.
+    outside. ``info`` has the terms, ``contour_error``, ``mean_error``, ``worst`` and
+    ``worst_corner``, within 2 mm of a corner (m, so far, without sign), ``laps``, ``progress``,
+    the way as a share of that at full feed, and ``cost``, 1 while an internal limit is active.
+    ``is_success``: a lap is done, `progress` is 0.8 at least, and `worst` is within
+    `tolerance`: who only keeps close by going slowly has not succeeded.
 
     ## Episode
     Starts at rest on the contour, at a place from ``np_random`` unless the reset's options give
@@ -170,16 +203,21 @@ steps × `feed` × step time |
     STEPS = 600
     DRIVES = ("x", "y")
     RPDO = ("target_position",)
-    ACTIONS = 3
-    OBSERVATIONS = 2 * len(AHEAD) + 2 * AXIS
+    ACTION = action(("correction", 2), "override")
+    OBSERVATION = observation(("path", (len(AHEAD), 2)), ("axes", 2, AXIS))
     EPISODE = episode(
         ("contour_error", "f8"),  # perpendicular to the contour, positive outside (m)
         ("worst", "f8"),  # the largest so far, without sign (m)
+        ("mean_error", "f8"),  # so far, without sign (m)
+        ("worst_corner", "f8"),  # the largest so far at a corner of the square (m)
+        ("progress", "f8"),  # way so far, as a share of that at full feed
         ("laps", "f8"),
         ("reward_close", "f8"),
         ("reward_progress", "f8"),
         ("_contour", "i8"),  # place in CONTOURS
         ("_radius", "f8"),  # m
+        ("_steps", "f8"),  # so far
+        ("_sum", "f8"),  # of the contour error without sign (m)
         ("_begin", "f8"),  # where on the path it began (m)
         ("_way", "f8"),  # and where it is
         ("_step", "f8"),  # of the path at full feed (m)
@@ -195,6 +233,27 @@ steps × `feed` × step time |
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
+
+    METRICS = {  # noqa: RUF012
+        "contour_error": Metric("mean contour error (µm)", "low", "perpendicular to the contour"),
+        "contour_worst": Metric("worst contour error (µm)", "low", "perpendicular to the contour"),
+        "corner_error": Metric(
+            "worst at a corner (µm)", "low", "contour error within 2 mm of a corner of the square"
+        ),
+        "progress": Metric("progress", "high", "way, as a share of that at full feed"),
+    }
+    DONE = ("a lap within the window", "no lap within the window")
+    CHANNELS = (
+        _tool(0), _tool(1),
+        Channel(
+            "outside of the\ncontour (µm)", lambda env: UM * float(env.episode.contour_error),
+            window=lambda env: UM * env.tolerance,
+        ),
+        Channel(
+            "speed of the\ntool (m/s)",
+            lambda env: math.hypot(joint(env, "x")[1], joint(env, "y")[1]),
+        ),
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -255,6 +314,18 @@ steps × `feed` × step time |
         episode._y_at = model.joint("y").qposadr[0]
         self.normalise()
         episode._tolerance = self.tolerance
+
+    def figures(self) -> dict[str, float]:
+        """Of the contour; there is nothing to settle at."""
+        episode = self.episode
+        square = self.contour == "square"
+        return {
+            "contour_error": UM * episode.mean_error,
+            "contour_worst": UM * episode.worst,
+            "corner_error": UM * episode.worst_corner if square else math.nan,
+            "progress": episode.progress,
+            "settling_time": math.nan,
+        }
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The gripper at the point of the path."""

@@ -6,16 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.jit import entry
-from ...drive.model import DriveModel
+from ...drive.kernel.jit import entry
+from ...drive.model.model import DriveModel
+from ..about import Metric
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import coordinates, world_at
+from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
-from ..gantry import MAX_SKEW, SPAN, gantry
-from ..loop import coordinates, world_at
-from ..machine import Machine
+from ..fields import action, observation
+from ..plants.gantry import MAX_SKEW, SPAN, gantry
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import MM, UM, Channel, goal, joint, tolerance
 
 STROKE = 0.8  # m, of X
 Y_STROKE = 0.5  # m
@@ -24,7 +27,7 @@ NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one ha
 SQUARE = 0.5e-3  # m, skew at which the reward for squareness has fallen to one half
 RESTING = 5e-3  # m/s, slower counts as settled
 HOME_SWITCH = 0x04  # 60FDh bit 2
-SIDE = 5  # observations a side
+SIDE = observation("distance", "velocity", "following_error", "torque", "home_switch")
 RANDOMISED = {"payload": (0.5, 6.0), "friction": (0.5, 2.0)}
 
 
@@ -36,7 +39,7 @@ def act(worlds, episodes, actions, rpdos):
             continue
         targets = episodes[w]._target
         for d in range(2):
-            target = targets[d] + actions[w, d] * episodes[w]._way
+            target = targets[d] + actions[w].velocity[d] * episodes[w]._way
             targets[d] = min(max(target, 0.0), STROKE)
             rpdos[w, d].target_position = round(targets[d] * METRE)
 
@@ -50,7 +53,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
         fastest = 0.0
         for d in range(2):
-            at = d * SIDE
+            side = seen.sides[d]
             position = tpdo[d].position_actual_value / METRE
             velocity = tpdo[d].velocity_actual_value / METRE
             fastest = max(fastest, abs(velocity))
@@ -59,19 +62,21 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
                 episode._edge[d] = position
                 episode._edges[d] = 1
             episode._home[d] = home
-            seen[at] = clip((episode.goal - position) / STROKE)
-            seen[at + 1] = clip(velocity / episode._speed)
-            seen[at + 2] = clip(tpdo[d].following_error_actual_value / METRE / episode._window)
-            seen[at + 3] = clip(tpdo[d].torque_actual_value / episode._max_torque)
-            seen[at + 4] = home
+            side.distance = clip((episode.goal - position) / STROKE)
+            side.velocity = clip(velocity / episode._speed)
+            side.following_error = clip(
+                tpdo[d].following_error_actual_value / METRE / episode._window
+            )
+            side.torque = clip(tpdo[d].torque_actual_value / episode._max_torque)
+            side.home_switch = home
         apart = episode._target[1] - episode._target[0]
         found = episode._edges[0] and episode._edges[1]
-        at = 2 * SIDE
-        seen[at] = clip(apart / episode._max_twist)
-        seen[at + 1] = 1.0 if found else 0.0
-        seen[at + 2] = 0.0
+        seen.set_point_difference = clip(apart / episode._max_twist)
+        seen.switches_met = 1.0 if found else 0.0
+        seen.switch_difference = 0.0
         if found:
-            seen[at + 2] = clip((episode._edge[1] - episode._edge[0]) / episode._max_twist)
+            difference = episode._edge[1] - episode._edge[0]
+            seen.switch_difference = clip(difference / episode._max_twist)
         qpos = coordinates(world_at(worlds[w], 1)[0])
         skew = qpos[episode._skew_at] * episode._span
         distance = episode.goal - qpos[episode._bridge_at]
@@ -82,6 +87,8 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             and fastest <= RESTING
         )
         episode.skew = skew
+        episode._steps += 1.0
+        episode._squares += skew * skew
         episode.distance = distance
         episode.reward_square = 1.0 / (1.0 + twist * twist)
         episode.reward_near = 1.0 / (1.0 + away * away)
@@ -108,25 +115,26 @@ class GantrySyncEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more a drive, see `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0, 1 | velocity of the set-point of x1, x2 | 607Ah target_position | 1 is `speed` |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0, 1 | velocity[:] | velocity of the set-point of x1, x2 | 607Ah | 1 is `speed` |
 
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
     ## Observation space
     `Box(-1, 1, (13,), float32)`, clipped; 0 to 4 of x1, 5 to 9 of x2
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0, 5 | goal minus position | 6064h position_actual_value | the stroke, 0.8 m |
-    | 1, 6 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
-    | 2, 7 | following error | 60F4h following_error_actual_value | its window 6065h |
-    | 3, 8 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 4, 9 | home switch | 60FDh digital_inputs, bit 2 | active, else 0 |
-    | 10 | set-point of x2 minus that of x1 | 607Ah | `max_twist` |
-    | 11 | both home switches have been met | 60FDh | yes, else 0 |
-    | 12 | position of x2 minus that of x1, each when its switch last became active | 6064h |\
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0, 5 | sides[:].distance | goal minus position | 6064h | the stroke, 0.8 m |
+    | 1, 6 | sides[:].velocity | velocity | 606Ch | the maximum profile velocity 607Fh |
+    | 2, 7 | sides[:].following_error | following error | 60F4h | its window 6065h |
+    | 3, 8 | sides[:].torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 4, 9 | sides[:].home_switch | home switch | 60FDh digital_inputs, bit 2 | active, else 0 |
+    | 10 | set_point_difference | set-point of x2 minus that of x1 | 607Ah | `max_twist` |
+    | 11 | switches_met | both home switches have been met | 60FDh | yes, else 0 |
+    | 12 | switch_difference | \
+position of x2 minus that of x1, each when its switch last became active | 6064h |\
  `max_twist` |
 
     The skew is number 10 less number 12, as well as the switches have been met: a step lasts 5 ms
@@ -159,8 +167,10 @@ class GantrySyncEnv(ServoEnv):
     DRIVES = ("x1", "x2")
     RPDO = ("target_position",)
     TPDO = (*ServoEnv.TPDO, "digital_inputs")
-    ACTIONS = 2
-    OBSERVATIONS = 2 * SIDE + 3
+    ACTION = action(("velocity", 2))
+    OBSERVATION = observation(
+        ("sides", 2, SIDE), "set_point_difference", "switches_met", "switch_difference"
+    )
     EPISODE = episode(
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus the middle of the bridge (m)
@@ -169,6 +179,8 @@ class GantrySyncEnv(ServoEnv):
         ("reward_square", "f8"),
         ("reward_near", "f8"),
         ("reward_settled", "f8"),
+        ("_steps", "f8"),  # so far, the reset included
+        ("_squares", "f8"),  # sum of skew² (m²)
         ("_target", "f8", (2,)),  # set-points (m)
         ("_home", "u1", (2,)),  # home switches, as they were
         ("_edge", "f8", (2,)),  # position at which the switch last became active (m)
@@ -186,6 +198,25 @@ class GantrySyncEnv(ServoEnv):
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
+
+    METRIC = "settling_time"
+    METRICS = {  # noqa: RUF012
+        "rms_skew": Metric("rms skew (µm)", "low", "of the bridge, over the episode"),
+        "last_skew": Metric("skew at the end (µm)", "low", "of the bridge"),
+    }
+    CHANNELS = (
+        Channel("bridge\n(mm)", lambda env: MM * joint(env, "x")[0], goal),
+        Channel(
+            "bridge beyond\nthe goal (mm)",
+            lambda env: MM * (joint(env, "x")[0] - env.episode.goal),
+            window=tolerance, nearest=15.0,
+        ),
+        Channel(
+            "skew of the\nbridge (mm)", lambda env: MM * float(env.episode.skew),
+            window=lambda env: MM * env.skew_tolerance,
+        ),
+        Channel("velocity of the\nbridge (m/s)", lambda env: joint(env, "x")[1]),
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -244,6 +275,18 @@ class GantrySyncEnv(ServoEnv):
         episode._max_twist = self.max_twist
         episode._tolerance = self.tolerance
         episode._skew_tolerance = self.skew_tolerance
+
+    def figures(self) -> dict[str, float]:
+        """The skew, over the episode and at its end."""
+        episode = self.episode
+        return {
+            "rms_skew": UM * (episode._squares / episode._steps) ** 0.5,
+            "last_skew": UM * abs(episode.skew),
+        }
+
+    def outcome(self) -> str:
+        """Beyond what the bridge stands."""
+        return "bridge twisted" if self.episode.twisted else ""
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The bridge at the goal."""

@@ -1,28 +1,33 @@
 """servogym/Homing-v0: find the reference of an axis fast, gently and repeatably."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...drive.jit import block, entry
-from ...drive.model import DriveModel, load
-from ...drive.words import ENABLED, Mode
-from ...drive.words import Controlword as C
-from ..axis_parameters import LinearAxisParameters, chosen
+from ...drive.kernel.jit import block, entry
+from ...drive.kernel.words import ENABLED, Mode
+from ...drive.kernel.words import Controlword as C
+from ...drive.master.master import Master
+from ...drive.model.model import DriveModel, load
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import HOME, NEGATIVE, POSITIVE, world_at
+from ..engine.machine import Machine
 from ..faces import PDO, clip, faulted, limited
-from ..homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
-from ..linear_axis import linear_axis
-from ..loop import HOME, NEGATIVE, POSITIVE, world_at
-from ..machine import Machine
-from ..rewards import closeness
+from ..fields import action, observation
+from ..masters.homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
+from ..masters.port import MachinePort
+from ..plants.axis_parameters import LinearAxisParameters, chosen
+from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
-from ..supervisor import Supervisor
 from ..vector_env import ServoVectorEnv
+from ..view.channels import MM, Channel, in_mm, position, tolerance, velocity
+from .exploration import CALM
 from .positioning import STROKE
+from .rewards import closeness
 
 # reference -> the built-in method that looks for the very same place, bit of its switch in 60FDh
 REFERENCES = {"home_switch": (23, 2), "negative_limit_switch": (17, 0), "stop": (-17, None)}
@@ -47,10 +52,10 @@ def act(worlds, episodes, actions, rpdos):
         if worlds[w] == 0:
             continue
         episode, rpdo = episodes[w], rpdos[w, 0]
-        rpdo.target_velocity = round(actions[w, 0] * episode._max_velocity * METRE)
-        share = LEAST_TORQUE + (1.0 - LEAST_TORQUE) * 0.5 * (1.0 + actions[w, 1])
+        rpdo.target_velocity = round(actions[w].velocity * episode._max_velocity * METRE)
+        share = LEAST_TORQUE + (1.0 - LEAST_TORQUE) * 0.5 * (1.0 + actions[w].torque_limit)
         rpdo.max_torque = round(share * episode._max_torque)
-        declared = actions[w, 2] > THRESHOLD
+        declared = actions[w].reference > THRESHOLD
         rpdo.controlword = START if declared else ENABLED
         rpdo.modes_of_operation = HOMING if declared else episode._mode
         episode._time += episode._step_time
@@ -100,22 +105,22 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         velocity = tpdo.velocity_actual_value / METRE
         behind = tpdo.velocity_demand_value / METRE - velocity
         inputs = int(tpdo.digital_inputs)
-        seen[0] = inputs & 1
-        seen[1] = inputs >> 1 & 1
-        seen[2] = inputs >> 2 & 1
-        seen[3] = clip(velocity / episode._max_velocity)
-        seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen[5] = clip(behind / episode._max_velocity)
+        seen.negative_limit_switch = inputs & 1
+        seen.positive_limit_switch = inputs >> 1 & 1
+        seen.home_switch = inputs >> 2 & 1
+        seen.velocity = clip(velocity / episode._max_velocity)
+        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+        seen.velocity_error = clip(behind / episode._max_velocity)
         position = tpdo.position_actual_value / METRE
-        seen[6] = clip((position - episode._power_on) / STROKE)
-        seen[7] = clip(2.0 * rpdos[w, 0].max_torque / episode._max_torque - 1.0)
-        seen[8] = episode._time / (episode._time + DURATION)
+        seen.displacement = clip((position - episode._power_on) / STROKE)
+        seen.torque_limit = clip(2.0 * rpdos[w, 0].max_torque / episode._max_torque - 1.0)
+        seen.time = episode._time / (episode._time + DURATION)
         _watch_switches(episode, inputs, position)
         way = position - episode._edge if episode._edged else 0.0
-        seen[9] = 1.0 if episode._edged else 0.0
-        seen[10] = clip(way / COARSE)
-        seen[11] = clip(way / (FINE * episode._tolerance))
-        seen[12] = episode._limit
+        seen.switched = 1.0 if episode._edged else 0.0
+        seen.from_edge = clip(way / COARSE)
+        seen.from_edge_fine = clip(way / (FINE * episode._tolerance))
+        seen.last_limit_switch = episode._limit
         measure(world_at(worlds[w], 1)[0], episode)
         home, now = episode._home, episode._position
         passed = (now - home) * (episode.start - home) <= 0.0
@@ -137,6 +142,11 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode._terminated = ended or faulted(tpdos[w])
 
 
+def _home(env: Any) -> float:
+    """Where the reference really is (m)."""
+    return float(env.episode._home)
+
+
 class HomingEnv(ServoEnv):
     """Find the reference of a linear axis: fast, gently and repeatably, from an unknown position.
 
@@ -150,11 +160,11 @@ class HomingEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0 | velocity | 60FFh target_velocity | 1 is `max_velocity` |
-    | 1 | torque limit | 6072h max_torque | -1 is 5 %, 1 is 100 % of the commissioned one |
-    | 2 | reference here | 6060h = 6, 6040h bit 4 | above 0.5 |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0 | velocity | velocity | 60FFh target_velocity | 1 is `max_velocity` |
+    | 1 | torque_limit | torque limit | 6072h | -1 is 5 %, 1 is 100 % of the commissioned one |
+    | 2 | reference | reference here | 6060h = 6, 6040h bit 4 | above 0.5 |
 
     With ``action="pdo"`` the agent itself commands mode and bit 4, and component 2 is without
     effect.
@@ -162,21 +172,22 @@ class HomingEnv(ServoEnv):
     ## Observation space
     `Box(-1, 1, (13,), float32)`, clipped
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0 | negative limit switch | 60FDh digital_inputs bit 0 | active |
-    | 1 | positive limit switch | 60FDh bit 1 | active |
-    | 2 | home switch | 60FDh bit 2 | active |
-    | 3 | velocity | 606Ch velocity_actual_value | `max_velocity` |
-    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 5 | velocity error | 606Bh velocity_demand_value - 606Ch | `max_velocity` |
-    | 6 | way since power-on | 6064h position_actual_value | the stroke, 0.5 m |
-    | 7 | torque limit set, -1..1 | 6072h max_torque | the commissioned one |
-    | 8 | time t | | t / (t + 1 s) |
-    | 9 | the switch of the reference has changed | 60FDh | at least once |
-    | 10 | way since it changed last, coarse | 6064h position_actual_value | 50 mm |
-    | 11 | the same, fine | 6064h position_actual_value | 20 × `tolerance` |
-    | 12 | limit switch met last | 60FDh bits 0, 1 | the positive one; -1 the negative, 0 none |
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0 | negative_limit_switch | negative limit switch | 60FDh digital_inputs bit 0 | active |
+    | 1 | positive_limit_switch | positive limit switch | 60FDh bit 1 | active |
+    | 2 | home_switch | home switch | 60FDh bit 2 | active |
+    | 3 | velocity | velocity | 606Ch velocity_actual_value | `max_velocity` |
+    | 4 | torque | torque | 6077h torque_actual_value | the commissioned 6072h |
+    | 5 | velocity_error | velocity error | 606Bh velocity_demand_value - 606Ch | `max_velocity` |
+    | 6 | displacement | way since power-on | 6064h position_actual_value | the stroke, 0.5 m |
+    | 7 | torque_limit | torque limit set, -1..1 | 6072h max_torque | the commissioned one |
+    | 8 | time | time t | | t / (t + 1 s) |
+    | 9 | switched | the switch of the reference has changed | 60FDh | at least once |
+    | 10 | from_edge | way since it changed last, coarse | 6064h position_actual_value | 50 mm |
+    | 11 | from_edge_fine | the same, fine | 6064h position_actual_value | 20 × `tolerance` |
+    | 12 | last_limit_switch | limit switch met last | 60FDh bits 0, 1 | \
+the positive one; -1 the negative, 0 none |
 
     The way counts from the middle of the step in which the switch changed. Without a switch of the
     reference 9, 10 and 11 are 0.
@@ -223,8 +234,12 @@ class HomingEnv(ServoEnv):
         "digital_inputs", "position_actual_value", "velocity_actual_value",
         "velocity_demand_value", "torque_actual_value",
     )  # fmt: skip
-    ACTIONS = 3
-    OBSERVATIONS = 13
+    ACTION = action("velocity", "torque_limit", "reference")
+    OBSERVATION = observation(
+        "negative_limit_switch", "positive_limit_switch", "home_switch", "velocity", "torque",
+        "velocity_error", "displacement", "torque_limit", "time", "switched", "from_edge",
+        "from_edge_fine", "last_limit_switch",
+    )  # fmt: skip
     EPISODE = episode(
         *FIELDS,
         ("start", "f8"),  # m
@@ -250,6 +265,36 @@ class HomingEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
+    POLICIES = ("search", "built_in", "built_in_fast")
+    REFERENCE = "search"
+    HOLD = {"torque_limit": 1.0, "reference": -1.0}  # noqa: RUF012, all its torque, no reference
+    METRIC = "settling_time"
+    DONE = ("home declared", "no home declared")
+    CHANNELS = (
+        Channel("carriage\n(mm)", in_mm(position), lambda env: MM * _home(env)),
+        Channel(
+            "beyond the true\nreference (mm)",
+            lambda env: MM * (position(env) - _home(env)),
+            window=tolerance, nearest=30.0,
+        ),
+        Channel("velocity\n(m/s)", velocity),
+    )  # fmt: skip
+    STROKE = (STROKE,)
+    # what counts comes at the end, hundreds of steps later; a search goes on for a while
+    HYPERPARAMETERS = {  # noqa: RUF012
+        "PPO": CALM
+        | {
+            "learning_rate": 5e-4,
+            "gamma": 0.998,
+            "n_steps": 128,
+            "batch_size": 1024,
+            "sde_sample_freq": 32,
+            "policy_kwargs": {"log_std_init": -2.5, "net_arch": [64, 64]},
+        },
+    }
+
+    datasheet: LinearAxisParameters
+
     def __init__(
         self,
         drive: str | DriveModel = "generic",
@@ -265,17 +310,18 @@ class HomingEnv(ServoEnv):
         if reference not in REFERENCES:
             raise ValueError(f"reference = {reference!r}, use one of {', '.join(REFERENCES)}")
         self.reference = reference
+        self.homing_method = REFERENCES[reference][0]
         self.max_velocity = in_range("max_velocity", max_velocity, 0.01, 2.0, "m/s")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         self.switch_tolerance = in_range("switch_tolerance", switch_tolerance, 0.0, 0.02, "m")
-        self._parameters = chosen(parameters, payload)
+        self.datasheet = chosen(parameters, payload)
         cyclic = Mode.CYCLIC_SYNC_VELOCITY in load(drive).modes
         own = Mode.CYCLIC_SYNC_VELOCITY if cyclic else Mode.PROFILE_VELOCITY
         self.MODES = (own, Mode.HOMING)
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self._parameters)
+        machine = linear_axis(model, parameters=self.datasheet)
         coupling, x = machine.couplings[0], machine.drives["x"]
         if self.reference == "stop":
             for switch in (NEGATIVE, POSITIVE, HOME):
@@ -299,11 +345,11 @@ class HomingEnv(ServoEnv):
         x.write("max_torque", self._max_torque)  # an agent may have left its own
         self.machine.reset(positions={"x": start})
         x.write("homing_method", self._here)
-        supervisor = Supervisor(self.machine, "x")
+        master = Master(MachinePort(self.machine))
         x.write("modes_of_operation", self.MODES[0])
-        supervisor.enable()
+        master.enable()
         if self.face == PDO:
-            supervisor.control(0)
+            master.control(0)
         method, switch = REFERENCES[self.reference]
         episode = self.episode
         prepare(self.machine, episode, true_home(self.machine, method))
@@ -317,7 +363,16 @@ class HomingEnv(ServoEnv):
         episode._switch = -1 if switch is None else switch
         episode._on = switch is not None and x.read("digital_inputs") >> switch & 1
         episode._tolerance = self.tolerance
-        self._part[3]["max_torque"] = self._max_torque
+        self._part.rpdos["max_torque"] = self._max_torque
+
+    def figures(self) -> dict[str, float]:
+        """What is wrong with the home that was found, and what hit the stops."""
+        error = 1e6 * abs(self.episode.error) if self.episode.attained else math.nan
+        return {"reference_error": error, "impact_energy": self.episode.impact_energy}
+
+    def declared(self) -> bool:
+        """Whether home is declared, be it right or wrong."""
+        return bool(self.machine.axes["homed"][0])
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The carriage at the true reference."""
@@ -332,12 +387,28 @@ class HomingEnv(ServoEnv):
 
         `objects` are written before, such as its speeds (position units/s); `observer` is called at
         the start and after each step, with the time since then (s). See
-        `servogym.envs.homing_figures.built_in` for errors.
+        `servogym.envs.masters.homing_figures.built_in` for errors.
         """
         return built_in(
             self.machine, method, self.episode.start, stride=self.cycles_per_step,
             objects={"max_torque": self._max_torque} | (objects or {}), observer=observer,
         )  # fmt: skip
+
+    def judged(
+        self, method: int, objects: dict[str, int] | None = None,
+        observer: Callable[[float], None] | None = None,
+    ) -> dict[str, float]:  # fmt: skip
+        """What `built_in` does by the metrics of an evaluation; no settling time without a home."""
+        figures = self.built_in(method, objects, observer)
+        found = figures.attained
+        metrics = {
+            "episode_return": self.worth(figures),
+            "success": found and abs(figures.error) <= self.tolerance,
+            "peak_torque": figures.greatest_torque * self._max_torque * 1e-3,
+            "reference_error": 1e6 * abs(figures.error) if found else math.nan,
+            "impact_energy": figures.impact_energy,
+        }
+        return metrics | ({"settling_time": figures.time} if found else {})
 
     def worth(self, figures: HomingFigures) -> float:
         """The return an agent would have got for such a run."""

@@ -6,18 +6,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...drive.jit import entry
-from ...drive.model import DriveModel
-from ...drive.words import Mode
-from ..axis_parameters import LinearAxisParameters, chosen
+from ...drive.kernel.jit import entry
+from ...drive.kernel.words import Mode
+from ...drive.model.model import DriveModel
 from ..batch import episode
 from ..checks import in_range
+from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
-from ..linear_axis import linear_axis
-from ..machine import Machine
-from ..rewards import closeness
+from ..fields import action, observation
+from ..plants.axis_parameters import LinearAxisParameters, chosen
+from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import linear_axis as linear_axis_channels
+from .rewards import closeness
 
 STROKE = 0.5  # m
 MARGIN = 0.02  # m, starts and goals keep away from the ends
@@ -32,7 +34,7 @@ def act(worlds, episodes, actions, rpdos):
         if worlds[w] == 0:
             continue
         episode = episodes[w]
-        target = episode._target + actions[w, 0] * episode._way
+        target = episode._target + actions[w].velocity * episode._way
         episode._target = min(max(target, 0.0), STROKE)
         rpdos[w, 0].target_position = round(episode._target * METRE)
 
@@ -42,7 +44,7 @@ def act_velocity(worlds, episodes, actions, rpdos):
     """Command action × maximum velocity."""
     for w in range(len(worlds)):
         if worlds[w] != 0:
-            rpdos[w, 0].target_velocity = round(actions[w, 0] * episodes[w]._speed * METRE)
+            rpdos[w, 0].target_velocity = round(actions[w].velocity * episodes[w]._speed * METRE)
 
 
 @entry
@@ -50,7 +52,7 @@ def act_torque(worlds, episodes, actions, rpdos):
     """Command action × maximum torque."""
     for w in range(len(worlds)):
         if worlds[w] != 0:
-            rpdos[w, 0].target_torque = round(actions[w, 0] * episodes[w]._max_torque)
+            rpdos[w, 0].target_torque = round(actions[w].torque * episodes[w]._max_torque)
 
 
 class Command(NamedTuple):
@@ -58,13 +60,15 @@ class Command(NamedTuple):
 
     mode: Mode
     object: str  # in the RPDO
+    action: np.dtype
     act: Callable[..., None]
 
 
+VELOCITY = action("velocity")
 COMMANDS = {
-    "csp": Command(Mode.CYCLIC_SYNC_POSITION, "target_position", act),
-    "csv": Command(Mode.CYCLIC_SYNC_VELOCITY, "target_velocity", act_velocity),
-    "cst": Command(Mode.CYCLIC_SYNC_TORQUE, "target_torque", act_torque),
+    "csp": Command(Mode.CYCLIC_SYNC_POSITION, "target_position", VELOCITY, act),
+    "csv": Command(Mode.CYCLIC_SYNC_VELOCITY, "target_velocity", VELOCITY, act_velocity),
+    "cst": Command(Mode.CYCLIC_SYNC_TORQUE, "target_torque", action("torque"), act_torque),
 }
 
 
@@ -78,13 +82,14 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         position = tpdo.position_actual_value / METRE
         velocity = tpdo.velocity_actual_value / METRE
         distance = episode.goal - position
-        seen[0] = clip(distance / STROKE)
-        seen[1] = clip(2.0 * position / STROKE - 1.0)
-        seen[2] = clip(velocity / episode._speed)
-        seen[3] = clip(tpdo.following_error_actual_value / METRE / episode._window)
-        seen[4] = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen[5] = clip((episode._target - position) / episode._window) if episode._csp else 0.0
-        seen[6] = clip(distance / (FINE * episode._tolerance))
+        seen.distance = clip(distance / STROKE)
+        seen.position = clip(2.0 * position / STROKE - 1.0)
+        seen.velocity = clip(velocity / episode._speed)
+        seen.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+        lead = episode._target - position if episode._csp else 0.0
+        seen.set_point = clip(lead / episode._window)
+        seen.distance_fine = clip(distance / (FINE * episode._tolerance))
         off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
         near = closeness(off, STROKE / episode._tolerance)
         settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
@@ -110,31 +115,31 @@ class LinearAxisEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0 | velocity of the set-point | 607Ah target_position | 1 is the maximum velocity 607Fh |
-    | 0 | with ``mode="csv"``: velocity | 60FFh target_velocity | 1 is the maximum velocity 607Fh |
-    | 0 | with ``mode="cst"``: torque | 6071h target_torque | 1 is the maximum torque 6072h |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0 | velocity | velocity of the set-point | 607Ah | 1 is the maximum velocity 607Fh |
+    | 0 | velocity | with ``mode="csv"``: velocity | 60FFh | 1 is the maximum velocity 607Fh |
+    | 0 | torque | with ``mode="cst"``: torque | 6071h | 1 is the maximum torque 6072h |
 
     The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
 
     ## Observation space
     `Box(-1, 1, (7,), float32)`, clipped
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0 | goal minus position | 6064h position_actual_value | the stroke, 0.5 m |
-    | 1 | position, -1 and 1 at the ends | 6064h position_actual_value | half the stroke |
-    | 2 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
-    | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
-    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 5 | set-point minus position; 0 in csv and cst | 607Ah, 6064h | its window 6065h |
-    | 6 | goal minus position, fine | 6064h position_actual_value | 20 × `tolerance` |
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0 | distance | goal minus position | 6064h position_actual_value | the stroke, 0.5 m |
+    | 1 | position | position, -1 and 1 at the ends | 6064h | half the stroke |
+    | 2 | velocity | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 3 | following_error | following error | 60F4h | its window 6065h |
+    | 4 | torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 5 | set_point | set-point minus position; 0 in csv and cst | 607Ah, 6064h | its window 6065h |
+    | 6 | distance_fine | goal minus position, fine | 6064h | 20 × `tolerance` |
 
     ## Reward
     In [0, 1]: half for nearness, half for being settled: closer than `tolerance` and slower than
     5 mm/s. Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale
-    of distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.rewards`). The terms are in
+    of distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). The terms are in
     ``info``, and ``info["cost"]``, 1 while an internal limit is active.
 
     ## Episode
@@ -152,8 +157,11 @@ class LinearAxisEnv(ServoEnv):
     """
 
     ID = "servogym/LinearAxis-v0"
-    ACTIONS = 1
-    OBSERVATIONS = 7
+    ACTION = VELOCITY
+    OBSERVATION = observation(
+        "distance", "position", "velocity", "following_error", "torque", "set_point",
+        "distance_fine",
+    )  # fmt: skip
     EPISODE = episode(
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus position (m)
@@ -169,6 +177,23 @@ class LinearAxisEnv(ServoEnv):
     )
     judge = staticmethod(judge)
 
+    POLICIES = (
+        "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "proportional", "pd",
+    )  # fmt: skip
+    REFERENCE = "ruckig"
+    METRIC = "settling_time"
+    CHANNELS = linear_axis_channels("carriage")
+    STROKE = (STROKE,)
+    # at rest within the tolerance there is no room for noise
+    HYPERPARAMETERS = {  # noqa: RUF012
+        "PPO": {
+            "learning_rate": 5e-4,
+            "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]},
+        },
+    }
+
+    datasheet: LinearAxisParameters
+
     def __init__(
         self,
         drive: str | DriveModel = "generic",
@@ -183,17 +208,17 @@ class LinearAxisEnv(ServoEnv):
         if mode not in COMMANDS:
             raise ValueError(f"mode = {mode!r}, use one of {', '.join(COMMANDS)}")
         self.mode = mode
-        own, commanded, self.act = COMMANDS[mode]
+        own, commanded, self.ACTION, self.act = COMMANDS[mode]
         self.MODES = (own, Mode.HOMING)
         self.RPDO = (commanded,)
-        self._parameters = chosen(parameters, payload)
+        self.datasheet = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self._parameters)
+        machine = linear_axis(model, parameters=self.datasheet)
         machine.drives["x"].write("following_error_window", round(self._window * METRE))
         return machine
 
@@ -209,6 +234,10 @@ class LinearAxisEnv(ServoEnv):
         self.normalise()
         episode._way = episode._speed * self.step_time
         episode._tolerance = self.tolerance
+
+    def settling(self) -> dict[str, float]:
+        """The carriage, at the goal."""
+        return {"goal": float(self.episode.goal), "window": self.tolerance}
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The carriage at the goal."""

@@ -7,17 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.jit import entry
-from ...drive.model import DriveModel
+from ...drive.kernel.jit import block, entry
+from ...drive.model.model import DriveModel
+from ..about import Sensor
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import coordinates, load_noise, speeds, world_at
+from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
-from ..gantry import GantryParameters, gantry
-from ..loop import coordinates, speeds, world_at
-from ..machine import Machine
-from ..rewards import closeness, decades
+from ..fields import action, observation
+from ..plants.gantry import GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import MM, Channel, joint, tolerance
+from .rewards import closeness, decades
 
 STROKE = (0.8, 0.5)  # m, of X and Y
 MARGIN = 0.05  # m, starts and goals keep away from the ends
@@ -25,7 +28,10 @@ CABLE = 0.3  # m, what it is built with
 CALM = math.radians(2.0)  # sway at which the reward for calm has fallen to one half
 WIDEST = math.radians(20.0)  # sway that is 1.0 in an observation
 AXES = ("x", "y")
-SEEN, SENSED = 7, 2  # observations an axis: of the drive, of the sway sensor
+SEEN = ("distance", "position", "velocity", "following_error", "torque", "set_point")
+LAST = "distance_logarithmic"
+BLIND_AXIS = observation(*SEEN, LAST)  # observations an axis
+AXIS = observation(*SEEN, "sway", "sway_rate", LAST)
 RANDOMISED = {"payload": (1.0, 5.0), "cable_length": (0.2, 0.4)}
 
 
@@ -37,63 +43,97 @@ def act(worlds, episodes, actions, rpdos):
             continue
         targets = episodes[w]._target
         for d in range(rpdos.shape[1]):
-            target = targets[d] + actions[w, d] * episodes[w]._way
+            target = targets[d] + actions[w].velocity[d] * episodes[w]._way
             targets[d] = min(max(target, 0.0), STROKE[d])
             rpdos[w, d].target_position = round(targets[d] * METRE)
 
 
+@block
+def _see(episode, tpdo, axis, d):
+    """What the drive of an axis tells."""
+    position = tpdo.position_actual_value / METRE
+    axis.distance = clip((episode._goal[d] - position) / STROKE[d])
+    axis.position = clip(2.0 * position / STROKE[d] - 1.0)
+    axis.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+    axis.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+    axis.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+    axis.set_point = clip((episode._target[d] - position) / episode._window)
+    off = (episode._goal[d] - position) / episode._tolerance
+    axis.distance_logarithmic = decades(off, STROKE[d] / episode._tolerance)
+
+
+@block
+def _judge(address, episode, tpdo):
+    """Reward of where the load is."""
+    world = world_at(address, 1)[0]
+    qpos, qvel = coordinates(world), speeds(world)
+    distance = speed = sway = 0.0  # their squares, summed over the axes
+    for d in range(len(tpdo)):
+        drive, rod = episode._drive_at[d], episode._sway_at[d]
+        angle, rate = qpos[rod], qvel[rod]
+        load = qpos[drive] + episode._length * math.sin(angle)
+        away = episode._goal[d] - load
+        moving = qvel[drive] + episode._length * math.cos(angle) * rate
+        distance += away * away
+        speed += moving * moving
+        sway += angle * angle
+        beyond = -episode._side[d] * away
+        episode._overshoot = max(episode._overshoot, beyond)
+    calm = sway / (CALM * CALM)
+    off = math.sqrt(distance) / episode._tolerance + math.sqrt(speed) / episode._resting
+    settled = (
+        distance <= episode._tolerance * episode._tolerance
+        and speed <= episode._resting * episode._resting
+    )
+    episode.distance = math.sqrt(distance)
+    episode.sway = math.sqrt(sway)
+    episode.reward_near = closeness(off, STROKE[0] / episode._tolerance)
+    episode.reward_calm = 1.0 / (1.0 + calm)
+    episode.reward_settled = 1.0 if settled else 0.0
+    episode.reward = (
+        0.4 * episode.reward_near + 0.1 * episode.reward_calm + 0.5 * episode.reward_settled
+    )
+    episode.cost = limited(tpdo)
+    episode.is_success = settled
+    episode._terminated = faulted(tpdo)
+
+
 @entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
-    """Observation of what the TPDOs brought back, reward of where the load is."""
+def judge_blind(worlds, episodes, rpdos, tpdos, observations):
+    """Observation of the TPDOs alone; reward."""
     for w in range(len(worlds)):
         if worlds[w] == 0:
             continue
-        episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
+        for d in range(rpdos.shape[1]):
+            _see(episodes[w], tpdos[w, d], observations[w].axes[d], d)
+        _judge(worlds[w], episodes[w], tpdos[w])
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation of the TPDOs and of the sway; reward."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
         world = world_at(worlds[w], 1)[0]
         qpos, qvel = coordinates(world), speeds(world)
-        distance = speed = sway = 0.0  # their squares, summed over the axes
-        width = SEEN + (SENSED if episode._sensor else 0)
         for d in range(rpdos.shape[1]):
-            drive, rod = episode._drive_at[d], episode._sway_at[d]
-            angle, rate = qpos[rod], qvel[rod]
-            load = qpos[drive] + episode._length * math.sin(angle)
-            away = episode._goal[d] - load
-            moving = qvel[drive] + episode._length * math.cos(angle) * rate
-            distance += away * away
-            speed += moving * moving
-            sway += angle * angle
-            beyond = -episode._side[d] * away
-            episode._overshoot = max(episode._overshoot, beyond)
-            at = d * width
-            position = tpdo[d].position_actual_value / METRE
-            seen[at] = clip((episode._goal[d] - position) / STROKE[d])
-            seen[at + 1] = clip(2.0 * position / STROKE[d] - 1.0)
-            seen[at + 2] = clip(tpdo[d].velocity_actual_value / METRE / episode._speed)
-            seen[at + 3] = clip(tpdo[d].following_error_actual_value / METRE / episode._window)
-            seen[at + 4] = clip(tpdo[d].torque_actual_value / episode._max_torque)
-            seen[at + 5] = clip((episode._target[d] - position) / episode._window)
-            if episode._sensor:
-                seen[at + 6] = clip(angle / WIDEST)
-                seen[at + 7] = clip(rate / (WIDEST * episode._natural))
-            off = (episode._goal[d] - position) / episode._tolerance
-            seen[at + width - 1] = decades(off, STROKE[d] / episode._tolerance)
-        calm = sway / (CALM * CALM)
-        off = math.sqrt(distance) / episode._tolerance + math.sqrt(speed) / episode._resting
-        settled = (
-            distance <= episode._tolerance * episode._tolerance
-            and speed <= episode._resting * episode._resting
-        )
-        episode.distance = math.sqrt(distance)
-        episode.sway = math.sqrt(sway)
-        episode.reward_near = closeness(off, STROKE[0] / episode._tolerance)
-        episode.reward_calm = 1.0 / (1.0 + calm)
-        episode.reward_settled = 1.0 if settled else 0.0
-        episode.reward = (
-            0.4 * episode.reward_near + 0.1 * episode.reward_calm + 0.5 * episode.reward_settled
-        )
-        episode.cost = limited(tpdo)
-        episode.is_success = settled
-        episode._terminated = faulted(tpdo)
+            axis = observations[w].axes[d]
+            _see(episode, tpdos[w, d], axis, d)
+            noise = load_noise(world) / episode._length
+            axis.sway = clip((qpos[episode._sway_at[d]] + noise) / WIDEST)
+            jump = (noise - episode._noise[d]) / episode._step_time  # of a rate, differentiated
+            axis.sway_rate = clip((qvel[episode._sway_at[d]] + jump) / (WIDEST * episode._natural))
+            episode._noise[d] = noise
+        _judge(worlds[w], episode, tpdos[w])
+
+
+def _hanging(env: Any) -> tuple[float, float]:
+    """Position (m) and velocity (m/s) in X of the load."""
+    (bridge, velocity), (angle, rate) = joint(env, "x"), joint(env, "sway_x")
+    length = env.episode._length
+    return bridge + length * math.sin(angle), velocity + length * math.cos(angle) * rate
 
 
 class GantrySwayEnv(ServoEnv):
@@ -109,9 +149,9 @@ class GantrySwayEnv(ServoEnv):
     `Box(-1, 1, (1,), float32)`, with ``axes="xy"`` 2; with ``action="pdo"`` ten more an axis, see
     `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0, 1 | velocity of the set-point of X, Y | 607Ah target_position | 1 is `speed` |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0, 1 | velocity[:] | velocity of the set-point of X, Y | 607Ah | 1 is `speed` |
 
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
@@ -119,25 +159,25 @@ class GantrySwayEnv(ServoEnv):
     `Box(-1, 1, (9,), float32)`, clipped; 7, without 6 and 7, with ``sway_sensor=False``; with
     ``axes="xy"`` the same of Y follows
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0 | goal minus position | 6064h position_actual_value | the stroke, 0.8 m or 0.5 m |
-    | 1 | position, -1 and 1 at the ends | 6064h position_actual_value | half the stroke |
-    | 2 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
-    | 3 | following error | 60F4h following_error_actual_value | its window 6065h |
-    | 4 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 5 | set-point minus position | 607Ah, 6064h | its window 6065h |
-    | 6 | sway, positive where the load is ahead | sensor | 20° |
-    | 7 | rate of the sway | sensor | 20° × sqrt(g / 0.3 m) |
-    | 8 | goal minus position, logarithmic | 6064h position_actual_value | the stroke |
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0 | axes[:].distance | goal minus position | 6064h | the stroke, 0.8 m or 0.5 m |
+    | 1 | axes[:].position | position, -1 and 1 at the ends | 6064h | half the stroke |
+    | 2 | axes[:].velocity | velocity | 606Ch | the maximum profile velocity 607Fh |
+    | 3 | axes[:].following_error | following error | 60F4h | its window 6065h |
+    | 4 | axes[:].torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 5 | axes[:].set_point | set-point minus position | 607Ah, 6064h | its window 6065h |
+    | 6 | axes[:].sway | sway, positive where the load is ahead | sensor | 20° |
+    | 7 | axes[:].sway_rate | rate of the sway | sensor | 20° × sqrt(g / 0.3 m) |
+    | 8 | axes[:].distance_logarithmic | goal minus position, logarithmic | 6064h | the stroke |
 
     ## Reward
     In [0, 1], of the load, not of the axes: 0.4 for nearness, 0.1 for calm,
     ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled: closer than `tolerance` and slower than
     `resting`. Nearness is 1 at rest at the goal and 0 a stroke of X away from it, on a logarithmic
-    scale of distance / `tolerance` + velocity / `resting` (`servogym.envs.rewards`). ``info`` has
-    the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, 1 while an internal
-    limit is active.
+    scale of distance / `tolerance` + velocity / `resting` (`servogym.envs.tasks.rewards`).
+    ``info`` has the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, 1 while
+    an internal limit is active.
 
     ## Episode
     Starts with the load at rest, at a random start with a random goal, both from ``np_random``
@@ -172,8 +212,9 @@ class GantrySwayEnv(ServoEnv):
         ("_drive_at", "i8", (2,)),  # places in MjData.qpos and qvel
         ("_sway_at", "i8", (2,)),
         ("_length", "f8"),  # of the cable (m)
+        ("_noise", "f8", (2,)),  # of the sensor, a step before (rad)
+        ("_step_time", "f8"),  # s
         ("_natural", "f8"),  # rate of the nominal pendulum (rad/s)
-        ("_sensor", "?"),
         ("_way", "f8"),  # farthest a set-point goes in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
         ("_window", "f8"),  # of the following error (m)
@@ -182,7 +223,36 @@ class GantrySwayEnv(ServoEnv):
         ("_resting", "f8"),  # m/s
     )
     act = staticmethod(act)
-    judge = staticmethod(judge)
+
+    POLICIES = (
+        "trapezoid",
+        "jerk_limited",
+        "ruckig",
+        "ruckig+zv",
+        "ruckig+zvd",
+        "lqr",
+        "adaptive_lqr",
+    )
+    REFERENCE = "ruckig+zvd"  # plain ruckig leaves the load swinging, as holding still does
+    METRIC = "settling_time"
+    CHANNELS = (
+        Channel(
+            "load in X\n(mm)", lambda env: MM * _hanging(env)[0],
+            lambda env: MM * env.episode.goal_x,
+        ),
+        Channel(
+            "load beyond\nthe goal (mm)",
+            lambda env: MM * (_hanging(env)[0] - env.episode.goal_x),
+            window=tolerance, nearest=15.0,
+        ),
+        Channel("velocity of the\nload (m/s)", lambda env: _hanging(env)[1]),
+        Channel("sway in X\n(degrees)", lambda env: math.degrees(joint(env, "sway_x")[0])),
+    )  # fmt: skip
+    STROKE = STROKE
+    SENSOR = "sway_sensor"
+    HYPERPARAMETERS = {"PPO": {"learning_rate": [1e-3, 0.0], "gamma": 0.99}}  # noqa: RUF012
+
+    datasheet: GantryParameters
 
     def __init__(
         self,
@@ -202,19 +272,20 @@ class GantrySwayEnv(ServoEnv):
             raise ValueError(f"axes = {axes!r}, use one of x, xy")
         self.DRIVES = tuple(axes)
         self.sway_sensor = bool(sway_sensor)
-        self.ACTIONS = len(axes)
-        self.OBSERVATIONS = len(axes) * (SEEN + SENSED * self.sway_sensor)
+        self.ACTION = action(("velocity", len(axes)))
+        axis, self.judge = (AXIS, judge) if self.sway_sensor else (BLIND_AXIS, judge_blind)
+        self.OBSERVATION = observation(("axes", len(axes), axis))
         self.speed = in_range("speed", speed, 1e-3, 1.0, "m/s")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         self.resting = in_range("resting", resting, 1e-4, 1.0, "m/s")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
-        self._parameters = GantryParameters(cable_length=CABLE)
+        self.datasheet = GantryParameters(cable_length=CABLE)
         randomise = RANDOMISED if randomise is None else randomise
         super().__init__(drive, cycles_per_step=cycles_per_step, randomise=randomise, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self._parameters)
+        machine = gantry(model, parameters=self.datasheet)
         for name in self.DRIVES:
             machine.drives[name].write("following_error_window", round(self._window * METRE))
         return machine
@@ -236,17 +307,17 @@ class GantrySwayEnv(ServoEnv):
         data.qpos[episode._sway_at[0]] = sway
         episode._length = -float(model.geom("payload").pos[2])
         episode._natural = math.sqrt(9.81 / CABLE)
-        episode._sensor = self.sway_sensor
         self.normalise()
         episode._way = self.speed * self.step_time
+        episode._step_time = self.step_time
         episode._tolerance = self.tolerance
         episode._resting = self.resting
 
     def _place_of(self, what: str, given: Any) -> list[float]:
         """A place of the load by the reset's options, or drawn; a number an axis (m)."""
         drawn = [float(self.np_random.uniform(MARGIN, s - MARGIN)) for s in STROKE]
-        wanted = drawn[: self.ACTIONS] if given is None else list(np.atleast_1d(given))
-        if len(wanted) != self.ACTIONS:
+        wanted = drawn[: len(self.DRIVES)] if given is None else list(np.atleast_1d(given))
+        if len(wanted) != len(self.DRIVES):
             raise ValueError(
                 f"options[{what!r}] = {given!r} must have a number (m) for each of {self.DRIVES}"
             )
@@ -255,10 +326,19 @@ class GantrySwayEnv(ServoEnv):
             for d, value in enumerate(wanted)
         ]
 
+    def sensor(self) -> Sensor | None:
+        """At the hook, as far as there is one, as lengths of the nominal cable."""
+        widest, natural = WIDEST * CABLE, math.sqrt(9.81 / CABLE)
+        return Sensor("sway", "sway_rate", widest, widest * natural) if self.sway_sensor else None
+
+    def figures(self) -> dict[str, float]:
+        """How far the load came beyond the goal."""
+        return {"overshoot": 1e6 * self.episode._overshoot}
+
     def ghosts(self) -> dict[str, np.ndarray]:
         """The load at the goal."""
         place = self.machine.data.geom("payload").xpos
-        away = [self.episode._goal[d] - place[d] for d in range(self.ACTIONS)]
+        away = [self.episode._goal[d] - place[d] for d in range(len(self.DRIVES))]
         return {"payload": np.array([*away, *[0.0] * (3 - len(away))])}
 
 

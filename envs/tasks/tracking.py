@@ -1,30 +1,36 @@
 """servogym/LinearAxisTracking-v0: follow a trajectory with unknown friction and payload."""
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...drive.jit import entry
-from ...drive.model import DriveModel
-from ...drive.words import Mode
-from ..axis_parameters import LinearAxisParameters, chosen
+from ...drive.kernel.jit import entry
+from ...drive.kernel.words import Mode
+from ...drive.model.model import DriveModel
+from ..about import Metric
 from ..batch import episode
 from ..checks import in_range
+from ..engine.loop import coordinates, speeds, world_at
+from ..engine.machine import Machine
+from ..engine.probe import elastic
 from ..faces import clip, faulted, limited
-from ..linear_axis import linear_axis
-from ..machine import Machine
-from ..references import REFERENCES, Limits, make_reference
+from ..fields import action, observation
+from ..plants.axis_parameters import LinearAxisParameters, chosen
+from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
+from ..view.channels import MM, UM, Channel, in_mm, position, velocity
 from .positioning import MARGIN, STROKE
+from .references import REFERENCES, Limits, make_reference
 
 STEPS = 400
 PREVIEW = 4  # points of the reference ahead
 STRIDE = 2  # steps from one of them to the next
 SAMPLES = STEPS + 1 + PREVIEW * STRIDE
-CLOSE = 30e-6  # m, tracking error at which the reward for closeness has fallen to one half
+CLOSE = 10e-6  # m, tracking error at which the reward for closeness has fallen to one half
 SMOOTH = 0.05  # of the maximum torque, change in a step at which smoothness has fallen to one half
 RANDOMISE = {"payload": (1.0, 10.0), "friction": (0.5, 2.0)}
 CSP = int(Mode.CYCLIC_SYNC_POSITION)
@@ -40,9 +46,9 @@ def act(worlds, episodes, actions, rpdos):
         episode = episodes[w]
         if episode._running and episode._now < STEPS:
             episode._now += 1
-        target = episode._position[episode._now] + actions[w, 0] * episode._correction
+        target = episode._position[episode._now] + actions[w].correction * episode._correction
         rpdos[w, 0].target_position = round(min(max(target, 0.0), STROKE) * METRE)
-        rpdos[w, 0].torque_offset = round(actions[w, 1] * episode._max_torque)
+        rpdos[w, 0].torque_offset = round(actions[w].torque * episode._max_torque)
 
 
 @entry
@@ -57,34 +63,47 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         position = tpdo.position_actual_value / METRE
         torque = tpdo.torque_actual_value / episode._max_torque
         error = reference - position
-        seen[0] = clip(error / episode._correction)
-        seen[1] = clip(2.0 * reference / STROKE - 1.0)
-        seen[2] = clip(episode._velocity[now] / episode._speed)
-        seen[3] = clip(episode._acceleration[now] / episode._max_acceleration)
-        seen[4] = clip(tpdo.velocity_actual_value / METRE / episode._speed)
-        seen[5] = clip(tpdo.following_error_actual_value / METRE / episode._window)
-        seen[6] = clip(torque)
+        seen.error = clip(error / episode._correction)
+        seen.reference = clip(2.0 * reference / STROKE - 1.0)
+        seen.reference_velocity = clip(episode._velocity[now] / episode._speed)
+        seen.reference_acceleration = clip(episode._acceleration[now] / episode._max_acceleration)
+        seen.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+        seen.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+        seen.torque = clip(torque)
         for i in range(PREVIEW):
             ahead = (i + 1) * STRIDE
             way = episode._position[now + ahead] - reference
-            seen[7 + i] = clip(way / (ahead * episode._way))
+            seen.preview[i] = clip(way / (ahead * episode._way))
         enabled = tpdo.statusword & STATE_MASK == OPERATION_ENABLED
         was_running = episode._running
         episode._running = enabled and rpdo.modes_of_operation == CSP
-        away = error / CLOSE
+        away = abs(error) / CLOSE
+        world = world_at(worlds[w], 1)[0]
+        qpos, qvel = coordinates(world), speeds(world)
+        behind = reference + episode._rest
+        for i in range(len(episode._places)):
+            if episode._places[i] >= 0:  # when the position was sampled, a position cycle ago
+                behind -= qpos[episode._places[i]] - qvel[episode._places[i]] * episode._age
         change = (torque - episode._torque) / SMOOTH
         episode.error = error
-        episode.reward_close = 1.0 / (1.0 + away * away) if episode._running else 0.0
+        episode.reward_close = 1.0 / (1.0 + away) if episode._running else 0.0
         episode.reward_smooth = 1.0 / (1.0 + change * change) if episode._running else 0.0
         episode.reward = 0.8 * episode.reward_close + 0.2 * episode.reward_smooth
         if was_running:
             episode._squares += error * error
+            episode._load_squares += behind * behind
             episode._count += 1
             episode.rms_error = (episode._squares / episode._count) ** 0.5
+            episode.rms_load_error = (episode._load_squares / episode._count) ** 0.5
         episode._torque = torque
         episode.cost = limited(tpdos[w])
         episode.is_success = episode._count > 0 and episode.rms_error <= episode._tolerance
         episode._terminated = faulted(tpdos[w])
+
+
+def _reference(env: Any) -> float:
+    """Where it is now (m)."""
+    return float(env.episode._position[env.episode._now])
 
 
 class LinearAxisTrackingEnv(ServoEnv):
@@ -97,10 +116,10 @@ class LinearAxisTrackingEnv(ServoEnv):
     ## Action space
     `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
 
-    | no | action | object | scaling |
-    |----|--------|--------|---------|
-    | 0 | correction of the set-point | 607Ah target_position | 1 is `correction`, 1 mm |
-    | 1 | torque feed-forward | 60B2h torque_offset | 1 is the maximum torque 6072h |
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0 | correction | correction of the set-point | 607Ah | 1 is `correction`, 1 mm |
+    | 1 | torque | torque feed-forward | 60B2h torque_offset | 1 is the maximum torque 6072h |
 
     The target position (1 µm) is the point of the reference at the end of the step, plus the
     correction, within the stroke.
@@ -108,28 +127,31 @@ class LinearAxisTrackingEnv(ServoEnv):
     ## Observation space
     `Box(-1, 1, (11,), float32)`, clipped
 
-    | no | observation | object | 1.0 is |
-    |----|-------------|--------|--------|
-    | 0 | tracking error: reference minus position | 6064h position_actual_value | `correction` |
-    | 1 | reference, -1 and 1 at the ends of the stroke | | half the stroke |
-    | 2 | velocity of the reference | | the maximum profile velocity 607Fh |
-    | 3 | acceleration of the reference | | that of the profile 6083h |
-    | 4 | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
-    | 5 | following error | 60F4h following_error_actual_value | its window 6065h |
-    | 6 | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 7–10 | way of the reference in the next 2, 4, 6, 8 steps | | 607Fh times that time |
+    | no | name | observation | object | 1.0 is |
+    |----|------|-------------|--------|--------|
+    | 0 | error | tracking error: reference minus position | 6064h | `correction` |
+    | 1 | reference | reference, -1 and 1 at the ends of the stroke | | half the stroke |
+    | 2 | reference_velocity | velocity of the reference | | the maximum profile velocity 607Fh |
+    | 3 | reference_acceleration | acceleration of the reference | | that of the profile 6083h |
+    | 4 | velocity | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
+    | 5 | following_error | following error | 60F4h | its window 6065h |
+    | 6 | torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
+    | 7–10 | preview[:] | way of the reference in the next 2, 4, 6, 8 steps | | \
+607Fh times that time |
 
     ## Reward
-    In [0, 1]: ``0.8 / (1 + (tracking error / 30 µm)²)`` for closeness, and for smoothness
+    In [0, 1]: ``0.8 / (1 + |tracking error| / 10 µm)`` for closeness, and for smoothness
     ``0.2 / (1 + (change of the torque in the step / 5 % of 6072h)²)``. The terms are in ``info``,
-    with the tracking error ``error`` (m), its root mean square so far ``rms_error`` (m),
-    ``is_success`` while that is within `tolerance`, and ``info["cost"]``, 1 while an internal limit
-    is active.
+    with the tracking error ``error`` (m) of the drive's encoder, its root mean square so far
+    ``rms_error`` (m), that of the load itself ``rms_load_error`` (m, the truth, behind what is
+    elastic, when the position was sampled), ``is_success`` while `rms_error` is within `tolerance`,
+    and ``info["cost"]``, 1 while an internal limit is active.
 
     ## Episode
-    Starts at rest at a random position. The reference is one of `servogym.envs.references`, within
-    the stroke and the profile velocity, acceleration and jerk of the axis; at its end, after 400
-    steps, it holds. It waits, and there is no reward, while the drive is not enabled in its mode.
+    Starts at rest at a random position. The reference is one of `servogym.envs.tasks.references`,
+    within the stroke and the profile velocity, acceleration and jerk of the axis; at its end, after
+    400 steps, it holds. It waits, and there is no reward, while the drive is not enabled in its
+    mode.
     The reset's options may give ``start`` (m), ``reference`` (name) and ``way_points`` (m). A fault
     of the drive terminates (``info["fault"]``: code and meaning). Time truncates, after 400 steps
     (2 s).
@@ -147,11 +169,15 @@ class LinearAxisTrackingEnv(ServoEnv):
     ID = "servogym/LinearAxisTracking-v0"
     STEPS = STEPS
     RPDO = ("target_position", "torque_offset")
-    ACTIONS = 2
-    OBSERVATIONS = 7 + PREVIEW
+    ACTION = action("correction", "torque")
+    OBSERVATION = observation(
+        "error", "reference", "reference_velocity", "reference_acceleration", "velocity",
+        "following_error", "torque", ("preview", PREVIEW),
+    )  # fmt: skip
     EPISODE = episode(
         ("error", "f8"),  # reference minus position (m)
         ("rms_error", "f8"),  # m
+        ("rms_load_error", "f8"),  # m
         ("reward_close", "f8"),
         ("reward_smooth", "f8"),
         ("_position", "f8", (SAMPLES,)),  # of the reference at each step (m)
@@ -160,7 +186,11 @@ class LinearAxisTrackingEnv(ServoEnv):
         ("_now", "i8"),  # sample of the reference
         ("_running", "?"),  # the drive is enabled, so the reference goes on
         ("_squares", "f8"),  # sum of error² (m²) over `_count` steps
+        ("_load_squares", "f8"),  # the same of the load
         ("_count", "i8"),
+        ("_places", "i8", (3,)),  # in MjData.qpos of what the load's place is the sum; -1: none
+        ("_age", "f8"),  # of a position when it is told (s)
+        ("_rest", "f8"),  # and of it at the start, beyond the drive's position there (m)
         ("_torque", "f8"),  # a step before, as a share of the maximum
         ("_correction", "f8"),  # m
         ("_speed", "f8"),  # maximum profile velocity (m/s)
@@ -172,6 +202,28 @@ class LinearAxisTrackingEnv(ServoEnv):
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
+
+    POLICIES = ("feed_forward",)
+    REFERENCE = "feed_forward"
+    METRIC = "load_error"
+    METRICS = {  # noqa: RUF012
+        "load_error": Metric(
+            "rms tracking error at the load (µm)", "low", "reference minus place of the load"
+        ),
+    }
+    DONE = ("", "")  # it goes on to the end
+    CHANNELS = (
+        Channel("carriage\n(mm)", in_mm(position), lambda env: MM * _reference(env)),
+        Channel("tracking error\n(µm)", lambda env: UM * float(env.episode.error)),
+        Channel("velocity\n(m/s)", velocity),
+    )
+    STROKE = (STROKE,)
+    # the actions are small corrections of what the drive does well by itself
+    HYPERPARAMETERS = {  # noqa: RUF012
+        "PPO": {"gamma": 0.9, "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]}},
+    }
+
+    datasheet: LinearAxisParameters
 
     def __init__(
         self,
@@ -188,7 +240,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     ):
         self.reference = None if reference is None else _known("reference", reference)
         self.correction = in_range("correction", correction, 1e-6, 0.1, "m")
-        self._parameters = chosen(parameters, payload)
+        self.datasheet = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
@@ -197,7 +249,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         self._times = np.arange(STEPS + 1) * self.step_time
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self._parameters)
+        machine = linear_axis(model, parameters=self.datasheet)
         machine.drives["x"].write("following_error_window", round(self._window * METRE))
         return machine
 
@@ -205,7 +257,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         start = self.np_random.uniform(MARGIN, STROKE - MARGIN)
         start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
         self.place({"x": start})
-        episode, x, p = self.episode, self.drive, self._parameters
+        episode, x, p = self.episode, self.drive, self.datasheet
         limits = Limits(0.0, STROKE, p.max_velocity, p.max_acceleration, p.max_jerk)
         points = options.get("way_points")
         if points is not None:
@@ -225,11 +277,23 @@ class LinearAxisTrackingEnv(ServoEnv):
         episode._way = episode._speed * self.step_time
         episode._max_acceleration = p.max_acceleration
         episode._tolerance = self.tolerance
+        episode._age = self.machine.cycle_time
+        places = [int(self.machine.couplings[0].qpos), *elastic(self.machine)]
+        episode._places = ([*places, -1, -1])[:3]
+        episode._rest = sum(self.machine.data.qpos[place] for place in places) - here
 
     def _kind(self) -> str:
         if self.reference is not None:
             return self.reference
         return list(REFERENCES)[self.np_random.integers(len(REFERENCES))]
+
+    def figures(self) -> dict[str, float]:
+        """The tracking error; a reference is no goal that it could settle at."""
+        return {
+            "tracking_error": UM * self.episode.rms_error,
+            "load_error": UM * self.episode.rms_load_error,
+            "settling_time": math.nan,
+        }
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The carriage where the reference is."""

@@ -13,10 +13,12 @@ import can
 import pytest
 
 from servogym.drive.canopen.frame import Frame, parse
-from servogym.drive.canopen.master import Master
-from servogym.drive.words import Mode, State
-from servogym.training.bus import CanPort, to_frame, to_message
-from servogym.training.node import Server, axis_for
+from servogym.drive.canopen.remote import CanOpenPort
+from servogym.drive.kernel.words import Mode, State
+from servogym.drive.master import Master
+from servogym.drive.wire.bus import CanPort, to_frame, to_message
+from servogym.drive.wire.server import Server
+from servogym.envs.plants.catalogue import axis_for
 
 GROUP = "239.74.163.78"
 PORT = 40_000 + os.getpid() % 20_000  # one port, one bus, whatever the group; pytest -n has several
@@ -37,6 +39,16 @@ class Echoing:
         return self.waiting.pop(0) if self.waiting else None
 
 
+class Lines(list):
+    """A log in memory."""
+
+    def __call__(self, message):
+        self.append(message)
+
+    def flush(self):
+        pass
+
+
 def serve(server, text=None):
     """Serve a frame and all that comes of it."""
     server.serve(to_message(parse(text)) if text else None)
@@ -45,14 +57,15 @@ def serve(server, text=None):
 
 
 def test_a_server_drops_what_it_has_sent_itself_and_logs_each_frame_once():
-    log = []
-    server = Server(Echoing(), [axis_for("generic", 1)], log.append)
+    log = Lines()
+    server = Server(Echoing(), [axis_for("generic", 1)], log)
     serve(server)
     serve(server, "601#4001100000000000")
     serve(server, "601#4001100000000000")
     assert server.bus.sent == ["701#00", "581#4F01100000000000", "581#4F01100000000000"]
     assert (server.statistics.received, server.statistics.sent) == (2, 3)
     assert [str(to_frame(m))[:3] for m in log] == ["701", "601", "581", "601", "581"]
+    assert [m.is_rx for m in log] == [False, True, False, True, False]
 
 
 def test_what_comes_later_than_an_echo_is_taken():
@@ -106,10 +119,10 @@ def test_the_master_works_on_a_bus_of_python_can(pdo):
         thread = threading.Thread(target=server.run)
         thread.start()
         try:
-            master = Master(CanPort(here), 5)
+            port = CanOpenPort(CanPort(here), 5)
             if pdo:
-                master.objects.use_pdos()
-            work(master)
+                port.use_pdos()
+            work(Master(port))
         finally:
             server.stop()
             thread.join(5)
@@ -150,9 +163,9 @@ def test_a_node_in_another_process_serves_until_ctrl_c(multicast, process, tmp_p
     while (message := multicast.recv(1.0)) is None or to_frame(message) != boot:
         assert time.monotonic() < end
         assert process.poll() is None, process.communicate()
-    master = Master(CanPort(multicast), 7)
-    master.objects.use_pdos()
-    work(master)
+    port = CanOpenPort(CanPort(multicast), 7)
+    port.use_pdos()
+    work(Master(port))
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=20)
     assert (process.returncode, errors) == (0, "")

@@ -5,7 +5,8 @@ import json
 import pytest
 from rich.console import Console
 
-from servogym.training import can_bench, sdo_bench
+from servogym.training.bench import can as can_bench
+from servogym.training.bench import sdo as sdo_bench
 
 canopen = pytest.importorskip("canopen")
 

@@ -6,6 +6,8 @@ revision 10000h, serial number 1.
 """
 
 import datetime
+import itertools
+import random
 import shutil
 import struct
 
@@ -16,9 +18,9 @@ from servogym.drive.canopen.frame import Frame
 from servogym.drive.canopen.node import NmtState, Node
 from servogym.drive.canopen.time_stamp import TimeOfDay
 from servogym.drive.drive import Drive
-from servogym.drive.model import load
+from servogym.drive.model.model import load
 
-STATE, PARAMETER, INVALID = 0x08000022, 0x06040043, 0x06090030
+STATE, PARAMETER, INVALID, UNSUPPORTED = 0x08000022, 0x06040043, 0x06090030, 0x06010000
 SELECT = """
 > 7E5#4000000000000000
 > 7E5#4102040000000000
@@ -166,6 +168,7 @@ TIME = {
     + write(0x1012, 0, 0x8000_0200, 4),
     "time: restricted identifier": write(0x1012, 0, 0x100, 4)
     + refuse("2312100081050080", 0x1012, 0, INVALID),
+    "time: restricted identifier, refused at once": refuse("2312100081050000", 0x1012, 0, INVALID),
     "time: no answer": "> 100#0000000001000000\n> 100#000000000100",
 }
 SYNC = {
@@ -283,12 +286,15 @@ MAPPING = {
     + write(0x1601, 3, CONTROLWORD, 4)
     + refuse("2F01160003000000", 0x1601, 0, 0x06040042),
     "mapping: more entries than there are": refuse("2F01160011000000", 0x1601, 0, 0x06040042),
+    "mapping: a reserved number of entries": refuse("2F01160041000000", 0x1601, 0, INVALID),
+    "tpdo: without entries nothing is sent": write(0x1801, 1, 0x281, 4)
+    + "> 000#0101\n< 181#5002\n+9\n> 281#R\n> 080#",
     "mapping: another length than the object's": refuse("2301160120004060", 0x1601, 1, 0x06040041),
     "mapping: no such object": refuse("2301160110000070", 0x1601, 1, 0x06020000),
     "mapping: no such sub-index": refuse("2301160120097D60", 0x1601, 1, 0x06090011),
     "mapping: entries change only while their number is 0": write(0x1601, 1, CONTROLWORD, 4)
     + write(0x1601, 0, 1, 1)
-    + refuse("2301160120007A60", 0x1601, 1, STATE),
+    + refuse("2301160120007A60", 0x1601, 1, UNSUPPORTED),
     "mapping: tpdo": write(0x1A01, 1, 0x60640020, 4)
     + write(0x1A01, 0, 1, 1)
     + write(0x1801, 1, 0x4000_0281, 4)
@@ -394,6 +400,14 @@ EMCY = {
     + read(0x1003, 1, "4303100140820000")
     + "\n"
     + read(0x1003, 2, "4303100210820000"),
+    "emcy: no data in an empty history": read(0x1003, 0, "4F03100000000000")
+    + "\n"
+    + refuse("4003100100000000", 0x1003, 1, 0x08000024),
+    "emcy: no data beyond the last error": OPERATIONAL
+    + "> 201#06\n< 081#1082110000000000\n"
+    + read(0x1003, 1, "4303100110820000")
+    + "\n"
+    + refuse("4003100200000000", 0x1003, 2, 0x08000024),
     "emcy: history is cleared by 0 only": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n"
     + refuse("2F03100001000000", 0x1003, 0, INVALID)
@@ -443,6 +457,34 @@ SDO = {
         < 581#01656D756C617465
         > 601#A201000000000000
         < 581#8009100002000405""",
+    "sdo: block upload, more segments confirmed than sent": """
+        > 601#A409100001000000
+        < 581#C609100008000000
+        > 601#A300000000000000
+        < 581#01656D756C617465
+        > 601#A202010000000000
+        < 581#8009100003000405""",
+    "sdo: a dead client's block download does not block others": """
+        > 601#C27A600008000000
+        < 581#A47A60007F000000
+        > 601#0139300000000000
+        +400
+        > 601#4041600000000000
+        +400
+        > 601#4041600000000000
+        +202
+        < 581#807A600000000405
+        > 601#4041600000000000
+        < 581#4B41600050020000""",
+    "sdo: segments of a block download keep it alive": """
+        > 601#C27A600004000000
+        < 581#A47A60007F000000
+        +900
+        > 601#8139300000000000
+        < 581#A2017F0000000000
+        +900
+        > 601#CD00000000000000
+        < 581#A100000000000000""",
     "sdo: block upload confirmed without a transfer": refuse(
         "A201100000000000", 0x1001, 0, 0x05040001
     ),
@@ -512,6 +554,42 @@ def test_a_producer_that_is_polled_seldom_does_not_catch_up():
     bus.run(write(0x1006, 0, 5000, 4) + write(0x1005, 0, 0x4000_0080, 4) + "< 080#")
     counts = [len(bus.node.poll(time)) for time in (52_000, 56_000, 57_000)]
     assert counts == [1, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "identifier"),
+    [(0x1017, 0, 0x701), (0x1800, 5, 0x181)],
+    ids=["heartbeat", "event timer"],
+)
+@pytest.mark.parametrize("period", [1, 10])
+def test_a_period_keeps_its_mean_whatever_the_jitter_of_the_poller(
+    index, subindex, identifier, period
+):
+    bus = Bus()
+    bus.drive.write(index, subindex, period)
+    bus.node.receive(Frame(0, b"\1\1"), 0)
+    random_, time, times = random.Random(3), 0, []
+    while time < 2_000_000:
+        time += random_.randint(100, 900)
+        times += [time for frame in bus.node.poll(time) if frame.id == identifier]
+    mean = (times[-1] - times[1]) / (len(times) - 2)
+    assert mean == pytest.approx(period * 1000, abs=1)
+    assert max(b - a for a, b in itertools.pairwise(times[1:])) <= period * 1000 + 900
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "identifier"), [(0x1017, 0, 0x701), (0x1800, 5, 0x181)]
+)
+def test_what_is_polled_seldom_does_not_catch_up(index, subindex, identifier):
+    bus = Bus()
+    bus.drive.write(index, subindex, 5)
+    bus.node.receive(Frame(0, b"\1\1"), 0)
+    bus.node.poll(0)
+    counts = [
+        sum(frame.id == identifier for frame in bus.node.poll(time))
+        for time in (52_000, 53_000, 56_000, 57_000)
+    ]
+    assert counts == [1, 0, 0, 1]
 
 
 def test_a_fault_reset_leaves_the_bit_of_a_communication_error():

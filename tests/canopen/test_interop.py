@@ -9,10 +9,11 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402, OperationMode
 
-from servogym.drive.model import load
-from servogym.drive.words import State
-from servogym.training.eds import object_dictionary
-from servogym.training.node import Server, axis_for
+from servogym.drive.canopen.eds import object_dictionary
+from servogym.drive.kernel.words import State
+from servogym.drive.model.model import load
+from servogym.drive.wire.server import Server
+from servogym.envs.plants.catalogue import axis_for
 
 # What drives send: EMCY, TPDO and SDO answers have bit 7 of the identifier, and error control. On a
 # multicast group every member hears its own frames too, and the library takes the echo of its RPDO

@@ -11,11 +11,11 @@ from servogym.drive.canopen.bit_time import length
 from servogym.drive.canopen.faulty import Faults, Faulty
 from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.link import Loopback
-from servogym.drive.words import Mode, State
-from servogym.training.can_bench import axis_in_csp
-from servogym.training.can_link import CanLink, Traced
-from servogym.training.lockstep import LockStep
-from servogym.training.node import to_message
+from servogym.drive.canopen.lockstep import LockStep
+from servogym.drive.kernel.words import Mode, State
+from servogym.drive.wire.bus import to_message
+from servogym.drive.wire.can_link import CanLink, Traced
+from servogym.training.bench.can import axis_in_csp
 
 PERIOD = 1000  # µs
 FAULT_AT, GONE_AT, RESET_AT, CYCLES = 400, 440, 450, 600

@@ -4,7 +4,9 @@ import struct
 
 from golden.master import INPUT_MAPPING, OUTPUT_MAPPING, Master
 
-from servogym.drive.ethercat import FRAME, AlState
+from servogym.drive.ethercat.al import AlState
+
+FRAME = struct.Struct("<HHBBHBHB4s")  # an expedited SDO: mailbox header, CoE header, SDO
 
 
 class EthercatMaster(Master):
@@ -47,9 +49,11 @@ class EthercatMaster(Master):
         self._to(AlState.PRE_OPERATIONAL)
 
     def _to(self, state):
-        slave = self.rig.slave
-        slave.configure()  # what a master knows from the description file
-        words = [word for pair in slave.sync_managers for word in pair]
+        rig = self.rig
+        sizes = (rig.drive.rpdo_size, rig.drive.tpdo_size)
+        words = [*rig.data.mailbox]  # what a master knows from the description file
+        for start, size in zip(rig.data.start, sizes, strict=True):
+            words += [start, size]
         self.tick("sm", self.rig.SYNC_MANAGERS.pack(*words))
         assert self.tick("al", bytes([state])) == bytes([state, 0, 0])
 

@@ -9,17 +9,17 @@ import struct
 from golden.can_master import MASTER, CanMaster
 from golden.master import Station
 
-from servogym.drive.abort import Abort
 from servogym.drive.canopen.frame import Frame
-from servogym.drive.words import Controlword as C
-from servogym.drive.words import State, state_of
-from servogym.drive.words import Statusword as S
+from servogym.drive.kernel.words import Controlword as C
+from servogym.drive.kernel.words import State, state_of
+from servogym.drive.kernel.words import Statusword as S
+from servogym.drive.objects.abort import Abort
 
 SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP = 0x06, 0x07, 0x0F, 0x02
 LOST = 1200  # ms without heartbeat
 LOCK = 15_000  # ms from a fault to the earliest reset
 OVERVOLTAGE, OVERVOLTAGE_KEY = 0x3210, 0x0700  # F07 00
-OTHER, GUARDING_KEY = 0x1000, 0x2022  # F20 22: the model tells it for a heartbeat as well
+OTHER, HEARTBEAT_KEY = 0x1000, 0x207F  # F20 nn: the heartbeat of node 127 is missing
 SOURCE_OF_CONTROL = 412
 PARAMETERS = (  # index, subindex, format, value; data set 0: all four
     (0x2000 + SOURCE_OF_CONTROL, 0, "<H", 1),  # the state machine
@@ -233,7 +233,7 @@ def lost_heartbeat(master, station):
     statusword = int.from_bytes(master.read(station, 0x6041, 0), "little")
     assert state_of(statusword) is State.FAULT
     assert station.state is State.OPERATION_ENABLED, "no TPDO since"
-    told_by(master, station, OTHER, GUARDING_KEY)
+    told_by(master, station, OTHER, HEARTBEAT_KEY)
     master.guards = True
     master.start()
     master.run(6)

@@ -2,7 +2,7 @@
 
 import struct
 
-from servogym.drive.words import State, state_of
+from servogym.drive.kernel.words import State, state_of
 
 OUTPUTS = struct.Struct("<Hbi")  # controlword, mode, target position
 INPUTS = struct.Struct("<Hbi")  # statusword, mode display, position
@@ -71,7 +71,8 @@ class Master:
         """Try to write what the drive does not take."""
         reply, rest = self.download(station, index, subindex, data)
         assert reply == 0x80
-        assert int.from_bytes(rest, "little") == abort, (
+        printed = station.drive.model.abort_codes.get(abort, abort)
+        assert int.from_bytes(rest, "little") == printed, (
             f"{index:04X}h:{subindex:02X}h: {rest.hex()}"
         )
 

@@ -13,12 +13,12 @@ from golden.can_master import CanMaster
 from golden.ethercat_master import EthercatMaster
 from golden.rig import CanRig, rig
 
-from servogym.drive.abort import Abort
 from servogym.drive.canopen.frame import Frame
-from servogym.drive.words import Controlword as C
-from servogym.drive.words import Mode, State, state_of
-from servogym.drive.words import Statusword as S
-from servogym.envs.linear_axis import linear_axis
+from servogym.drive.kernel.words import Controlword as C
+from servogym.drive.kernel.words import Mode, State, state_of
+from servogym.drive.kernel.words import Statusword as S
+from servogym.drive.objects.abort import Abort
+from servogym.envs.plants.linear_axis import linear_axis
 
 HERE = Path(__file__).parent
 LOGS = {  # drive model -> file
@@ -36,8 +36,9 @@ SHUTDOWN, SWITCH_ON, ENABLE = 0x06, 0x07, 0x0F
 SHORT_CIRCUIT, FOLLOWING_ERROR, FRAMES_LOST = 0x2320, 0x8611, 0x8700
 TOO_SHORT, GUARDING = 0x8210, 0x8130
 SWITCH_OFF_LIMIT = (0x6510, 0x22)  # of the models in which a following error is a message only
-MAX_TORQUE = (0x6072, 0)
+MAX_CURRENT = (0x6073, 0)
 HOMING_METHOD = (0x6098, 0)
+FACTOR_GROUP = (0x6093, 0x6094, 0x6097)
 SAVE = b"save"
 NEAR = 20  # µm, position window
 MICRO = 1e6
@@ -57,8 +58,13 @@ def parameters(model):
 
     wanted = values()
     drive.reset()
+    # the factor group comes first: values keep their meaning when it changes (Metronix 6.3.1)
+    first = FACTOR_GROUP if drive.model.quirk("values_keep_meaning") else ()
+    changed = {address: data for address, data in wanted.items() if address[0] in first}
+    for (index, subindex), data in changed.items():
+        assert not drive.objects.write(index, subindex, data)
     delivered = values()
-    changed = {address: data for address, data in wanted.items() if data != delivered[address]}
+    changed |= {address: data for address, data in wanted.items() if data != delivered[address]}
     changed[HOMING_METHOD] = wanted[HOMING_METHOD]
     if SWITCH_OFF_LIMIT in wanted:
         changed[SWITCH_OFF_LIMIT] = struct.pack("<I", 5_000)
@@ -198,11 +204,11 @@ def internal_fault(master):
 def following_error(master):
     """Too little torque for a move."""
     station = master.stations[0]
-    torque = master.read(station, *MAX_TORQUE)
-    master.write(station, *MAX_TORQUE, struct.pack("<H", 50))
+    torque = master.read(station, *MAX_CURRENT)
+    master.write(station, *MAX_CURRENT, struct.pack("<H", 50))
     begin(master, 400_000, [station])
     expect(master, station, FOLLOWING_ERROR)
-    master.write(station, *MAX_TORQUE, torque)
+    master.write(station, *MAX_CURRENT, torque)
     reset(master, [station])
 
 

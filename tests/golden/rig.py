@@ -9,9 +9,11 @@ from itertools import groupby
 
 from servogym.drive.canopen.frame import parse
 from servogym.drive.canopen.node import Node
-from servogym.drive.ethercat import Slave
-from servogym.drive.model import load
-from servogym.envs.linear_axis import linear_axis
+from servogym.drive.ethercat.frame import Command, Datagram, pack, unpack
+from servogym.drive.ethercat.segment import Segment
+from servogym.drive.ethercat.slave import Slave
+from servogym.drive.model.model import load
+from servogym.envs.plants.linear_axis import linear_axis
 
 CAUSE = 0x1FFF_FF00  # extended identifier without the node-id: the cause of a fault is there
 PLACE = 0.12  # m, where the carriages stand in the beginning
@@ -117,26 +119,37 @@ class CanRig(Rig):
 
 
 class EthercatRig(Rig):
-    """The drive as a slave; a telegram is answered at once."""
+    """The drive behind a slave controller, a register or a buffer at a time; answered at once.
+
+    A line has what belongs to it and not the rest of a buffer: a telegram ends with its length.
+    """
 
     SYNC_MANAGERS = struct.Struct("<8H")
+    AL_CONTROL, AL_STATUS, SYNC_MANAGER = 0x0120, 0x0130, 0x0800
+    STATION = 0  # position of the only slave
 
     def __init__(self, model):
         super().__init__(model)
-        self.slave = Slave(self.drives[0])
+        self.drive = self.drives[0]
+        self.data = self.model.ethercat
+        self.segment = Segment([Slave(self.drive)])
         self._take = {
             "al": self._al,  # AL Control -> AL Status, AL Status Code
             "sm": self._sync_managers,  # start and length of each
-            "mailbox": self.slave.mailbox,
+            "mailbox": self._mailbox,  # a telegram -> the telegrams that wait
             "frame": self._frame,  # outputs -> inputs
-            "cause": lambda data: cause(self.drives[0], data),
+            "cause": lambda data: cause(self.drive, data),
         }
 
+    def step(self):
+        super().step()
+        self.segment.publish(self.time * 1000)
+
     def send(self, channel, data):
-        """A telegram of the master, -> the answer."""
+        """Something of the master, -> the last answer."""
         self._write(channel, data.hex() or "-", "T")
-        answer = self._take[channel](data)
-        if answer is not None:
+        answer = b""
+        for answer in self._take[channel](data) or ():
             self._write(channel, answer.hex() or "-", "R")
         return answer
 
@@ -144,17 +157,37 @@ class EthercatRig(Rig):
         for entry in entries:
             self.send(entry.channel, bytes.fromhex(entry.frame.strip("-")))
 
+    def _datagram(self, command, address, data):
+        frame = pack([Datagram(command, self.STATION, address, bytes(data))])
+        return unpack(self.segment.exchange(frame, self.time * 1000))[0]
+
+    def _read(self, address, size):
+        return self._datagram(Command.APRD, address, bytes(size))
+
     def _al(self, data):
-        self.slave.al_control(data[0])
-        return struct.pack("<BH", self.slave.al_status, self.slave.status_code)
+        self._datagram(Command.APWR, self.AL_CONTROL, data.ljust(2, b"\0"))
+        status = self._read(self.AL_STATUS, 6).data
+        return (status[:1] + status[4:],)
 
     def _sync_managers(self, data):
         words = self.SYNC_MANAGERS.unpack(data)
-        self.slave.sync_managers = [*zip(words[::2], words[1::2], strict=True)]
+        controls = (*self.data.mailbox_control, *self.data.control)
+        for n, control in enumerate(controls):
+            at = self.SYNC_MANAGER + 8 * n
+            row = struct.pack("<HHBBB", *words[2 * n : 2 * n + 2], control, 0, 1)
+            if self._read(at, 7).data[:5] != row[:5]:
+                self._datagram(Command.APWR, at + 6, b"\0")
+                self._datagram(Command.APWR, at, row)
+
+    def _mailbox(self, data):
+        out, out_length, in_, in_length = self.data.mailbox
+        self._datagram(Command.APWR, out, data.ljust(out_length, b"\0"))
+        while (answer := self._read(in_, in_length)).wkc:
+            yield answer.data[: 6 + int.from_bytes(answer.data[:2], "little")]
 
     def _frame(self, data):
-        self.slave.outputs(data)
-        return self.slave.inputs()
+        self._datagram(Command.APWR, self.data.start[0], data)
+        return (self._read(self.data.start[1], self.drive.tpdo_size).data,)
 
 
 def rig(model):

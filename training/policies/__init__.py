@@ -1,30 +1,28 @@
 """Policies through one door: `make` gives an object with `reset` and `act`, by its name.
 
-A policy is made for one environment from what may be known of it (`known.Known`), sees observations
-and gives actions. It never touches the physics nor what was drawn at random. `BuiltIn` alone is no
-such object: it stands for a homing method of the drive, which runs instead of an agent.
+A policy is made for one environment from what may be known of it (`datasheet.Datasheet`), sees
+observations and gives actions. It never touches the physics nor what was drawn at random. `BuiltIn`
+alone is no such object: it stands for a homing method of the drive, which runs instead of an agent.
 """
 
 from collections.abc import Callable, Mapping
-from importlib import resources
+from importlib import metadata, resources
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ...envs.faces import PDO
+from ...drive.model.near import near
+from ...envs import TASKS
+from ...envs.faces import PDO, SETPOINT
 from ...envs.servo_env import ServoEnv
-from ...envs.tasks.commissioning import CommissioningEnv
-from ...envs.tasks.compliant import CompliantAxisEnv
-from ...envs.tasks.homing import HomingEnv
-from ...envs.tasks.positioning import LinearAxisEnv
-from ...envs.tasks.sway import GantrySwayEnv
-from ...envs.tasks.tracking import LinearAxisTrackingEnv
+from .adaptive import AdaptiveLqr
+from .datasheet import Datasheet, datasheet
 from .feed_forward import FeedForward, RuckigFeedForward
-from .file import SUFFIX, Function
+from .file import SUFFIX, from_file, policy_of
 from .homing import BuiltIn, search_policy
-from .known import Known, known
+from .idle import Chance, Hold
 from .learned import Learned
 from .lqr import Lqr
 from .pd import ProportionalDifferential
@@ -37,7 +35,6 @@ from .profiles import (
     ruckig_zvd_policy,
 )
 from .proportional import Proportional
-from .still import Chance, Hold
 
 
 class Policy(Protocol):
@@ -51,50 +48,42 @@ class Policy(Protocol):
 
 
 class Baseline(NamedTuple):
-    """A row of the table."""
+    """A row of the table. The tasks themselves say which of them they have, in ``POLICIES``."""
 
-    make: Callable[[Known, int], Any]
-    tasks: tuple[str, ...]  # ids; none: all
+    make: Callable[[Datasheet, int], Any]
     what: str
     arguments: Mapping[str, Any] = MappingProxyType({})  # that its environment has to have
+    face: str = SETPOINT  # of the actions it gives
 
 
-LINEAR = (LinearAxisEnv.ID, CompliantAxisEnv.ID)
-MOVES = (*LINEAR, GantrySwayEnv.ID)
 POLICIES: dict[str, Baseline] = {
-    "hold": Baseline(Hold, (), "action 0"),
-    "random": Baseline(Chance, (), "uniform actions from the seed"),
-    "trapezoid": Baseline(Trapezoid, MOVES, "pp profile of the drive, 6086h = 0"),
-    "jerk_limited": Baseline(jerk_limited_policy, MOVES, "pp profile of the drive, 6086h = 3"),
-    "ruckig": Baseline(ruckig_policy, MOVES, "time-optimal at the drive's limits"),
-    "ruckig+zv": Baseline(ruckig_zv_policy, MOVES, "the same, shaped for the nominal resonance"),
-    "ruckig+zvd": Baseline(ruckig_zvd_policy, MOVES, "shaped twice, less particular about it"),
-    "ruckig+ff": Baseline(
-        RuckigFeedForward, (CompliantAxisEnv.ID,), "ruckig with inertia and friction feed-forward"
-    ),
-    "lqr": Baseline(
-        Lqr, (CompliantAxisEnv.ID, GantrySwayEnv.ID), "state feedback from the sensor of the load"
-    ),
-    "proportional": Baseline(Proportional, LINEAR, "velocity from the distance"),
-    "pd": Baseline(
-        ProportionalDifferential, (LinearAxisEnv.ID,), "torque from distance and velocity",
-        {"mode": "cst"},
-    ),
-    "feed_forward": Baseline(
-        FeedForward, (LinearAxisTrackingEnv.ID,), "inertia and friction of the data sheet"
-    ),
-    "search": Baseline(search_policy, (HomingEnv.ID,), "fast, back off, slow"),
+    "hold": Baseline(Hold, "action 0"),
+    "random": Baseline(Chance, "uniform actions from the seed"),
+    "trapezoid": Baseline(Trapezoid, "pp profile of the drive, 6086h = 0"),
+    "jerk_limited": Baseline(jerk_limited_policy, "pp profile of the drive, 6086h = 3"),
+    "ruckig": Baseline(ruckig_policy, "time-optimal at the drive's limits"),
+    "ruckig+zv": Baseline(ruckig_zv_policy, "the same, shaped for the nominal resonance"),
+    "ruckig+zvd": Baseline(ruckig_zvd_policy, "shaped twice, less particular about it"),
+    "ruckig+ff": Baseline(RuckigFeedForward, "ruckig with inertia and friction feed-forward"),
+    "lqr": Baseline(Lqr, "state feedback from the sensor of the load"),
+    "adaptive_lqr": Baseline(AdaptiveLqr, "the same, with the resonance identified as it moves"),
+    "proportional": Baseline(Proportional, "velocity from the distance"),
+    "pd": Baseline(ProportionalDifferential, "torque from distance and velocity", {"mode": "cst"}),
+    "feed_forward": Baseline(FeedForward, "inertia and friction of the datasheet"),
+    "search": Baseline(search_policy, "fast, back off, slow"),
     "built_in": Baseline(
-        lambda known, seed: BuiltIn(known), (HomingEnv.ID,),
+        lambda datasheet, seed: BuiltIn(datasheet),
         "the drive's method for the reference; built_in:N another one",
     ),
     "built_in_fast": Baseline(
-        lambda known, seed: BuiltIn(known, fast=True), (HomingEnv.ID,),
+        lambda datasheet, seed: BuiltIn(datasheet, fast=True),
         "the quickest method to it, at the task's limits; built_in_fast:N another one",
     ),
-    "plc": Baseline(plc_policy, (CommissioningEnv.ID,), "the step chain of a PLC"),
-}  # fmt: skip
+    "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
+}
+ANYWHERE = ("hold", "random")  # want nothing of a task
 BUILT_IN = ("built_in", "built_in_fast")  # of which a method can be asked for
+ENTRY_POINTS = "servogym.policies"  # of other packages: a name, and what makes a policy
 
 
 MODE = "csp"  # what policies command where they do not need another mode
@@ -106,9 +95,11 @@ def needed(name: str) -> dict[str, Any]:
     return dict(row.arguments) if row else {}
 
 
-def names(task: str) -> list[str]:
-    """Of the policies for a task, by its id."""
-    return [name for name, row in POLICIES.items() if not row.tasks or task in row.tasks]
+def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
+    """Of the policies for a task, and then of those that other packages declare."""
+    own = [name for name in POLICIES if name in ANYWHERE or name in task.POLICIES]
+    points = metadata.entry_points(group=ENTRY_POINTS)
+    return own + sorted({point.name for point in points} - POLICIES.keys())
 
 
 LEARNED = "learned"  # what comes with the laboratory
@@ -129,9 +120,9 @@ def trainings(name: str, task: str) -> list[str]:
     if name in POLICIES or not folder.is_dir():
         if name != LEARNED:
             return []
-        known = ", ".join(sorted(path.name for path in SHIPPED.glob("*-v*"))) or "none"
+        available = ", ".join(sorted(path.name for path in SHIPPED.glob("*-v*"))) or "none"
         raise ValueError(
-            f"policy {name!r}: nothing learned comes for {task}, only for {known}; "
+            f"policy {name!r}: nothing learned comes for {task}, only for {available}; "
             "train one with `servogym train` and give its folder"
         )
     return [str(path) for path in sorted(folder.glob("seed_*"))] or [str(folder)]
@@ -141,9 +132,10 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     """A policy for `env`.
 
     Args:
-        name: of `POLICIES`, "learned", ``built_in:N`` with a homing method, ``FILE.py:function``
-            with a function ``act(observation) -> action``, or a folder of `servogym train`; of
-            several trainings ``seed_*`` in it the first is taken.
+        name: of `POLICIES`, "learned", ``built_in:N`` with a homing method, a folder of
+            `servogym train`; of several trainings ``seed_*`` in it the first is taken;
+            ``FILE.py:name`` or an entry point ``servogym.policies`` of another package: a class
+            ``(datasheet, seed)`` with ``reset`` and ``act``, or a function ``act(observation)``.
         env: whose constants it knows.
         seed: of what is random in it.
 
@@ -153,23 +145,26 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     task = env.ID
     base, _, rest = name.partition(":")
     if base.endswith(SUFFIX):
-        return Function(name)
+        return policy_of(name, from_file(name), datasheet(env), seed)
     if folders := trainings(name, task):
-        return Learned(Path(folders[0]), env)
+        return Learned(Path(folders[0]), env, seed)
+    if base not in POLICIES and (points := metadata.entry_points(group=ENTRY_POINTS, name=name)):
+        return policy_of(name, _declared(next(iter(points))), datasheet(env), seed)
     row = POLICIES.get(base)
     if row is None or (rest and base not in BUILT_IN):
         raise ValueError(
-            f"policy {name!r} is unknown: for {task} choose of {', '.join(names(task))}, "
-            "FILE.py:function, or a folder of `servogym train`"
+            f"policy {name!r} is unknown for {task}: {near(base, names(env))}; "
+            "or give FILE.py:name, or a folder of `servogym train`"
         )
-    if row.tasks and task not in row.tasks:
+    anywhere = base in ANYWHERE
+    if not anywhere and base not in env.POLICIES:
+        others = ", ".join(each.ID for each in TASKS if base in each.POLICIES)
         raise ValueError(
-            f"policy {name!r} is for {', '.join(row.tasks)}: for {task} choose of "
-            f"{', '.join(names(task))}"
+            f"policy {name!r} is for {others}: for {task} choose of {', '.join(names(env))}"
         )
-    if env.face == PDO and CommissioningEnv.ID not in row.tasks and row.tasks:
+    if not anywhere and env.face == PDO != row.face:
         raise ValueError(f'policy {name!r} moves set-points: make {task} with action="setpoint"')
-    if row.tasks:
+    if not anywhere:
         for argument, value in ({"mode": MODE} | needed(name)).items():
             given = vars(env).get(argument, value)
             if given != value:
@@ -177,10 +172,25 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
                     f"policy {name!r} does not command {argument} = {given!r}: make {task} with "
                     f"{argument}={value!r}"
                 )
-    data = known(env)
+    if base in BUILT_IN and env.homing_method is None:
+        raise ValueError(
+            f"policy {name!r}: task {type(env).__name__} lacks homing_method, that of the drive "
+            "which looks for the same reference"
+        )
+    data = datasheet(env)
     if not rest:
         return row.make(data, seed)
     try:
         return BuiltIn(data, int(rest), fast=base == BUILT_IN[1])
     except ValueError:
         raise ValueError(f"policy {name!r}: after the colon comes a homing method 6098h") from None
+
+
+def _declared(point: metadata.EntryPoint) -> Any:
+    try:
+        return point.load()
+    except Exception as error:
+        raise ValueError(
+            f"policy {point.name!r}: its entry point {point.value} fails "
+            f"({type(error).__name__}: {error})"
+        ) from error

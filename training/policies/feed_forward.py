@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.modes.csp import SMOOTHING
-from .known import Axis, Known
+from ...drive.kernel.modes.csp import SMOOTHING
+from .datasheet import Axis, Datasheet
 from .profiles import Profile, of_the_drive
 
 REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), by which friction changes its sign without a jump
@@ -24,8 +24,8 @@ class Torque:
     The drive takes the acceleration from the set-points, smoothed, so its own comes late.
     """
 
-    def __init__(self, known: Known):
-        self._axis, self._dt = known.axis, known.step_time
+    def __init__(self, datasheet: Datasheet):
+        self._axis, self._dt = datasheet.axis, datasheet.step_time
         self._slope = self._own = 0.0
 
     def __call__(self, slope: float, middle: float, rate: float) -> float:
@@ -46,8 +46,8 @@ class Torque:
 class FeedForward:
     """Along the reference that is observed."""
 
-    def __init__(self, known: Known, seed: int = 0):
-        self._known, self._axis = known, known.axis
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        self._known, self._axis = datasheet, datasheet.axis
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
@@ -56,15 +56,14 @@ class FeedForward:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque in the middle of the step to come."""
         axis, dt = self._axis, self._known.step_time
-        velocity = float(observation[2]) * axis.fastest
-        acceleration = float(observation[3]) * axis.profile.acceleration
-        ahead = float(observation[7]) * axis.fastest  # mean velocity of the next two steps
+        seen = self._known.seen(observation)
+        velocity = float(seen.reference_velocity) * axis.fastest
+        acceleration = float(seen.reference_acceleration) * axis.profile.acceleration
+        ahead = float(seen.preview[0]) * axis.fastest  # mean velocity of the next two steps
         rate = (ahead - velocity) / dt  # acceleration in the middle of the step to come
         middle = velocity + 0.5 * rate * dt
         slope = velocity + 0.5 * acceleration * dt
-        action = np.zeros(self._known.actions, np.float32)
-        action[1] = self._torque(slope, middle, rate)
-        return action
+        return self._known.action(torque=self._torque(slope, middle, rate))
 
 
 class RuckigFeedForward(Profile):
@@ -74,11 +73,12 @@ class RuckigFeedForward(Profile):
         ValueError: the environment has no torque to command.
     """
 
-    def __init__(self, known: Known, seed: int = 0):
-        super().__init__(known, of_the_drive)
-        if known.axis.offset <= 0.0:
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(datasheet, of_the_drive)
+        if datasheet.axis.offset <= 0.0:
             raise ValueError(
-                f"policy 'ruckig+ff' commands torque: make {known.task} with a torque_range above 0"
+                f"policy 'ruckig+ff' commands torque: make {datasheet.task} with a torque_range "
+                "above 0"
             )
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
@@ -90,8 +90,7 @@ class RuckigFeedForward(Profile):
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Velocity of the set-point, and the torque for it."""
-        action = super().act(observation)
+        velocity = super().act(observation)
         before, now, after = self._velocities[self._step - 1 : self._step + 2]
         rate = (after - before) / (2.0 * self._known.step_time)
-        action[1] = self._torque(now, now, rate)
-        return action
+        return velocity + self._known.action(torque=self._torque(now, now, rate))

@@ -2,16 +2,13 @@
 
 from functools import partial
 
-import numpy as np
-
 from ...envs.servo_env import METRE
-from ...envs.tasks.homing import REFERENCES
-from .known import Known
+from .datasheet import Datasheet
 from .profiles import of_the_drive
 from .script import Script, Steps
 
 RAMP = 0.05  # change of the velocity a step, to be gentle
-NEGATIVE, POSITIVE, HOME = range(3)  # places of the switches in an observation
+NEGATIVE, POSITIVE, HOME = "negative_limit_switch", "positive_limit_switch", "home_switch"
 # The legs of a search: velocity, switch, the value it has to take. Fast, back off, slow.
 LEGS = {
     "home_switch": (
@@ -25,58 +22,63 @@ FASTEST = {"home_switch": 30, "negative_limit_switch": 17, "stop": -17}
 SHARE_OF_TOLERANCE = 0.2  # that the slow speed may pass in a cycle in which inputs are sampled
 
 
-def search(legs) -> Steps:
+def search(datasheet: Datasheet, legs) -> Steps:
     """Travel by `legs`, then declare; a positive limit switch turns the first leg round.
 
     The last leg stops without a ramp.
     """
-    velocity, seen = 0.0, (yield np.array([0, 1, -1], np.float32))
+    velocity, seen = 0.0, datasheet.seen((yield datasheet.action(torque_limit=1, reference=-1)))
     for i, (wanted, switch, value) in enumerate(legs):
         while (seen[switch] > 0.5) != value:
             if i == 0 and seen[POSITIVE] > 0.5:
                 wanted = -abs(wanted)
             velocity = min(max(wanted, velocity - RAMP), velocity + RAMP)
-            seen = yield np.array([velocity, 1, -1], np.float32)
-    yield np.array([0, 1, 1], np.float32)
+            action = datasheet.action(velocity=velocity, torque_limit=1, reference=-1)
+            seen = datasheet.seen((yield action))
+    yield datasheet.action(torque_limit=1, reference=1)
 
 
-def to_stop() -> Steps:
+def to_stop(datasheet: Datasheet) -> Steps:
     """Push against the end with little torque until it stands, then declare."""
-    seen = yield np.array([0, -0.8, -1], np.float32)
+    seen = datasheet.seen((yield datasheet.action(torque_limit=-0.8, reference=-1)))
     standing = step = 0
     while standing < 20:
         step += 1
-        standing = standing + 1 if step > 50 and abs(seen[3]) < 2e-3 and seen[4] < -0.02 else 0
-        seen = yield np.array([max(-0.2, -0.01 * step), -0.8, -1], np.float32)
-    yield np.array([0, -0.8, 1], np.float32)
+        pushing = step > 50 and abs(seen.velocity) < 2e-3 and seen.torque < -0.02
+        standing = standing + 1 if pushing else 0
+        velocity = max(-0.2, -0.01 * step)
+        seen = datasheet.seen(
+            (yield datasheet.action(velocity=velocity, torque_limit=-0.8, reference=-1))
+        )
+    yield datasheet.action(torque_limit=-0.8, reference=1)
 
 
-def search_policy(known: Known, seed: int = 0) -> Script:
+def search_policy(datasheet: Datasheet, seed: int = 0) -> Script:
     """The search for the reference of the task."""
-    legs = LEGS.get(known.reference)
-    return Script(partial(search, legs) if legs else to_stop)
+    legs = LEGS.get(datasheet.reference)
+    return Script(partial(search, datasheet, legs) if legs else partial(to_stop, datasheet))
 
 
 class BuiltIn:
     """A homing method of the drive: it takes the place of the agent for the whole episode.
 
     Args:
-        known: of the environment.
+        datasheet: of the environment.
         method: 6098h; if not given the one for the reference of the task, or with `fast` the
             quickest to the same place.
         fast: with the speeds and the acceleration the task allows, instead of those commissioned.
     """
 
-    def __init__(self, known: Known, method: int | None = None, *, fast: bool = False):
-        by_default = FASTEST if fast else {name: row[0] for name, row in REFERENCES.items()}
-        self.method = by_default[known.reference] if method is None else method
-        self.objects = _fast(known) if fast else {}
+    def __init__(self, datasheet: Datasheet, method: int | None = None, *, fast: bool = False):
+        by_default = FASTEST[datasheet.reference] if fast else datasheet.homing_method
+        self.method = by_default if method is None else method
+        self.objects = _fast(datasheet) if fast else {}
 
 
-def _fast(known: Known) -> dict[str, int]:
+def _fast(datasheet: Datasheet) -> dict[str, int]:
     """Objects for a homing as fast as an agent may be, the slow part within the tolerance."""
-    axis = known.axis
-    slow = min(SHARE_OF_TOLERANCE * known.tolerance / known.sampling, axis.speed)
+    axis = datasheet.axis
+    slow = min(SHARE_OF_TOLERANCE * datasheet.tolerance / datasheet.sampling, axis.speed)
     speeds = {
         "speed_during_search_for_switch": axis.speed,
         "speed_during_search_for_zero": slow,

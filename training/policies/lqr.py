@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .known import Axis, Known, Vibration
+from .datasheet import Axis, Datasheet, Vibration
 from .profiles import of_the_drive, resonance, shaped, time_optimal
 
 # Weights, in units of the nominal resonance; tuned on 64 episodes, none of them of an evaluation
@@ -60,36 +60,36 @@ def gain(vibration: Vibration, dt: float) -> np.ndarray:
 class Regulated:
     """One axis: its path, the state that belongs to it, and the feedback of the rest."""
 
-    def __init__(self, known: Known, axis: Axis):
+    def __init__(self, datasheet: Datasheet, axis: Axis):
         if axis.sensor is None:
             raise ValueError(
-                f"policy 'lqr' needs the sensor of the load: make {known.task} with "
-                f"{known.sensor}=True"
+                f"policy 'lqr' needs the sensor of the load: make {datasheet.task} with "
+                f"{datasheet.sensor}=True"
             )
-        self._axis, self._sensor, self._dt = axis, axis.sensor, known.step_time
-        self._vibration = resonance(known, axis)
+        self._axis, self._sensor, self._dt = axis, axis.sensor, datasheet.step_time
+        self._vibration = resonance(datasheet, axis)
         self._bounds = of_the_drive(axis)
-        self._change = self._bounds.acceleration * known.step_time
-        self._model = model(self._vibration, known.step_time)
-        self._gain = gain(self._vibration, known.step_time)
-        self._times = np.arange(known.steps + 1) * known.step_time
+        self._change = self._bounds.acceleration * datasheet.step_time
+        self._model = model(self._vibration, datasheet.step_time)
+        self._gain = gain(self._vibration, datasheet.step_time)
+        self._times = np.arange(datasheet.steps + 1) * datasheet.step_time
         incline = axis.weight / (axis.carriage + axis.payload)  # m/s²
         self._rest = -incline / self._vibration.frequency**2
 
-    def reset(self, seen: np.ndarray) -> None:
+    def reset(self, seen: Any) -> None:
         """Plan from the observations of the axis."""
-        path = time_optimal(float(seen[0]) * self._axis.stroke - self._rest, self._bounds)
+        path = time_optimal(float(seen.distance) * self._axis.stroke - self._rest, self._bounds)
         for _ in range(SHAPERS):
             path = shaped(path, *self._vibration)
         self._steps = np.diff(path(self._times)) / self._dt  # velocities (m/s)
         self._expected, self._step = np.zeros(5), 0
         self._place = self._velocity = self._last = 0.0
 
-    def act(self, seen: np.ndarray) -> float:
+    def act(self, seen: Any) -> float:
         """Velocity of the set-point (m/s)."""
         wanted = self._steps[self._step] if self._step < len(self._steps) else 0.0
-        deflection = float(seen[6]) * self._sensor.deflection - self._rest
-        rate = float(seen[7]) * self._sensor.rate
+        deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
+        rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
         state = np.array([self._place, self._velocity, deflection, rate, self._last])
         planned = wanted - self._expected[1]
         change = planned - float(self._gain @ (state - self._expected))
@@ -108,18 +108,22 @@ class Regulated:
 class Lqr:
     """Each axis regulated for itself."""
 
-    def __init__(self, known: Known, seed: int = 0):
-        self._known = known
-        self._axes = [Regulated(known, axis) for axis in (known.axis, *known.axes[1:])]
+    AXIS: type[Regulated] = Regulated
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        self._known = datasheet
+        self._axes = [self.AXIS(datasheet, axis) for axis in (datasheet.axis, *datasheet.axes[1:])]
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Plan the paths."""
-        for one, axis in zip(self._axes, self._known.axes, strict=True):
-            one.reset(observation[axis.first :])
+        for one, seen in zip(self._axes, self._known.seen_of_axes(observation), strict=True):
+            one.reset(seen)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Velocities of the set-points."""
-        action = np.zeros(self._known.actions, np.float32)
-        for d, (one, axis) in enumerate(zip(self._axes, self._known.axes, strict=True)):
-            action[d] = one.act(observation[axis.first :]) / axis.speed
-        return np.clip(action, -1.0, 1.0)
+        seen_of_axes = self._known.seen_of_axes(observation)
+        velocities = [
+            one.act(seen) / axis.speed
+            for one, axis, seen in zip(self._axes, self._known.axes, seen_of_axes, strict=True)
+        ]
+        return np.clip(self._known.action(velocity=velocities), -1.0, 1.0)

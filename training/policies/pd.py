@@ -15,21 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from .known import Known
+from .datasheet import Datasheet
 from .profiles import of_the_drive
 
 
 class ProportionalDifferential:
     """One axis in cyclic synchronous torque."""
 
-    def __init__(self, known: Known, seed: int = 0):
-        axis = self._axis = known.axis
-        self._tolerance = known.tolerance
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        axis = self._axis = datasheet.axis
+        self._known = datasheet
+        self._tolerance = datasheet.tolerance
         bounds = of_the_drive(axis)
         self._rate = math.e * bounds.acceleration / bounds.velocity  # ω (rad/s)
         self._farthest = 2.0 * bounds.velocity / self._rate
         self._mass = axis.mass(axis.payload)
-        self._actions = known.actions
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """It remembers nothing."""
@@ -37,12 +37,11 @@ class ProportionalDifferential:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque as a share of the maximum."""
         axis, rate = self._axis, self._rate
-        distance = float(observation[0]) * axis.stroke
-        velocity = float(observation[2]) * axis.fastest
+        seen = self._known.seen(observation)
+        distance = float(seen.distance) * axis.stroke
+        velocity = float(seen.velocity) * axis.fastest
         near = min(max(distance, -self._farthest), self._farthest)
         towards = min(max(distance / self._tolerance, -1.0), 1.0)
         force = self._mass * (rate**2 * near - 2.0 * rate * velocity)
         force += axis.weight + axis.coulomb_friction * towards
-        action = np.zeros(self._actions, np.float32)
-        action[0] = min(max(force / axis.force, -1.0), 1.0)
-        return action
+        return self._known.action(torque=min(max(force / axis.force, -1.0), 1.0))

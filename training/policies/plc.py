@@ -1,37 +1,40 @@
-"""Commissioning-v0: the step chain of a PLC."""
+"""The step chain of a PLC: from a drive in fault to an axis in position."""
+
+from functools import partial
 
 import numpy as np
 
-from ...drive.words import TO_ENABLED, Mode, State, state_of
-from ...drive.words import Controlword as C
-from ...drive.words import Statusword as S
-from .known import Known
+from ...drive.kernel.words import TO_ENABLED, Mode, State, state_of
+from ...drive.kernel.words import Controlword as C
+from ...drive.kernel.words import Statusword as S
+from ...envs.faces import CONTROL_BITS, STATUS_BITS
+from .datasheet import Datasheet
 from .script import Script, Steps
 
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models show this one in FAULT
+SET, CLEAR = 1.0, -1.0
 SHOWN = {-0.5: Mode.HOMING, 0.5: Mode.PROFILE_POSITION}  # modes as observed
 
 
-def action(control: int, mode: Mode, target: float) -> np.ndarray:
+def action(datasheet: Datasheet, control: int, mode: Mode, target: float) -> np.ndarray:
     """Controlword, mode and target position (-1..1) as an action."""
-    bits = [1.0 if control >> bit & 1 else -1.0 for bit in range(9)]
-    return np.array([target, *bits, 1.0 if mode == Mode.PROFILE_POSITION else -1.0], np.float32)
+    bits = [SET if control >> bit & 1 else CLEAR for bit in range(CONTROL_BITS)]
+    chosen = 1.0 if mode == Mode.PROFILE_POSITION else -1.0
+    return datasheet.action(target_position=target, control=[*bits, chosen])
 
 
-HOLD = action(0, Mode.HOMING, 0.0)
-
-
-def chain() -> Steps:
+def chain(datasheet: Datasheet) -> Steps:
     """Reset the fault, enable, home, move: each when the statusword allows it."""
     homed = start = reset = False
-    seen = yield HOLD
+    seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     while True:
-        word = sum(1 << bit for bit in range(16) if seen[6 + bit] > 0.5)
+        status = seen.status[0]
+        word = sum(1 << bit for bit in range(STATUS_BITS) if status.statusword[bit] > 0.5)
         state = state_of(word)
         mode = Mode.PROFILE_POSITION if homed else Mode.HOMING
         reset = state in FAULTY and not reset  # an edge every other step
         control = C.FAULT_RESET if reset or state is None else TO_ENABLED[state]
-        if state != State.OPERATION_ENABLED or SHOWN.get(float(seen[22])) != mode:
+        if state != State.OPERATION_ENABLED or SHOWN.get(float(status.mode)) != mode:
             start = False
         elif not homed and start and word & S.MODE_12 and word & S.TARGET_REACHED:
             homed, start = True, False
@@ -39,9 +42,9 @@ def chain() -> Steps:
             start = True
         if start:
             control |= C.NEW_SET_POINT
-        seen = yield action(control, mode, seen[0])
+        seen = datasheet.seen((yield action(datasheet, control, mode, seen.goal)))
 
 
-def plc_policy(known: Known, seed: int = 0) -> Script:
+def plc_policy(datasheet: Datasheet, seed: int = 0) -> Script:
     """The step chain."""
-    return Script(chain)
+    return Script(partial(chain, datasheet))

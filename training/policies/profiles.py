@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import ruckig
 
-from .known import Axis, Bounds, Known, Vibration
+from .datasheet import Axis, Bounds, Datasheet, Vibration
 
 Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the move (m)
 # What the controller needs to hold the path is left to it.
@@ -89,12 +89,12 @@ def shaped(path: Path, frequency: float, ratio: float) -> Path:
     return lambda times: (path(times) + share * path(times - half)) / (1.0 + share)
 
 
-def resonance(known: Known, axis: Axis) -> Vibration:
+def resonance(datasheet: Datasheet, axis: Axis) -> Vibration:
     """Nominal vibration against an axis that is held. Raises ValueError where nothing swings."""
     if axis.vibration is None:
         raise ValueError(
-            f"a shaper is of no use: the axis of {known.task} has no spring that could vibrate, "
-            "use ruckig"
+            f"a shaper is of no use: the axis of {datasheet.task} has no spring that could "
+            "vibrate, use ruckig"
         )
     return axis.vibration
 
@@ -103,19 +103,19 @@ class Profile:
     """Streams a path to the goal, one for each axis, as velocities of the set-points.
 
     Args:
-        known: of the environment.
+        datasheet: of the environment.
         bounds: axis -> what the path keeps to.
         shapers: how often it goes through a shaper for the nominal resonance.
     """
 
-    def __init__(self, known: Known, bounds: Callable[[Axis], Bounds], shapers: int = 0):
-        self._known = known
+    def __init__(self, datasheet: Datasheet, bounds: Callable[[Axis], Bounds], shapers: int = 0):
+        self._known = datasheet
         self._plans = [
-            (axis, bounds(axis), [resonance(known, axis) for _ in range(shapers)])
-            for axis in (known.axis, *known.axes[1:])
+            (axis, bounds(axis), [resonance(datasheet, axis) for _ in range(shapers)])
+            for axis in (datasheet.axis, *datasheet.axes[1:])
         ]
-        self._times = np.arange(known.steps + 1) * known.step_time
-        self._farthest = [axis.speed * known.step_time for axis in known.axes]
+        self._times = np.arange(datasheet.steps + 1) * datasheet.step_time
+        self._farthest = [axis.speed * datasheet.step_time for axis in datasheet.axes]
 
     def plan(self, way: float, bounds: Bounds) -> Path:
         """The path before it is shaped: as short as it can be."""
@@ -124,8 +124,9 @@ class Profile:
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Plan from what is seen at rest."""
         self._places = []
-        for axis, bounds, shapers in self._plans:
-            path = self.plan(float(observation[axis.first]) * axis.stroke, bounds)
+        seen_of_axes = self._known.seen_of_axes(observation)
+        for (axis, bounds, shapers), seen in zip(self._plans, seen_of_axes, strict=True):
+            path = self.plan(float(seen.distance) * axis.stroke, bounds)
             for shaper in shapers:
                 path = shaped(path, *shaper)
             self._places.append(path(self._times))
@@ -134,40 +135,40 @@ class Profile:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """The velocities that bring the set-points to the next places of their paths."""
         self._step = min(self._step + 1, self._known.steps)
-        action = np.zeros(self._known.actions, np.float32)
+        velocities = np.zeros(len(self._places), np.float32)
         for d, (places, farthest) in enumerate(zip(self._places, self._farthest, strict=True)):
             wanted = (places[self._step] - self._place[d]) / farthest
-            action[d] = min(max(wanted, -1.0), 1.0)
-            self._place[d] += float(action[d]) * farthest  # what rounding took comes next
-        return action
+            velocities[d] = min(max(wanted, -1.0), 1.0)
+            self._place[d] += float(velocities[d]) * farthest  # what rounding took comes next
+        return self._known.action(velocity=velocities)
 
 
 class Trapezoid(Profile):
     """The drive's pp profile without jerk limit."""
 
-    def __init__(self, known: Known, seed: int = 0):
-        super().__init__(known, of_the_profile)
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(datasheet, of_the_profile)
 
     def plan(self, way: float, bounds: Bounds) -> Path:
         """Without jerk limit."""
         return trapezoid(way, bounds)
 
 
-def jerk_limited_policy(known: Known, seed: int = 0) -> Profile:
+def jerk_limited_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
     """The drive's pp profile with jerk limit."""
-    return Profile(known, of_the_profile)
+    return Profile(datasheet, of_the_profile)
 
 
-def ruckig_policy(known: Known, seed: int = 0) -> Profile:
+def ruckig_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
     """Time-optimal at the drive's limits."""
-    return Profile(known, of_the_drive)
+    return Profile(datasheet, of_the_drive)
 
 
-def ruckig_zv_policy(known: Known, seed: int = 0) -> Profile:
+def ruckig_zv_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
     """The same, shaped."""
-    return Profile(known, of_the_drive, shapers=1)
+    return Profile(datasheet, of_the_drive, shapers=1)
 
 
-def ruckig_zvd_policy(known: Known, seed: int = 0) -> Profile:
+def ruckig_zvd_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
     """Shaped twice."""
-    return Profile(known, of_the_drive, shapers=2)
+    return Profile(datasheet, of_the_drive, shapers=2)

@@ -1,0 +1,86 @@
+"""The frames of a CANopen log by meaning (CiA 301, 305, 402).
+
+The PDO mapping begins as the drive model has it and follows what the log shows being written to or
+read from 1400h.., 1600h.., 1800h.., 1A00h..; the bits of controlword and statusword are named after
+the mode of operation last seen. Not named are the two statusword bits that stand in every state of
+a drive on a bus, voltage_enabled and remote.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ...model.model import DriveModel, load
+from ..frame import Base, Frame
+from ..node import NmtCommand
+from . import lss
+from .node import Known, Node
+
+NMT = {
+    NmtCommand.START: "start",
+    NmtCommand.STOP: "stop",
+    NmtCommand.ENTER_PRE_OPERATIONAL: "enter pre-operational",
+    NmtCommand.RESET_NODE: "reset",
+    NmtCommand.RESET_COMMUNICATION: "reset communication",
+}
+
+
+class Decoder:
+    """Frames of a bus by meaning.
+
+    Args:
+        model: the drive model of the nodes.
+        node_ids: the nodes that are such a drive; what others send is shown as bytes.
+
+    Raises:
+        ValueError: unknown model, a node-id out of range.
+    """
+
+    def __init__(
+        self, model: str | Path | DriveModel = "generic", node_ids: Iterable[int] = range(1, 128)
+    ):
+        drive = Known(load(model))
+        self._nodes: dict[int, Node] = {}
+        self._by_id: dict[int, list[Node]] = {}
+        for node_id in dict.fromkeys(node_ids):
+            if not 1 <= node_id <= 127:
+                raise ValueError(f"node_id = {node_id} is out of range 1..127")
+            self._nodes[node_id] = Node(drive, node_id, self._listen)
+
+    def decode(self, frame: Frame) -> str:
+        """One line about a frame; never raises, what it does not know it gives as bytes."""
+        text = None
+        if not frame.extended:
+            if frame.id == Base.NMT:
+                text = self._nmt(frame)
+            elif frame.id in lss.LSS:
+                text = lss.tell(frame)
+            else:
+                text = self._service(frame)
+        return text or f"unknown {frame}"
+
+    def _service(self, frame: Frame) -> str | None:
+        found = [(service, node) for node in self._by_id.get(frame.id, ())
+                 for service in node.services[frame.id]]  # fmt: skip
+        if not found:
+            return None
+        # a PDO that is not valid, or a node never heard, gives way to one that is
+        best = min((service.rank, not node.alive) for service, node in found)
+        texts = [s.tell(frame) for s, node in found if (s.rank, not node.alive) == best]
+        return " | ".join(dict.fromkeys(text for text in texts if text))
+
+    def _nmt(self, frame: Frame) -> str | None:
+        if len(frame.data) != 2 or frame.remote or frame.data[0] not in NMT:
+            return None
+        command, node_id = NmtCommand(frame.data[0]), frame.data[1]
+        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
+            for node in [*self._nodes.values()]:
+                if node_id in (0, node.id):
+                    node.reset()
+        return f"NMT {NMT[command]} {f'node {node_id}' if node_id else 'all nodes'}"
+
+    def _listen(self, node: Node, before: Iterable[int]) -> None:
+        """The identifiers of a node have changed."""
+        for identifier in before:
+            self._by_id[identifier].remove(node)
+        for identifier in node.services:
+            self._by_id.setdefault(identifier, []).append(node)

@@ -1,0 +1,251 @@
+"""One node of a CANopen log: what its frames mean after what has been seen of it (CiA 301, 402)."""
+
+import json
+import struct
+from collections.abc import Callable, Iterable
+from datetime import datetime, timedelta
+from functools import partial
+from typing import NamedTuple
+
+from ...kernel.process_data import DUMMY_BITS, INVALID
+from ...kernel.words import Mode, decode_controlword, decode_statusword
+from ...model.model import DriveModel, Object
+from ...objects.hooks.standard import LOAD, SAVE
+from ..eds import rows
+from ..frame import Base, Frame
+from ..node import NmtState
+from .sdo import Channel
+
+CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY, ERROR_CODE = 0x6040, 0x6041, 0x6060, 0x6061, 0x603F
+HEXADECIMAL = (CONTROLWORD, STATUSWORD, ERROR_CODE)  # and what has 32 bits below 2000h
+# statusword bits that stand in every state of a drive on a powered bus
+EVERYWHERE = ("voltage_enabled", "remote")
+# CiA 301, emergency error code classes; the longest that fits counts
+EMCY_CLASS = {
+    0x0000: "no error", 0x1000: "generic error", 0x2000: "current", 0x3000: "voltage",
+    0x4000: "temperature", 0x5000: "device hardware", 0x6000: "device software",
+    0x7000: "additional modules", 0x8000: "monitoring", 0x8100: "communication",
+    0x8200: "protocol error", 0x9000: "external error", 0xF000: "additional functions",
+    0xFF00: "device specific",
+}  # fmt: skip
+EPOCH = datetime(1984, 1, 1)  # CiA 301, TIME_OF_DAY
+
+
+class Known:
+    """What a drive model tells a decoder: objects with their defaults, PDOs, names of faults."""
+
+    def __init__(self, model: DriveModel):
+        self.rows = {(row.index, row.subindex): row for row in rows(model)}
+        communication = (*range(0x1400, 0x1600), *range(0x1800, 0x1A00))
+        self.pdos = [index for index, subindex in self.rows
+                     if subindex == 1 and index in communication]  # fmt: skip
+        self.causes = {f.code: f.cause.name.lower() for f in reversed(model.faults)}
+
+
+class Service(NamedTuple):
+    """What a node has on an identifier; those with the lowest rank are shown."""
+
+    tell: Callable[[Frame], str | None]
+    rank: int = 0
+
+
+class Node:
+    """What the log has shown of one node."""
+
+    def __init__(
+        self, drive: Known, node_id: int, changed: Callable[["Node", Iterable[int]], None]
+    ):
+        self._drive = drive
+        self._changed = changed  # told the identifiers that this node had before
+        self.id = node_id
+        self.alive = False  # has sent something
+        self.services: dict[int, list[Service]] = {}
+        self._seen: dict[tuple[int, int], int] = {}
+        self._stored: dict[tuple[int, int], int] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """As after power-on: the stored parameters, else the defaults of the model."""
+        self._seen = dict(self._stored)
+        self._mode: int | None = None  # last seen of 6060h and 6061h
+        self._guarded = False
+        self._channel = Channel(self)
+        self._listen()
+
+    def _value(self, index: int, subindex: int = 0, otherwise: int = 0) -> int:
+        if (index, subindex) in self._seen:
+            return self._seen[index, subindex]
+        row = self._drive.rows.get((index, subindex))
+        if row is None or not isinstance(row.default, int):
+            return otherwise
+        return row.default + self.id * row.per_node
+
+    def _listen(self) -> None:
+        """Which identifier means what."""
+        before = [*self.services]
+        self.services = {}
+        for identifier, tell in (
+            (self._value(0x1005, 0, Base.SYNC), self._sync),
+            (self._value(0x1012, 0, 0x100), self._time),
+            (self._value(0x1014, 0, Base.EMCY + self.id), self._emcy),
+            (Base.SDO_REQUEST + self.id, self._request),
+            (Base.SDO_RESPONSE + self.id, self._response),
+            (Base.ERROR_CONTROL + self.id, self._error_control),
+        ):
+            self.services.setdefault(identifier & 0x7FF, []).append(Service(tell))
+        for index in self._drive.pdos:
+            cob_id = self._value(index, 1)
+            service = Service(partial(self._pdo, index), 2 if cob_id & INVALID else 1)
+            self.services.setdefault(cob_id & 0x7FF, []).append(service)
+        self._changed(self, before)
+
+    # ---------------------------------------------------------------- objects
+
+    def name(self, index: int, subindex: int) -> str:
+        """Name and address, ``controlword (6040h:00)``."""
+        row = self._drive.rows.get((index, subindex))
+        return f"{row.name if row else 'unknown object'} ({index:04X}h:{subindex:02X})"
+
+    def size(self, index: int, subindex: int) -> int:
+        """Bytes of an object, 0 where that is not known or not fixed."""
+        row = self._drive.rows.get((index, subindex))
+        return row.size if row else 0
+
+    def text(self, index: int, subindex: int, data: bytes) -> str:
+        """A value by meaning."""
+        row = self._drive.rows.get((index, subindex))
+        if row is None or (row.format and len(data) != row.size):
+            return f"{data.hex(' ').upper()} (bytes)" if data else "nothing"
+        if not row.format:
+            return json.dumps(data.decode("ascii", "replace"))
+        (value,) = struct.unpack("<" + row.format, data)
+        return self._number(row, value)
+
+    def learn(self, index: int, subindex: int, data: bytes) -> None:
+        """The object has this value from now on."""
+        row = self._drive.rows.get((index, subindex))
+        if row is None or row.format in ("", "f") or len(data) != row.size:
+            return
+        value = int.from_bytes(data, "little")
+        if index in (MODE, MODE_DISPLAY):
+            self._mode = int.from_bytes(data, "little", signed=True)
+        elif index == 0x1010 and value == SAVE:
+            self._stored = dict(self._seen)
+        elif index == 0x1011 and value == LOAD:
+            self._stored = {}
+        elif index < 0x2000:
+            self._seen[index, subindex] = value
+            self._listen()
+
+    def _number(self, row: Object, value: int | float) -> str:
+        index = row.index
+        if isinstance(value, float):
+            return f"{value:g}"
+        if index in HEXADECIMAL or (index < 0x2000 and row.data_type == "UNSIGNED32"):
+            text = f"{value:0{2 * row.size}X}h"
+        else:
+            text = str(value)
+        if index == CONTROLWORD:
+            return " ".join([text, *decode_controlword(value, self._mode or Mode.NONE)])
+        if index == STATUSWORD:
+            names = decode_statusword(value, self._mode or Mode.NONE)
+            if self._mode is None:  # what the bit is where no mode says otherwise
+                names = ["target_reached" if name == "bit_10" else name for name in names]
+            return " ".join([text, *(name for name in names if name not in EVERYWHERE)])
+        if index in (MODE, MODE_DISPLAY) and value in {*Mode}:
+            return f"{text} {Mode(value).name}"
+        if row.area in ("rpdo", "tpdo") and index & 0x200 and row.subindex and value:
+            target = self._drive.rows.get((value >> 16, value >> 8 & 0xFF))
+            return f"{text} {target.name}" if target else text
+        return text
+
+    # --------------------------------------------------------------- services
+
+    def _sync(self, frame: Frame) -> str | None:
+        if frame.remote or len(frame.data) > 1:
+            return None
+        return f"SYNC {frame.data[0]}" if frame.data else "SYNC"
+
+    def _time(self, frame: Frame) -> str | None:
+        if frame.remote or len(frame.data) != 6:
+            return None
+        milliseconds, days = struct.unpack("<IH", frame.data)
+        time = EPOCH + timedelta(days=days, milliseconds=milliseconds & 0x0FFF_FFFF)
+        return f"TIME {time.isoformat(' ', 'milliseconds')}"
+
+    def _emcy(self, frame: Frame) -> str | None:
+        if frame.remote or len(frame.data) != 8:
+            return None
+        self.alive = True
+        code, register = struct.unpack_from("<HB", frame.data)
+        classes = (EMCY_CLASS.get(code & mask) for mask in (0xFF00, 0xF000))
+        meaning = self._drive.causes.get(code) or next((c for c in classes if c), "unknown error")
+        more = frame.data[3:]
+        own = f" manufacturer={more.hex().upper()}" if any(more) else ""
+        return f"EMCY[{self.id}] {code:04X}h {meaning} register={register:02X}h{own}"
+
+    def _request(self, frame: Frame) -> str | None:
+        if frame.remote or len(frame.data) != 8:
+            return None
+        return f"SDO[{self.id}] {self._channel.request(frame.data)}"
+
+    def _response(self, frame: Frame) -> str | None:
+        if frame.remote or len(frame.data) != 8:
+            return None
+        self.alive = True
+        return f"SDO[{self.id}] {self._channel.response(frame.data)}"
+
+    def _error_control(self, frame: Frame) -> str | None:
+        if frame.remote:
+            self._guarded = True
+            return f"guarding[{self.id}] request"
+        if len(frame.data) != 1:
+            return None
+        self.alive = True
+        state, toggle = frame.data[0] & 0x7F, frame.data[0] >> 7
+        if state not in {*NmtState}:
+            return None
+        if state == NmtState.INITIALISING and not toggle:
+            self.reset()
+            return f"boot-up[{self.id}]"
+        name = NmtState(state).name.replace("_", "-")
+        if self._guarded or toggle:
+            self._guarded = False
+            return f"guarding[{self.id}] {name} toggle={toggle}"
+        return f"heartbeat[{self.id}] {name}"
+
+    def _pdo(self, index: int, frame: Frame) -> str:
+        direction = "RPDO" if index < 0x1800 else "TPDO"
+        head = f"{direction}{(index & 0x1FF) + 1}[{self.id}]"
+        if frame.remote:
+            return f"{head} request"
+        entries = [self._value(index + 0x200, n + 1) for n in range(self._value(index + 0x200))]
+        image, at = int.from_bytes(frame.data, "little"), 0
+        parts: list[tuple[int, int, int, int]] = []
+        for entry in entries:
+            bits = entry & 0xFF
+            if at + bits > 8 * len(frame.data):
+                parts = []  # a PDO that is too short is not used at all (CiA 301)
+                break
+            value = image >> at & (1 << bits) - 1
+            parts.append((entry >> 16, entry >> 8 & 0xFF, bits, value))
+            at += bits
+        if not parts:
+            reason = "too short" if entries else "nothing mapped"
+            return f"{head} {frame.data.hex(' ').upper()} ({reason})".replace("  ", " ")
+        for i, s, bits, value in parts:  # the mode first: it names the bits of the words
+            if i in (MODE, MODE_DISPLAY):
+                self.learn(i, s, value.to_bytes(-(-bits // 8), "little"))
+        texts = [self._part(*part) for part in parts]
+        extra = frame.data[-(-at // 8) :]
+        if extra:
+            texts.append(f"and {extra.hex(' ').upper()}")
+        return " ".join([head, *(text for text in texts if text)])
+
+    def _part(self, index: int, subindex: int, bits: int, value: int) -> str:
+        if index in DUMMY_BITS and subindex == 0:
+            return ""
+        row = self._drive.rows.get((index, subindex))
+        if row is None or bits != 8 * row.size:
+            return f"{index:04X}h:{subindex:02X}={value:0{-(-bits // 4)}X}h"
+        return f"{row.name}={self.text(index, subindex, value.to_bytes(row.size, 'little'))}"

@@ -1,0 +1,117 @@
+"""Simulated time for drives on a bus: it passes with SYNC, as fast as the machine computes.
+
+No clock is read, so two runs with the same frames are the same bit by bit.
+"""
+
+import math
+from collections.abc import Sequence
+
+from ..machine import Machine
+from .frame import Base, Frame
+from .link import Link, Loopback
+from .node import Node
+
+ROUNDS = 100  # in which nodes answer each other at one instant; what is left waits for the next
+
+
+class LockStep:
+    """Machines and their drives as nodes of one `Loopback`, in simulated time.
+
+    SYNC comes from here (`sync`), or from a master behind another link (`serve`). A node takes the
+    RPDOs and samples the TPDOs at the SYNC; then the position cycles of the period pass.
+
+    Args:
+        machines: with drives of different node-ids.
+        period: between two SYNCs (µs), a whole multiple of each machine's cycle.
+        bus: the nodes' bus; one on which frames take no time if not given.
+        sync_id: identifier of the SYNC (1005h).
+
+    Raises:
+        ValueError: two drives with one node-id, a period that the cycles do not allow.
+    """
+
+    def __init__(
+        self,
+        machines: Sequence[Machine],
+        period: int = 1000,
+        bus: Loopback | None = None,
+        sync_id: int = Base.SYNC,
+    ):
+        self.period = period
+        self.bus = bus or Loopback()
+        self.time = 0  # µs
+        self.nodes = [Node(drive) for machine in machines for drive in machine.drives.values()]
+        node_ids = sorted(node.node_id for node in self.nodes)
+        if len(set(node_ids)) != len(node_ids):
+            raise ValueError(f"node-ids {node_ids}: each node needs a node-id of its own")
+        self._machines = [(machine, _cycle(machine, period)) for machine in machines]
+        self._tick = math.gcd(*(cycle for _, cycle in self._machines))
+        self._stations = [(node, self.bus.join()) for node in self.nodes]
+        self._own = self.bus.join()
+        self._sync = Frame(sync_id)
+        self._settle()
+
+    def sync(self, count: int = 1) -> None:
+        """Produce `count` SYNCs and let their periods pass."""
+        for _ in range(count):
+            self._own.send(self._sync, self.time)
+            self._pass_period()
+
+    def serve(self, link: Link) -> None:
+        """Take the frames of a master's link, let a period pass at each SYNC, send the answers.
+
+        The nodes answer a SYNC before its period passes; what happens within it comes after it.
+        """
+        for frame in link.receive(self.time):
+            self._own.send(frame, self.time)
+            self._settle()
+            self._forward(link)
+            if frame.id == self._sync.id and not (frame.remote or frame.extended):
+                self._pass_period()
+                self._forward(link)
+        self._settle()
+        self._forward(link)
+
+    def _forward(self, link: Link) -> None:
+        for frame in self._own.receive(self.time):
+            link.send(frame, self.time)
+
+    def _pass_period(self) -> None:
+        end = self.time + self.period
+        while self.time < end:
+            tick = self.time + self._tick
+            while (due := self.bus.due()) is not None and due < tick:
+                self.time = max(self.time, due)
+                if not self._settle():
+                    break
+            self.time = tick
+            for machine, cycle in self._machines:
+                if tick % cycle == 0:
+                    machine.step()
+            self._settle()
+
+    def _settle(self) -> bool:
+        """Let all nodes receive and send what they can at this instant; False: without an end."""
+        time = self.time
+        for _ in range(ROUNDS):
+            for node, link in self._stations:
+                for frame in link.receive(time):
+                    node.receive(frame, time)
+            for node, link in self._stations:
+                for frame in node.poll(time):
+                    link.send(frame, time)
+            due = self.bus.due()
+            if due is None or due > time:
+                return True
+        return False
+
+
+def _cycle(machine: Machine, period: int) -> int:
+    """Cycle of a machine (µs)."""
+    cycle = round(machine.cycle_time * 1e6)
+    if abs(cycle - machine.cycle_time * 1e6) > 1e-6 or period < cycle or period % cycle:
+        raise ValueError(
+            f"period = {period} µs is not a whole multiple of the machine's cycle = "
+            f"{machine.cycle_time * 1e6:g} µs: choose another SYNC period"
+        )
+    return cycle

@@ -1,0 +1,164 @@
+"""AL state machine: which request leads where, and what is said of a refusal.
+
+Source: ETG.1000.6, 6.4.1 (states, AL Control, AL Status) and table 11 (status codes); ETG.1020,
+error acknowledge and explicit device identification. What a model does otherwise is a row of its
+`ethercat.toml`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+
+class AlState(IntEnum):
+    """Bits 3-0 of AL Control 0120h and AL Status 0130h."""
+
+    INIT = 1
+    PRE_OPERATIONAL = 2
+    BOOTSTRAP = 3
+    SAFE_OPERATIONAL = 4
+    OPERATIONAL = 8
+
+
+class AlStatusCode(IntEnum):
+    """AL Status Code 0134h."""
+
+    NO_ERROR = 0x0000
+    UNSPECIFIED = 0x0001
+    INVALID_STATE_CHANGE = 0x0011
+    UNKNOWN_STATE = 0x0012
+    BOOTSTRAP_NOT_SUPPORTED = 0x0013
+    INVALID_MAILBOX_BOOTSTRAP = 0x0015
+    INVALID_MAILBOX = 0x0016
+    INVALID_SYNC_MANAGER = 0x0017
+    NO_VALID_INPUTS = 0x0018
+    NO_VALID_OUTPUTS = 0x0019
+    SYNCHRONISATION_ERROR = 0x001A
+    WATCHDOG = 0x001B
+    INVALID_OUTPUTS = 0x001D
+    INVALID_INPUTS = 0x001E
+    INVALID_WATCHDOG = 0x001F
+    FATAL_SYNC_ERROR = 0x002C
+    NO_SYNC_ERROR = 0x002D
+    INVALID_DC_SYNC = 0x0030
+    DC_CYCLE_TIME = 0x0035
+
+
+_I, _P, _B, _S, _O = AlState
+WITH_MAILBOX = (_P, _S, _O)
+WITH_INPUTS = (_S, _O)
+TRANSITIONS = frozenset(
+    {
+        (_I, _P), (_P, _S), (_S, _O),  # up, one by one
+        (_O, _S), (_O, _P), (_O, _I), (_S, _P), (_S, _I), (_P, _I),  # down, at will
+        (_I, _B), (_B, _I),
+    }
+)  # fmt: skip
+
+REQUEST = 0x0F  # AL Control and AL Status, bits 3-0: the state
+ERROR = ACKNOWLEDGE = 0x10  # bit 4: error of the drive, acknowledged by the master
+IDENTIFICATION = 0x20  # bit 5: 0134h shows the identification value
+
+
+@dataclass(frozen=True)
+class AlRules:
+    """How a model's state machine departs from the standard's: table [al] of `ethercat.toml`."""
+
+    bootstrap: bool = True
+    by_edge: bool = False  # bit 4 acknowledges by its rising edge only
+    init_acknowledges: bool = True  # a request of INIT needs no bit 4
+    codes: Mapping[str, int] = field(default_factory=dict)  # by name of `AlStatusCode`
+
+    def code(self, code: AlStatusCode) -> int:
+        """The number the model has for a code of the standard."""
+        return self.codes.get(code.name.lower(), int(code))
+
+    def answer(self, state: AlState, request: int) -> tuple[AlState, int]:
+        """State and code after a request without an error pending, before anything is checked."""
+        if request not in AlState.__members__.values():
+            return state, self.code(AlStatusCode.UNKNOWN_STATE)
+        wanted = AlState(request)
+        if wanted == state:
+            return state, 0
+        if wanted == _B and not self.bootstrap:
+            return state, self.code(AlStatusCode.BOOTSTRAP_NOT_SUPPORTED)
+        if (state, wanted) not in TRANSITIONS:
+            return state, self.code(AlStatusCode.INVALID_STATE_CHANGE)
+        return wanted, 0
+
+
+class AlMachine:
+    """The state machine of one slave; nothing else writes its state.
+
+    Args:
+        rules: departures of the model.
+        check: what a step upwards needs; gives the code of what is wrong with it.
+        entered: told of each change, old and new state.
+        identification: value of explicit device identification.
+    """
+
+    def __init__(
+        self,
+        rules: AlRules,
+        check: Callable[[AlState, AlState], AlStatusCode],
+        entered: Callable[[AlState, AlState], None],
+        identification: Callable[[], int],
+    ):
+        self._rules = rules
+        self._check = check
+        self._entered = entered
+        self._identification = identification
+        self.power_on()
+
+    def power_on(self) -> None:
+        """INIT, without an error; nobody is told."""
+        self.state = AlState.INIT
+        self.error = False
+        self._error_code = 0
+        self._acknowledge = False  # bit 4 of the last AL Control
+        self._identify = False
+
+    @property
+    def status(self) -> int:
+        """AL Status 0130h."""
+        flags = ERROR * self.error | IDENTIFICATION * (self._identify and not self.error)
+        return self.state | flags
+
+    @property
+    def code(self) -> int:
+        """AL Status Code 0134h: the error, else the identification while it is asked for."""
+        if self.error:
+            return self._error_code
+        return self._identification() if self._identify else 0
+
+    def control(self, value: int) -> None:
+        """AL Control 0120h: request a state, acknowledge an error, ask for the identification."""
+        request = value & REQUEST
+        before, self._acknowledge = self._acknowledge, bool(value & ACKNOWLEDGE)
+        acknowledged = self._acknowledge and not (before and self._rules.by_edge)
+        if request == AlState.INIT and self._rules.init_acknowledges:
+            acknowledged = True
+        self._identify = bool(value & IDENTIFICATION)
+        if self.error and not acknowledged:
+            return
+        self.error, self._error_code = False, 0
+        wanted, code = self._rules.answer(self.state, request)
+        if not code and wanted > self.state:
+            code = self._rules.code(self._check(self.state, wanted))
+        if code:
+            self._refuse(code)
+        elif wanted != self.state:
+            self._enter(wanted)
+
+    def fail(self, code: AlStatusCode | int, state: AlState) -> None:
+        """The drive itself leaves for a lower state with an error; 0 for `state`: it stays."""
+        self._refuse(self._rules.code(code) if isinstance(code, AlStatusCode) else code)
+        if state < self.state:
+            self._enter(state)
+
+    def _refuse(self, code: int) -> None:
+        self.error, self._error_code = True, code
+
+    def _enter(self, state: AlState) -> None:
+        before, self.state = self.state, state
+        self._entered(before, state)

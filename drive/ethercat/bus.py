@@ -1,0 +1,199 @@
+"""A segment, the machines its drives move, and the time of both: one code path for three clocks.
+
+``frame``: each process-data frame lets the period 60C2h pass, so runs are bit-identical and as fast
+as they can be. ``dc``: time comes from outside; machines of drives that are synchronised run at the
+edges of SYNC0, for one SYNC0 cycle. ``real``: time comes from outside; machines follow it, at most
+one period of physics between two frames, and what they cannot follow is counted.
+
+`receive` answers a frame; `advance` lets the machines run afterwards, because a master does not
+wait for physics. Times are in ns; there is no clock in here.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from ..machine import Machine
+from .controller.record import SyncMode
+from .segment import Segment
+from .slave import interpolation_ns
+
+IDLE_MOST = 50_000_000  # ns of physics at a time, where no process data are exchanged
+
+
+class Clock(StrEnum):
+    """Who makes time pass."""
+
+    FRAME = "frame"
+    DC = "dc"
+    REAL = "real"
+
+
+@dataclass
+class Statistics:
+    """What has happened on a bus."""
+
+    frames: int = 0  # received
+    answered: int = 0
+    cycles: int = 0  # of process data, of the slave that had most
+    missed: int = 0  # times a machine could not follow the clock
+    working_counter: int = 0  # of the last process-data frame
+
+
+class _Plant:
+    """One machine and the slaves its drives stand behind."""
+
+    def __init__(self, machine: Machine, slaves: list[int]):
+        self.machine = machine
+        self.slaves = slaves
+        self.drive = next(iter(machine.drives.values()))
+        self.cycle = round(machine.cycle_time * 1e9)  # ns
+        self.time = 0  # ns, how far it has run
+        self.due = set(slaves)  # whose process data the running bus cycle still waits for
+        self.edges = 0  # of SYNC0 so far
+
+    @property
+    def period(self) -> int:
+        """60C2h (ns), in whole cycles of the machine."""
+        return max(interpolation_ns(self.drive) // self.cycle, 1) * self.cycle
+
+    def run(self, span: int) -> bool:
+        """Let whole cycles of `span` ns pass; -> whether there was one."""
+        cycles = span // self.cycle
+        if cycles > 0:
+            self.machine.step(cycles)
+            self.time += cycles * self.cycle
+        return cycles > 0
+
+
+class Bus:
+    """A segment with what its drives move.
+
+    Args:
+        segment: the slaves.
+        machines: with the slaves' drives; a drive without a machine does not run.
+        clock: who makes time pass.
+    """
+
+    def __init__(
+        self, segment: Segment, machines: Sequence[Machine] = (), clock: Clock | str = Clock.FRAME
+    ):
+        self.segment = segment
+        self.clock = Clock(clock)
+        self.time = 0  # ns
+        self.statistics = Statistics()
+        self.extra: deque[bytes] = deque()  # frames that come back beside replies; see `faulty`
+        self._plants = []
+        self._plant_of: dict[int, _Plant] = {}
+        place = {id(s.drive): i for i, s in enumerate(segment.stations)}
+        for machine in machines:
+            slaves = [place[id(d)] for d in machine.drives.values() if id(d) in place]
+            plant = _Plant(machine, slaves)
+            self._plants.append(plant)
+            self._plant_of |= dict.fromkeys(slaves, plant)
+
+    # ----------------------------------------------------------------- frames
+
+    def receive(self, length: int, now: int, port: int = 0) -> bool:
+        """Let the frame in ``segment.frame[:length]`` pass; -> whether it comes back.
+
+        `now` (ns) is not looked at by the clock ``frame``.
+        """
+        if self.clock != Clock.FRAME:
+            self._edges(now)
+            self.time = max(self.time, now)
+        self.statistics.frames += 1
+        answered = self.segment.pass_frame(length, self.time, port)
+        self.statistics.answered += answered
+        return answered
+
+    def exchange(self, frame: bytes, now: int = 0, port: int = 0) -> bytes | None:
+        """A frame as bytes, and everything that follows from it; -> the reply."""
+        length = len(frame)
+        if length > len(self.segment.frame):
+            return None
+        self.segment.frame[:length] = memoryview(frame)
+        reply = None
+        if self.receive(length, now, port):
+            reply = self.segment.frame[:length].tobytes()
+        self.advance(now)
+        return reply
+
+    # ------------------------------------------------------------------- time
+
+    def advance(self, now: int) -> None:
+        """Let the machines run as far as the clock says, after a frame or after idle time."""
+        touched = self.segment.touched()
+        if touched:
+            self.statistics.cycles += 1
+        if self.clock == Clock.FRAME:
+            self._advance_by_frames(touched)
+        else:
+            self._follow(now, bool(touched))
+
+    def _advance_by_frames(self, touched: list[int]) -> None:
+        ran, until = False, self.time
+        for slave in touched:
+            plant = self._plant_of.get(slave)
+            if plant is None:
+                continue
+            plant.due.discard(slave)
+            if not plant.due:
+                plant.due = {s for s in plant.slaves if self.segment.escs["inputs_on"][s]}
+                until = max(until, plant.time + plant.period)
+                if not self._synchronised(plant):
+                    ran |= plant.run(plant.period)
+                else:
+                    plant.time += plant.period
+        for slave in self.segment.take_requests():
+            plant = self._plant_of.get(slave)  # an SDO takes a cycle, where nothing else does
+            if plant and not any(self.segment.escs["inputs_on"][s] for s in plant.slaves):
+                ran |= plant.run(plant.cycle)
+        if until > self.time:
+            self._edges(until)
+            self.time = until
+        if ran:
+            self.segment.publish(self.time)
+
+    def _synchronised(self, plant: _Plant) -> bool:
+        first = self.segment.escs[plant.slaves[0]]
+        return first["sync_mode"] == SyncMode.SYNC0 and bool(first["memory"][0x0981] & 1)
+
+    def _edges(self, until: int) -> None:
+        """Edges of SYNC0 and watchdogs up to a time, and the cycles that begin with them."""
+        while (due := self.segment.next_time) <= until:
+            self.segment.poll(due)
+            ran = False
+            for plant in self._plants:
+                edges = int(self.segment.escs["sync0_count"][plant.slaves[0]])
+                if edges > plant.edges and self._synchronised(plant):
+                    cycle = int.from_bytes(
+                        self.segment.escs["memory"][plant.slaves[0], 0x09A0:0x09A4].tobytes(),
+                        "little",
+                    )
+                    ran |= plant.run(cycle)
+                plant.edges = edges
+            if ran:
+                self.segment.publish(due)
+
+    def _follow(self, now: int, exchanged: bool) -> None:
+        self.segment.take_requests()
+        self._edges(now)
+        ran = False
+        for plant in self._plants:
+            if self._synchronised(plant):
+                plant.time = now
+                continue
+            cyclic = bool(self.segment.escs["inputs_on"][plant.slaves[0]])
+            most = plant.period if cyclic else IDLE_MOST
+            behind = now - plant.time
+            if cyclic and not exchanged and behind < 2 * most:
+                continue  # its frame comes
+            if behind > 2 * most:
+                self.statistics.missed += 1
+                plant.time = now - most
+            ran |= plant.run(min(now - plant.time, most))
+        if ran:
+            self.segment.publish(now)
+        self.time = max(self.time, now)

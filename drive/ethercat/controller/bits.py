@@ -1,0 +1,53 @@
+"""Little-endian numbers in arrays of bytes, compiled."""
+
+import numpy as np
+
+from ...kernel.jit import block
+
+
+@block
+def get16(memory, at):
+    """UNSIGNED16."""
+    return np.int64(memory[at]) | np.int64(memory[at + 1]) << 8
+
+
+@block
+def get16_big(memory, at):
+    """UNSIGNED16 in network order."""
+    return np.int64(memory[at]) << 8 | np.int64(memory[at + 1])
+
+
+@block
+def get32(memory, at):
+    """UNSIGNED32."""
+    return get16(memory, at) | get16(memory, at + 2) << 16
+
+
+@block
+def get64(memory, at):
+    """INTEGER64."""
+    high = get32(memory, at + 4)
+    if high >= 1 << 31:
+        high -= 1 << 32
+    return get32(memory, at) | high << 32
+
+
+@block
+def put16(memory, at, value):
+    """16 bits."""
+    memory[at] = value & 0xFF
+    memory[at + 1] = value >> 8 & 0xFF
+
+
+@block
+def put32(memory, at, value):
+    """32 bits."""
+    put16(memory, at, value)
+    put16(memory, at + 2, value >> 16)
+
+
+@block
+def put64(memory, at, value):
+    """64 bits."""
+    put32(memory, at, value)
+    put32(memory, at + 4, value >> 32)

@@ -1,0 +1,210 @@
+"""Distributed clocks of a slave controller: local time, drift loop, SYNC0 and SYNC1, latch.
+
+Source: ESC data sheet, section I (distributed clocks) and registers 0900h-09CFh. The crystal runs
+`clock_ppb` off; the drift loop adds `drift_ppb`, so local and system time are pulled together. A
+proportional and an integral part stand for the speed counter of the hardware and its filter 0935h
+(inferred); the filter 0934h of the shown difference and the reset by 0930h are as documented.
+"""
+
+from ...kernel.jit import block
+from .bits import get16, get32, get64, put32, put64
+from .process_image import OUTPUTS, take_outputs
+from .record import NEVER, PORTS, Event, SyncMode
+from .registers import R
+
+SECOND = 1_000_000_000  # ns
+STEEPEST = 500_000  # the drift loop's correction, at most (1e-9)
+PROPORTIONAL = 50  # correction (1e-9) by a difference of 1 ns (inferred)
+CYCLIC, SYNC0, SYNC1 = 1, 2, 4  # bits of 0981h
+RUNNING = 0x07  # bits of 0984h: SYNC0, SYNC1 pending
+
+
+@block
+def _scaled(span, ppb):
+    """`span` (ns) times `ppb`, without overflow."""
+    if ppb == 0:
+        return 0
+    return (span // SECOND) * ppb + (span % SECOND) * ppb // SECOND
+
+
+@block
+def _jitter(esc):
+    if esc.clock_jitter == 0:
+        return 0
+    state = (esc.clock_seed * 1103515245 + 12345) & 0x7FFFFFFF  # of ISO C's rand
+    esc.clock_seed = state
+    return (state >> 8) % (2 * esc.clock_jitter + 1) - esc.clock_jitter
+
+
+@block
+def local_time(esc, now):
+    """The local clock (ns)."""
+    span = now - esc.clock_now
+    return esc.clock_local + span + _scaled(span, esc.clock_ppb + esc.drift_ppb)
+
+
+@block
+def system_time(esc, now):
+    """The slave's copy of the system time (ns)."""
+    return local_time(esc, now) + get64(esc.memory, R.SYSTEM_TIME_OFFSET)
+
+
+@block
+def time_of(esc, system):
+    """When the slave's copy of the system time reaches `system`."""
+    local = system - get64(esc.memory, R.SYSTEM_TIME_OFFSET)
+    span = local - esc.clock_local
+    now = esc.clock_now + span - _scaled(span, esc.clock_ppb + esc.drift_ppb)
+    while local_time(esc, now) > local:
+        now -= 1
+    while local_time(esc, now) < local:
+        now += 1
+    return now
+
+
+@block
+def receive_times(esc, now, unit, entrance):
+    """Write of 0900h: keep when this frame reaches each port, and the processing unit."""
+    for port in range(PORTS):
+        at = esc.port_time[entrance, port]
+        if at >= 0:
+            time = local_time(esc, now + at) + _jitter(esc)
+            put32(esc.memory, R.RECEIVE_TIME + 4 * port, time)
+    put64(esc.memory, R.RECEIVE_TIME_UNIT, local_time(esc, unit))
+
+
+@block
+def steer(esc, now, received, wide):
+    """Write of 0910h: compare with the own system time, correct the rate.
+
+    `received` is the reference clock's time (ns), its lower 32 bits where not `wide`.
+    """
+    own = system_time(esc, now)
+    difference = own - received - get32(esc.memory, R.SYSTEM_TIME_DELAY)
+    if not wide:
+        difference = (difference + (1 << 31)) % (1 << 32) - (1 << 31)
+    depth = esc.memory[R.DIFFERENCE_FILTER] & 0x0F
+    shown = get32(esc.memory, R.SYSTEM_TIME_DIFFERENCE)
+    mean = -(shown & 0x7FFFFFFF) if shown >> 31 else shown & 0x7FFFFFFF
+    if shown == 0 or depth == 0:
+        mean = difference
+    else:
+        mean += _rounded(difference - mean, depth)
+    mean = min(max(mean, -0x7FFFFFFF), 0x7FFFFFFF)
+    put32(esc.memory, R.SYSTEM_TIME_DIFFERENCE, mean if mean >= 0 else -mean | 1 << 31)
+    span = max(now - esc.clock_now, 1)
+    error = min(max(difference, -STEEPEST), STEEPEST)
+    gain = min(PROPORTIONAL, SECOND // 2 // span)
+    if abs(error * gain) < STEEPEST:
+        growth = error * min(span // 1000, 10_000) * (PROPORTIONAL * PROPORTIONAL // 4) // 1000
+        most = STEEPEST * 1000
+        esc.drift_integral = min(max(esc.drift_integral - growth, -most), most)
+    esc.clock_local = local_time(esc, now)
+    esc.clock_now = now
+    correction = esc.drift_integral // 1000 - error * gain
+    esc.drift_ppb = min(max(correction, -STEEPEST), STEEPEST)
+
+
+@block
+def _rounded(value, depth):
+    """A share of `value` that does not vanish before it is 0."""
+    step = value >> depth if value >= 0 else -(-value >> depth)
+    if step == 0 and value != 0:
+        return 1 if value > 0 else -1
+    return step
+
+
+@block
+def reset_drift(esc, now):
+    """Write of 0930h, 0934h or 0935h: the filters begin anew (data sheet, 0930h)."""
+    esc.clock_local = local_time(esc, now)
+    esc.clock_now = now
+    esc.drift_ppb = 0
+    esc.drift_integral = 0
+    put32(esc.memory, R.SYSTEM_TIME_DIFFERENCE, 0)
+
+
+@block
+def activate(esc, now):
+    """Write of the SYNC registers: begin or end the edges.
+
+    A start time that has passed counts from its next whole cycle on; the hardware waits until its
+    64 bits run over (inferred: a master in a program on a loaded machine is late by chance).
+    """
+    memory = esc.memory
+    active = memory[R.ACTIVATION]
+    cycle = get32(memory, R.SYNC0_CYCLE)
+    esc.events |= Event.SYNC
+    if not (active & CYCLIC and active & (SYNC0 | SYNC1)):
+        esc.sync0_at, esc.sync1_at = NEVER, NEVER
+        memory[R.ACTIVATION_STATUS] = 0
+        return
+    if esc.sync0_at != NEVER:
+        return
+    start = get64(memory, R.START_TIME)
+    own = system_time(esc, now)
+    if start <= own:
+        start = start + ((own - start) // cycle + 1) * cycle if cycle else own + 1
+    esc.sync0_at = start
+    esc.sync1_at = start + get32(memory, R.SYNC1_CYCLE) if active & SYNC1 else NEVER
+    esc.sync0_count = 0
+    esc.outputs_late = 0
+    memory[R.ACTIVATION_STATUS] = (active >> 1) & 3
+    put64(memory, R.START_TIME, start)
+
+
+@block
+def edge(esc):
+    """One edge of SYNC0: outputs that have come are taken over, those that have not are late."""
+    memory = esc.memory
+    memory[R.AL_EVENT] |= 1 << 2
+    memory[R.SYNC0_STATUS] = 1
+    if esc.sync1_at != NEVER:
+        memory[R.AL_EVENT] |= 1 << 3
+        memory[R.SYNC1_STATUS] = 1
+    if esc.sync_mode == SyncMode.SYNC0:
+        if esc.sm_fresh[OUTPUTS]:
+            take_outputs(esc)
+            esc.outputs_late = 0
+        elif esc.outputs_on:
+            esc.outputs_late += 1
+            esc.sync_errors = min(esc.sync_errors + 1, 0xFFFF)
+            if esc.late_limit and esc.outputs_late == esc.late_limit + 1:
+                esc.events |= Event.SYNC_LOST
+    esc.sync0_count += 1
+    cycle = get32(memory, R.SYNC0_CYCLE)
+    if cycle == 0:
+        esc.sync0_at = NEVER
+        return
+    esc.sync0_at += cycle
+    put64(memory, R.START_TIME, esc.sync0_at)
+    if esc.sync1_at != NEVER:
+        esc.sync1_at += cycle
+        put64(memory, R.NEXT_SYNC1, esc.sync1_at)
+
+
+@block
+def latch_input(esc, now, unit, rising):
+    """An edge at the latch input `unit`: keep the system time, as 09A8h says."""
+    memory = esc.memory
+    single = memory[R.LATCH_CONTROL + unit] >> (0 if rising else 1) & 1
+    bit = 1 if rising else 2
+    if single and memory[R.LATCH_STATUS + unit] & bit:
+        return
+    memory[R.LATCH_STATUS + unit] |= bit
+    at = R.LATCH_TIME + 16 * unit + (0 if rising else 8)
+    put64(memory, at, system_time(esc, now))
+    memory[R.AL_EVENT] |= 1 << 1
+    memory[R.ECAT_EVENT] |= 1
+
+
+@block
+def cycle_time(esc):
+    """SYNC0 cycle (ns)."""
+    return get32(esc.memory, R.SYNC0_CYCLE)
+
+
+@block
+def watchdog_time(esc, register):
+    """Time of a watchdog (ns): 0400h sets the unit, (divider + 2) x 40 ns; 0 is off."""
+    return get16(esc.memory, register) * (get16(esc.memory, R.WATCHDOG_DIVIDER) + 2) * 40

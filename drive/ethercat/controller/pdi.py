@@ -1,0 +1,158 @@
+"""The drive's side of a slave controller: what its process data interface may read and write."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from . import esc, sync_manager
+from .process_image import NONE_WRITTEN
+from .record import Event
+from .registers import R
+
+ERROR = 0x10  # bit 4 of AL Status
+REPEAT = 0x02  # bit 1 of the activation and PDI bytes of a sync manager
+DEACTIVATED = 0x01  # bit 0 of the PDI byte
+OUT, IN = 0, 1  # sync managers of the mailbox
+
+
+class SyncManager(NamedTuple):
+    """Registers of one sync manager as they stand."""
+
+    start: int
+    length: int
+    control: int
+    status: int
+    activate: int
+    pdi: int
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the master has switched it on."""
+        return bool(self.activate & 1)
+
+
+class Pdi:
+    """Registers, mailboxes and events of one slave, as its services have them.
+
+    Args:
+        escs: the ESC records of the segment.
+        index: which of them.
+    """
+
+    def __init__(self, escs: np.ndarray, index: int):
+        self._escs = escs
+        self._index = index
+        self.memory: np.ndarray = escs["memory"][index]
+
+    def get(self, address: int, size: int) -> int:
+        """A register of `size` bytes."""
+        return int.from_bytes(self.memory[address : address + size].tobytes(), "little")
+
+    def put(self, address: int, size: int, value: int) -> None:
+        """Write a register of `size` bytes."""
+        self.memory[address : address + size] = list(value.to_bytes(size, "little"))
+
+    # ----------------------------------------------------------- AL registers
+
+    def al_control(self) -> int:
+        """Read 0120h, which opens it for the master's next write."""
+        self.memory[R.AL_EVENT] &= 0xFE
+        return self.get(R.AL_CONTROL, 2)
+
+    def al_status(self, status: int, code: int = 0) -> None:
+        """Write 0130h (bit 4 = error) and 0134h."""
+        if status != self.get(R.AL_STATUS, 2):
+            self.memory[R.ECAT_EVENT] |= 1 << 3
+        self.put(R.AL_STATUS, 2, status)
+        self.put(R.AL_STATUS_CODE, 2, code)
+
+    @property
+    def alias(self) -> int:
+        """0012h."""
+        return self.get(R.STATION_ALIAS, 2)
+
+    @property
+    def sii(self) -> bytes:
+        """The EEPROM as it is now."""
+        record = self._escs[self._index]
+        return bytes(record["sii"][: int(record["sii_size"])])
+
+    # ---------------------------------------------------------- sync managers
+
+    def sync_manager(self, n: int) -> SyncManager:
+        """Configuration of sync manager `n`."""
+        at = R.SYNC_MANAGER + 8 * n
+        raw = self.memory[at : at + 8].tolist()
+        return SyncManager(raw[0] | raw[1] << 8, raw[2] | raw[3] << 8, *raw[4:])
+
+    def deactivate(self, n: int, off: bool) -> None:
+        """Switch a sync manager off from the drive's side, or leave it to the master again."""
+        at = R.SYNC_MANAGER + 8 * n + 7
+        self.memory[at] = int(self.memory[at]) & ~DEACTIVATED | off
+        esc.configure(self._escs, self._index)
+
+    def _status(self, n: int) -> int:
+        return R.SYNC_MANAGER + 8 * n + 5
+
+    # ---------------------------------------------------------------- mailbox
+
+    def mailbox_take(self) -> bytes:
+        """The whole buffer of SM0, which is empty afterwards; b"" where there is nothing."""
+        if not self.memory[self._status(OUT)] & sync_manager.FULL:
+            return b""
+        manager = self.sync_manager(OUT)
+        self.memory[self._status(OUT)] &= 0xFF ^ (sync_manager.FULL | sync_manager.WRITTEN)
+        self.memory[R.AL_EVENT + 1] &= 0xFF ^ 1 << OUT
+        return self.memory[manager.start : manager.start + manager.length].tobytes()
+
+    @property
+    def mailbox_waiting(self) -> bool:
+        """Whether SM1 holds something the master has not read."""
+        return bool(self.memory[self._status(IN)] & sync_manager.FULL)
+
+    def mailbox_put(self, data: bytes) -> bool:
+        """Fill SM1; False where it is off or still full: then the data have to be kept."""
+        record = self._escs[self._index]
+        if self.mailbox_waiting or not record["sm_length"][IN]:
+            return False
+        self._fill(data)
+        return True
+
+    def _fill(self, data: bytes) -> None:
+        manager = self.sync_manager(IN)
+        whole = data[: manager.length].ljust(manager.length, b"\0")
+        self.memory[manager.start : manager.start + manager.length] = np.frombuffer(whole, np.uint8)
+        status = self._status(IN)
+        self.memory[status] = (
+            int(self.memory[status]) & ~sync_manager.READ & ~NONE_WRITTEN | sync_manager.FULL
+        )
+        self.memory[R.AL_EVENT + 1] &= 0xFF ^ 1 << IN
+
+    @property
+    def repeat(self) -> bool:
+        """Whether the master asks for the last mailbox again: 080Eh and 080Fh, bit 1, differ."""
+        manager = self.sync_manager(IN)
+        return bool((manager.activate ^ manager.pdi) & REPEAT)
+
+    def mailbox_repeat(self, data: bytes) -> None:
+        """Put `data` (b"": nothing) into SM1 whatever it holds, and acknowledge the request."""
+        if data:
+            self._fill(data)
+        manager = self.sync_manager(IN)
+        at = R.SYNC_MANAGER + 8 * IN + 7
+        self.memory[at] = manager.pdi & ~REPEAT | manager.activate & REPEAT
+
+    def mailboxes_reset(self) -> None:
+        """Empty both mailboxes."""
+        for n in (OUT, IN):
+            self.memory[self._status(n)] &= 0xFF ^ (
+                sync_manager.FULL | sync_manager.WRITTEN | sync_manager.READ
+            )
+        self.memory[R.AL_EVENT + 1] &= 0xFC
+
+    def take_events(self) -> int:
+        """`Event` bits of what has happened since the last call, process data aside."""
+        record = self._escs[self._index]
+        events = int(record["events"]) & ~Event.PROCESS_DATA
+        record["events"] = int(record["events"]) & Event.PROCESS_DATA
+        return events

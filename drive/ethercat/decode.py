@@ -1,0 +1,420 @@
+"""The frames of an EtherCAT capture by meaning: registers, states, mailboxes, process data.
+
+Configuration is followed as it passes: station addresses, sync managers, FMMUs, PDO assignment and
+mapping, so that process data of anybody's bus are told by object names. A slave's drive model is
+known from its identity in the EEPROM, or is the one that was given. Of process data only changes
+are told. A frame on its way out is remembered, because slaves overwrite what a master wrote.
+"""
+
+import functools
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..kernel.words import Mode, decode_controlword, decode_statusword
+from ..model.model import DriveModel, load, model_names
+from ..objects.abort import TEXT
+from .al import AlState, AlStatusCode
+from .coe_header import Service
+from .controller.registers import REGISTERS_TABLE, R
+from .description import describe
+from .frame import LOGICAL, NAMES, Command, Datagram, unpack
+from .mailbox import HEADER, Kind
+
+READS = (Command.APRD, Command.FPRD, Command.BRD, Command.LRD)
+POSITION = (Command.APRD, Command.APWR, Command.APRW, Command.ARMW)
+BROADCAST = (Command.BRD, Command.BWR, Command.BRW)
+PASSED = 2  # bit of the source address that slaves set
+RETURNED = 6  # byte of the frame with it
+ASSIGNMENTS = {0x1C12: 2, 0x1C13: 3}
+IDENTITY = 8  # word of the EEPROM: vendor and product
+QUIET = {  # polled again and again: told when they change
+    R.AL_STATUS, R.AL_STATUS_CODE, R.SYNC_MANAGER + 5, R.SYNC_MANAGER + 13, R.DL_STATUS,
+    R.EEPROM_CONTROL, R.SYSTEM_TIME, R.SYSTEM_TIME_DIFFERENCE,
+}  # fmt: skip
+
+
+def _registers() -> dict[int, str]:
+    """Name of the register that begins at an address."""
+    names = {row.address: row.name for row in REGISTERS_TABLE if row.effect not in (3, 4)}
+    return names | {R.AL_STATUS_CODE: "AL status code"}
+
+
+REGISTERS = _registers()
+
+
+@dataclass
+class _Fmmu:
+    """Logical bytes of a slave."""
+
+    logical: int
+    length: int
+    physical: int
+    kind: int
+
+
+@dataclass
+class _Slave:
+    """What the capture has told of a slave so far."""
+
+    name: str
+    model: DriveModel | None
+    managers: dict[int, tuple[int, int]] = field(default_factory=dict)  # start and length
+    fmmus: dict[int, _Fmmu] = field(default_factory=dict)
+    assigned: dict[int, list[int]] = field(default_factory=dict)  # sync manager -> PDOs
+    mapped: dict[int, list[int]] = field(default_factory=dict)  # PDO -> entries
+    values: dict[tuple[int, int], int] = field(default_factory=dict)  # as told last
+    polled: dict[int, bytes] = field(default_factory=dict)
+    word: int = -1  # of the EEPROM that is read
+    mode: int = 0
+
+    def entries(self, manager: int) -> list[int]:
+        """Mapped objects of a sync manager, as the capture or the model has them."""
+        pdos = self.assigned.get(manager)
+        index = {2: 0x1C12, 3: 0x1C13}[manager]
+        if pdos is None:
+            count = self._default(index, 0)
+            pdos = [self._default(index, n + 1) for n in range(count)]
+        found: list[int] = []
+        for pdo in pdos:
+            found += self.mapped.get(pdo, self._mapping(pdo))
+        return found
+
+    def _default(self, index: int, subindex: int) -> int:
+        row = self.model.objects.get((index, subindex)) if self.model else None
+        return int(row.default or 0) if row else 0
+
+    def _mapping(self, pdo: int) -> list[int]:
+        return _mappings(self.model).get(pdo, []) if self.model else []
+
+    def object(self, index: int, subindex: int) -> str:
+        """Name of an object, else its address."""
+        row = self.model.objects.get((index, subindex)) if self.model else None
+        return row.name if row else f"{index:04X}h:{subindex:02X}"
+
+    def tell(self, index: int, subindex: int, data: bytes) -> str:
+        """A value by name."""
+        if 0x1600 <= index < 0x1C00 and subindex and len(data) == 4:
+            entry = int.from_bytes(data, "little")
+            mapped = self.object(entry >> 16, entry >> 8 & 0xFF)
+            return f"{index:04X}h:{subindex:02X} = {mapped}, {entry & 0xFF} bits"
+        if index in ASSIGNMENTS and subindex and len(data) == 2:
+            return f"{self.object(index, subindex)} = {int.from_bytes(data, 'little'):04X}h"
+        row = self.model.objects.get((index, subindex)) if self.model else None
+        if row is None or not row.format or struct.calcsize("<" + row.format) != len(data):
+            text = data.rstrip(b"\0")
+            if len(data) > 8 and text.isascii() and text.decode("ascii").isprintable():
+                return f"{self.object(index, subindex)} = {text.decode('ascii')!r}"
+            return f"{self.object(index, subindex)} = {data.hex()}"
+        (value,) = struct.unpack("<" + row.format, data)
+        if index in (0x6060, 0x6061):
+            self.mode = int(value)
+            return f"{row.name} = {value} {Mode(value).name if value in set(Mode) else ''}".rstrip()
+        mode = Mode(self.mode) if self.mode in set(Mode) else Mode.NONE
+        if index == 0x6040:
+            return f"{row.name} {value:04X}h {' '.join(decode_controlword(value, mode))}"
+        if index == 0x6041:
+            return f"{row.name} {value:04X}h → {' '.join(decode_statusword(value, mode))}"
+        return f"{row.name} = {value}"
+
+
+class EtherCatDecoder:
+    """Frames of a segment by meaning.
+
+    Args:
+        model: drive model of slaves whose identity does not pass; None: they stay numbers.
+
+    Raises:
+        ValueError: unknown model.
+    """
+
+    def __init__(self, model: str | Path | DriveModel | None = None):
+        self._given = load(model, "ethercat") if model else None
+        self._stations: dict[int, _Slave] = {}
+        self._positions: dict[int, _Slave] = {}
+        self._sent: dict[tuple[int, ...], list[Datagram]] = {}
+        self._known = _identities()
+
+    def decode(self, frame: bytes) -> list[str]:
+        """Lines about a frame; none for what tells nothing new. It never raises."""
+        try:
+            rows = unpack(frame)
+        except ValueError as error:
+            return [str(error)]
+        key = tuple(row.index << 16 | row.command << 8 | row.ado & 0xFF for row in rows)
+        if not frame[RETURNED] & PASSED:
+            again = key in self._sent
+            self._sent[key] = rows
+            return [f"no reply to {rows[0]}"] if again else []
+        sent = self._sent.pop(key, rows)
+        lines: list[str] = []
+        for out, back in zip(sent, rows, strict=False):
+            lines += self._datagram(out, back)
+        return lines
+
+    # -------------------------------------------------------------- datagrams
+
+    def _datagram(self, sent: Datagram, back: Datagram) -> list[str]:
+        if back.command in LOGICAL:
+            return self._process_data(sent, back)
+        if back.command not in NAMES:
+            return [f"unknown command {back.command:02X}h"]
+        if back.command == Command.NOP:
+            return []
+        name, slave = self._who(sent)
+        if slave is None:
+            return self._register(name, None, sent, back)
+        manager = self._mailbox(slave, back.ado)
+        if manager is not None and back.wkc:
+            return self._telegram(slave, sent.data if manager == 0 else back.data)
+        return self._register(name, slave, sent, back)
+
+    def _who(self, row: Datagram) -> tuple[str, _Slave | None]:
+        if row.command in BROADCAST:
+            return "all slaves", None
+        if row.command in POSITION:
+            place = -row.adp & 0xFFFF
+            slave = self._positions.setdefault(place, _Slave(f"slave {place}", self._given))
+        else:
+            slave = self._stations.setdefault(row.adp, _Slave(f"slave {row.adp:04X}h", self._given))
+        return slave.name, slave
+
+    def _mailbox(self, slave: _Slave, address: int) -> int | None:
+        for n in (0, 1):
+            if n in slave.managers and slave.managers[n][0] == address:
+                return n
+        return None
+
+    def _register(
+        self, name: str, slave: _Slave | None, sent: Datagram, back: Datagram
+    ) -> list[str]:
+        writes = back.command not in READS
+        data = sent.data if writes else back.data
+        if not back.wkc:
+            what = "write" if writes else "read"
+            return [f"{name}: {what} {_place(back.ado)} had no effect (working counter 0)"]
+        if slave is not None:
+            if not writes and back.ado in QUIET:
+                if slave.polled.get(back.ado) == data:
+                    return []
+                slave.polled[back.ado] = data
+            if told := self._configured(slave, back.ado, data, writes):
+                return told
+        elif not writes and back.ado in QUIET:
+            return []
+        value = int.from_bytes(data, "little")
+        if back.ado in (R.AL_CONTROL, R.AL_STATUS):
+            return [f"{name}: {_place(back.ado)} {_state(data)}"]
+        if back.ado == R.AL_STATUS_CODE:
+            return [f"{name}: {_place(back.ado)} {_code(value)}"] if value else []
+        arrow = "←" if writes else "="
+        shown = data.hex() if len(data) > 8 else f"{value:0{2 * len(data)}X}h"
+        counted = f" ({back.wkc} slaves)" if back.command in BROADCAST else ""
+        return [f"{name}: {_place(back.ado)} {arrow} {shown}{counted}"]
+
+    def _configured(
+        self, slave: _Slave, address: int, data: bytes, writes: bool
+    ) -> list[str] | None:  # fmt: skip
+        """Follow addresses, EEPROM, FMMUs and sync managers; -> what is told, None for others."""
+        if writes and address == R.STATION_ADDRESS and len(data) >= 2:
+            station = int.from_bytes(data[:2], "little")
+            self._stations[station] = slave
+            before, slave.name = slave.name, f"slave {station:04X}h"
+            return [f"{before} becomes {slave.name}"]
+        if writes and R.EEPROM_CONTROL <= address <= R.EEPROM_ADDRESS and len(data) >= 4:
+            at = R.EEPROM_ADDRESS - address
+            if len(data) >= at + 2:
+                slave.word = int.from_bytes(data[at : at + 4], "little")
+            return []
+        if not writes and R.EEPROM_CONTROL <= address <= R.EEPROM_DATA:
+            found = data[R.EEPROM_DATA - address :]
+            return self._identity(slave, found)
+        if writes and R.FMMU <= address < R.FMMU + 0x100 and len(data) >= 13:
+            lines = []
+            for k in range(0, len(data) - 12, 16):
+                lines += self._fmmu(slave, (address - R.FMMU + k) // 16, data[k : k + 16])
+            return lines
+        if writes and R.SYNC_MANAGER <= address < R.SYNC_MANAGER + 0x80 and len(data) >= 7:
+            lines = []
+            for k in range(0, len(data) - 6, 8):
+                start, length, control = struct.unpack_from("<HHB", data, k)
+                n = (address - R.SYNC_MANAGER + k) // 8
+                if data[k + 6] & 1:
+                    slave.managers[n] = start, length
+                    lines.append(f"{slave.name}: sync manager {n} at {start:04X}h, {length} bytes, "
+                                 f"control {control:02X}h")  # fmt: skip
+                else:
+                    slave.managers.pop(n, None)
+            return lines
+        if writes and R.SYNC_MANAGER <= address < R.SYNC_MANAGER + 0x80 and address & 7 == 6:
+            return self._switched(slave, address, data)
+        return None
+
+    def _switched(self, slave: _Slave, address: int, data: bytes) -> list[str]:
+        """A sync manager switched on or off by its activation byte alone."""
+        n = (address - R.SYNC_MANAGER) // 8
+        return [f"{slave.name}: sync manager {n} {'on' if data[0] & 1 else 'off'}"]
+
+    def _fmmu(self, slave: _Slave, n: int, row: bytes) -> list[str]:
+        logical, length, first, last, physical, bit, kind, active = struct.unpack_from(
+            "<IHBBHBBB", row
+        )
+        if not active:
+            slave.fmmus.pop(n, None)
+            return []
+        whole = (first, last, bit) == (0, 7, 0)
+        slave.fmmus[n] = _Fmmu(logical, length, physical, kind if whole else 0)
+        way = {1: "reads", 2: "writes", 3: "reads and writes"}.get(kind, "?")
+        return [f"{slave.name}: FMMU {n} {way} {length} bytes at {physical:04X}h as {logical:08X}h"]
+
+    def _identity(self, slave: _Slave, data: bytes) -> list[str]:
+        word, slave.word = slave.word, -1
+        if word != IDENTITY or len(data) < 4:
+            return []
+        if len(data) < 8:
+            return [f"{slave.name}: vendor {int.from_bytes(data[:4], 'little'):08X}h"]
+        vendor, product = struct.unpack_from("<II", data)
+        if (vendor, product) in self._known:
+            slave.model = self._known[vendor, product]
+        known = f", {slave.model.title}" if slave.model else ""
+        return [f"{slave.name}: vendor {vendor:08X}h, product {product:08X}h{known}"]
+
+    # ---------------------------------------------------------------- mailbox
+
+    def _telegram(self, slave: _Slave, data: bytes) -> list[str]:
+        if len(data) < HEADER.size:
+            return [f"{slave.name}: mailbox {data.hex()}"]
+        length, _, _, kind = HEADER.unpack_from(data)
+        body = data[HEADER.size : HEADER.size + length]
+        if kind & 15 == Kind.ERROR and len(body) >= 4:
+            return [f"{slave.name}: mailbox error {int.from_bytes(body[2:4], 'little')}"]
+        if kind & 15 != Kind.COE or len(body) < 3:
+            name = Kind(kind & 15).name if kind & 15 in set(Kind) else f"type {kind & 15}"
+            return [f"{slave.name}: {name} {body.hex()}"]
+        service = body[1] >> 4
+        if service == Service.EMERGENCY and len(body) >= 5:
+            code, register = struct.unpack_from("<HB", body, 2)
+            return [f"{slave.name}: emergency {code:04X}h, error register {register:02X}h"]
+        if service in (Service.SDO_REQUEST, Service.SDO_RESPONSE) and len(body) >= 10:
+            return [f"{slave.name}: {text}" for text in self._sdo(slave, service, body[2:])]
+        return [f"{slave.name}: CoE service {service} {body[2:].hex()}"]
+
+    def _sdo(self, slave: _Slave, service: int, body: bytes) -> list[str]:
+        command, index, subindex = struct.unpack_from("<BHB", body)
+        name = slave.object(index, subindex)
+        if command == 0x80:
+            (code,) = struct.unpack_from("<I", body, 4)
+            reason = TEXT.get(code, "")  # type: ignore[call-overload]
+            return [f"{name} refused: {code:08X}h {reason}".rstrip()]
+        kind = command >> 5
+        if service == Service.SDO_REQUEST:
+            if kind == 2:
+                return [f"read {name}"]
+            if kind == 1:
+                data = _content(body, command)
+                self._follow(slave, index, subindex, data)
+                return [f"write {slave.tell(index, subindex, data)}"]
+            return [f"segment {body[:1].hex()}"]
+        if kind == 2:
+            data = _content(body, command)
+            self._follow(slave, index, subindex, data)
+            return [slave.tell(index, subindex, data)]
+        return [] if kind == 3 else [f"segment {len(body) - 1} bytes"]
+
+    def _follow(self, slave: _Slave, index: int, subindex: int, data: bytes) -> None:
+        """PDO assignment and mapping as a master writes or reads them."""
+        value = int.from_bytes(data[:4], "little")
+        if index in ASSIGNMENTS:
+            rows = slave.assigned.setdefault(ASSIGNMENTS[index], [])
+        elif 0x1600 <= index < 0x1C00:
+            rows = slave.mapped.setdefault(index, [])
+        else:
+            return
+        if subindex == 0:
+            del rows[value:]
+            return
+        rows += [0] * (subindex - len(rows))
+        rows[subindex - 1] = value
+
+    # ----------------------------------------------------------- process data
+
+    def _process_data(self, sent: Datagram, back: Datagram) -> list[str]:
+        lines = []
+        for slave in self._stations.values():
+            for fmmu in slave.fmmus.values():
+                at = fmmu.logical - back.logical
+                if not 0 <= at <= len(back.data) - fmmu.length or not fmmu.kind:
+                    continue
+                data = sent.data if fmmu.kind == 2 else back.data
+                lines += self._image(slave, fmmu, data[at : at + fmmu.length])
+        if not back.wkc:
+            lines.append(f"process data {back.logical:08X}h: nobody (working counter 0)")
+        return lines
+
+    def _image(self, slave: _Slave, fmmu: _Fmmu, data: bytes) -> list[str]:
+        manager = next(
+            (n for n, (start, _) in slave.managers.items() if start == fmmu.physical), None
+        )
+        if manager not in (2, 3):
+            return []
+        lines, at = [], 0
+        for entry in slave.entries(manager):
+            index, subindex, size = entry >> 16, entry >> 8 & 0xFF, (entry & 0xFF) // 8
+            part = data[at : at + size]
+            at += size
+            value = int.from_bytes(part, "little")
+            if not index or slave.values.get((index, subindex)) == value:
+                continue
+            slave.values[index, subindex] = value
+            if index in (0x6040, 0x6041, 0x6060, 0x6061):
+                lines.append(f"{slave.name}: {slave.tell(index, subindex, part)}")
+        return lines
+
+
+@functools.cache
+def _mappings(model: DriveModel) -> dict[int, list[int]]:
+    """Default entries of each PDO."""
+    device = describe(model)
+    return {
+        pdo.index: [e.index << 16 | e.subindex << 8 | e.bits for e in pdo.entries]
+        for pdo in (*device.rpdos, *device.tpdos)
+    }
+
+
+def _content(body: bytes, command: int) -> bytes:
+    """The data of an initiate telegram."""
+    if command & 2:
+        return body[4 : 8 - (command >> 2 & 3)] if command & 1 else body[4:8]
+    (size,) = struct.unpack_from("<I", body, 4)
+    return body[8 : 8 + size]
+
+
+def _place(address: int) -> str:
+    return f"{REGISTERS.get(address, 'register')} ({address:04X}h)"
+
+
+def _state(data: bytes) -> str:
+    value = data[0]
+    state = value & 0x0F
+    name = AlState(state).name if state in set(AlState) else f"{state:X}h"
+    text = name + (" + error bit" if value & 0x10 else "")
+    if len(data) >= 6 and (code := int.from_bytes(data[4:6], "little")):
+        text += f", {_code(code)}"
+    return text
+
+
+def _code(code: int) -> str:
+    return f"{code:04X}h {AlStatusCode(code).name if code in set(AlStatusCode) else ''}".rstrip()
+
+
+def _identities() -> dict[tuple[int, int], DriveModel]:
+    """Models with an EtherCAT face by vendor and product."""
+    found = {}
+    for name in model_names():
+        try:
+            model = load(name, "ethercat")
+        except ValueError:
+            continue
+        vendor, product = (int(model.objects[0x1018, n].default) for n in (1, 2))
+        found[vendor, product] = model
+    return found

@@ -1,0 +1,313 @@
+"""A bus with faults to order: seeded by a rate, or scripted by milestones.
+
+>>> bus = FaultyBus(segment, machines, faults=["drop at=cycle:100 count=3",
+...                                            "retreat at=op:50 slave=1 code=0x1B"])
+
+A fault is a line: what happens, then ``key=value``. ``at=MILESTONE:N`` lets it happen from the N-th
+frame (``frame``), frame of process data (``cycle``) or mailbox request (``mailbox``) on, or N
+frames after all slaves are in OPERATIONAL for the first time (``op``); ``count`` says how often
+(once; 0 = again and again), ``rate`` with which probability at each opportunity.
+"""
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..machine import Machine
+from ..objects.abort import Abort
+from .al import AlState, AlStatusCode
+from .bus import Bus, Clock
+from .coe_header import Service
+from .controller.record import Event
+from .controller.registers import R
+from .frame import HEADER, LENGTH, LOGICAL, MORE, TAIL, Command, body_of
+from .mailbox import HEADER as MAILBOX_HEADER
+from .segment import Segment
+
+MILESTONES = ("frame", "cycle", "mailbox", "op")
+FULL = 0x08
+KINDS = {
+    "drop": "the frame is lost on its way out",
+    "lose": "the frame is lost on its way back",
+    "delay": "it comes back `frames` frames later",
+    "duplicate": "it comes back twice",
+    "stale": "the frame before comes back instead",
+    "truncate": "its last `frames` bytes are missing",
+    "wrong_index": "its first datagram has another index",
+    "wkc": "`offset` is added to the working counters of `command` (all) at `slave` (all: -1)",
+    "disconnect": "the cable before `slave` is pulled for `frames` frames (0: for good)",
+    "break_link": "the cable at `port` of `slave` breaks",
+    "heal_link": "it is mended",
+    "power_cycle": "`slave` is without power for `frames` frames",
+    "al_error": "`slave` shows `code` and stays in its state",
+    "retreat": "`slave` goes back to SAFE_OPERATIONAL with `code`",
+    "mailbox_abort": "the answer of `slave` to an SDO is an abort with `code`",
+    "mailbox_toggle": "its toggle bit is wrong",
+    "mailbox_silence": "there is no answer",
+    "mailbox_stale": "the answer before comes again",
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of a script.
+
+    Raises ValueError naming what is wrong with it.
+    """
+
+    kind: str
+    at: str = "frame:0"
+    count: int = 1
+    rate: float = 1.0
+    slave: int = 0
+    port: int = 1
+    code: int = 0
+    frames: int = 1
+    offset: int = -1
+    command: str = ""
+
+    def __post_init__(self) -> None:
+        name, _, number = self.at.partition(":")
+        if self.kind not in KINDS:
+            raise ValueError(f"fault {self.kind!r}: choose one of {', '.join(KINDS)}")
+        if name not in MILESTONES or not number.isdecimal():
+            raise ValueError(
+                f"fault {self.kind}: at={self.at}: give one of {', '.join(MILESTONES)} and a "
+                "number, such as cycle:100"
+            )
+        if self.command and self.command not in Command.__members__:
+            raise ValueError(f"fault {self.kind}: command={self.command} is none, such as LRW is")
+        if not 0.0 <= self.rate <= 1.0:
+            raise ValueError(f"fault {self.kind}: rate={self.rate} is out of range 0..1")
+
+    @property
+    def milestone(self) -> tuple[str, int]:
+        """Name and number of `at`."""
+        name, _, number = self.at.partition(":")
+        return name, int(number)
+
+    @classmethod
+    def parse(cls, line: str) -> "Fault":
+        """A fault from its line. Raises ValueError."""
+        kind, *pairs = line.split() or [""]
+        kinds = {field.name: field.type for field in fields(cls)}
+        values: dict[str, object] = {}
+        for pair in pairs:
+            key, _, text = pair.partition("=")
+            if key not in kinds or key == "kind":
+                known = ", ".join(name for name in kinds if name != "kind")
+                raise ValueError(f"fault {line!r}: {key!r} is unknown, use of {known}")
+            try:
+                values[key] = {"int": lambda t: int(t, 0), "float": float}.get(
+                    str(kinds[key]).removeprefix("<class '").removesuffix("'>"), str
+                )(text)  # type: ignore[operator]
+            except ValueError:
+                raise ValueError(f"fault {line!r}: {key}={text!r} is no number") from None
+        return cls(kind, **values)  # type: ignore[arg-type]
+
+
+class FaultyBus(Bus):
+    """A `Bus` on which things go wrong.
+
+    Args:
+        segment: the slaves.
+        machines: with their drives.
+        clock: who makes time pass.
+        faults: lines, or `Fault`.
+        seed: of the rates.
+
+    Raises:
+        ValueError: a fault that is none, or of a slave or port that is not there.
+    """
+
+    def __init__(
+        self,
+        segment: Segment,
+        machines: Sequence[Machine] = (),
+        clock: Clock | str = Clock.FRAME,
+        *,
+        faults: Sequence[str | Fault] = (),
+        seed: int = 0,
+    ):
+        super().__init__(segment, machines, clock)
+        self._random = np.random.default_rng(seed)
+        self._later: list[tuple[int, Callable[[], None]]] = []  # number of the frame, what then
+        self._last = b""
+        self._mailbox: dict[int, bytes] = {}
+        self.order(faults)
+
+    def order(self, faults: Sequence[str | Fault]) -> None:
+        """Let these faults happen instead, milestones counted from now on. Raises ValueError."""
+        self.faults = [f if isinstance(f, Fault) else Fault.parse(f) for f in faults]
+        for fault in self.faults:
+            if not -1 <= fault.slave < len(self.segment):
+                raise ValueError(
+                    f"fault {fault.kind}: slave={fault.slave}, there are {len(self.segment)}, "
+                    "counted from 0"
+                )
+        self.happened = [0] * len(self.faults)
+        self._seen = dict.fromkeys(MILESTONES, 0)
+
+    # ----------------------------------------------------------------- frames
+
+    def receive(self, length: int, now: int, port: int = 0) -> bool:
+        """Let the frame in ``segment.frame[:length]`` pass, with what goes wrong."""
+        frame = self.segment.frame
+        self._seen["frame"] += 1
+        self._seen["cycle"] += bool(length > 16 and frame[16] in LOGICAL)
+        self._seen["op"] += bool(self._seen["op"] or self._all_in_op())
+        self._catch_up()
+        due = [*self._due(now)]
+        kinds = {fault.kind for fault in due}
+        for fault in due:
+            self._act(fault)
+        if "drop" in kinds:
+            return False
+        answered = super().receive(length, now, port)
+        for slave in self.segment.requested:
+            self._seen["mailbox"] += 1
+            self._spoil_mailbox(slave, now)
+        if not answered:
+            return False
+        reply = frame[:length].tobytes()
+        answered = self._spoil(due, kinds, length, reply)
+        self._last = reply
+        return answered
+
+    def _spoil(self, due: list[Fault], kinds: set[str], length: int, reply: bytes) -> bool:
+        """What happens to a frame on its way back; -> whether it arrives now."""
+        for fault in due:
+            if fault.kind == "wkc":
+                self._add(fault, length)
+            if fault.kind == "wrong_index":
+                self.segment.frame[17] ^= 0x55
+            if fault.kind == "delay":
+                self._after(fault.frames, functools.partial(self.extra.append, reply))
+            if fault.kind == "truncate":
+                self.extra.append(reply[: max(len(reply) - fault.frames, 14)])
+        if "duplicate" in kinds:
+            self.extra.append(reply)
+        if "stale" in kinds and self._last:
+            self.extra.append(self._last)
+        return not kinds & {"lose", "delay", "truncate", "stale"}
+
+    def exchange(self, frame: bytes, now: int = 0, port: int = 0) -> bytes | None:
+        """As that of `Bus`; where nothing comes back, what is late may come instead."""
+        reply = super().exchange(frame, now, port)
+        if reply is None and self.extra:
+            return self.extra.popleft()
+        return reply
+
+    def _add(self, fault: Fault, length: int) -> None:
+        """An offset on working counters."""
+        frame = self.segment.frame
+        at = body_of(frame[:length].tobytes()) + 2
+        station = int.from_bytes(
+            self.segment.escs["memory"][fault.slave, 0x0010:0x0012].tobytes(), "little"
+        )
+        more = at > 1
+        while more and at + HEADER + TAIL <= length:
+            size = int(frame[at + 6]) | int(frame[at + 7]) << 8
+            end = at + HEADER + (size & LENGTH)
+            command = int(frame[at])
+            right = not fault.command or command == Command[fault.command]
+            if fault.slave >= 0 and command in (Command.FPRD, Command.FPWR, Command.FPRW):
+                right = right and (int(frame[at + 2]) | int(frame[at + 3]) << 8) == station
+            if right:
+                counter = int(frame[end]) | int(frame[end + 1]) << 8
+                frame[end : end + 2] = list(
+                    (max(counter + fault.offset, 0) & 0xFFFF).to_bytes(2, "little")
+                )
+            at, more = end + TAIL, bool(size & MORE)
+
+    # ------------------------------------------------------------------ script
+
+    def _due(self, now: int, mailbox: bool = False) -> Iterator[Fault]:
+        for n, fault in enumerate(self.faults):
+            if fault.kind.startswith("mailbox_") != mailbox:
+                continue
+            name, number = fault.milestone
+            if self._seen[name] < max(number, 1) or 0 < fault.count <= self.happened[n]:
+                continue
+            if fault.kind in ("wkc",) and name == "cycle" and self.segment.frame[16] not in LOGICAL:
+                continue
+            if fault.rate < 1.0 and self._random.random() >= fault.rate:
+                continue
+            self.happened[n] += 1
+            yield fault
+
+    def _after(self, frames: int, what: Callable[[], None]) -> None:
+        self._later.append((self._seen["frame"] + frames, what))
+
+    def _catch_up(self) -> None:
+        if not self._later:
+            return
+        due = [what for number, what in self._later if number <= self._seen["frame"]]
+        self._later = [row for row in self._later if row[0] > self._seen["frame"]]
+        for what in due:
+            what()
+
+    def _all_in_op(self) -> bool:
+        status = self.segment.escs["memory"][:, R.AL_STATUS]
+        return bool((status == AlState.OPERATIONAL).all())
+
+    # ------------------------------------------------------------------ slaves
+
+    def _act(self, fault: Fault) -> None:
+        """What a fault does to a slave or a cable."""
+        segment, slave = self.segment, max(fault.slave, 0)
+        if fault.kind in ("disconnect", "break_link"):
+            port = 0 if fault.kind == "disconnect" else fault.port
+            segment.break_link(slave, port)
+            if fault.kind == "disconnect" and fault.frames:
+                self._after(fault.frames, lambda: segment.heal_link(slave, port))
+        elif fault.kind == "heal_link":
+            segment.heal_link(slave, fault.port)
+        elif fault.kind == "power_cycle":
+            segment.power(slave, False)
+            self._after(fault.frames, lambda: segment.power(slave, True, self.time))
+        elif fault.kind == "al_error":
+            station = segment.stations[slave]
+            station.fail(fault.code or AlStatusCode.UNSPECIFIED, station.state)
+        elif fault.kind == "retreat":
+            segment.stations[slave].fail(fault.code or AlStatusCode.WATCHDOG)
+
+    def _spoil_mailbox(self, slave: int, now: int) -> None:
+        """What happens to an answer that lies in sync manager 1."""
+        memory = self.segment.escs["memory"][slave]
+        status = R.SYNC_MANAGER + 8 + 5
+        if not memory[status] & FULL:
+            return
+        record = self.segment.escs[slave]
+        start, length = int(record["sm_start"][1]), int(record["sm_length"][1])
+        here = slice(start, start + length)
+        answer = memory[here].tobytes()
+        for fault in self._due(now, mailbox=True):
+            if fault.slave not in (-1, slave):
+                continue
+            if fault.kind == "mailbox_abort":
+                memory[here] = np.frombuffer(_abort(answer, fault.code), np.uint8)
+            elif fault.kind == "mailbox_toggle":
+                if memory[start + MAILBOX_HEADER.size + 2] >> 5 < 2:  # an answer to a segment
+                    memory[start + MAILBOX_HEADER.size + 2] ^= 0x10
+            elif fault.kind == "mailbox_stale" and slave in self._mailbox:
+                memory[here] = np.frombuffer(self._mailbox[slave], np.uint8)
+            elif fault.kind == "mailbox_silence":
+                memory[status] &= 0xFF ^ FULL
+                record["events"] = int(record["events"]) | Event.MAILBOX_READ
+                self.segment.serve(now)
+        self._mailbox[slave] = answer
+
+
+def _abort(answer: bytes, code: int) -> bytes:
+    """An SDO abort in place of an answer, with its counter and address."""
+    _length, address, channel, kind = MAILBOX_HEADER.unpack_from(answer)
+    at = MAILBOX_HEADER.size
+    place = answer[at + 3 : at + 6]
+    body = (Service.SDO_REQUEST << 12).to_bytes(2, "little") + b"\x80" + place
+    body += (code or Abort.GENERAL).to_bytes(4, "little")
+    return (MAILBOX_HEADER.pack(len(body), address, channel, kind) + body).ljust(
+        len(answer), b"\0"
+    )  # fmt: skip

@@ -1,0 +1,365 @@
+"""A small EtherCAT master in memory: scan, map, OP, SDO, process data, distributed clocks.
+
+>>> master = EtherCatMaster(bus)
+>>> for slave in master.scan():
+...     print(slave.description.name)
+>>> master.to_op()
+>>> master.cycle()
+
+It sends frames to anything with `exchange`: a `Bus`, a bare `Segment`, one with faults. What does
+not answer raises TimeoutError, a state that is refused RuntimeError with the slave's code.
+"""
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from ..objects.abort import SdoAbort
+from . import clocks, sii
+from .al import AlState, AlStatusCode
+from .controller.registers import R
+from .description import Description
+from .frame import MOST, Command, Datagram, logical, pack, unpack
+from .mailbox_client import MailboxClient
+
+FIRST_STATION = 0x1001
+LOGICAL_START = 0x10000
+RETRIES = 3
+POLLS = 1000
+ERROR, ACKNOWLEDGE = 0x10, 0x10
+OUTPUTS, INPUTS, STATE = 1, 2, 3  # uses of a sync manager, and of a FMMU in the SII
+COE = 4  # bit of word 1Ch of the SII
+ASSIGNMENTS = {2: 0x1C12, 3: 0x1C13}
+
+
+class Wire(Protocol):
+    """Where frames go."""
+
+    def exchange(self, frame: bytes, now: int = 0) -> bytes | None:
+        """Send a frame; -> what comes back."""
+
+
+class RemoteSlave:
+    """One slave as the master found it."""
+
+    def __init__(self, master: "EtherCatMaster", position: int):
+        self.position = position
+        self.station = FIRST_STATION + position
+        self._master = master
+        self.description: Description = sii.unpack(self.read_sii())
+        mailbox = self.description.mailbox
+        self.mailbox = MailboxClient(
+            master, self.station, (mailbox.out_start, mailbox.out_length),
+            (mailbox.in_start, mailbox.in_length),
+        )  # fmt: skip
+        self.outputs = bytearray()
+        self.inputs = b""
+
+    def read(self, address: int, size: int) -> bytes:
+        """Registers. Raises TimeoutError where the slave does not answer."""
+        reply = self._master.send(Datagram(Command.FPRD, self.station, address, bytes(size)))[0]
+        if not reply.wkc:
+            raise TimeoutError(f"slave {self.position} does not answer at {address:04X}h")
+        return reply.data
+
+    def number(self, address: int, size: int) -> int:
+        """A register."""
+        return int.from_bytes(self.read(address, size), "little")
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Registers; -> whether they were written."""
+        row = Datagram(Command.FPWR, self.station, address, data)
+        return self._master.send(row)[0].wkc == 1
+
+    # -------------------------------------------------------------------- SII
+
+    def read_sii(self) -> bytes:
+        """The whole EEPROM, as long as its size word says."""
+        image = b""
+        size = 128
+        while len(image) < size:
+            image += self._read_words(len(image) // 2)
+            if len(image) == 128:
+                size = (int.from_bytes(image[124:126], "little") + 1) * 128
+        return image[:size]
+
+    def _read_words(self, word: int) -> bytes:
+        self.write(R.EEPROM_ADDRESS, word.to_bytes(4, "little"))
+        self.write(R.EEPROM_CONTROL, b"\0\1")
+        status = self._eeprom_ready()
+        return self.read(R.EEPROM_DATA, 8 if status & 0x40 else 4)
+
+    def write_sii(self, word: int, data: bytes) -> None:
+        """Words of the EEPROM. Raises RuntimeError where the slave refuses."""
+        for at in range(0, len(data), 2):
+            self.write(R.EEPROM_ADDRESS, (word + at // 2).to_bytes(4, "little"))
+            self.write(R.EEPROM_DATA, data[at : at + 2])
+            self.write(R.EEPROM_CONTROL, b"\1\2")
+            if self._eeprom_ready() & 0x6000:
+                raise RuntimeError(f"slave {self.position}: word {word + at // 2} of its EEPROM "
+                                   "cannot be written")  # fmt: skip
+
+    def _eeprom_ready(self) -> int:
+        for _ in range(POLLS):
+            status = self.number(R.EEPROM_CONTROL, 2)
+            if not status & 0x8000:
+                return status
+        raise TimeoutError(f"slave {self.position}: its EEPROM stays busy")
+
+    # --------------------------------------------------------------- AL states
+
+    @property
+    def state(self) -> AlState:
+        """State without the error bit."""
+        return AlState(self.number(R.AL_STATUS, 2) & 0x0F)
+
+    def request(self, state: AlState, *, acknowledge: bool = False) -> None:
+        """Ask for a state and wait for it.
+
+        Raises:
+            RuntimeError: the slave refuses; tells its AL status code.
+        """
+        self.write(R.AL_CONTROL, bytes([state | (ACKNOWLEDGE if acknowledge else 0), 0]))
+        status = 0
+        for _ in range(POLLS):
+            status = self.number(R.AL_STATUS, 2)
+            if status & ERROR or status & 0x0F == state:
+                break
+        if status & ERROR or status & 0x0F != state:
+            code = self.number(R.AL_STATUS_CODE, 2)
+            known = AlStatusCode(code).name if code in set(AlStatusCode) else "unknown"
+            raise RuntimeError(
+                f"slave {self.position} ({self.description.name}) does not go to {state.name}: "
+                f"AL status {status:02X}h, code {code:04X}h {known}"
+            )
+
+    def recover(self) -> None:
+        """Acknowledge an error, with a request of the state the slave is in."""
+        self.request(self.state, acknowledge=True)
+
+    # ------------------------------------------------------------ configuration
+
+    def sync_manager(self, n: int, start: int, length: int, control: int) -> None:
+        """Configure and switch on, or off where the length is 0."""
+        at = R.SYNC_MANAGER + 8 * n
+        self.write(at + 6, b"\0")
+        row = start.to_bytes(2, "little") + length.to_bytes(2, "little")
+        self.write(at, row + bytes([control, 0, int(length > 0), 0]))
+
+    def fmmu(self, n: int, address: int, length: int, physical: int, kind: int) -> None:
+        """Map whole bytes; `kind` is 1 to read, 2 to write."""
+        row = address.to_bytes(4, "little") + length.to_bytes(2, "little") + b"\0\7"
+        row += physical.to_bytes(2, "little") + bytes([0, kind, int(length > 0), 0, 0, 0])
+        self.write(R.FMMU + 16 * n, row)
+
+    def open_mailbox(self) -> None:
+        """Sync managers 0 and 1 as the SII has them."""
+        managers, box = self.description.sync_managers, self.description.mailbox
+        self.sync_manager(0, box.out_start, box.out_length, managers[0].control)
+        self.sync_manager(1, box.in_start, box.in_length, managers[1].control)
+
+    def size(self, manager: int) -> int:
+        """Bytes of sync manager 2 or 3: what is assigned and mapped, else what the SII says."""
+        if self.description.protocols & COE:
+            bits = 0
+            index = ASSIGNMENTS[manager]
+            for n in range(self.upload(index, 0)):
+                pdo = self.upload(index, n + 1)
+                entries = self.upload(pdo, 0)
+                bits += sum(self.upload(pdo, k + 1) & 0xFF for k in range(entries))
+        else:
+            bits = sum(e.bits for p in self.description.assigned(manager) for e in p.entries)
+        return (bits + 7) // 8
+
+    def upload(self, index: int, subindex: int = 0) -> int:
+        """A number. Raises SdoAbort where the drive refuses."""
+        return int.from_bytes(self.mailbox.upload(index, subindex), "little")
+
+    def assign(self, rpdos: Iterable[int], tpdos: Iterable[int]) -> None:
+        """PDOs of sync managers 2 and 3 (1C12h, 1C13h)."""
+        for index, pdos in ((0x1C12, [*rpdos]), (0x1C13, [*tpdos])):
+            self.mailbox.download(index, 0, b"\0")
+            for n, pdo in enumerate(pdos, 1):
+                self.mailbox.download(index, n, pdo.to_bytes(2, "little"))
+            self.mailbox.download(index, 0, bytes([len(pdos)]))
+
+
+class EtherCatMaster:
+    """Commands the slaves of a segment.
+
+    Args:
+        wire: where frames go.
+        most: bytes of process data in one frame; more are split over several.
+    """
+
+    def __init__(self, wire: Wire, most: int = MOST):
+        self.wire = wire
+        self.slaves: list[RemoteSlave] = []
+        self.wrong = 0  # frames of process data with a working counter that was not expected
+        self._most = most
+        self._index = 0
+        self._groups: list[tuple[int, int, list[RemoteSlave]]] = []  # address, bytes, slaves
+        self._reference: RemoteSlave | None = None
+
+    # ----------------------------------------------------------------- frames
+
+    def send(self, *datagrams: Datagram) -> list[Datagram]:
+        """Datagrams as they come back, sent again where they do not.
+
+        Raises:
+            TimeoutError: no reply, however often they are sent.
+        """
+        for _ in range(RETRIES):
+            replies = self._once(datagrams)
+            if replies is not None:
+                return replies
+        raise TimeoutError(f"{datagrams[0]}: no reply to {RETRIES} frames; is the cable broken?")
+
+    def _once(self, datagrams: Iterable[Datagram]) -> list[Datagram] | None:
+        self._index = (self._index + 1) & 0xFF
+        frame = pack([row._replace(index=self._index) for row in datagrams])
+        reply = self.wire.exchange(frame)
+        if reply is None:
+            return None
+        rows = unpack(reply)
+        return rows if rows[0].index == self._index else None
+
+    # ------------------------------------------------------------------- scan
+
+    def scan(self) -> list[RemoteSlave]:
+        """Find the slaves, give them station addresses, read their EEPROMs; they are in INIT."""
+        count = self.send(Datagram(Command.BRD, 0, R.TYPE, b"\0"))[0].wkc
+        self.send(Datagram(Command.BWR, 0, R.AL_CONTROL, bytes([AlState.INIT | ACKNOWLEDGE, 0])))
+        for address, size in ((R.FMMU, 256), (R.SYNC_MANAGER, 128), (R.ACTIVATION, 1)):
+            self.send(Datagram(Command.BWR, 0, address, bytes(size)))
+        for i in range(count):
+            station = (FIRST_STATION + i).to_bytes(2, "little")
+            self.send(Datagram(Command.APWR, -i & 0xFFFF, R.STATION_ADDRESS, station))
+        self._groups, self._reference = [], None
+        self.slaves = [RemoteSlave(self, i) for i in range(count)]
+        return self.slaves
+
+    def to(self, state: AlState) -> None:
+        """All slaves to a state, one step."""
+        for slave in self.slaves:
+            slave.request(state)
+
+    def to_preop(self) -> None:
+        """Mailboxes open, PRE_OPERATIONAL."""
+        for slave in self.slaves:
+            slave.open_mailbox()
+            slave.request(AlState.PRE_OPERATIONAL)
+
+    # ------------------------------------------------------------ process data
+
+    def map(self) -> None:
+        """Sync managers 2 and 3 and FMMUs for what the slaves have assigned; in PRE_OPERATIONAL."""
+        sizes = {slave: (slave.size(2), slave.size(3)) for slave in self.slaves}
+        self._groups = []
+        for slave in self.slaves:
+            need = sum(sizes[slave])
+            if not self._groups or self._groups[-1][1] + need > self._most:
+                begin = self._groups[-1][0] + self._groups[-1][1] if self._groups else LOGICAL_START
+                self._groups.append((begin, 0, []))
+            begin, used, slaves = self._groups[-1]
+            self._groups[-1] = begin, used + need, [*slaves, slave]
+        for begin, _, slaves in self._groups:
+            at = begin
+            for number, manager, kind in ((0, 2, 2), (1, 3, 1)):
+                for slave in slaves:
+                    size = sizes[slave][manager - 2]
+                    row = slave.description.sync_managers[manager]
+                    slave.sync_manager(manager, row.start, size, row.control)
+                    slave.fmmu(number, at, size, row.start, kind)
+                    at += size
+        for slave in self.slaves:
+            slave.outputs, slave.inputs = bytearray(sizes[slave][0]), bytes(sizes[slave][1])
+
+    @property
+    def frames(self) -> int:
+        """Frames of one cycle."""
+        return len(self._groups)
+
+    def cycle(self) -> bool:
+        """Exchange process data once; -> whether every working counter was right.
+
+        With `synchronise` the first frame hands the reference clock on.
+        """
+        right = True
+        for number, (begin, size, slaves) in enumerate(self._groups):
+            outputs = b"".join(bytes(slave.outputs) for slave in slaves)
+            rows = [logical(Command.LRW, begin, outputs.ljust(size, b"\0"))]
+            if self._reference and number == 0:
+                station = self._reference.station
+                rows.append(Datagram(Command.FRMW, station, R.SYSTEM_TIME, bytes(8)))
+            replies = self._once(rows)
+            expected = sum(2 * bool(s.outputs) + bool(s.inputs) for s in slaves)
+            if replies is None or replies[0].wkc != expected:
+                right = False
+                self.wrong += 1
+                continue
+            at = len(outputs)
+            for slave in slaves:
+                slave.inputs = replies[0].data[at : at + len(slave.inputs)]
+                at += len(slave.inputs)
+        return right
+
+    def look(self) -> bool:
+        """Read the inputs alone (LRD); -> whether every working counter was right."""
+        right = True
+        for begin, size, slaves in self._groups:
+            replies = self._once([logical(Command.LRD, begin, bytes(size))])
+            if replies is None or replies[0].wkc != sum(bool(s.inputs) for s in slaves):
+                right = False
+                self.wrong += 1
+                continue
+            at = sum(len(slave.outputs) for slave in slaves)
+            for slave in slaves:
+                slave.inputs = replies[0].data[at : at + len(slave.inputs)]
+                at += len(slave.inputs)
+        return right
+
+    def to_op(self) -> None:
+        """From INIT, or wherever the slaves are on the way, to OPERATIONAL, with process data.
+
+        Raises:
+            RuntimeError: a slave refuses a state; tells which and its code.
+        """
+        if not self.slaves:
+            self.scan()
+        if all(slave.state == AlState.INIT for slave in self.slaves):
+            self.to_preop()
+        if not self._groups:
+            self.map()
+        if any(slave.state == AlState.PRE_OPERATIONAL for slave in self.slaves):
+            self.to(AlState.SAFE_OPERATIONAL)
+        self.cycle()
+        self.to(AlState.OPERATIONAL)
+
+    # -------------------------------------------------------- distributed clocks
+
+    def synchronise(self) -> dict[int, int]:
+        """Measure delays and offsets; `cycle` keeps the clocks together from now on.
+
+        Returns: delay from the reference clock by position (ns).
+        """
+        delays = clocks.measure(self.send, self.slaves)
+        self._reference = self.slaves[0] if self.slaves else None
+        return delays
+
+    def sync0(self, cycle: int, shift: int = 0) -> None:
+        """Switch on SYNC0 of all slaves: period and shift (ns), from a common whole period on."""
+        now = self.slaves[0].number(R.SYSTEM_TIME, 8)
+        start = (now // cycle + 10) * cycle + shift
+        for slave in self.slaves:
+            slave.write(R.ACTIVATION, b"\0")
+            slave.write(R.SYNC0_CYCLE, cycle.to_bytes(4, "little"))
+            slave.write(R.START_TIME, start.to_bytes(8, "little"))
+            slave.write(R.ACTIVATION, b"\3")
+
+    def refused(self, slave: RemoteSlave, index: int, subindex: int, data: bytes) -> int:
+        """The abort code of a download, 0 where it was taken."""
+        try:
+            slave.mailbox.download(index, subindex, data)
+        except SdoAbort as error:
+            return int(error.code)
+        return 0

@@ -1,0 +1,219 @@
+"""Drives on EtherCAT as a master reaches them: objects by SDO, or by process data where mapped."""
+
+import struct
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..master.port import Units
+from ..model.model import DriveModel, Object, load
+from .al import AlState
+
+LATENCY = 0.01  # s; inferred: by then a drive has seen a start bit and its status bits are new
+OUTPUTS = ("controlword", "target_position", "modes_of_operation")
+INPUTS = ("statusword", "position_actual_value", "modes_of_operation_display")
+FLEXIBLE = (0x1600, 0x1A00)  # the first PDOs that can be mapped
+ASSIGNMENTS = (0x1C12, 0x1C13)
+
+
+class SlaveSide(Protocol):
+    """One slave, as `master.RemoteSlave` or `servogym.drive.wire.soem.SoemSlave`."""
+
+    outputs: bytearray
+    inputs: bytes
+    mailbox: Any  # upload(index, subindex) and download(index, subindex, data)
+
+    @property
+    def state(self) -> AlState:
+        """State without the error bit."""
+
+    def upload(self, index: int, subindex: int = 0) -> int:
+        """A number."""
+
+    def assign(self, rpdos: Iterable[int], tpdos: Iterable[int]) -> None:
+        """PDOs of sync managers 2 and 3."""
+
+
+class SegmentMaster(Protocol):
+    """Who commands slaves: `master.EtherCatMaster`, or `servogym.drive.wire.soem.SoemMaster`."""
+
+    @property
+    def slaves(self) -> Sequence[SlaveSide]:
+        """Those that were found."""
+
+    def scan(self) -> Sequence[SlaveSide]:
+        """Find them."""
+
+    def to_preop(self) -> None:
+        """Open the mailboxes."""
+
+    def to_op(self) -> None:
+        """Process data as they are assigned."""
+
+    def cycle(self) -> bool:
+        """Exchange process data."""
+
+
+class EtherCatPort:
+    """Slaves of one segment, in OPERATIONAL.
+
+    Slaves that are in INIT or PRE_OPERATIONAL get `outputs` and `inputs` mapped; others keep what
+    they have.
+
+    Args:
+        master: of the segment: in memory, or SOEM's.
+        models: the drive model of each slave by the name it goes by, in the order of the slaves;
+            one model alone is ``slave``.
+        outputs: names of the objects in 1600h, 8 bytes at most.
+        inputs: of those in 1A00h.
+        now: time (s); that of the bus in memory if not given.
+        units: of the drives, where their factors are known.
+
+    Raises:
+        ValueError: other slaves than models, an unknown model or name.
+        RuntimeError: a slave refuses a state.
+    """
+
+    latency = LATENCY
+
+    def __init__(
+        self,
+        master: SegmentMaster,
+        models: str | Path | DriveModel | Mapping[str, str | Path | DriveModel],
+        *,
+        outputs: Sequence[str] = OUTPUTS,
+        inputs: Sequence[str] = INPUTS,
+        now: Callable[[], float] | None = None,
+        units: Units | None = None,
+    ):
+        named = models if isinstance(models, Mapping) else {"slave": models}
+        self.master = master
+        self.models = {axis: load(model, "ethercat") for axis, model in named.items()}
+        self._units = units or Units()
+        self._now = now or (lambda: master.wire.time * 1e-9)  # type: ignore[attr-defined]
+        slaves = master.slaves or master.scan()
+        if len(slaves) != len(self.models):
+            raise ValueError(f"{len(slaves)} slaves answer, {len(self.models)} models are given: "
+                             f"{', '.join(self.models)}")  # fmt: skip
+        if all(slave.state == AlState.INIT for slave in slaves):
+            master.to_preop()
+        self.nodes = {
+            axis: RemoteObjects(slave, self.models[axis])
+            for axis, slave in zip(self.models, slaves, strict=True)
+        }
+        for node in self.nodes.values():
+            if node.slave.state == AlState.PRE_OPERATIONAL:
+                node.map(outputs, inputs)
+        master.to_op()
+        for node in self.nodes.values():
+            node.find_places()
+
+    def now(self) -> float:
+        """Time (s)."""
+        return self._now()
+
+    def read(self, axis: str, name: str) -> int | float:
+        """An object (drive units), of the process data if they have it, else by SDO."""
+        return self.nodes[axis].read(name)
+
+    def upload(self, axis: str, name: str) -> int | float:
+        """An object (drive units), by SDO."""
+        return self.nodes[axis].upload(name)
+
+    def write(self, axis: str, name: str, value: int | float) -> None:
+        """Set an object (drive units), by SDO, or with the next exchange of process data."""
+        self.nodes[axis].write(name, value)
+
+    def exchange(self) -> bool:
+        """Exchange process data once; -> whether every working counter was right."""
+        return self.master.cycle()
+
+    def units(self, axis: str) -> Units:
+        """As given."""
+        return self._units
+
+
+class RemoteObjects:
+    """Reads and writes objects of one slave; `EtherCatPort` has the arguments and errors."""
+
+    def __init__(self, slave: SlaveSide, model: DriveModel):
+        self.slave = slave
+        self._rows = model.names
+        self._outputs: dict[str, int] = {}  # object -> byte of the process data
+        self._inputs: dict[str, int] = {}
+
+    def map(self, outputs: Sequence[str], inputs: Sequence[str]) -> None:
+        """Map objects to the first flexible PDOs and assign these."""
+        download = self.slave.mailbox.download
+        for index in ASSIGNMENTS:
+            download(index, 0, b"\0")
+        for pdo, names in zip(FLEXIBLE, (outputs, inputs), strict=True):
+            download(pdo, 0, b"\0")
+            for n, name in enumerate(names, 1):
+                row = self._row(name)
+                word = row.index << 16 | row.subindex << 8 | row.size * 8
+                download(pdo, n, word.to_bytes(4, "little"))
+            download(pdo, 0, bytes([len(names)]))
+        self.slave.assign([FLEXIBLE[0]], [FLEXIBLE[1]])
+
+    def find_places(self) -> None:
+        """Read what the process data carry; outputs begin with what the drive has."""
+        names = {(row.index, row.subindex): name for name, row in self._rows.items()}
+        for index, places in zip(ASSIGNMENTS, (self._outputs, self._inputs), strict=True):
+            places.clear()
+            at = 0
+            for pdo in self._list(index):
+                for word in self._list(pdo):
+                    name = names.get((word >> 16, word >> 8 & 0xFF))
+                    if name is not None:
+                        places[name] = at
+                    at += (word & 0xFF) // 8
+        for name, at in self._outputs.items():
+            row = self._row(name)
+            self.slave.outputs[at : at + row.size] = self.slave.mailbox.upload(
+                row.index, row.subindex
+            )
+
+    def _list(self, index: int) -> list[int]:
+        """The values of an array from sub-index 1 on."""
+        return [self.slave.upload(index, n + 1) for n in range(self.slave.upload(index))]
+
+    def read(self, name: str) -> int | float:
+        """An object's value (drive units), of the process data if they have it, else by SDO."""
+        at = self._inputs.get(name)
+        if at is None:
+            return self.upload(name)
+        return _code(self._row(name)).unpack_from(self.slave.inputs, at)[0]
+
+    def upload(self, name: str) -> int | float:
+        """An object's value (drive units), by SDO."""
+        row = self._row(name)
+        return _code(row).unpack(self.slave.mailbox.upload(row.index, row.subindex))[0]
+
+    def write(self, name: str, value: int | float) -> None:
+        """Set an object (drive units), in the outputs if they have it, else by SDO.
+
+        Raises:
+            ValueError: unknown name, or a value that does not fit the object's type.
+            SdoAbort: the drive refuses it.
+        """
+        row = self._row(name)
+        try:
+            data = _code(row).pack(value)
+        except struct.error as error:
+            raise ValueError(f"{name} = {value!r} is no {row.data_type}: {error}") from None
+        at = self._outputs.get(name)
+        if at is None:
+            self.slave.mailbox.download(row.index, row.subindex, data)
+        else:
+            self.slave.outputs[at : at + len(data)] = data
+
+    def _row(self, name: str) -> Object:
+        row = self._rows.get(name)
+        if row is None or not row.format:
+            raise ValueError(f"no number is called {name!r} in this drive model")
+        return row
+
+
+def _code(row: Object) -> struct.Struct:
+    return struct.Struct("<" + row.format)

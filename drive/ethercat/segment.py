@@ -1,0 +1,395 @@
+"""A segment: slaves in order, the links between their ports, and frames that pass them.
+
+Source: ESC data sheet, section I (frame processing order, loops, link detection): a frame goes
+port 0 - processing unit - port 3 - port 1 - port 2 - port 0, and a port without a link is a loop.
+`exchange` takes a frame and a time and gives the frame back; no clock, no socket, no thread.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ..kernel.record import accessible
+from .controller import esc, process_image
+from .controller.pdi import Pdi
+from .controller.process_image import ProcessImage
+from .controller.record import ENTRANCES, ESC, NEVER, PORTS, SII_BYTES, Event
+from .controller.registers import RESET, R
+
+VERSION = 1  # of the snapshot layout
+HOP = 600  # ns from one slave to the next, one way (inferred: about what an ET1100 takes)
+NEXT_PORT = {0: 3, 3: 1, 1: 2, 2: 0}
+FIRST, SECOND = -1, -2  # the master's ports, where slaves have their numbers
+NOWHERE = -3  # a frame does not come back
+SERVED = 0x7FFFFFFF & ~Event.PROCESS_DATA  # events that the services look at
+AUTO, AUTO_CLOSE, OPEN, CLOSED = range(4)  # of a port in 0101h
+ADDRESSES = ("axis", "rpdos", "tpdos")  # fields that another process has elsewhere
+CLOCKS_APART = 1_000_003_000  # ns between the local clocks of two neighbours at power-on
+
+
+class Station(Protocol):
+    """What stands behind a slave controller: the services of a drive."""
+
+    drive: Any
+    sii: bytes
+    esc: dict[int, bytes]
+
+    def attach(self, pdi: Pdi, image: ProcessImage) -> None:
+        """Take over the controller, at power-on."""
+
+    def serve(self, events: int, now: int) -> None:
+        """Answer what has happened."""
+
+    def power_on(self) -> None:
+        """Begin anew."""
+
+    @property
+    def state(self) -> Any:
+        """State of the AL state machine."""
+
+    def fail(self, code: int, state: Any = ...) -> None:
+        """Retreat to a state, SAFE_OPERATIONAL if not given, with an AL status code."""
+
+    def snapshot(self) -> bytes:
+        """All the services know."""
+
+    def restore(self, snapshot: bytes) -> None:
+        """Become what `snapshot` was."""
+
+
+class End(NamedTuple):
+    """A port of a slave, or of the master (slave -1 or -2)."""
+
+    slave: int
+    port: int
+
+
+class Segment:
+    """Slaves on a wire.
+
+    Args:
+        stations: what stands behind the slaves, in the order of their processing units.
+        hop: from one slave to the next, one way (ns).
+        links: pairs of (slave, port); a line if not given, from port 1 to port 0 of the next. The
+            master is slave -1, its second port -2.
+        ring: the last slave leads back to the master's second port (redundancy).
+        clocks: deviation of the slaves' crystals (1e-9), 0 if not given.
+
+    Raises:
+        ValueError: a link to a port that is none or has one already, a SII that does not fit.
+    """
+
+    def __init__(
+        self,
+        stations: Sequence[Station],
+        *,
+        hop: int = HOP,
+        links: Iterable[tuple[tuple[int, int], tuple[int, int]]] | None = None,
+        ring: bool = False,
+        clocks: Sequence[int] = (),
+    ):
+        self.stations = list(stations)
+        n = len(self.stations)
+        self.hop = hop
+        self.escs = np.zeros(n, accessible(ESC))
+        self.clocks = [*clocks, *[0] * (n - len(clocks))]
+        self._peer = _peers(n, _line(n, ring) if links is None else links)
+        self._broken: set[End] = set()
+        self._held: set[End] = set()  # closed until 0101h is written (AUTO_CLOSE)
+        self.exits = [FIRST, SECOND]
+        self._walks = [(np.zeros(0, np.int64), np.zeros(0, np.int64))] * ENTRANCES
+        self.frame = np.zeros(2048, np.uint8)  # that passes; `pass_frame` works on it in place
+        self._sent = np.zeros(2048, np.uint8)
+        self._touched = np.zeros(n, np.uint8)
+        self._requests: list[int] = []
+        self.pdis = [Pdi(self.escs, i) for i in range(n)]
+        self.images = [ProcessImage(self.escs, i, s.drive) for i, s in enumerate(self.stations)]
+        for i, station in enumerate(self.stations):
+            if len(station.sii) > SII_BYTES:
+                raise ValueError(f"slave {i}: its SII has {len(station.sii)} bytes, there is room "
+                                 f"for {SII_BYTES}: shorten its strings or PDOs")  # fmt: skip
+            self.escs["sii"][i, : len(station.sii)] = np.frombuffer(station.sii, np.uint8)
+            self.escs["sii_size"][i] = len(station.sii)
+            self._power_on(i, 0)
+        self._rewire()
+
+    def __len__(self) -> int:
+        return len(self.stations)
+
+    # ------------------------------------------------------------------ power
+
+    def _power_on(self, i: int, now: int) -> None:
+        """Registers as after a reset, the configuration area loaded, services at the start."""
+        record = self.escs[i]
+        sii, size = record["sii"].copy(), int(record["sii_size"])
+        self.escs[i : i + 1] = np.zeros(1, ESC)
+        record["sii"], record["sii_size"] = sii, size
+        record["memory"][: len(RESET)] = RESET
+        for address, value in self.stations[i].esc.items():
+            record["memory"][address : address + len(value)] = np.frombuffer(value, np.uint8)
+        record["clock_now"], record["clock_local"] = now, i * CLOCKS_APART
+        record["clock_ppb"], record["clock_seed"] = self.clocks[i], i + 1
+        for name in ("watchdog_at", "pdi_watchdog_at", "sync0_at", "sync1_at"):
+            record[name] = NEVER
+        record["port_time"] = -1
+        record["present"] = 1
+        esc.power_on(self.escs, i)
+        esc.configure(self.escs, i)
+        self.images[i].prepare()
+        self.stations[i].attach(self.pdis[i], self.images[i])
+        self.stations[i].power_on()
+
+    def power(self, slave: int, on: bool, now: int = 0) -> None:
+        """Switch a slave off (its neighbours lose their links) or on again; the SII is kept."""
+        if on:
+            self._power_on(slave, now)
+        self.escs["present"][slave] = on
+        self._rewire()
+
+    # ------------------------------------------------------------------ links
+
+    def break_link(self, slave: int, port: int = 1) -> None:
+        """Cut the cable at a port. Raises ValueError where there is none."""
+        here = End(slave, port)
+        there = self._peer.get(here)
+        if there is None:
+            raise ValueError(f"port {port} of slave {slave} has no cable")
+        for end in {here, there} - self._broken:
+            if end.slave >= 0:
+                lost = self.escs["memory"][end.slave]
+                lost[R.LOST_LINKS + end.port] = min(int(lost[R.LOST_LINKS + end.port]) + 1, 0xFF)
+            self._broken.add(end)
+        self._rewire()
+
+    def heal_link(self, slave: int, port: int = 1) -> None:
+        """Mend the cable at a port."""
+        here = End(slave, port)
+        self._broken -= {here, self._peer[here]}
+        self._rewire()
+
+    def _linked(self, end: End) -> bool:
+        peer = self._peer.get(end)
+        if peer is None or end in self._broken:
+            return False
+        return all(x.slave < 0 or bool(self.escs["present"][x.slave]) for x in (end, peer))
+
+    def _open(self, end: End) -> bool:
+        control = int(self.escs["memory"][end.slave, R.LOOP_CONTROL]) >> 2 * end.port & 3
+        if control == AUTO_CLOSE and end in self._held:
+            return False
+        return control == OPEN or (control != CLOSED and self._linked(end))
+
+    def _rewire(self) -> None:
+        """Look where frames go now, and tell it in 0110h."""
+        for i in range(len(self)):
+            memory = self.escs["memory"][i]
+            status = int(memory[R.DL_STATUS]) & 0x0F
+            for port in range(PORTS):
+                end = End(i, port)
+                if not self._linked(end):
+                    self._held.add(end)
+                elif int(memory[R.LOOP_CONTROL]) >> 2 * port & 3 != AUTO_CLOSE:
+                    self._held.discard(end)
+                status |= self._linked(end) << 4 + port
+                status |= (not self._open(end)) << 8 + 2 * port
+                status |= (self._linked(end) and self._open(end)) << 9 + 2 * port
+            if status != self.pdis[i].get(R.DL_STATUS, 2):
+                memory[R.ECAT_EVENT] |= 1 << 2
+                self.pdis[i].put(R.DL_STATUS, 2, status)
+        for entrance in range(ENTRANCES):
+            self._walks[entrance] = self._walk(entrance)
+
+    def _walk(self, entrance: int) -> tuple[np.ndarray, np.ndarray]:
+        """Slaves in the order of their processing units, and when a frame is there (ns)."""
+        self.escs["port_time"][:, entrance] = -1
+        slaves: list[int] = []
+        times: list[int] = []
+        start = (FIRST, SECOND)[entrance]
+        self.exits[entrance] = NOWHERE
+        begin = self._peer.get(End(start, 0))
+        if begin is None or not self._linked(begin):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        (at, port), time = begin, self.hop
+        for _ in range(4 * PORTS * (len(self) + 1)):
+            self.escs["port_time"][at, entrance, port] = time
+            while True:
+                if port == 0:
+                    slaves.append(at)
+                    times.append(time)
+                port = NEXT_PORT[port]
+                if self._open(End(at, port)):
+                    break
+            peer = self._peer.get(End(at, port))
+            if peer is None or not self._linked(End(at, port)):
+                break  # an open port without a cable swallows the frame
+            if peer.slave < 0:
+                self.exits[entrance] = peer.slave
+                break
+            (at, port), time = peer, time + self.hop
+        return np.array(slaves, np.int64), np.array(times, np.int64)
+
+    # ----------------------------------------------------------------- frames
+
+    def pass_frame(self, length: int, now: int, port: int = 0) -> bool:
+        """Let the frame in ``frame[:length]`` pass; -> whether it comes back.
+
+        It comes back at the master's port ``exits[port]``.
+        """
+        slaves, times = self._walks[port]
+        events = esc.exchange(self.escs, slaves, times, port, self.frame, length, self._sent, now)
+        if events & SERVED:
+            self.serve(now)
+        return not events & esc.NO_REPLY and self.exits[port] != NOWHERE
+
+    def exchange(self, frame: bytes, now: int, port: int = 0) -> bytes | None:
+        """Send a frame into the segment; -> what comes back of it, None for nothing.
+
+        Args:
+            frame: Ethernet frame without its check sequence.
+            now: when it is sent (ns).
+            port: of the master, 0 or 1.
+        """
+        length = len(frame)
+        if length > len(self.frame):
+            return None
+        self.frame[:length] = np.frombuffer(frame, np.uint8)
+        if not self.pass_frame(length, now, port):
+            return None
+        return self.frame[:length].tobytes()
+
+    def serve(self, now: int) -> None:
+        """Let the services of those slaves answer that have events."""
+        for i in np.flatnonzero(self.escs["events"] & SERVED).tolist():
+            events = self.pdis[i].take_events()
+            if events & Event.PORTS:
+                self._held -= {End(i, port) for port in range(PORTS)}
+                self._rewire()
+            if events & Event.MAILBOX_REQUEST:
+                self._requests.append(i)
+            if self.escs["present"][i]:
+                self.stations[i].serve(events, now)
+
+    # ------------------------------------------------------------------- time
+
+    def poll(self, now: int) -> None:
+        """Edges of SYNC0 and watchdogs that are due by `now` (ns)."""
+        if esc.poll(self.escs, now) & SERVED:
+            self.serve(now)
+
+    @property
+    def next_time(self) -> int:
+        """When `poll` has something to do next (ns)."""
+        return int(esc.next_time(self.escs))
+
+    def publish(self, now: int) -> None:
+        """Give the inputs of all drives to their sync managers, after their cycles."""
+        if process_image.publish(self.escs) & SERVED:
+            self.serve(now)
+
+    def touched(self) -> list[int]:
+        """Slaves whose process data were exchanged since the last call."""
+        if not esc.take_process_data(self.escs, self._touched):
+            return []
+        return np.flatnonzero(self._touched).tolist()
+
+    @property
+    def requested(self) -> list[int]:
+        """Slaves that got a mailbox since `take_requests`."""
+        return self._requests
+
+    def take_requests(self) -> list[int]:
+        """Slaves that got a mailbox since the last call, once for each."""
+        requests, self._requests = self._requests, []
+        return requests
+
+    def latch(self, slave: int, unit: int, rising: bool, now: int) -> None:
+        """An edge at latch input 0 or 1 of a slave (09A8h)."""
+        esc.latch(self.escs, slave, now, unit, rising)
+
+    def warm_up(self) -> None:
+        """Compile all there is, so that the first frame is answered in time."""
+        kept = self.escs.copy()
+        self.exchange(bytes(16), 0)
+        self.poll(0)
+        self.publish(0)
+        self.touched()
+        esc.next_time(self.escs)
+        if len(self):
+            self.latch(0, 0, True, 0)
+        self.escs[:] = kept
+
+    # --------------------------------------------------------------- snapshot
+
+    def snapshot(self) -> bytes:
+        """Everything the segment is, as bytes; `restore` continues bit by bit the same."""
+        wiring = f"{_text(self._broken)}\n{_text(self._held)}".encode()
+        escs = self.escs.copy()
+        for name in ADDRESSES:
+            escs[name] = 0
+        parts = [wiring, escs.tobytes()]
+        for station in self.stations:
+            parts.append(station.snapshot())
+            parts.append(station.drive.snapshot() if station.drive else b"")
+        head = [VERSION, ESC.itemsize, len(self), *(len(part) for part in parts)]
+        return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Become what `snapshot` was. Raises ValueError for one of another segment or version."""
+        head, _, body = snapshot.partition(b"\n")
+        numbers = head.split()
+        own = [VERSION, ESC.itemsize, len(self)]
+        if [*map(bytes.decode, numbers[:3])] != [*map(str, own)] or len(numbers) != 5 + 2 * len(
+            self
+        ):
+            raise ValueError(
+                f"this snapshot is {head[:60]!r}, this segment takes {own}: take a new one"
+            )
+        parts, at = [], 0
+        for size in map(int, numbers[3:]):
+            parts.append(body[at : at + size])
+            at += size
+        if at != len(body):
+            raise ValueError(f"this snapshot has {len(body)} bytes, {at} were expected")
+        wiring, escs, *stations = parts
+        self._broken, self._held = map(_ends, wiring.decode().split("\n"))
+        self.escs[:] = np.frombuffer(escs, ESC)
+        for i, station in enumerate(self.stations):
+            station.restore(stations[2 * i])
+            if station.drive:
+                station.drive.restore(stations[2 * i + 1])
+            self.images[i].prepare()
+        before = self.escs["memory"].copy()
+        self._rewire()
+        self.escs["memory"][:] = before
+
+
+def _ends(text: str) -> set[End]:
+    return {End(*map(int, end.split(":"))) for end in text.split()}
+
+
+def _text(ends: set[End]) -> str:
+    return " ".join(f"{end.slave}:{end.port}" for end in sorted(ends))
+
+
+def _line(n: int, ring: bool) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    links = [((FIRST, 0), (0, 0))] if n else []
+    links += [((i, 1), (i + 1, 0)) for i in range(n - 1)]
+    if ring and n:
+        links.append(((n - 1, 1), (SECOND, 0)))
+    return links
+
+
+def _peers(n: int, links: Iterable[tuple[tuple[int, int], tuple[int, int]]]) -> dict[End, End]:
+    peers: dict[End, End] = {}
+    for link in links:
+        ends = [End(*end) for end in link]
+        for end in ends:
+            fits = end.port == 0 if end.slave < 0 else end.port in range(PORTS)
+            if not SECOND <= end.slave < n or not fits or end in peers:
+                raise ValueError(
+                    f"link {link}: port {end.port} of slave {end.slave} does not exist or has a "
+                    "cable already"
+                )
+        peers[ends[0]], peers[ends[1]] = ends[1], ends[0]
+    return peers

@@ -1,0 +1,146 @@
+"""Limits of the motion: software position limits 607Dh and limit switches.
+
+Software limits count from the axis zero, so they act once the axis is homed (inferred; CiA 402-2
+relates them to the zero position and leaves the unreferenced axis open). Homing ignores both: it
+needs the switches. A direction that a limit stopped stays locked until the master asks for another.
+"""
+
+import math
+
+from .encoder import Switch
+from .faults import Cause, raise_fault
+from .jit import block
+from .ramps import stopping_distance
+from .record import Axis
+from .words import Limit
+
+COUNTS = 2.0**32  # of an INTEGER32
+
+
+@block
+def clamp_target(axis: Axis, target):
+    """The nearest allowed target (rad)."""
+    axis.target_wanted = target
+    return clamp(axis, target)
+
+
+@block
+def clamp(axis: Axis, place):
+    """`place` (rad) within the software limits of a homed axis."""
+    if axis.homed:
+        return min(max(place, axis.position_limit_min), axis.position_limit_max)
+    return place
+
+
+@block
+def room(axis: Axis, place, direction):
+    """Way (rad) from `place` to the software limit ahead in `direction` (any signed number)."""
+    if not axis.homed:
+        return math.inf
+    if direction > 0:
+        return axis.position_limit_max - place
+    return place - axis.position_limit_min
+
+
+@block
+def nearest_turn(axis: Axis, target, option):
+    """On a rotary axis (607Bh) the place that `target` (rad) means, counted on over the turns.
+
+    `option` is 60F2h bits 6-7: 0 stay within the range, 1 only negative, 2 only positive direction,
+    3 the shortest way. A linear axis has only one such place.
+    """
+    if axis.range <= 0.0:
+        return target
+    here = abs(axis.rad_per_position_unit) / 2  # less than that is rounding, not a way round
+    way = _on_turn(axis, target, here) - _on_turn(axis, axis.position_demand, here)
+    if option == 1 and way > here:
+        way -= axis.range
+    elif option == 2 and way < -here:
+        way += axis.range
+    elif option == 3:
+        way -= axis.range * math.floor(way / axis.range + 0.5)
+    return axis.position_demand + way
+
+
+@block
+def _on_turn(axis: Axis, place, here):
+    """A place as one from 0 to the range, where what lies just before the range is 0 as well."""
+    place -= axis.range_min
+    return place - axis.range * math.floor((place + here) / axis.range)
+
+
+@block
+def nearest_count(axis: Axis, target):
+    """The place nearest to the demand that a cyclic `target` (rad) can mean.
+
+    A position is an INTEGER32 that counts on over its end: a target behind it is the next one. With
+    607Bh it counts on over the turns.
+    """
+    if axis.range > 0.0:
+        return nearest_turn(axis, target, 3)
+    whole = COUNTS * abs(axis.rad_per_position_unit)
+    return target - whole * math.floor((target - axis.position_demand) / whole + 0.5)
+
+
+@block
+def show_clamped(axis: Axis):
+    """Say which software limit holds the present target back, as long as it does."""
+    if axis.homed and axis.target_wanted > axis.position_limit_max:
+        axis.limits |= Limit.SOFTWARE_POSITION_MAX
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
+    elif axis.homed and axis.target_wanted < axis.position_limit_min:
+        axis.limits |= Limit.SOFTWARE_POSITION_MIN
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MIN)
+
+
+@block
+def at_switch(axis: Axis, direction):
+    """Whether the limit switch on the way of `direction` (any signed number) is active."""
+    if direction > 0 and axis.switches & Switch.POSITIVE_LIMIT:
+        axis.limits |= Limit.POSITIVE_LIMIT_SWITCH
+        raise_fault(axis, Cause.POSITIVE_BLOCKED)
+        return True
+    if direction < 0 and axis.switches & Switch.NEGATIVE_LIMIT:
+        axis.limits |= Limit.NEGATIVE_LIMIT_SWITCH
+        raise_fault(axis, Cause.NEGATIVE_BLOCKED)
+        return True
+    return False
+
+
+@block
+def locked(axis: Axis, goal, deceleration, jerk):
+    """Whether a velocity demand has to brake: a switch or a software limit is ahead.
+
+    `goal` is the velocity wanted (rad/s); it can stop at `deceleration` with `jerk`. The lock holds
+    until another direction is asked for.
+    """
+    if goal * axis.blocked <= 0.0:
+        axis.blocked = 0
+    way = goal if goal != 0.0 else axis.velocity_demand
+    if at_switch(axis, way) or _before_software_limit(axis, way, deceleration, jerk):
+        axis.blocked = 1 if way > 0 else -1
+    return axis.blocked != 0
+
+
+@block
+def _before_software_limit(axis: Axis, direction, deceleration, jerk):
+    """Whether the axis must brake now to stop at the software limit ahead in `direction`.
+
+    Two cycles pass until it does, in which the acceleration may still grow.
+    """
+    if not axis.homed:
+        return False
+    sign = 1.0 if direction > 0 else -1.0
+    delay = 2 * axis.position_period
+    acceleration = axis.acceleration_demand * sign + jerk[0] * delay
+    speed = max(axis.velocity_demand * sign + max(acceleration, 0.0) * delay, 0.0)
+    path = speed * delay + stopping_distance(axis, speed, acceleration, deceleration, jerk)
+    if path < room(axis, axis.position, direction):
+        return False
+    if direction > 0:
+        axis.limits |= Limit.SOFTWARE_POSITION_MAX
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
+    else:
+        axis.limits |= Limit.SOFTWARE_POSITION_MIN
+        raise_fault(axis, Cause.SOFTWARE_LIMIT_MIN)
+    return True

@@ -1,0 +1,159 @@
+"""Modes of operation: which one is active, and what it asks the cascade to do.
+
+Each mode is a file with three functions on the record: `start` takes the demand over where the last
+owner left it, `demand` makes the demand of one position cycle, `status` its statusword bits.
+"""
+
+from .. import brake, homing, stop
+from ..cascade import energised
+from ..homing import HomingError
+from ..jit import block
+from ..ramps import rest
+from ..stop import Stop
+from ..words import Controlword, Mode, State
+from . import csp, cst, csv, hm, ip, pp, pv, tq, vl
+
+HIGHEST_MODE = max(Mode)
+
+
+@block
+def demand(axis):
+    """Select the mode, obey halt and stops, and let the mode make its demand."""
+    controlword = int(axis.od.controlword)
+    _select(axis)
+    bit4 = 1 if controlword & Controlword.NEW_SET_POINT else 0
+    if not energised(axis):
+        rest(axis)
+        homing.abandon(axis, HomingError.INTERRUPTED)
+        pp.forget(axis)
+        axis.mode_started = 0
+        axis.synchronised = 0
+        axis.halted = 0
+    else:
+        _halt(axis, controlword)
+        if axis.state != State.OPERATION_ENABLED:
+            pp.forget(axis)
+        elif axis.mode == Mode.PROFILE_POSITION:
+            pp.handshake(axis, controlword, bit4)
+        if axis.mode == Mode.INTERPOLATED_POSITION:
+            ip.receive(axis)
+        if axis.stop != Stop.NONE:
+            homing.abandon(axis, HomingError.INTERRUPTED)
+            stop.demand(axis)
+        elif not brake.waits(axis):
+            _demand_of_mode(axis, bit4)
+        elif axis.mode == Mode.HOMING:
+            bit4 = 0  # the start is seen when the brake has let go
+    axis.bit4 = bit4
+    if axis.sync:
+        axis.synchronised = axis.mode_started
+        axis.silence = 0
+    axis.sync = 0
+    axis.last_target_position = axis.target_position
+    axis.last_ip_data = axis.ip_data
+
+
+@block
+def _select(axis):
+    """Follow 6060h to a supported mode; anything else leaves the mode as it is."""
+    requested = int(axis.od.modes_of_operation)
+    if requested == axis.mode or not 0 < requested <= HIGHEST_MODE:
+        return
+    if axis.supported_modes >> (requested - 1) & 1:
+        axis.mode = requested
+        axis.mode_started = 0
+        homing.abandon(axis, HomingError.INTERRUPTED)
+        pp.forget(axis)
+
+
+@block
+def _halt(axis, controlword):
+    """Controlword bit 8 (halt option code 605Dh), where device control has no stop of its own."""
+    halt = 1 if controlword & Controlword.HALT else 0
+    if axis.state == State.OPERATION_ENABLED and axis.pending_transition == 0:
+        by_slope = axis.halt_ends_job and axis.mode == Mode.PROFILE_TORQUE
+        if halt and axis.stop == Stop.NONE and not by_slope:
+            stop.begin(axis, stop.OPTION_STOP[stop.option(axis.od.halt_option_code)])
+            if axis.halt_ends_job:
+                pp.forget(axis)
+                homing.abandon(axis, HomingError.HALTED)
+        elif not halt and axis.halted:
+            stop.begin(axis, Stop.NONE)
+            axis.mode_started = 0
+        axis.halted = halt
+
+
+@block
+def _demand_of_mode(axis, bit4):
+    starting = not axis.mode_started
+    axis.mode_started = 1
+    if axis.mode == Mode.PROFILE_POSITION:
+        if starting:
+            pp.start(axis)
+        pp.demand(axis)
+    elif axis.mode == Mode.PROFILE_VELOCITY:
+        if starting:
+            pv.start(axis)
+        pv.demand(axis)
+    elif axis.mode == Mode.HOMING:
+        if starting:
+            hm.start(axis)
+        hm.demand(axis, bit4)
+    elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
+        if starting:
+            csp.start(axis)
+        csp.demand(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_VELOCITY:
+        if starting:
+            csv.start(axis)
+        csv.demand(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_TORQUE:
+        if starting:
+            cst.start(axis)
+        cst.demand(axis)
+    elif axis.mode == Mode.PROFILE_TORQUE:
+        if starting:
+            tq.start(axis)
+        tq.demand(axis)
+    elif axis.mode == Mode.INTERPOLATED_POSITION:
+        if starting:
+            ip.start(axis)
+        ip.demand(axis, bit4)
+    elif axis.mode == Mode.VELOCITY:
+        if starting:
+            vl.start(axis)
+        vl.demand(axis)
+    else:
+        axis.velocity_demand = 0.0  # no mode selected: hold
+
+
+@block
+def status(axis):
+    """Statusword bits 10, 12 and 13 of the active mode.
+
+    In QUICK_STOP_ACTIVE bit 10 says in every mode that the stop is over (CiA 402-2, statusword).
+    """
+    if axis.mode == Mode.PROFILE_POSITION:
+        pp.status(axis)
+    elif axis.mode == Mode.PROFILE_VELOCITY:
+        pv.status(axis)
+    elif axis.mode == Mode.HOMING:
+        hm.status(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
+        csp.status(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_VELOCITY:
+        csv.status(axis)
+    elif axis.mode == Mode.CYCLIC_SYNC_TORQUE:
+        cst.status(axis)
+    elif axis.mode == Mode.PROFILE_TORQUE:
+        tq.status(axis)
+    elif axis.mode == Mode.INTERPOLATED_POSITION:
+        ip.status(axis)
+    elif axis.mode == Mode.VELOCITY:
+        vl.status(axis)
+    else:
+        axis.mode_bit10 = 0
+        axis.mode_bit12 = 0
+        axis.mode_bit13 = 0
+    if axis.state == State.QUICK_STOP_ACTIVE:
+        axis.mode_bit10 = axis.standstill

@@ -1,0 +1,351 @@
+"""Setpoint generators: one profile of constant-jerk segments for moves, ramps and stops.
+
+A profile starts from the present demand (position, velocity, acceleration), whatever it is, and is
+travelled in closed form, so it ends exactly where and when planned.
+
+The one building block is the ramp: the quickest change from (velocity, acceleration) to (goal, 0).
+Along constant jerk the square of the acceleration is linear in the velocity, a²/2 = j · v, so a
+ramp is a trapezoid in that plane: up at the jerk that begins it, along the limit, down at the jerk
+that ends it. Growing and shrinking speed have limits and jerks of their own, so the plane is cut at
+velocity 0, and a ramp through it is two such trapezoids with the acceleration that both can take.
+No jerk limit is an infinite jerk.
+
+A move follows the ramp to the profile velocity until the ramp to the end velocity, begun there,
+ends at the target: where that is follows by bisection, because the distance is continuous in it.
+What starts behind its target, or too fast for it, does the same the other way round. With equal
+limits that is time-optimal from any state.
+"""
+
+import math
+
+from .cascade import Control
+from .jit import block
+from .record import SEGMENTS, Axis
+
+BISECTIONS = 200  # ends earlier, when the interval no longer shrinks
+# begin of acceleration, begin of deceleration, end of acceleration, end of deceleration: the order
+# of 60A4h
+UP, DOWN, QUICK_STOP = 0, 1, 2  # slopes of vl
+NO_JERK_LIMIT = (0.0, 0.0, 0.0, 0.0)
+UNSTORED = SEGMENTS  # a ramp that begins there only counts its distance
+
+
+@block
+def profile_jerk(axis: Axis):
+    """The jerk limits of the profile (rad/s³), all 0 for a trapezoid."""
+    return axis.jerk[0], axis.jerk[1], axis.jerk[2], axis.jerk[3]
+
+
+@block
+def _or_infinite(jerk):
+    return jerk if jerk > 0.0 else math.inf
+
+
+@block
+def _limits(acceleration, deceleration, jerk):
+    """What a ramp may use: both limits, then the four jerks, infinite where there is none."""
+    return (
+        acceleration,
+        deceleration,
+        _or_infinite(jerk[0]),
+        _or_infinite(jerk[1]),
+        _or_infinite(jerk[2]),
+        _or_infinite(jerk[3]),
+    )
+
+
+@block
+def _segment(axis: Axis, n, x, v, duration, a, jerk):
+    """Travel one segment from (x, v) at the acceleration `a`; -> (n, x, v) behind it."""
+    if not duration > 0.0:
+        return n, x, v
+    if n < SEGMENTS:
+        axis.segment_duration[n] = duration
+        axis.segment_acceleration[n] = a
+        axis.segment_jerk[n] = jerk
+    x += (v + (a / 2 + jerk * duration / 6) * duration) * duration
+    return n + 1, x, v + (a + jerk * duration / 2) * duration
+
+
+@block
+def _release(axis: Axis, n, x, v, a, limits):
+    """Take the acceleration away at once; -> (n, x, v)."""
+    sign, size = math.copysign(1.0, a), abs(a)
+    end = limits[4]
+    if v * sign < 0.0:  # slows down
+        end = limits[5]
+        left = size * size - 2 * end * abs(v)  # of a², where the velocity would be 0
+        if left > 0.0:
+            at_zero = math.sqrt(left)
+            n, x, v = _segment(axis, n, x, v, (size - at_zero) / end, a, -sign * end)
+            v, size, end = 0.0, at_zero, limits[4]
+    return _segment(axis, n, x, v, size / end, sign * size, -sign * end)
+
+
+@block
+def _trapezoid(axis: Axis, n, x, v, change, sign, first, last, limit, begin, end):
+    """Change the velocity by `sign` · `change` on one side of 0; -> (n, x, v).
+
+    The acceleration is `first` before it and `last` behind it, both magnitudes.
+    """
+    peak = limit
+    play = 1 / begin + 1 / end
+    if play > 0.0:
+        square = (2 * change + first * first / begin + last * last / end) / play
+        peak = min(peak, math.sqrt(max(square, 0.0)))
+    peak = max(peak, last)  # which is above the limit only if `first` is
+    rise = begin if peak >= first else -end  # more than the limit is taken back
+    used = (peak * peak - first * first) / (2 * rise) + (peak * peak - last * last) / (2 * end)
+    hold = max(change - used, 0.0) / peak if peak >= limit else 0.0
+    n, x, v = _segment(axis, n, x, v, (peak - first) / rise, sign * first, sign * rise)
+    n, x, v = _segment(axis, n, x, v, hold, sign * peak, 0.0)
+    return _segment(axis, n, x, v, (peak - last) / end, sign * peak, -sign * end)
+
+
+@block
+def _ramp(axis: Axis, n, x, v, a, goal, limits):
+    """The quickest change from (v, a) to (goal, 0); -> (n, x) behind it."""
+    released, x_released, v_released = _release(axis, n, x, v, a, limits)
+    sign = 1.0 if goal >= v_released else -1.0
+    first = abs(a)
+    if a * sign <= 0.0:
+        n, x, v, first = released, x_released, v_released, 0.0
+    if v * sign < 0.0:
+        last, change = 0.0, sign * (goal - v)
+        if goal * sign > 0.0:
+            change = abs(v)
+            most = math.sqrt(first * first + 2 * limits[3] * change)
+            least = math.sqrt(max(first * first - 2 * limits[5] * change, 0.0))
+            last = min(limits[0], limits[1], most, math.sqrt(2 * limits[4] * abs(goal)))
+            last = max(last, least)
+        n, x, v = _trapezoid(
+            axis, n, x, v, change, sign, first, last, limits[1], limits[3], limits[5]
+        )
+        if goal * sign <= 0.0:
+            return n, x
+        v, first = 0.0, last
+    change = sign * (goal - v)
+    n, x, v = _trapezoid(axis, n, x, v, change, sign, first, 0.0, limits[0], limits[2], limits[4])
+    return n, x
+
+
+@block
+def _begin(axis: Axis, n, end_velocity):
+    axis.segments = n
+    axis.segment = 0
+    axis.segment_time = 0.0
+    axis.segment_position = axis.position_demand
+    axis.segment_velocity = axis.velocity_demand
+    axis.profile_end_velocity = end_velocity
+    axis.profile_done = 0
+
+
+@block
+def vl_rate(axis: Axis, n, direction):
+    """Slope of vl (rad/s²) in a direction: `UP`, `DOWN` or `QUICK_STOP`."""
+    if direction < 0.0:
+        return axis.vl_anticlockwise[n]
+    return (axis.vl_acceleration, axis.vl_deceleration, axis.vl_quick_stop)[n]
+
+
+@block
+def plan_velocity(axis: Axis, velocity, acceleration, deceleration, jerk):
+    """Plan a change of the demand velocity to `velocity` (rad/s); `jerk`: as `profile_jerk`."""
+    limits = _limits(acceleration, deceleration, jerk)
+    v, a = axis.velocity_demand, axis.acceleration_demand
+    n, _ = _ramp(axis, 0, 0.0, v, a, velocity, limits)
+    axis.profile_to_position = 0
+    _begin(axis, n, velocity)
+
+
+@block
+def stopping_distance(axis: Axis, v, a, deceleration, jerk):
+    """Signed way (rad) of the quickest stop from (v, a) (rad/s, rad/s²); plans nothing."""
+    limits = _limits(deceleration, deceleration, jerk)
+    return _ramp(axis, UNSTORED, 0.0, v, a, 0.0, limits)[1]
+
+
+@block
+def _stops_within(axis: Axis, room, speed, deceleration, jerk):
+    """Whether a speed can stop within `room` (rad), from the cycle after this one on."""
+    path = stopping_distance(axis, speed, 0.0, deceleration, jerk)
+    return path + speed * axis.position_period <= room
+
+
+@block
+def _fastest_within(axis: Axis, room, speed, deceleration, jerk):
+    """The highest speed (rad/s) up to `speed` that can stop within `room`."""
+    if _stops_within(axis, room, speed, deceleration, jerk):
+        return speed
+    low, high = 0.0, speed
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        if _stops_within(axis, room, middle, deceleration, jerk):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@block
+def _reachable(axis: Axis, distance, v, a, wanted, limits):
+    """The end velocity next to `wanted` with which `distance` can be passed without turning round.
+
+    0 where the axis cannot but pass the target and come back.
+    """
+    if wanted == 0.0 or distance == 0.0:
+        return 0.0
+    way = math.copysign(1.0, distance)
+    if (distance - _ramp(axis, UNSTORED, 0.0, v, a, wanted, limits)[1]) * way >= 0.0:
+        return wanted
+    _, _, released = _release(axis, UNSTORED, 0.0, v, a, limits)
+    low, high = way * max(way * released, 0.0), wanted
+    if (distance - _ramp(axis, UNSTORED, 0.0, v, a, low, limits)[1]) * way < 0.0:
+        return 0.0
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        if (distance - _ramp(axis, UNSTORED, 0.0, v, a, middle, limits)[1]) * way >= 0.0:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@block
+def plan_position(axis: Axis, target, speed, end_speed, room, acceleration, deceleration, jerk):
+    """Plan a move of the demand to `target` (rad) at up to `speed` (rad/s).
+
+    The target is passed at `end_speed` in the direction of the move, or at what can be reached
+    without a run-up and can stop within `room` (rad) behind it. All limits are magnitudes, `jerk`
+    is four of them as `profile_jerk` gives.
+    """
+    limits = _limits(acceleration, deceleration, jerk)
+    distance = target - axis.position_demand
+    v, a = axis.velocity_demand, axis.acceleration_demand
+    asked = end = 0.0
+    if end_speed > 0.0:
+        asked = _fastest_within(axis, room, min(end_speed, speed), deceleration, jerk)
+        asked = math.copysign(asked, distance)
+        end = _reachable(axis, distance, v, a, asked, limits)
+        if not _stops_within(axis, room, abs(end), deceleration, jerk):
+            end = 0.0
+    n, x = _ramp(axis, 0, 0.0, v, a, end, limits)
+    if x != distance and (end == asked or end == 0.0):
+        n, x = _plan_over(axis, distance, math.copysign(speed, distance - x), end, limits)
+    if (distance - x) * end > 0.0:  # what rounding left
+        n, x, _ = _segment(axis, n, x, end, (distance - x) / end, 0.0, 0.0)
+    axis.profile_to_position = 1
+    axis.profile_position = target
+    _begin(axis, n, end)
+
+
+@block
+def _plan_over(axis: Axis, distance, cruise, end, limits):
+    """Follow the ramp to `cruise` as long as the ramp to `end` does not lead beyond `distance`.
+
+    -> (n, x) at the end of both, as `_ramp`.
+    """
+    way = math.copysign(1.0, cruise)
+    x, v, a = 0.0, axis.velocity_demand, axis.acceleration_demand
+    ramp, x_cruise = _ramp(axis, 0, 0.0, v, a, cruise, limits)
+    left = distance - _ramp(axis, UNSTORED, x_cruise, cruise, 0.0, end, limits)[1]
+    if left * way >= 0.0:
+        pause = left / cruise if cruise != 0.0 else math.inf
+        n, x, _ = _segment(axis, ramp, x_cruise, cruise, pause, 0.0, 0.0)
+        return _ramp(axis, n, x, cruise, 0.0, end, limits)
+    i, low, high, jerk = 0, 0.0, 0.0, 0.0
+    for i in range(ramp):
+        a, jerk, high = axis.segment_acceleration[i], axis.segment_jerk[i], axis.segment_duration[i]
+        _, x_end, v_end = _segment(axis, UNSTORED, x, v, high, a, jerk)
+        behind = _ramp(axis, UNSTORED, x_end, v_end, a + jerk * high, end, limits)[1]
+        if (distance - behind) * way <= 0.0:
+            break
+        x, v = x_end, v_end
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        _, x_end, v_end = _segment(axis, UNSTORED, x, v, middle, a, jerk)
+        behind = _ramp(axis, UNSTORED, x_end, v_end, a + jerk * middle, end, limits)[1]
+        if (distance - behind) * way > 0.0:
+            low = middle
+        else:
+            high = middle
+    n, x, v = _segment(axis, i, x, v, low, a, jerk)
+    return _ramp(axis, n, x, v, a + jerk * low, end, limits)
+
+
+@block
+def duration(axis: Axis):
+    """Time the planned profile takes (s)."""
+    total = 0.0
+    for i in range(axis.segments):
+        total += axis.segment_duration[i]
+    return total
+
+
+@block
+def advance(axis: Axis):
+    """Move the demand along the profile by one position cycle."""
+    t = axis.segment_time + axis.position_period
+    while axis.segment < axis.segments and t >= axis.segment_duration[axis.segment]:
+        i = axis.segment
+        d, a, j = axis.segment_duration[i], axis.segment_acceleration[i], axis.segment_jerk[i]
+        axis.segment_position += (axis.segment_velocity + (a / 2 + j * d / 6) * d) * d
+        axis.segment_velocity += (a + j * d / 2) * d
+        axis.segment += 1
+        t -= d
+    if axis.segment >= axis.segments:
+        if not axis.profile_done:
+            axis.profile_done = 1
+            axis.segment_velocity = axis.profile_end_velocity
+            if axis.profile_to_position:
+                axis.segment_position = axis.profile_position
+        axis.segment_position += axis.segment_velocity * t
+        axis.segment_time = 0.0
+        axis.position_demand = axis.segment_position
+        axis.velocity_demand = axis.segment_velocity
+        axis.acceleration_demand = 0.0
+        return
+    axis.segment_time = t
+    i = axis.segment
+    a, j = axis.segment_acceleration[i], axis.segment_jerk[i]
+    axis.position_demand = (
+        axis.segment_position + (axis.segment_velocity + (a / 2 + j * t / 6) * t) * t
+    )
+    axis.velocity_demand = axis.segment_velocity + (a + j * t / 2) * t
+    axis.acceleration_demand = a + j * t
+
+
+@block
+def rest(axis: Axis):
+    """Let the demand follow the axis, as long as nothing is controlled."""
+    axis.control = Control.POSITION
+    axis.position_demand = axis.position
+    axis.velocity_demand = 0.0
+    axis.acceleration_demand = 0.0
+    axis.torque_demand = 0.0
+    axis.target = axis.position
+    axis.target_wanted = axis.position
+    axis.segments = 0
+    axis.segment = 0
+    axis.segment_position = axis.position
+    axis.segment_velocity = 0.0
+    axis.profile_done = 1
+
+
+@block
+def close_position_loop(axis: Axis):
+    """Take the axis over into position control without a jump, from whatever loop was closed."""
+    if axis.control == Control.POSITION:
+        return
+    if axis.control == Control.TORQUE:
+        axis.velocity_demand = axis.velocity
+        axis.acceleration_demand = 0.0
+    # this cycle's demand comes one step later, so begin one step behind
+    axis.position_demand = axis.position - axis.velocity_demand * axis.position_period
+    axis.control = Control.POSITION

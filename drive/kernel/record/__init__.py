@@ -1,0 +1,52 @@
+"""AXIS: one servo axis as one record. Every parameter, state, input and output is a named field.
+
+The record has two halves, and each quantity lives in exactly one of them:
+
+``od``
+    the object dictionary's variables, in *drive units* and in the CiA 301 type of their object
+    (``od.target_position`` is an INTEGER32 in position units). SDO and PDO move these bytes
+    and nothing else.
+everything else
+    what the control cycle works on, in SI units at the motor shaft (rad, rad/s, Nm, s), and the
+    counters, which are whole cycles.
+
+`__init__.pyi` says all fields as types, for editors and mypy: `axis: Axis` completes `axis.od.`;
+``make stub`` writes it from the tables here.
+
+`factors` is the only place that converts between the halves. Reset is an assignment, a snapshot
+is a copy of the bytes, many drives are an array, and two drives cannot share hidden state.
+"""
+
+import numpy as np
+
+from .fields import FIELDS, IP_RECORDS, KINDS, OWN_STORED, SEGMENTS, SET_POINTS, STORED
+from .variables import FAULT_CAUSES, HISTORY, MAIN_FAULTS, OBJECTS, VENDOR_BYTES
+
+__all__ = [
+    "AXIS", "FAULT_CAUSES", "FIELDS", "HISTORY", "IP_RECORDS", "KINDS", "MAIN_FAULTS", "OBJECTS",
+    "OD", "OWN_STORED", "SEGMENTS", "SET_POINTS", "STORED", "UNITS", "VENDOR_BYTES", "Axis",
+    "Objects", "accessible", "make",
+]  # fmt: skip
+
+Axis = Objects = np.record  # types of a record and of its `od`: see __init__.pyi
+
+
+def _dtype(rows):
+    return [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind, _, _ in rows]
+
+
+OD = np.dtype(_dtype(OBJECTS), align=True)
+AXIS = np.dtype([("od", OD), *_dtype(FIELDS)], align=True)
+UNITS = {f"od.{name}": unit for name, _, unit, _ in OBJECTS} | {
+    name: unit for name, _, unit, _ in FIELDS
+}
+
+
+def accessible(dtype: np.dtype) -> np.dtype:
+    """The same dtype, whose elements have their fields as attributes, as the kernel needs them."""
+    return np.dtype((np.record, dtype))
+
+
+def make(n: int) -> np.ndarray:
+    """Records of `n` axes, all zero, shape ``(n,)``; `model.DriveModel.reset` fills them."""
+    return np.zeros(n, accessible(AXIS))

@@ -1,0 +1,259 @@
+"""Controlword, statusword, states, modes and limits: bits by name, one table each.
+
+Sources: CiA 402-2 / IEC 61800-7-201, device control (states, commands, statusword patterns) and
+the mode chapters (bits 4-6, 8-9 of the controlword, 10, 12, 13 of the statusword).
+"""
+
+from enum import IntEnum
+
+
+class State(IntEnum):
+    """The eight states of the CiA 402 device control."""
+
+    NOT_READY_TO_SWITCH_ON = 0
+    SWITCH_ON_DISABLED = 1
+    READY_TO_SWITCH_ON = 2
+    SWITCHED_ON = 3
+    OPERATION_ENABLED = 4
+    QUICK_STOP_ACTIVE = 5
+    FAULT_REACTION_ACTIVE = 6
+    FAULT = 7
+
+
+# statusword pattern: state -> (mask, value), bits 0-3, 5, 6
+STATE_PATTERN = {
+    State.NOT_READY_TO_SWITCH_ON: (0x4F, 0x00),
+    State.SWITCH_ON_DISABLED: (0x4F, 0x40),
+    State.READY_TO_SWITCH_ON: (0x6F, 0x21),
+    State.SWITCHED_ON: (0x6F, 0x23),
+    State.OPERATION_ENABLED: (0x6F, 0x27),
+    State.QUICK_STOP_ACTIVE: (0x6F, 0x07),
+    State.FAULT_REACTION_ACTIVE: (0x4F, 0x0F),
+    State.FAULT: (0x4F, 0x08),
+}
+
+
+class Command(IntEnum):
+    """Device control commands, in the order of their rows in the standard."""
+
+    NONE = 0
+    SHUTDOWN = 1
+    SWITCH_ON = 2  # the same pattern is DISABLE_OPERATION in OPERATION_ENABLED
+    ENABLE_OPERATION = 3
+    DISABLE_VOLTAGE = 4
+    QUICK_STOP = 5
+    FAULT_RESET = 6
+
+
+class Mode(IntEnum):
+    """Modes of operation 6060h."""
+
+    NONE = 0
+    PROFILE_POSITION = 1
+    VELOCITY = 2
+    PROFILE_VELOCITY = 3
+    PROFILE_TORQUE = 4
+    HOMING = 6
+    INTERPOLATED_POSITION = 7
+    CYCLIC_SYNC_POSITION = 8
+    CYCLIC_SYNC_VELOCITY = 9
+    CYCLIC_SYNC_TORQUE = 10
+
+
+MODE_ABBREVIATION = {
+    Mode.NONE: "-",
+    Mode.PROFILE_POSITION: "pp",
+    Mode.VELOCITY: "vl",
+    Mode.PROFILE_VELOCITY: "pv",
+    Mode.PROFILE_TORQUE: "tq",
+    Mode.HOMING: "hm",
+    Mode.INTERPOLATED_POSITION: "ip",
+    Mode.CYCLIC_SYNC_POSITION: "csp",
+    Mode.CYCLIC_SYNC_VELOCITY: "csv",
+    Mode.CYCLIC_SYNC_TORQUE: "cst",
+}
+
+
+class Controlword(IntEnum):
+    """Bit masks of 6040h."""
+
+    SWITCH_ON = 0x0001
+    ENABLE_VOLTAGE = 0x0002
+    QUICK_STOP = 0x0004  # 0 stops
+    ENABLE_OPERATION = 0x0008
+    NEW_SET_POINT = 0x0010  # pp; start of homing in hm, enable ip in ip, enable ramp in vl
+    CHANGE_SET_IMMEDIATELY = 0x0020  # pp; unlock ramp in vl
+    RELATIVE = 0x0040  # pp; reference ramp in vl
+    FAULT_RESET = 0x0080
+    HALT = 0x0100
+    CHANGE_ON_SET_POINT = 0x0200  # pp
+
+
+class Statusword(IntEnum):
+    """Bit masks of 6041h."""
+
+    READY_TO_SWITCH_ON = 0x0001
+    SWITCHED_ON = 0x0002
+    OPERATION_ENABLED = 0x0004
+    FAULT = 0x0008
+    VOLTAGE_ENABLED = 0x0010
+    QUICK_STOP = 0x0020  # 0 = quick stop is active
+    SWITCH_ON_DISABLED = 0x0040
+    WARNING = 0x0080
+    MANUFACTURER_8 = 0x0100
+    REMOTE = 0x0200
+    TARGET_REACHED = 0x0400
+    INTERNAL_LIMIT_ACTIVE = 0x0800
+    MODE_12 = 0x1000
+    MODE_13 = 0x2000
+    MANUFACTURER_14 = 0x4000
+    MANUFACTURER_15 = 0x8000
+
+
+class Limit(IntEnum):
+    """Why statusword bit 11 is set: bits of `AXIS.limits` and of object 2011h."""
+
+    TORQUE = 0x01
+    SPEED = 0x02
+    SOFTWARE_POSITION_MIN = 0x04
+    SOFTWARE_POSITION_MAX = 0x08
+    NEGATIVE_LIMIT_SWITCH = 0x10
+    POSITIVE_LIMIT_SWITCH = 0x20
+    I2T = 0x40
+    VELOCITY_AMOUNT = 0x80  # vl velocity min max amount 6046h
+
+
+class SetPointSource(IntEnum):
+    """What the ramp of the velocity mode follows: `AXIS.od.vl_setpoint_source`."""
+
+    BUS = 0  # 6042h
+    INTERNAL = 1
+    SUM = 2
+
+
+class Compatibility(IntEnum):
+    """Bits of 6510h:F0h, Festo CMMP-AS 5.2 and Metronix ARS 2000 6.2."""
+
+    HOMING_METHOD_SCHEME = 0x05  # bits 0 and 2 mirror each other
+    RESPONSE_AFTER_SAVE = 0x10
+    HOMING_TO_ZERO = 0x40
+    DEVICE_CONTROL = 0x80
+
+
+class ManufacturerStatus(IntEnum):
+    """Bits of 2000h:01, Festo CMMP-AS 6.1.5."""
+
+    IS_REFERENCED = 0x1
+    COMMUTATION_VALID = 0x2
+    READY_FOR_ENABLE = 0x4
+
+
+# statusword bits 10, 12, 13 by mode (mode chapters of CiA 402-2)
+MODE_BITS = {
+    Mode.PROFILE_POSITION: ("target_reached", "set_point_acknowledge", "following_error"),
+    Mode.VELOCITY: ("target_reached", "", ""),
+    Mode.PROFILE_VELOCITY: ("target_reached", "speed_is_zero", "max_slippage_error"),
+    Mode.PROFILE_TORQUE: ("target_reached", "", ""),
+    Mode.HOMING: ("target_reached", "homing_attained", "homing_error"),
+    Mode.INTERPOLATED_POSITION: ("target_reached", "ip_mode_active", ""),
+    Mode.CYCLIC_SYNC_POSITION: ("", "drive_follows_command", "following_error"),
+    Mode.CYCLIC_SYNC_VELOCITY: ("", "drive_follows_command", ""),
+    Mode.CYCLIC_SYNC_TORQUE: ("", "drive_follows_command", ""),
+}
+
+# controlword bit 4 by mode
+BIT_4 = {
+    Mode.PROFILE_POSITION: "new_set_point",
+    Mode.VELOCITY: "enable_ramp",
+    Mode.HOMING: "homing_operation_start",
+    Mode.INTERPOLATED_POSITION: "enable_ip_mode",
+}
+
+
+def command_of(controlword: int) -> Command:
+    """The device control command in bits 0-3 of a controlword (without the fault reset edge)."""
+    return Command(COMMANDS[controlword & 0x0F])
+
+
+def state_of(statusword: int) -> State | None:
+    """The state a statusword shows, None where it fits no pattern of the standard."""
+    for state, (mask, value) in STATE_PATTERN.items():
+        if statusword & mask == value:
+            return state
+    return None
+
+
+def decode_statusword(statusword: int, mode: int = 0) -> list[str]:
+    """Names of what a statusword says: the state first, then every set bit outside the pattern.
+
+    Bits 10, 12 and 13 carry the name they have in `mode` (6061h).
+    """
+    state = state_of(statusword)
+    names = [state.name if state is not None else "INVALID"]
+    ten, twelve, thirteen = MODE_BITS.get(mode, ("", "", ""))  # type: ignore[call-overload]
+    for mask, name in (
+        (Statusword.VOLTAGE_ENABLED, "voltage_enabled"),
+        (Statusword.WARNING, "warning"),
+        (Statusword.MANUFACTURER_8, "manufacturer_8"),
+        (Statusword.REMOTE, "remote"),
+        (Statusword.TARGET_REACHED, ten or "bit_10"),
+        (Statusword.INTERNAL_LIMIT_ACTIVE, "internal_limit_active"),
+        (Statusword.MODE_12, twelve or "bit_12"),
+        (Statusword.MODE_13, thirteen or "bit_13"),
+        (Statusword.MANUFACTURER_14, "manufacturer_14"),
+        (Statusword.MANUFACTURER_15, "manufacturer_15"),
+    ):
+        if statusword & mask:
+            names.append(name)
+    return names
+
+
+def decode_controlword(controlword: int, mode: int = 0) -> list[str]:
+    """Names of what a controlword asks for: the command first, then every further set bit."""
+    names = [command_of(controlword).name]
+    pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
+    for mask, name in (
+        (Controlword.NEW_SET_POINT, BIT_4.get(mode)),  # type: ignore[call-overload]
+        (
+            Controlword.CHANGE_SET_IMMEDIATELY,
+            "change_set_immediately" if pp else "unlock_ramp" if vl else None,
+        ),
+        (Controlword.RELATIVE, "relative" if pp else "reference_ramp" if vl else None),
+        (Controlword.FAULT_RESET, "fault_reset"),
+        (Controlword.HALT, "halt"),
+        (Controlword.CHANGE_ON_SET_POINT, "change_on_set_point" if pp else None),
+    ):
+        if controlword & mask:
+            names.append(name or f"bit_{mask.bit_length() - 1}")
+    return names
+
+
+def _command(bits: int) -> Command:
+    if not bits & Controlword.ENABLE_VOLTAGE:
+        return Command.DISABLE_VOLTAGE
+    if not bits & Controlword.QUICK_STOP:
+        return Command.QUICK_STOP
+    if not bits & Controlword.SWITCH_ON:
+        return Command.SHUTDOWN
+    return Command.ENABLE_OPERATION if bits & Controlword.ENABLE_OPERATION else Command.SWITCH_ON
+
+
+COMMANDS = tuple(int(_command(bits)) for bits in range(16))  # by controlword bits 0-3
+
+# ---- what a master sends
+
+SHUTDOWN = Controlword.ENABLE_VOLTAGE | Controlword.QUICK_STOP
+SWITCHED_ON = SHUTDOWN | Controlword.SWITCH_ON
+ENABLED = SWITCHED_ON | Controlword.ENABLE_OPERATION
+
+# the next controlword on the way to operation enabled, by state
+TO_ENABLED = {
+    State.NOT_READY_TO_SWITCH_ON: 0,
+    State.SWITCH_ON_DISABLED: SHUTDOWN,
+    State.READY_TO_SWITCH_ON: SWITCHED_ON,
+    State.SWITCHED_ON: ENABLED,
+    State.OPERATION_ENABLED: ENABLED,
+    State.QUICK_STOP_ACTIVE: 0,  # disable voltage, then from the beginning
+    State.FAULT_REACTION_ACTIVE: 0,
+    State.FAULT: 0,
+}

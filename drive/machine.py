@@ -1,0 +1,25 @@
+"""What a field bus needs of a machine: drives, and time that passes in whole cycles."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from .drive import Drive
+
+
+class Machine(Protocol):
+    """Drives by name on something that moves, such as `servogym.envs.Machine`."""
+
+    @property
+    def drives(self) -> Mapping[str, Drive]:
+        """By name, in the order of their axes."""
+
+    @property
+    def cycle_time(self) -> float:
+        """Of one `step` (s)."""
+
+    @property
+    def time(self) -> float:
+        """That has passed (s)."""
+
+    def step(self, cycles: int = 1) -> object:
+        """Let so many position cycles pass."""

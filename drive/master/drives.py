@@ -1,0 +1,259 @@
+"""What a master sees of its drives: objects, status, and waiting for what shall come."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from .. import advice
+from ..kernel.words import SWITCHED_ON, State, state_of
+from ..kernel.words import Controlword as C
+from ..kernel.words import Statusword as S
+from ..objects.abort import SdoAbort
+from .errors import (
+    DriveFault,
+    HomingFailed,
+    Interlock,
+    NoPower,
+    Refused,
+    ServoError,
+    Status,
+    Timeout,
+)
+from .port import Port
+
+T = TypeVar("T")
+QUICK_STOP = SWITCHED_ON & ~C.QUICK_STOP
+LOST = (
+    State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE
+)  # fmt: skip
+
+
+def in_fault(statusword: int) -> bool:
+    """Whether a drive has a fault; some models show the same word before and after its reaction."""
+    return state_of(statusword) in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+
+
+class Drives:
+    """Drives of a port, looked at together; `Master` commands them."""
+
+    def __init__(self, port: Port, *axes: str):
+        self.port = port
+        self.axes = axes or tuple(port.models)
+        if not set(self.axes) <= set(port.models):
+            raise ValueError(f"axes = {[*axes]}: choose some of the drives {[*port.models]}")
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({type(self.port).__name__}: {', '.join(self.axes)})"
+
+    # --------------------------------------------------------------- objects
+
+    def read(self, name: str) -> Any:
+        """An object (drive units). Raises Refused if the drive refuses."""
+        return self._of_each(lambda axis: self._ask(axis, name))
+
+    def write(self, name: str, value: float | Mapping[str, float]) -> None:
+        """Set an object (drive units), let one exchange pass. Raises Refused if a drive refuses."""
+        self._put(name, value)
+        self.port.exchange()
+
+    @property
+    def statusword(self) -> Any:
+        """6041h."""
+        return self._of_each(self._word)
+
+    @property
+    def state(self) -> Any:
+        """State of the device control, None where the statusword fits no pattern."""
+        return self._of_each(lambda axis: state_of(self._word(axis)))
+
+    @property
+    def mode(self) -> Any:
+        """Mode of operation the drive shows (6061h)."""
+        return self._of_each(self._mode)
+
+    @property
+    def position(self) -> Any:
+        """Position actual value (SI at the load)."""
+        return self._of_each(
+            lambda a: self.port.read(a, "position_actual_value") * self.port.units(a).position
+        )
+
+    def status(self, mask: int) -> bool:
+        """Whether all bits of `mask` are set in every statusword."""
+        return all(self._word(axis) & mask == mask for axis in self.axes)
+
+    def describe(self) -> Any:
+        """The statusword by name."""
+        return self._of_each(lambda a: advice.describe(self._word(a), self._mode(a)))
+
+    # ------------------------------------------------------------------ time
+
+    def wait(self, time: float) -> None:
+        """Let so much time pass (s)."""
+        end = self.port.now() + time - 1e-9
+        while self.port.now() < end:
+            self.port.exchange()
+
+    def wait_until(self, condition: Callable[[int], bool], timeout: float, what: str) -> None:
+        """Wait until `condition` holds for every statusword.
+
+        Args:
+            condition: of a statusword.
+            timeout: (s)
+            what: is waited for, for the message.
+
+        Raises:
+            Timeout: not within `timeout`; names the drives that are late.
+            DriveFault: a drive has a fault.
+        """
+        self._until(lambda axis, word: condition(word), timeout, what)
+
+    # -------------------------------------------------------------- inside
+
+    def _of_each(self, look: Callable[[str], T]) -> T | dict[str, T]:
+        """What is seen of the only drive, or of all by name."""
+        seen = {axis: look(axis) for axis in self.axes}
+        return seen if len(self.axes) > 1 else seen[self.axes[0]]
+
+    def _each(self, what: str, value: T | Mapping[str, T]) -> dict[str, T]:
+        """A value for every drive."""
+        if not isinstance(value, Mapping):
+            return dict.fromkeys(self.axes, value)
+        if value.keys() != set(self.axes):
+            raise Refused(what, f"{dict(value)}", f"give one value for each of {[*self.axes]}")
+        return dict(value)
+
+    def _ask(self, axis: str, name: str) -> Any:
+        try:
+            return self.port.upload(axis, name)
+        except (SdoAbort, ValueError) as error:
+            raise Refused(f"read {name}", f"{axis}: {error}") from error
+
+    def _known(self, axis: str, name: str) -> Any:
+        """An object's value, None where the drive does not have it."""
+        try:
+            return self.port.upload(axis, name)
+        except (SdoAbort, ValueError):
+            return None
+
+    def _put(self, name: str, value: float | Mapping[str, float]) -> None:
+        """Set an object of all drives, to be sent with the next exchange."""
+        for axis, number in self._each(name, value).items():
+            self._tell(axis, name, number)
+
+    def _tell(self, axis: str, name: str, value: float) -> None:
+        try:
+            self.port.write(axis, name, value)
+        except (SdoAbort, TypeError, ValueError) as error:
+            raise Refused(f"{name} = {value}", f"{axis}: {error}") from error
+
+    def _word(self, axis: str) -> int:
+        return int(self.port.read(axis, "statusword"))
+
+    def _fresh(self, axis: str) -> int:
+        """The statusword of now: process data may be older than the last command."""
+        return int(self.port.upload(axis, "statusword"))
+
+    def _mode(self, axis: str) -> int:
+        return int(self.port.read(axis, "modes_of_operation_display"))
+
+    def _told(self, axis: str) -> int:
+        return int(self._known(axis, "controlword") or 0)
+
+    def _fault(self, axis: str) -> str:
+        """Error code 603Fh and what the model says it means."""
+        code = int(self._known(axis, "error_code") or 0)
+        named = (f.meaning for f in self.port.models[axis].faults if f.code == code)
+        return f"error code {code:04X}h {next(named, '')}".strip()
+
+    def _shown(self, *axes: str) -> tuple[Status, ...]:
+        return tuple(
+            Status(axis, self._fresh(axis), self._told(axis), self._mode(axis)) for axis in axes
+        )
+
+    def _power(self, what: str) -> None:
+        """Refuse without power: the controlwords of a motion would switch it on."""
+        for axis in self.axes:
+            if state_of(self._fresh(axis)) is not State.OPERATION_ENABLED:
+                raise self._no_power(what, axis)
+
+    def _no_power(self, what: str, axis: str) -> NoPower:
+        shown = self._shown(axis)
+        step = "reset_fault() and enable()" if in_fault(shown[0].statusword) else "enable()"
+        return NoPower(what, "no power", f"it needs {step} first", shown)
+
+    def _until(
+        self,
+        condition: Callable[[str, int], bool],
+        timeout: float,
+        what: str,
+        hint: str = "",
+        *,
+        faulty: bool = False,
+        powered: bool = False,
+        homing: bool = False,
+        alarm: Callable[[], str] | None = None,
+    ) -> None:
+        """Look at the drives until `condition` of name and statusword holds for all of them.
+
+        Process data may be older than the last command, so an upload confirms what they show.
+
+        Args:
+            condition: may also write, to be sent with the next exchange.
+            timeout: (s)
+            what: is waited for.
+            hint: the next step, where the statusword does not tell it.
+            faulty: go on waiting in FAULT.
+            powered: what is waited for will not come without power.
+            homing: statusword bit 13 is a homing error.
+            alarm: gives a reason to stop all drives, or an empty text.
+        """
+        end = self.port.now() + timeout
+
+        def holds(word: int, axis: str) -> bool:
+            return (not powered or state_of(word) is State.OPERATION_ENABLED) and condition(
+                axis, word
+            )
+
+        try:
+            while late := [axis for axis in self.axes if not self._sure(axis, holds, axis)]:
+                if alarm is not None and (reason := alarm()):
+                    raise Interlock(what, f"{reason}; all drives were stopped")
+                for axis in self.axes:
+                    self._check(axis, what, faulty, powered, homing)
+                if self.port.now() >= end:
+                    shown = self._shown(*late)
+                    step = hint or advice.advice(shown[0].statusword, shown[0].controlword)
+                    raise Timeout(what, f"not within {timeout:g} s", step, shown)
+                self.port.exchange()
+        except ServoError as error:
+            if len(self.axes) > 1 or isinstance(error, Interlock):
+                self._stop()
+            raise
+
+    def _stop(self) -> None:
+        """Quick stop of every drive that hears."""
+        for axis in self.axes:
+            with suppress(ServoError):
+                self._tell(axis, "controlword", QUICK_STOP)
+        self.port.exchange()
+
+    def _check(self, axis: str, what: str, faulty: bool, powered: bool, homing: bool) -> None:
+        """Raise what makes waiting useless; see `_until`."""
+        if homing and self._sure(axis, lambda word: bool(word & S.MODE_13)):
+            step = "look at method, switches, speeds and time-out"
+            if in_fault(self._fresh(axis)):  # to some models a fault as well
+                raise HomingFailed("homing failed", f"FAULT, {self._fault(axis)}",
+                                   f"{step}, then reset_fault()", self._shown(axis))  # fmt: skip
+            number = self._known(axis, "homing_error")
+            said = "" if number is None else f"error {number}"
+            raise HomingFailed("homing failed", said, step, self._shown(axis))
+        if not faulty and self._sure(axis, in_fault):
+            step = "remove the cause, then reset_fault()"
+            raise DriveFault(what, f"FAULT, {self._fault(axis)}", step, self._shown(axis))
+        if powered and self._sure(axis, lambda word: state_of(word) in LOST):
+            raise self._no_power(what, axis)
+
+    def _sure(self, axis: str, condition: Callable[..., bool], *arguments: Any) -> bool:
+        """Whether the statusword fulfils a condition; process data are confirmed by an upload."""
+        return condition(self._word(axis), *arguments) and condition(self._fresh(axis), *arguments)

@@ -1,0 +1,325 @@
+"""A master for drives on any port: device control, modes, set-points, homing (CiA 402-2).
+
+>>> master = Master(port)                    # all drives of the port, or some by name
+>>> master.enable()
+>>> master.home(method=17)
+>>> master.move_to(0.25)
+
+A value given is for all of the master's drives, or a mapping by name for each its own; what is read
+of one drive is the value, of several a dict. Positions and velocities are SI at the load where the
+port knows the factors, else drive units (`Port.units`); times are s of the port's time. When one of
+several drives fails, the others make a quick stop.
+"""
+
+from collections.abc import Callable, Mapping
+
+from ..kernel.words import ENABLED, SWITCHED_ON, TO_ENABLED, Mode, State, state_of
+from ..kernel.words import Controlword as C
+from ..kernel.words import Statusword as S
+from .drives import QUICK_STOP, Drives, in_fault
+from .errors import HomingFailed, Refused, Timeout
+
+COMMAND = 0x000F  # controlword bits of the device control
+STAYS = range(5, 9)  # 605Ah: values that end in QUICK_STOP_ACTIVE
+HOMED = S.TARGET_REACHED | S.MODE_12
+# what makes a profile, if the drive has it; in proportion to the distance they make one time law
+PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
+
+
+class Master(Drives):
+    """Commands the drives of a port together.
+
+    Args:
+        port: the way to the drives.
+        axes: names of drives of the port; all of them if none is given.
+
+    Raises:
+        ValueError: a name without a drive.
+    """
+
+    def __getitem__(self, axis: str) -> "Master":
+        """The master of one of the drives."""
+        return Master(self.port, axis)
+
+    # ------------------------------------------------------- device control
+
+    def control(self, controlword: int) -> None:
+        """Send a controlword to all drives."""
+        self.write("controlword", controlword)
+
+    def enable(self, timeout: float = 2.0) -> None:
+        """Walk to OPERATION_ENABLED from any state but FAULT, one state at a time."""
+
+        def walk(axis: str, word: int) -> bool:
+            state = state_of(word)
+            if state is not None and not in_fault(word):
+                self._tell(axis, "controlword", TO_ENABLED[state])
+            return state is State.OPERATION_ENABLED
+
+        self._until(walk, timeout, "enable")
+        self.control(ENABLED)
+
+    def disable(self, timeout: float = 10.0) -> None:
+        """Take the power off; axes in motion come to rest first, as 605Ch says."""
+        for axis in self.axes:
+            if state_of(self._word(axis)) is State.OPERATION_ENABLED:
+                self._tell(axis, "controlword", SWITCHED_ON)  # is disable operation here
+        self.port.exchange()
+        self._until(lambda axis, word: state_of(word) is not State.OPERATION_ENABLED, timeout,
+                    "disable operation", faulty=True)  # fmt: skip
+        self.control(0)
+        self._until(lambda axis, word: state_of(word) is State.SWITCH_ON_DISABLED or in_fault(word),
+                    timeout, "disable voltage", faulty=True)  # fmt: skip
+
+    def quick_stop(self, timeout: float = 10.0) -> None:
+        """Quick stop, until the axes stand in QUICK_STOP_ACTIVE or the power is off (605Ah)."""
+        stays = {axis: self._known(axis, "quick_stop_option_code") in STAYS for axis in self.axes}
+        self.control(QUICK_STOP)
+
+        def stopped(axis: str, word: int) -> bool:
+            stands = state_of(word) is State.QUICK_STOP_ACTIVE and word & S.TARGET_REACHED
+            return state_of(word) is State.SWITCH_ON_DISABLED or bool(stays[axis] and stands)
+
+        self._until(stopped, timeout, "quick stop")
+
+    def reset_fault(self, timeout: float = 2.0) -> None:
+        """Rising edges of fault reset until no drive has a fault; nothing without one."""
+        faulty = [axis for axis in self.axes if in_fault(self._fresh(axis))]
+        if not faulty:
+            return
+        faults = ", ".join(f"{axis}: {self._fault(axis)}" for axis in faulty)
+        end = self.port.now() + timeout
+        while still := [axis for axis in faulty if in_fault(self._fresh(axis))]:
+            if self.port.now() >= end:
+                raise Timeout(
+                    "fault reset", f"not within {timeout:g} s",
+                    f"the cause of {faults} is still present", self._shown(*still),
+                )  # fmt: skip
+            for word in (0, C.FAULT_RESET):
+                for axis in still:
+                    self._tell(axis, "controlword", word)
+                self.port.exchange()
+            self.wait(self.port.latency)
+        for axis in faulty:
+            self._tell(axis, "controlword", 0)
+        self.port.exchange()
+
+    # --------------------------------------------------- modes of operation
+
+    def set_mode(self, mode: Mode, timeout: float = 1.0) -> None:
+        """Select a mode of operation and wait until 6061h shows it.
+
+        Raises:
+            Refused: a drive model without the mode.
+        """
+        without = [axis for axis in self.axes if mode and mode not in self.port.models[axis].modes]
+        if without:
+            raise Refused(f"mode {mode.name}", f"drive {self.port.models[without[0]].name!r} of "
+                          f"{', '.join(without)} does not have it",
+                          "choose a drive model that has it, see `servogym drives`")  # fmt: skip
+        self._put("modes_of_operation", mode)
+        self._until(lambda axis, word: self._mode(axis) == mode, timeout, f"mode {mode.name}",
+                    "6502h tells the modes the drive has")  # fmt: skip
+
+    def move_to(
+        self,
+        position: float | Mapping[str, float],
+        *,
+        relative: bool = False,
+        immediate: bool = False,
+        change_on_set_point: bool = False,
+        wait: bool = True,
+        timeout: float = 30.0,
+    ) -> None:
+        """Hand over one profile position set-point with the whole handshake.
+
+        Several drives go on a straight line: they start at once and arrive together. Speed,
+        acceleration and jerk of each are made proportional to its distance, none above what 6081h,
+        6083h, 6084h and 60A4h say now; these are as before afterwards. They are whole drive units,
+        so a drive with less than some hundred units to go may arrive early or late. The drives have
+        the same units of speed per position unit.
+
+        Where a drive buffers set-points and has no room, this waits for room.
+
+        Args:
+            position: target (SI at the load).
+            relative: the target counts from what 60F2h says.
+            immediate: drop what the drive is doing instead of queueing behind it.
+            change_on_set_point: pass the running target without a stop (bit 9).
+            wait: return when the target is reached, not when it is acknowledged.
+            timeout: for the whole of it (s).
+
+        Raises:
+            Refused: beyond the software position limits 607Dh, or nothing a drive can take.
+            NoPower: a drive is not enabled, or no longer.
+            DriveFault, Timeout: on the way.
+        """
+        what = "move_to"
+        self._power(what)
+        targets = self._units_of(what, position, "position")
+        if not relative:
+            self._inside(targets)
+        if len(self.axes) > 1 and not wait:
+            raise Refused(what, "several drives with wait=False",
+                          "on a straight line they are waited for: leave it out")  # fmt: skip
+        if any(self._mode(axis) != Mode.PROFILE_POSITION for axis in self.axes):
+            self.set_mode(Mode.PROFILE_POSITION)
+        bits = ENABLED | relative * C.RELATIVE | immediate * C.CHANGE_SET_IMMEDIATELY
+        bits |= change_on_set_point * C.CHANGE_ON_SET_POINT
+        line = self._line(targets, relative) if len(self.axes) > 1 else {}
+        try:
+            for (axis, name), (_, value) in line.items():
+                self._tell(axis, name, value)
+            self._put("target_position", targets)
+            self._set_point(bits, immediate, f"target {position}", wait, timeout)
+        finally:
+            for (axis, name), (kept, _) in line.items():
+                self._tell(axis, name, kept)
+
+    def _set_point(
+        self, bits: int, immediate: bool, what: str, wait: bool, timeout: float
+    ) -> None:  # fmt: skip
+        """The handshake of profile position."""
+        end = self.port.now() + timeout
+        self.control(bits)
+        full = immediate and any(self._word(axis) & S.MODE_12 for axis in self.axes)
+        if full:  # such a set-point needs no room
+            self.wait(self.port.latency)
+        else:
+            self._until(lambda axis, word: not word & S.MODE_12, end - self.port.now(),
+                        "set-point acknowledge to fall", powered=True)  # fmt: skip
+        self.control(bits | C.NEW_SET_POINT)
+        if full:
+            self.wait(self.port.latency)
+        self._until(lambda axis, word: bool(word & S.MODE_12), end - self.port.now(),
+                    "set-point acknowledge", powered=True)  # fmt: skip
+        self.control(bits)
+        if wait:
+            self._until(lambda axis, word: word & HOMED == S.TARGET_REACHED, end - self.port.now(),
+                        what, powered=True)  # fmt: skip
+
+    def _line(
+        self, targets: Mapping[str, int], relative: bool
+    ) -> dict[tuple[str, str], tuple[float, int]]:
+        """Objects of the profiles on a straight line: value now, and in proportion."""
+        distances = {
+            axis: abs(target - (0 if relative else self._ask(axis, "position_demand_value")))
+            for axis, target in targets.items()
+        }
+        kept = {
+            (axis, name): self._ask(axis, name)
+            for axis, distance in distances.items() for name in PROFILE
+            if distance and name in self.port.models[axis].names
+        }  # fmt: skip
+        pace = {
+            name: min((value / distances[axis] for (axis, n), value in kept.items() if n == name),
+                      default=0.0) for name in PROFILE
+        }  # fmt: skip
+        return {
+            (axis, name): (value, max(1, round(pace[name] * distances[axis])))
+            for (axis, name), value in kept.items()
+        }
+
+    def jog(
+        self,
+        velocity: float | Mapping[str, float],
+        duration: float | None = None,
+        timeout: float = 10.0,
+    ) -> None:
+        """Run at a velocity in profile velocity mode; 0 stops.
+
+        Args:
+            velocity: target (SI at the load).
+            duration: at that velocity, then stop (s); it goes on if not given.
+            timeout: until the velocity is reached (s).
+
+        Raises: as `move_to`.
+        """
+        self._power("jog")
+        self._put("target_velocity", self._units_of("jog", velocity, "velocity"))
+        if any(self._mode(axis) != Mode.PROFILE_VELOCITY for axis in self.axes):
+            self.set_mode(Mode.PROFILE_VELOCITY)
+        self.control(ENABLED)
+        self.wait(self.port.latency)
+        self._until(lambda axis, word: bool(word & S.TARGET_REACHED), timeout,
+                    f"velocity {velocity}", powered=True)  # fmt: skip
+        if duration is not None:
+            self.wait(duration)
+            self.jog(0.0, timeout=timeout)
+
+    def halt(self, timeout: float = 10.0) -> None:
+        """Halt (bit 8) until the axes stand; `resume` lets them go on."""
+        self._power("halt")
+        self.write("controlword", {
+            axis: ENABLED | self._told(axis) & ~COMMAND | C.HALT for axis in self.axes
+        })  # fmt: skip
+        self._until(lambda axis, word: bool(word & S.TARGET_REACHED), timeout, "halt")
+
+    def resume(self) -> None:
+        """Take halt back."""
+        self._power("resume")
+        self.write("controlword", {
+            axis: ENABLED | self._told(axis) & ~(COMMAND | C.HALT) for axis in self.axes
+        })  # fmt: skip
+
+    def home(
+        self,
+        method: int | Mapping[str, int] | None = None,
+        timeout: float = 60.0,
+        alarm: Callable[[], str] | None = None,
+    ) -> None:
+        """Home, all drives at the same time, and take the start bit back.
+
+        Args:
+            method: of 6098h; the one set if not given.
+            timeout: (s)
+            alarm: gives a reason to stop at once, or an empty text.
+
+        Raises:
+            HomingFailed: with the drives that failed.
+            Refused: a drive without the method.
+            NoPower, DriveFault, Interlock, Timeout: on the way.
+        """
+        self._power("home")
+        if method is not None:
+            self._put("homing_method", method)
+        self.set_mode(Mode.HOMING)
+        end = self.port.now() + timeout
+        self.control(ENABLED)
+        self.control(ENABLED | C.NEW_SET_POINT)
+        self.wait(self.port.latency)
+        try:
+            self._until(
+                lambda axis, word: word & HOMED == HOMED, end - self.port.now(), "homing",
+                powered=True, homing=True, alarm=alarm,
+            )  # fmt: skip
+        except (HomingFailed, Timeout):
+            if len(self.axes) == 1:  # the start bit; several have made a quick stop
+                self.control(ENABLED)
+                self.wait(self.port.latency)
+            raise
+        self.control(ENABLED)
+        self.wait(self.port.latency)
+
+    def _units_of(
+        self, what: str, value: float | Mapping[str, float], unit: str
+    ) -> dict[str, int]:  # fmt: skip
+        """Values (SI) in drive units, by drive; `unit` names the field of `Units`."""
+        each = self._each(what, value)
+        try:
+            return {a: round(x / getattr(self.port.units(a), unit)) for a, x in each.items()}
+        except (TypeError, ValueError, OverflowError) as error:
+            raise Refused(what, f"{value!r} is no finite number") from error
+
+    def _inside(self, targets: Mapping[str, int]) -> None:
+        """Refuse targets beyond the software position limits."""
+        for axis, target in targets.items():
+            low, high = (self._known(axis, f"{end}_position_limit") for end in ("min", "max"))
+            if low is not None and high is not None and low < high and not low <= target <= high:
+                unit = self.port.units(axis)
+                raise Refused(
+                    "move_to",
+                    f"{axis}: {target * unit.position:g} {unit.name} is beyond the stroke "
+                    f"{low * unit.position:g}..{high * unit.position:g} {unit.name} (software "
+                    "position limits 607Dh)", "choose a target inside, or other limits",
+                )  # fmt: skip

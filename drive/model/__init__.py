@@ -1,0 +1,1 @@
+"""A drive model: a folder of files, read and checked."""

@@ -1,0 +1,440 @@
+"""The rows of a drive model's files: objects, PDOs and faults, read and checked.
+
+A row that cannot be right is refused with file, line and reason, before a drive exists.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..kernel.factors.units import Kind
+from ..kernel.faults import Cause, Reaction
+from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, parameter_place
+from ..kernel.record import OD, OWN_STORED, VENDOR_BYTES
+
+# data type of CiA 301 -> struct format; strings have none
+FORMATS = {
+    "BOOLEAN": "B",
+    "INTEGER8": "b",
+    "INTEGER16": "h",
+    "INTEGER32": "i",
+    "INTEGER64": "q",
+    "UNSIGNED8": "B",
+    "UNSIGNED16": "H",
+    "UNSIGNED32": "I",
+    "UNSIGNED64": "Q",
+    "REAL32": "f",
+    "VISIBLE_STRING": "",
+    "DOMAIN": "",
+}
+SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
+# rows of an objects.csv by index and sub-index, each with the words "file, line n"
+Cells = dict[tuple[int, int], tuple[dict[str, str], str]]
+ACCESS = ("ro", "wo", "rw", "const")
+PDO_USE = ("", "rx", "tx", "rxtx")
+
+
+@dataclass(frozen=True)
+class Object:
+    """One row of the object dictionary; its bytes lie `offset` into the `area` of the drive."""
+
+    index: int
+    subindex: int
+    name: str
+    object_type: str
+    data_type: str
+    access: str
+    pdo: str
+    unit: str
+    minimum: float
+    maximum: float
+    allowed: frozenset[int] | None
+    default: int | float | str
+    storable: bool
+    section: str
+    note: str
+    area: str  # "axis", "rpdo", "tpdo" or "constant": where the bytes are
+    offset: int
+    when: str = ""  # `objects.hooks.WHEN`: state of the drive that a write needs
+    hook: str = ""  # `objects.hooks.HOOKS`: what reading or writing does beside moving bytes
+    per_node: bool = False  # the node-id is added to the default
+    where: str = ""  # file and line it was read from
+
+    @property
+    def format(self) -> str:
+        """Format of the value for `struct`, empty for strings."""
+        return FORMATS[self.data_type]
+
+    @property
+    def size(self) -> int:
+        """Bytes of the value, 0 for strings."""
+        return SIZES[self.format]
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A PDO of pdo.csv: default communication parameters and mapped objects."""
+
+    number: int
+    cob_id: str
+    transmission_type: int
+    inhibit_time: int
+    entries: tuple[tuple[int, int, int], ...]  # index, subindex, bits
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A row of faults.csv."""
+
+    code: int
+    main: int | None  # number the manufacturer gives the fault, with `sub`
+    sub: int | None
+    meaning: str
+    register: int
+    cause: Cause  # NONE: comes only by injection
+    reaction: Reaction
+    changeable: bool
+    section: str
+
+    @property
+    def name(self) -> str:
+        """As the manufacturer's lists and displays call it, ``17-0``."""
+        return "" if self.main is None else f"{self.main:02d}-{self.sub or 0}"
+
+
+KINDS_OF_UNITS = (  # first words of a unit -> of a signed type, of an unsigned one
+    (("position",), Kind.POSITION, Kind.WIDTH),
+    (("speed", "velocity"), Kind.SPEED, Kind.SPEED),  # a limit without direction (inferred)
+    (("acceleration", "jerk"), Kind.ACCELERATION, Kind.ACCELERATION),
+)
+
+
+def own_stored(objects: dict[tuple[int, int], Object]) -> tuple[tuple[int, int, int], ...]:
+    """Values in units of the factor group that stand in the model's own bytes.
+
+    Each with its offset in `od`, its size (byte, negative: signed) and its `Kind`.
+    Raises ValueError for more than the record has place for.
+    """
+    found = {}
+    for row in objects.values():
+        words = row.unit.split()
+        own = row.area == "axis" and row.offset >= OD.fields["vendor"][1]  # type: ignore[index]
+        if not own or row.access not in ("rw", "wo") or len(words) < 2 or "unit" not in words[1]:
+            continue
+        for first, signed, unsigned in KINDS_OF_UNITS:
+            if words[0] in first:
+                minus = row.format.islower()
+                found[row.offset] = (
+                    -row.size if minus else row.size,
+                    signed if minus else unsigned,
+                )
+    if len(found) > OWN_STORED:
+        raise ValueError(
+            f"{len(found)} objects of its own have position, velocity or acceleration units, "
+            f"at most {OWN_STORED} can be kept: leave out values_keep_meaning or the unit of some"
+        )
+    return tuple((offset, size, int(kind)) for offset, (size, kind) in found.items())
+
+
+OBJECT_COLUMNS = (
+    "index", "subindex", "name", "object_type", "data_type", "access", "pdo", "unit", "min", "max",
+    "default", "storable", "section", "note", "field", "when", "hook",
+)  # fmt: skip
+PDO_COLUMNS = (
+    "direction", "number", "cob_id", "transmission_type", "inhibit_time", "index", "subindex",
+    "bits",
+)  # fmt: skip
+FAULT_COLUMNS = (
+    "emcy_code", "main", "sub", "meaning", "error_register_bit", "cause", "reaction", "changeable",
+    "section",
+)  # fmt: skip
+LARGEST = 16 * 2**20  # bytes of a file; our own have a hundredth of that
+LARGEST_SET = 1 << 16  # values of {low..high}
+
+
+def read_text(path: Path) -> str:
+    """The text of a file of a model. Raises ValueError with file and line where it is none."""
+    if (size := path.stat().st_size) > LARGEST:
+        raise ValueError(f"{path} has {size} bytes, a file of a model at most {LARGEST}")
+    data = path.read_bytes()
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ValueError(
+            f"{path.name}, line {line} ({path.parent.name}): the byte {data[error.start]:02X}h is "
+            "no UTF-8: save the file as UTF-8"
+        ) from None
+
+
+def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str], str]]:
+    """Rows of a CSV file, each with the words "file, line n" for error messages."""
+    reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
+    try:
+        missing = [column for column in columns if column not in (reader.fieldnames or ())]
+        for row in reader:
+            if missing:
+                raise ValueError(
+                    f"{path.name}, line 1 ({path.parent.name}): there is no column {missing[0]!r}"
+                )
+            where = f"{path.name}, line {reader.line_num} ({path.parent.name})"
+            if None in row or None in row.values():
+                raise ValueError(f"{where}: {len(reader.fieldnames or ())} columns expected")
+            yield {key: value.strip() for key, value in row.items()}, where
+    except csv.Error as error:
+        line = reader.line_num
+        raise ValueError(f"{path.name}, line {line} ({path.parent.name}): {error}") from None
+
+
+def _integer(text: str, where: str, what: str, bits: int = 0) -> int:
+    """An integer; with `bits` one that an unsigned field of so many takes."""
+    try:
+        value = int(text, 0)
+    except ValueError:
+        raise ValueError(f"{where}: {what} = {text!r} is not an integer") from None
+    if bits and not 0 <= value < 1 << bits:
+        raise ValueError(f"{where}: {what} = {value} is out of range 0..{(1 << bits) - 1}")
+    return value
+
+
+def read_cells(path: Path) -> Cells:
+    """The rows of an objects.csv by index and sub-index, as they are written.
+
+    Raises ValueError with file, line and reason.
+    """
+    cells: Cells = {}
+    for row, where in _rows(path, OBJECT_COLUMNS):
+        index = _integer(row["index"], where, "index")
+        subindex = _integer(row["subindex"], where, "subindex")
+        if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
+            raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h is no object address")
+        if (index, subindex) in cells:
+            raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h occurs twice")
+        cells[index, subindex] = row, where
+    return cells
+
+
+def referred(own: Cells, base: Cells, standard: Cells) -> Cells:
+    """`base` with the rows of `own` in their place or behind.
+
+    A row without a data_type refers to the row of its address in `base`, or else in `standard`: it
+    says only what differs, ``-`` empties a cell. Raises ValueError where there is no such row.
+    """
+    cells = {**base}
+    for address, (row, where) in own.items():
+        if not row["data_type"]:
+            other, _ = base.get(address) or standard.get(address) or (None, "")
+            if other is None:
+                raise ValueError(
+                    f"{where}: the row has no data_type, and neither the base nor the model "
+                    f"of objects_of has {address[0]:04X}h:{address[1]:02X}h: fill it in"
+                )
+            row = {
+                column: other[column] if not cell else "" if cell == "-" else cell
+                for column, cell in row.items()
+            }
+        cells[address] = row, where
+    return cells
+
+
+def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
+    """The objects by index and sub-index. Raises ValueError with file, line and reason."""
+    objects: dict[tuple[int, int], Object] = {}
+    names: set[str] = set()
+    free = OD.fields["vendor"][1]  # type: ignore[index]
+    end = free + VENDOR_BYTES
+    for (index, subindex), (row, where) in cells.items():
+        if row["name"] in names:
+            raise ValueError(f"{where}: the name {row['name']!r} occurs twice")
+        for column, known in (("data_type", FORMATS), ("access", ACCESS), ("pdo", PDO_USE)):
+            if row[column] not in known:
+                raise ValueError(
+                    f"{where}: {column} {row[column]!r} is unknown, use one of {', '.join(known)}"
+                )
+        size = SIZES[FORMATS[row["data_type"]]]
+        constant = row["access"] == "const"
+        area, offset = (not constant and parameter_place(index, subindex)) or ("axis", 0)
+        if area != "axis":
+            pass
+        elif row["field"].startswith("@"):  # another name for the bytes of an earlier row
+            other = objects.get(_address(row["field"][1:], where))
+            if other is None or other.size != size:
+                raise ValueError(f"{where}: {row['field']} is no earlier row of this size")
+            area, offset = other.area, other.offset
+        elif row["field"]:
+            offset = _field_offset(row["field"], row["data_type"], where)
+        elif row["data_type"] in ("VISIBLE_STRING", "DOMAIN") or row["access"] == "const":
+            area = "constant"
+        else:
+            free += -free % max(size, 1)
+            offset, free = free, free + size
+            if free > end:
+                raise ValueError(f"{where}: more than {VENDOR_BYTES} bytes of objects of its own")
+        objects[index, subindex] = _object(row, where, index, subindex, area, offset)
+        names.add(row["name"])
+    return objects
+
+
+def _object(row, where, index, subindex, area, offset) -> Object:
+    code = FORMATS[row["data_type"]]
+    allowed = None
+    default, plus, _ = row["default"].partition("+node_id")
+    low, high = _type_range(code)
+    if row["min"].startswith("{"):
+        allowed = _set(row["min"], where)
+    elif row["min"]:
+        low = max(low, float(_integer(row["min"], where, "min")))
+    if row["max"]:
+        high = min(high, float(_integer(row["max"], where, "max")))
+    if code:
+        default = float(default or 0) if code == "f" else _integer(default or "0", where, "default")
+        if not low <= default <= high or (allowed is not None and default not in allowed):
+            raise ValueError(f"{where}: default {default} is out of range [{low:.0f}, {high:.0f}]")
+        if area == "constant" and row["pdo"]:
+            raise ValueError(f"{where}: a constant cannot be mapped to a PDO")
+    return Object(
+        index, subindex, row["name"], row["object_type"], row["data_type"], row["access"],
+        row["pdo"], row["unit"], low, high, allowed, default, row["storable"] == "yes",
+        row["section"], row["note"], area, offset, row["when"], row["hook"], bool(plus), where,
+    )  # fmt: skip
+
+
+def _address(text: str, where: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([0-9A-Fa-f]{4}):([0-9A-Fa-f]{2})", text)
+    if not match:
+        raise ValueError(f"{where}: {text!r} is not an address like 201A:01")
+    return int(match[1], 16), int(match[2], 16)
+
+
+def _set(text: str, where: str) -> frozenset[int]:
+    """``{0;2..5;254}``."""
+    values: set[int] = set()
+    for part in text.strip("{}").split(";"):
+        first, _, last = part.partition("..")
+        low = _integer(first, where, "min")
+        high = _integer(last, where, "min") if last else low
+        if not 0 <= high - low < LARGEST_SET:
+            raise ValueError(f"{where}: min {text!r}: {part} is no range of {LARGEST_SET} values")
+        values.update(range(low, high + 1))
+    return frozenset(values)
+
+
+def _type_range(code: str) -> tuple[float, float]:
+    if not code or code == "f":
+        return -np.inf, np.inf
+    info = np.iinfo(np.dtype("<" + code))
+    return float(info.min), float(info.max)
+
+
+def _field_offset(field: str, data_type: str, where: str) -> int:
+    """Byte offset of `name` or `name[i]` in the `od` half of the record."""
+    match = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", field)
+    if not match or match[1] not in OD.fields:  # type: ignore[operator]
+        raise ValueError(f"{where}: the record has no field od.{field}")
+    kind, offset = OD.fields[match[1]][:2]  # type: ignore[index]
+    base, shape = kind.base, kind.shape
+    if bool(shape) != bool(match[2]) or (shape and int(match[2]) >= shape[0]):
+        raise ValueError(f"{where}: od.{match[1]} has the shape {shape}, not {field!r}")
+    if not _fits(np.dtype("<" + FORMATS[data_type]), base):
+        raise ValueError(f"{where}: od.{match[1]} is {base.name}, not {data_type}")
+    return offset + int(match[2] or 0) * base.itemsize
+
+
+def _fits(kind: np.dtype, field: np.dtype) -> bool:
+    """Whether an object's bytes may be the lower bytes of a field: integers, no wider ones."""
+    narrower = kind.kind == "u" and field.kind in "iu" and kind.itemsize < field.itemsize
+    same_size = kind.kind in "iu" and field.kind in "iu" and kind.itemsize == field.itemsize
+    return kind == field or narrower or same_size
+
+
+def read_pdos(
+    path: Path, objects, max_bits: int
+) -> tuple[tuple[Mapping, ...], tuple[Mapping, ...]]:
+    """Receive and transmit PDOs. Raises ValueError with file, line and reason."""
+    found: dict[str, dict[int, Mapping]] = {"rx": {}, "tx": {}}
+    for row, where in _rows(path, PDO_COLUMNS):
+        direction = row["direction"].lower()
+        if direction not in found:
+            raise ValueError(f"{where}: direction {row['direction']!r} is neither rx nor tx")
+        number = _integer(row["number"], where, "number")
+        before = found[direction].get(number)
+        entries = before.entries if before else ()
+        if row["index"]:  # a row without one is a PDO that is free for mapping
+            entries = (*entries, _pdo_entry(row, where, direction, objects, max_bits > MAX_BITS))
+        if sum(bits for _, _, bits in entries) > max_bits or len(entries) > ENTRIES:
+            raise ValueError(f"{where}: PDO {number} is longer than {max_bits} bits")
+        cob_id = row["cob_id"].replace(" ", "")
+        if not re.fullmatch(r"0x[0-9A-Fa-f]+(\+node_id)?", cob_id):
+            raise ValueError(f"{where}: cob_id {cob_id!r} is not like 0x200+node_id")
+        if int(cob_id.partition("+")[0], 0) + 127 >= 1 << 32:
+            raise ValueError(f"{where}: cob_id {cob_id} has more than 32 bits")
+        found[direction][number] = Mapping(
+            number,
+            cob_id,
+            _integer(row["transmission_type"], where, "transmission_type", 8),
+            _integer(row["inhibit_time"] or "0", where, "inhibit_time", 16),
+            entries,
+        )
+    for pdos in found.values():
+        if sorted(pdos) != list(range(1, len(pdos) + 1)):
+            raise ValueError(f"{path.name} ({path.parent.name}): PDO numbers have a gap")
+    return tuple(tuple(pdos[n] for n in sorted(pdos)) for pdos in found.values())  # type: ignore
+
+
+def _pdo_entry(row, where, direction, objects, partly: bool) -> tuple[int, int, int]:
+    """Index, sub-index and bits; `partly`: the lower bytes of an object may stand alone."""
+    index, subindex, bits = (
+        _integer(row[key], where, key) for key in ("index", "subindex", "bits")
+    )
+    target = objects.get((index, subindex))
+    if direction == "rx" and DUMMY_BITS.get(index) == bits and subindex == 0:
+        return index, subindex, bits
+    size = target.size * 8 if target else 0
+    fits = bits == size or (partly and bits % 8 == 0 and bits < size)
+    if target is None or not fits or direction not in target.pdo:
+        raise ValueError(
+            f"{where}: {index:04X}h:{subindex:02X}h with {bits} bits cannot be mapped to a "
+            f"{direction} PDO"
+        )
+    return index, subindex, bits
+
+
+def read_faults(path: Path) -> tuple[Fault, ...]:
+    """The faults. Raises ValueError with file, line and reason."""
+    faults = []
+    for row, where in _rows(path, FAULT_COLUMNS):
+        for column, known in (("cause", Cause), ("reaction", Reaction)):
+            if (row[column] or "NONE") not in {"NONE", *known.__members__}:
+                raise ValueError(f"{where}: {column} {row[column]!r} is none of {[*known]}")
+        faults.append(
+            Fault(
+                _integer(row["emcy_code"] or "0x1000", where, "emcy_code", 16),  # generic error
+                _integer(row["main"], where, "main", 8) if row["main"] else None,
+                _integer(row["sub"], where, "sub", 8) if row["sub"] else None,
+                row["meaning"],
+                _integer(row["error_register_bit"] or "0", where, "error_register_bit", 3),
+                Cause[row["cause"] or "NONE"],
+                Reaction[row["reaction"] or "IGNORE"],
+                row["changeable"] != "no",
+                row["section"],
+            )
+        )
+    return tuple(faults)
+
+
+def with_sections(objects: dict[tuple[int, int], Object], sections: dict[str, str]):
+    """The objects with sections of the model's own manual, and its base's as what they stand on.
+
+    `sections` leads from a section of the base's manual to one of its own; what is in none gets "".
+    """
+    for address, row in objects.items() if sections else ():
+        own = sections.get(row.section, "")
+        if own != row.section:
+            note = f"{row.note}; inferred from the base, {row.section or 'no section'}"
+            objects[address] = replace(row, section=own, note=note.removeprefix("; "))
+    return objects

@@ -1,0 +1,194 @@
+"""Objects of the ARS family (Metronix ARS 2000, Festo CMMP-AS, CMMS, CMMD) that do something.
+
+Fault management 2100h and the objects that are views on it (CMMP-AS 5.4, 5.5, 5.7, 5.18), limits
+of the factor group (5.3), compatibility bits (5.2), the lock on 60C1h (7.4.2), set position (5.7),
+ranges printed in 1/min (5.7, 5.14), the period 60C2h (7.4.2), digital outputs 60FEh, 2420h (5.13).
+"""
+
+from collections.abc import Callable
+
+from ...kernel.factors.units import FRACTION_LIMIT, reduced
+from ...kernel.homing import Progress
+from ...kernel.statusword import POWERED
+from ...kernel.words import Compatibility, Statusword
+from ...model.rows import Object
+from ..abort import Abort
+from ..device import Dictionary
+from ..reactions import CODES, REACTIONS, reaction_code, reaction_to, set_reaction
+from .hook import Hook
+
+LARGEST_FACTOR = 1 << 24
+RUNNING = (Progress.SEARCHING, Progress.STOPPING, Progress.TO_ZERO)
+UNDERVOLTAGE, FOLLOWING_ERROR, I2T = 2, 17, 31  # main fault numbers
+
+
+def _error_reaction(od: Dictionary, row: Object, value: int) -> Abort:
+    if value not in REACTIONS:
+        return Abort.INVALID_VALUE
+    set_reaction(od.drive, int(od.names["error_number"].get()), value)
+    return Abort.STORED
+
+
+def _error_reaction_now(od: Dictionary, row: Object) -> int:
+    return reaction_code(od.drive, int(od.names["error_number"].get()))
+
+
+def _switch(main: int) -> Hook:
+    """0 makes fault `main` a warning, 1 lets it take the controller enable away."""
+
+    def write(od: Dictionary, row: Object, value: int) -> Abort:
+        set_reaction(od.drive, main, 5 if value else 3)
+        return Abort.STORED
+
+    def read(od: Dictionary, row: Object) -> int:
+        fault = next(f for f in od.drive.model.faults if (f.main, f.sub or 0) == (main, 0))
+        return int(CODES[reaction_to(od.drive, fault)] >= 5)
+
+    return Hook(write, read)
+
+
+def _position_error_limit(od: Dictionary, row: Object, value: int) -> Abort:
+    set_reaction(od.drive, FOLLOWING_ERROR, 8 if value else 0)
+    return Abort.NONE
+
+
+def _position_error_limit_now(od: Dictionary, row: Object) -> int:
+    if reaction_code(od.drive, FOLLOWING_ERROR) != 8:
+        return 0
+    return int(od.drive.axis.od.position_error_limit)
+
+
+def _older_factor(od: Dictionary, row: Object, value: int) -> Abort:
+    """6093h, 6094h: numerator / divisor is at most 2^24, and has to stay computable."""
+    if value == 0:
+        return Abort.VALUE_TOO_LOW
+    parts = [int(od.slots[row.index, subindex].get()) for subindex in (1, 2)]
+    parts[row.subindex - 1] = value
+    numerator, divisor = parts
+    bounded = row.index != 0x6097 and row.hook != "older_factor_unbounded"
+    if bounded and numerator > LARGEST_FACTOR * divisor:
+        return Abort.INTERNAL_INCOMPATIBLE
+    if row.index == 0x6093 and max(_position_fraction(od, *parts)) > FRACTION_LIMIT:
+        return Abort.INTERNAL_INCOMPATIBLE
+    return Abort.NONE
+
+
+def _position_fraction(od: Dictionary, numerator: int, divisor: int) -> tuple[int, int]:
+    increments, turns = (int(v) for v in od.drive.axis.od.position_encoder_resolution)
+    a, b = reduced(65536 * turns, increments)
+    a, c = reduced(a, numerator)
+    d, b = reduced(divisor, b)
+    d, c = reduced(d, c)
+    return a * d, b * c
+
+
+def _compatibility(od: Dictionary, row: Object, value: int) -> Abort:
+    """Bits 0 and 2 mirror each other: setting one sets the other."""
+    scheme = Compatibility.HOMING_METHOD_SCHEME
+    od.drive.axis.od.compatibility_control = value | scheme if value & scheme else value
+    return Abort.STORED
+
+
+def _ip_data(od: Dictionary, row: Object, value: int) -> Abort:
+    """60C1h is locked until 60C4h:06 gives access."""
+    return Abort.NONE if od.drive.axis.od.interpolation_buffer_clear else Abort.DEVICE_STATE
+
+
+def _set_position(od: Dictionary, row: Object, value: int) -> Abort:
+    od.drive.axis.set_position_wanted = 1
+    return Abort.NONE
+
+
+def _multiple_of_4(od: Dictionary, row: Object, value: int) -> Abort:
+    """201Ah:01: increments are four times a number of lines (5.10)."""
+    return Abort.NONE if value % 4 == 0 else Abort.INVALID_VALUE
+
+
+def _at_most(limit: int, factor: str, per_minute: int) -> Hook:
+    """A range printed in 1/min (or 1/min per second), of a value in units of `factor`."""
+
+    def write(od: Dictionary, row: Object, value: int) -> Abort:
+        numerator, divisor = (int(v) for v in od.drive.axis.od[factor])
+        too_high = value * numerator > limit * per_minute * divisor
+        return Abort.VALUE_TOO_HIGH if too_high else Abort.NONE
+
+    return Hook(write)
+
+
+# 60C2h:02 -> values of 60C2h:01: 1..10 ms, or 10, 20 .. 100 times 0.1 ms
+PERIODS = {-3: range(1, 11), -4: range(10, 101, 10)}
+
+
+def _ip_time_units(od: Dictionary, row: Object, value: int) -> Abort:
+    index = int(od.drive.axis.od.interpolation_time_index)
+    return Abort.NONE if value in PERIODS[index] else Abort.INVALID_VALUE
+
+
+OUTPUTS, MASK = (0x60FE, 1), (0x60FE, 2)
+BRAKE = 1  # bit 0 of 60FEh
+OFF, ON = 0, 12  # functions of 2420h
+# bit of 60FEh -> object of its function, lowest bit of the function there, bits of it
+OUTPUT_FUNCTIONS = {25 + n: (1 + n, 0, 8) for n in range(3)}
+OUTPUT_FUNCTIONS |= {16 + n: (0x11 + n // 4, 8 * (n % 4), 8) for n in range(8)}
+
+
+def _warns(axis, main: int) -> bool:
+    """Whether a fault of this main number is shown as a warning."""
+    shown = int(axis.warnings) | int(axis.faults)
+    return any(shown >> c & 1 and n >> 4 == main for c, n in enumerate(axis.fault_number.tolist()))
+
+
+# function of 2420h -> whether the output is on; the others need what the emulator has not
+FUNCTIONS: dict[int, Callable] = {
+    1: lambda axis: axis.profile_done,
+    2: lambda axis: int(axis.od.statusword) & Statusword.TARGET_REACHED,
+    5: lambda axis: axis.homing in RUNNING,
+    7: lambda axis: _warns(axis, I2T),
+    8: lambda axis: axis.following_error_exceeded,
+    9: lambda axis: _warns(axis, UNDERVOLTAGE),
+    10: lambda axis: axis.brake_released,
+    11: lambda axis: POWERED[axis.state],
+    ON: lambda axis: True,
+    16: lambda axis: axis.homed,
+}
+
+
+def _outputs_now(od: Dictionary, row: Object) -> int:
+    """60FEh:01 shows what the outputs really are: the brake, and the functions of 2420h."""
+    axis = od.drive.axis
+    word = 0 if axis.brake_released else BRAKE
+    for bit, (subindex, shift, _) in OUTPUT_FUNCTIONS.items():
+        function = int(od.slots[0x2420, subindex].get()) >> shift & 0xFF
+        word |= bool(FUNCTIONS.get(function, lambda axis: False)(axis)) << bit
+    return word
+
+
+def _set_outputs(od: Dictionary, row: Object, value: int) -> Abort:
+    """Switched directly an output has the function OFF or ON from now on, as its mask says."""
+    both = {OUTPUTS: int(od.slots[OUTPUTS].get()), MASK: int(od.slots[MASK].get())}
+    both[row.index, row.subindex] = value
+    for bit, (subindex, shift, bits) in OUTPUT_FUNCTIONS.items():
+        if both[MASK] >> bit & 1:
+            slot = od.slots[0x2420, subindex]
+            other = int(slot.get()) & ~((1 << bits) - 1 << shift)
+            slot.put(other | (ON if both[OUTPUTS] >> bit & 1 else OFF) << shift)
+    return Abort.NONE
+
+
+HOOKS = {
+    "multiple_of_4": Hook(_multiple_of_4),
+    "position_control_v_max": _at_most(131_072, "velocity_encoder_factor", 4096),
+    "limit_switch_deceleration": _at_most(3_000_000, "acceleration_factor", 256),
+    "ip_time_units": Hook(_ip_time_units),
+    "outputs": Hook(_set_outputs, _outputs_now),
+    "output_mask": Hook(_set_outputs),
+    "error_reaction": Hook(_error_reaction, _error_reaction_now),
+    "undervoltage_error": _switch(UNDERVOLTAGE),
+    "i2t_error": _switch(I2T),
+    "position_error_limit": Hook(_position_error_limit, _position_error_limit_now),
+    "older_factor": Hook(_older_factor),
+    "older_factor_unbounded": Hook(_older_factor),
+    "compatibility": Hook(_compatibility),
+    "ip_data": Hook(_ip_data),
+    "set_position": Hook(_set_position),
+}

@@ -1,0 +1,82 @@
+"""Objects of an EtherCAT drive: assignment of PDOs (1C12h, 1C13h), synchronisation (1C32h, 1C33h).
+
+Assignment: Kollmorgen AKD 5.5, 5.6. One fixed PDO, or up to four flexible ones; the number is
+written last, and only a number of 0 opens list and mapping to changes. The process image has the
+PDOs in the order of their indices, so a list in another order is refused (inferred), as is every
+change while process data are exchanged (ETG.1000.6: in PRE_OP only).
+
+Synchronisation: ETG.1020, tables of 1C32h and 1C33h; both show the same, as outputs and inputs are
+exchanged at the same moment.
+"""
+
+import numpy as np
+
+from ...model.rows import Object
+from ..abort import Abort
+from ..device import Dictionary
+from .hook import Hook
+
+ASSIGNMENTS = (0x1C12, 0x1C13)  # sync manager 2: outputs, 3: inputs
+FLEXIBLE = 4  # PDOs of each direction that a master may map; they come first
+
+
+def _pdos(od: Dictionary, index: int) -> np.ndarray:
+    return od.drive.rpdos if index == ASSIGNMENTS[0] else od.drive.tpdos
+
+
+def assign(od: Dictionary, index: int, count: int) -> Abort:
+    """Make the first `count` PDOs of a list the process image of its sync manager."""
+    pdos = _pdos(od, index)
+    known = pdos["cob_id"].tolist()
+    wanted = [int(od.slots[index, n + 1].get()) for n in range(count)]
+    if any(pdo not in known for pdo in wanted):
+        return Abort.INVALID_VALUE
+    numbers = [known.index(pdo) for pdo in wanted]
+    fixed = any(number >= FLEXIBLE for number in numbers)
+    if numbers != sorted(set(numbers)) or (fixed and count > 1):
+        return Abort.PARAMETER_INCOMPATIBLE
+    pdos["valid"] = 0
+    pdos["valid"][numbers] = 1
+    od.drive.image_changed()
+    return Abort.NONE
+
+
+def _assignment(od: Dictionary, row: Object, value: int) -> Abort:
+    if od.drive.model.ethercat is None:
+        return Abort.NONE  # the object is there on another bus too, and means nothing
+    if od.drive.operational:
+        return Abort.DEVICE_STATE
+    if row.subindex == 0:
+        return assign(od, row.index, value)
+    if od.slots[row.index, 0].get():
+        return Abort.DEVICE_STATE
+    known = _pdos(od, row.index)["cob_id"]
+    return Abort.NONE if value == 0 or value in known else Abort.INVALID_VALUE
+
+
+# sub-index of 1C32h and 1C33h -> attribute of `Device.synchronisation`
+SYNCHRONISATION = {
+    0x01: "sync_type",
+    0x02: "cycle_ns",
+    0x03: "shift_ns",
+    0x0A: "sync0_ns",
+    0x0B: "events_missed",
+    0x0C: "cycle_exceeded",
+    0x0D: "shift_too_short",
+    0x20: "sync_error",
+}
+MINIMUM_CYCLE = 0x05
+
+
+def _synchronisation(od: Dictionary, row: Object) -> int:
+    """What the bus has measured; 0 without one."""
+    if row.subindex == MINIMUM_CYCLE:
+        ethercat = od.drive.model.ethercat
+        return 0 if ethercat is None else ethercat.cycle_ns
+    return int(getattr(od.drive.synchronisation, SYNCHRONISATION[row.subindex], 0))
+
+
+HOOKS = {
+    "assignment": Hook(_assignment),
+    "synchronisation": Hook(read=_synchronisation),
+}

@@ -1,0 +1,79 @@
+"""Objects of CiA 301 and CiA 402 that do something when they are written."""
+
+import math
+from fractions import Fraction
+
+from ...kernel.factors.units import FRACTION_LIMIT
+from ...kernel.statusword import POWERED
+from ...model.rows import Object
+from ..abort import Abort
+from ..device import Dictionary
+from .hook import Hook
+
+SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
+
+
+def _clear_history(od: Dictionary, row: Object, value: int) -> Abort:
+    if value != 0:
+        return Abort.INVALID_VALUE
+    od.drive.axis.od.error_field[:] = 0
+    return Abort.NONE
+
+
+def _mode(od: Dictionary, row: Object, value: int) -> Abort:
+    return Abort.NONE if value == 0 or value in od.drive.model.modes else Abort.INVALID_VALUE
+
+
+def _homing_method(od: Dictionary, row: Object, value: int) -> Abort:
+    return Abort.NONE if value in od.drive.model.homing_methods else Abort.INVALID_VALUE
+
+
+def _factor(od: Dictionary, row: Object, value: int) -> Abort:
+    """608Fh, 6091h, 6092h: the exact fraction they make together has to stay computable."""
+    fractions = []
+    for index, upside_down in ((0x608F, True), (0x6091, True), (0x6092, False)):
+        parts = []
+        for subindex in (1, 2):
+            here = (index, subindex) == (row.index, row.subindex)
+            parts.append(value if here else int(od.slots[index, subindex].get()))
+        fractions.append(Fraction(*(reversed(parts) if upside_down else parts)))
+    product = math.prod(fractions)
+    too_long = max(product.numerator, product.denominator) > FRACTION_LIMIT
+    return Abort.INTERNAL_INCOMPATIBLE if too_long else Abort.NONE
+
+
+def _shortest_period(od: Dictionary, row: Object, value: int) -> Abort:
+    """60C2h: the set-points of a bus come no faster than the position controller works."""
+    units, index = (
+        value if row.subindex == n else int(od.slots[row.index, n].get()) for n in (1, 2)
+    )
+    shortest = Fraction(round(od.drive.model.cycle_time["position"] * 1e9), 10**9)
+    return Abort.VALUE_TOO_LOW if units * Fraction(10) ** index < shortest else Abort.NONE
+
+
+def _save(od: Dictionary, row: Object, value: int) -> Abort:
+    if value != SAVE:
+        return Abort.NOT_TRANSFERABLE
+    return Abort.STORED if od.drive.parameters.save() else Abort.HARDWARE
+
+
+def _load(od: Dictionary, row: Object, value: int) -> Abort:
+    if value != LOAD:
+        return Abort.NOT_TRANSFERABLE
+    if od.drive.model.quirk("load_at_once"):
+        if POWERED[od.drive.axis.state]:  # Metronix 6.1.2.1, CMMP-AS 5.1: power stage off
+            return Abort.DEVICE_STATE
+        od.drive.parameters.load_defaults()
+        return Abort.STORED
+    return Abort.STORED if od.drive.parameters.forget() else Abort.HARDWARE
+
+
+HOOKS = {
+    "clear_history": Hook(_clear_history),
+    "save": Hook(_save),
+    "load": Hook(_load),
+    "shortest_period": Hook(_shortest_period),
+    "mode": Hook(_mode),
+    "homing_method": Hook(_homing_method),
+    "factor": Hook(_factor),
+}

@@ -1,0 +1,236 @@
+"""The objects 1400h-1BFFh: what a PDO carries and when, and the order in which it may change.
+
+CiA 301, 7.5.2.35-38: not valid first, then the number of entries 0, the entries, their number.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+from ..kernel.process_data import DUMMY, DUMMY_BITS, ENTRIES, INVALID, MAX_BITS, parameter_place
+from ..model.model import DriveModel
+from ..model.rows import Mapping, Object
+from .abort import Abort
+from .communication import PDO_COB_ID, sdo_server
+from .device import Dictionary
+from .hooks.ethercat import FLEXIBLE
+
+RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
+LAST_PDO_OBJECT = 0x1BFF
+TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
+NO_RTR = 0x4000_0000  # bit 30 of a PDO's identifier
+MAX_ENTRIES = 0x40  # CiA 301: more are reserved, or multiplexed PDOs
+SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
+
+
+def pdo_objects(n_rpdo: int, n_tpdo: int) -> list[Object]:
+    """Rows 1400h…, 1600h…, 1800h…, 1A00h… of a drive with so many PDOs (CiA 301)."""
+    rows = []
+    for (communication, mapping), area, direction in (RECEIVE, TRANSMIT):
+        parameters = [
+            (1, "cob_id", "UNSIGNED32"),
+            (2, "transmission_type", "UNSIGNED8"),
+            (3, "inhibit_time", "UNSIGNED16"),
+            (5, "event_timer", "UNSIGNED16"),
+        ]
+        if direction == "tx":
+            parameters.append((6, "sync_start_value", "UNSIGNED8"))
+        for i in range(n_rpdo if direction == "rx" else n_tpdo):
+            name = f"{area}{i + 1}"
+            rows.append(_constant(communication + i, f"{name}_entries", parameters[-1][0]))
+            for index, names in ((communication + i, parameters), (mapping + i, MAPPING)):
+                rows += _placed(index, name, names)
+    return rows
+
+
+MAPPING = [
+    (0, "number_of_mapped_objects", "UNSIGNED8"),
+    *((n, f"mapping_{n}", "UNSIGNED32") for n in range(1, ENTRIES + 1)),
+]  # sub-index, name, data type
+
+
+def _placed(index: int, name: str, names: list[tuple[int, str, str]]) -> list[Object]:
+    """Rows of a PDO parameter object, which live in its record."""
+    rows = []
+    for subindex, label, data_type in names:
+        place = parameter_place(index, subindex)
+        assert place is not None
+        rows.append(_row(index, subindex, f"{name}_{label}", data_type, *place))
+    return rows
+
+
+def ethercat_pdo_objects(model: DriveModel) -> list[Object]:
+    """Rows of the PDOs of an EtherCAT model: flexible ones can be mapped, fixed ones are constant.
+
+    A PDO has no communication parameters there, and its index stands where CAN has the identifier.
+    """
+    rows = []
+    for area, pdos in (("rpdo", model.rpdos), ("tpdo", model.tpdos)):
+        for i, pdo in enumerate(pdos):
+            index = int(pdo.cob_id, 0)
+            if i < FLEXIBLE:
+                rows += _placed(index, f"{area}{i + 1}", MAPPING)
+                continue
+            name = f"{area}_{index:04X}h"
+            rows.append(_constant(index, f"{name}_{MAPPING[0][1]}", len(pdo.entries)))
+            for n, (target, subindex, bits) in enumerate(pdo.entries, 1):
+                value = target << 16 | subindex << 8 | bits
+                label, data_type = MAPPING[n][1:]
+                rows.append(
+                    _row(index, n, f"{name}_{label}", data_type, "constant", 0, "const", value)
+                )
+    return rows
+
+
+def all_objects(model: DriveModel) -> list[Object]:
+    """The objects of a model; it lists those of its PDOs itself, or has the standard ones."""
+    rows = [*model.objects.values()]
+    if model.ethercat is not None:
+        own = {row.index for row in rows}
+        rows += [row for row in ethercat_pdo_objects(model) if row.index not in own]
+    elif not any(RECEIVE[0][0] <= row.index <= LAST_PDO_OBJECT for row in rows):
+        rows += pdo_objects(len(model.rpdos), len(model.tpdos))
+    return rows
+
+
+def described(model: DriveModel) -> list[Object]:
+    """All objects of a model in their order, those of its PDOs with the defaults of pdo.csv."""
+    found = [_with_default(row, model) for row in all_objects(model)]
+    return sorted(found, key=lambda row: (row.index, row.subindex))
+
+
+def _with_default(row: Object, model: DriveModel) -> Object:
+    """A row of a PDO with the default of `pdo.csv`."""
+    if row.area not in ("rpdo", "tpdo"):
+        return row
+    pdo: Mapping = (model.rpdos if row.area == "rpdo" else model.tpdos)[row.index & 0x1FF]
+    if row.index & 0x200:  # 1600h, 1A00h: mapping
+        entries = [i << 16 | s << 8 | bits for i, s, bits in pdo.entries]
+        values = dict(enumerate([len(entries), *entries]))
+        return dataclasses.replace(row, default=values.get(row.subindex, 0))
+    base, _, node_id = pdo.cob_id.partition("+")
+    values = {1: int(base, 0), 2: pdo.transmission_type, 3: pdo.inhibit_time}
+    relative = row.subindex == 1 and bool(node_id)
+    default = values.get(row.subindex, row.default)
+    return dataclasses.replace(row, default=default, per_node=relative)
+
+
+def _row(index, subindex, name, data_type, area, offset, access="rw", default=0) -> Object:
+    bits = int(data_type.removeprefix("UNSIGNED"))
+    return Object(
+        index, subindex, name, "RECORD", data_type, access, "", "", 0.0, float(2**bits - 1), None,
+        default, access == "rw", "CiA 301", "", area, offset,
+    )  # fmt: skip
+
+
+def _constant(index, name, value) -> Object:
+    return _row(index, 0, name, "UNSIGNED8", "constant", 0, "const", value)
+
+
+WriteHook = Callable[[Dictionary, Object, int], Abort]
+
+
+def _pdo(od: Dictionary, row: Object):
+    receive = row.index < 0x1800
+    pdos = od.drive.rpdos if receive else od.drive.tpdos
+    return pdos[row.index & 0x1FF], receive
+
+
+def _communication(od: Dictionary, row: Object, value: int) -> Abort:
+    """1400h…/1800h…: the identifier may change only while the PDO is not valid."""
+    pdo, receive = _pdo(od, row)
+    model = od.drive.model
+    if model.quirk("pdo_needs_stop") and (od.drive.operational or (row.subindex > 1 and pdo.valid)):
+        return Abort.DEVICE_STATE
+    if row.subindex == 1:
+        old, valid = int(pdo.cob_id), not value & INVALID
+        abort = PDO_COB_ID.check(old, value)
+        if abort or (valid and value & 0x7FF == SYNC_ID):
+            return abort or Abort.INVALID_VALUE
+        if model.quirk("identifier_needs_valid_bit"):
+            if valid and (value ^ old) & 0x7FF:
+                return Abort.DEVICE_STATE  # another identifier only together with bit 31
+            value |= NO_RTR
+            pdo.cob_id = value
+        pdo.valid = valid and (pdo.count > 0 or not model.quirk("pdo_needs_stop"))
+        od.drive.image_changed()
+        if model.quirk("identifier_needs_valid_bit"):
+            return Abort.STORED
+    elif row.subindex == 2:
+        only_transmit = value in (252, 253)
+        if 241 <= value <= 251 or (receive and only_transmit):
+            return Abort.INVALID_VALUE
+    elif row.subindex in (3, 6) and pdo.valid:
+        return Abort.DEVICE_STATE
+    return Abort.NONE
+
+
+def _mapping(od: Dictionary, row: Object, value: int) -> Abort:
+    """1600h…/1A00h…: PDO not valid, then sub 0 = 0, then the entries, then sub 0 = their number.
+
+    CiA 301 gives 06040042h for a number of entries that is not possible, and no code for steps in
+    another order: unsupported access (inferred).
+    """
+    pdo, receive = _pdo(od, row)
+    ethercat, stop = od.drive.model.ethercat is not None, od.drive.model.quirk("pdo_needs_stop")
+    if od.drive.operational and stop:
+        return Abort.DEVICE_STATE
+    if pdo.valid or (row.subindex and pdo.count):
+        return Abort.DEVICE_STATE if ethercat or stop else Abort.UNSUPPORTED_ACCESS
+    if row.subindex == 0:
+        if value > MAX_ENTRIES and not ethercat:
+            return Abort.INVALID_VALUE
+        return _compile(od, pdo, receive, value)
+    return _target(od, receive, value)[1] if value else Abort.NONE
+
+
+def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> tuple[int, Abort]:
+    """Where a mapping entry's bytes lie in the record, or the abort code of the refusal."""
+    index, subindex, bits = mapping >> 16, mapping >> 8 & 0xFF, mapping & 0xFF
+    if index in DUMMY_BITS and subindex == 0:
+        mappable = receive and bits == DUMMY_BITS[index]
+        return DUMMY, Abort.NONE if mappable else Abort.NOT_MAPPABLE
+    slot, abort = od.find(index, subindex)
+    if slot is None:
+        return DUMMY, abort
+    if ("rx" if receive else "tx") not in slot.row.pdo:
+        return DUMMY, Abort.NOT_MAPPABLE
+    if exact and bits != slot.row.size * 8:
+        return DUMMY, Abort.NOT_MAPPABLE
+    return slot.offset, Abort.NONE
+
+
+def _compile(od: Dictionary, pdo, receive: bool, count: int, fixed: bool = False) -> Abort:
+    if count > ENTRIES:
+        return Abort.PDO_LENGTH
+    offsets, lengths = [], []
+    for mapping in pdo.mapping[:count].tolist():
+        offset, abort = _target(od, receive, mapping, exact=not fixed)
+        if abort:
+            return abort
+        offsets.append(offset)
+        lengths.append((mapping & 0xFF) // 8)
+    if sum(lengths) * 8 > MAX_BITS and not fixed:
+        return Abort.PDO_LENGTH
+    pdo.offset[:count] = offsets
+    pdo.length[:count] = lengths
+    pdo.width = sum(lengths)
+    od.drive.image_changed()
+    return Abort.NONE
+
+
+RULES_OF_RANGES: dict[int, WriteHook] = {  # by index & FE00h
+    0x1200: sdo_server,
+    0x1400: _communication,
+    0x1600: _mapping,
+    0x1800: _communication,
+    0x1A00: _mapping,
+}
+
+
+def compile_default(od: Dictionary, pdo, receive: bool) -> None:
+    """Compile a mapping that the model or a parameter file brought."""
+    fixed = od.drive.model.ethercat is not None
+    abort = _compile(od, pdo, receive, int(pdo.count), fixed=fixed)
+    if abort:
+        pdo.count = pdo.width = 0
+    pdo.valid = abort is Abort.NONE and not int(pdo.cob_id) & INVALID

@@ -1,0 +1,365 @@
+"""The parameter sets of a drive: factory defaults, what is stored, what is in force.
+
+Power-on fills the record with the model's defaults and then with what was stored (1010h), in a file
+or, without one, in the drive itself.
+"""
+
+import functools
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..kernel.process_data import ENTRIES
+from ..kernel.record import AXIS, OD
+from ..model.model import DriveModel, load
+from ..model.rows import Mapping
+from . import kept, store
+from .abort import TEXT, Abort
+from .device import Device
+from .hooks import HOOKS
+from .mapping import all_objects
+from .reactions import REACTIONS, set_reaction
+from .slots import Slot
+
+# objects that loading the defaults leaves alone (CMMP-AS 5.5, ARS 2000 6.5.2)
+KEPT = ("pole_number", "encoder_offset_angle")
+AS_WRITTEN = "as_written"  # in a parameter file: a value in the units of its writing
+REACTION = "reaction"  # in a parameter file: changed reaction to a main fault number
+ALIAS = "alias:0"  # in a parameter file: station alias of an EtherCAT slave
+LSS = ("lss:0", "lss:1")  # in a parameter file: node-id and bit rate (bit/s; 0: none) of LSS
+# hooks that only judge the value, by the values of other objects
+JUDGES = (
+    "mode", "homing_method", "factor", "older_factor", "older_factor_unbounded",
+    "shortest_period", "multiple_of_4", "position_control_v_max", "limit_switch_deceleration",
+    "ip_time_units",
+)  # fmt: skip
+
+
+@functools.cache
+def kept_bytes(model: DriveModel) -> np.ndarray:
+    """Where in the record the storable objects of a model are, and what 2100h sets."""
+    od = AXIS.fields["od"][1]  # type: ignore[index]
+    spans = [
+        (row.offset, row.size)
+        for row in all_objects(model)
+        if row.storable and row.area == "axis" and row.format
+    ]
+    field, offset = OD.fields["reaction_code"][:2]  # type: ignore[index]
+    spans.append((offset, field.itemsize))
+    return np.concatenate([np.arange(od + at, od + at + size) for at, size in spans])
+
+
+class Parameters:
+    """Parameter sets of `drive`; `file` is where 1010h stores them, None: only in the drive."""
+
+    def __init__(self, drive: Device, file: str | Path | None):
+        self._drive = drive
+        self.file = None if file is None else Path(file)
+        self.kept: store.Values | None = None  # what 1010h has stored, without a file
+        self.alias = 0  # station alias that a master has written into the EEPROM, 0: none
+        self.lss: tuple[int, int] | None = None  # stored by LSS: node-id, bit rate or 0
+
+    def standard_defaults(self) -> None:
+        """Objects a model lacks behave as the defaults of the standard's own drive."""
+        od = self._drive.objects.names["statusword"].view
+        own = {row.offset for row in self._drive.model.objects.values() if row.area == "axis"}
+        for row in load("generic").objects.values():
+            if row.area == "axis" and row.format and row.offset not in own:
+                Slot(row, od).put(row.default)  # type: ignore[arg-type]
+
+    def defaults(self) -> None:
+        """Put the factory defaults in force, PDOs included."""
+        for slot in self._drive.objects.slots.values():
+            if slot.row.area == "axis" and slot.row.format:
+                slot.put(self._default(slot))
+        self._default_pdos()
+
+    def _default(self, slot: Slot) -> Any:
+        """Factory default; some identifiers count from the node-id."""
+        default: Any = slot.row.default
+        return default + self._drive.node_id if slot.row.per_node else default
+
+    def _default_cob_id(self, mapping: Mapping) -> int:
+        base, _, node = mapping.cob_id.partition("+")
+        return int(base, 0) + (self._drive.node_id if node else 0)
+
+    def _default_pdos(self) -> None:
+        for pdos, mappings in (
+            (self._drive.rpdos, self._drive.model.rpdos),
+            (self._drive.tpdos, self._drive.model.tpdos),
+        ):
+            for pdo, mapping in zip(pdos, mappings, strict=True):
+                pdo.cob_id = self._default_cob_id(mapping)
+                pdo.transmission_type = mapping.transmission_type
+                pdo.inhibit_time = mapping.inhibit_time
+                pdo.count = len(mapping.entries)
+                pdo.mapping[:] = 0
+                pdo.mapping[: pdo.count] = [
+                    index << 16 | subindex << 8 | bits for index, subindex, bits in mapping.entries
+                ]
+        for (index, subindex), slot in self._drive.objects.slots.items():
+            timers = subindex in (5, 6) and (index & 0xFE00) in (0x1400, 0x1800)
+            if timers and slot.view is not None:
+                slot.put(slot.row.default)  # type: ignore[arg-type]
+
+    def values(self) -> store.Values:
+        """All storable values, but not identifiers that still follow from the node-id."""
+        model = self._drive.model
+        follow = {
+            (base + number, 1): self._default_cob_id(mapping)
+            for base, mappings in ((0x1400, model.rpdos), (0x1800, model.tpdos))
+            for number, mapping in enumerate(mappings)
+        }
+        values: store.Values = {
+            f"{index:04X}:{subindex:02X}": value  # type: ignore[misc]
+            for (index, subindex), slot in self._drive.objects.slots.items()
+            if slot.row.storable
+            and slot.view is not None
+            and (value := slot.get()) != follow.get((index, subindex))
+            and not (slot.row.per_node and value == self._default(slot))
+        }
+        for main, code in enumerate(self._drive.axis.od.reaction_code.tolist()):
+            if code:
+                values[f"{REACTION}:{main}"] = code - 1
+        for n, value in kept.kept(self._drive).items():
+            row = kept.storable(model)[n]
+            for part, number in value._asdict().items():
+                values[f"{AS_WRITTEN}:{row.index:04X}:{row.subindex:02X}:{part}"] = number
+        return values | self._identity()
+
+    def _identity(self) -> store.Values:
+        """What is stored beside the parameters and stays when they are forgotten."""
+        values: store.Values = {ALIAS: self.alias} if self.alias else {}
+        return values | dict(zip(LSS, self.lss or (), strict=False))
+
+    def react(self) -> None:
+        """Put the reactions in force that 2100h has set."""
+        codes = self._drive.axis.od.reaction_code
+        for main in np.flatnonzero(codes).tolist():
+            set_reaction(self._drive, main, int(codes[main]) - 1)
+
+    def use(self, file: Path) -> None:
+        """Store in a file from now on; what it does not hold stays as it is."""
+        self.file = file
+        self.restore(self.stored())
+        self._drive.axis.parameters_changed = 1
+
+    def become(self, kept: store.Values | None, alias: int) -> None:
+        """Take over what another drive has stored without a file."""
+        self.kept = kept
+        if self.file is None:
+            self.stored()
+        self.alias = alias
+
+    def stored(self) -> store.Values:
+        """What was saved, empty without it."""
+        if self.file is not None:
+            values = store.load(self.file, self._drive.model.name, self._unfit)
+        else:
+            values = self.kept or {}
+        self.alias = int(values.get(ALIAS, 0))
+        self.lss = (int(values[LSS[0]]), int(values.get(LSS[1], 0))) if LSS[0] in values else None
+        return values
+
+    def _unfit(self, address: str, value: int | float) -> str:
+        """Why the drive cannot have a value of a parameter file; empty if it can."""
+        if address in (ALIAS, *LSS):
+            low, high = {ALIAS: (0, 0xFFFF), LSS[0]: (1, 255)}.get(address, (0, 1_000_000))
+            whole = isinstance(value, int) and (address != LSS[0] or not 127 < value < 255)
+            return "" if whole and low <= value <= high else "cannot be stored"
+        if match := re.fullmatch(rf"{REACTION}:(\d+)", address):
+            known = int(match[1]) < len(self._drive.axis.od.reaction_code)
+            return "" if known and value in REACTIONS else "is no reaction to a fault"
+        if match := re.fullmatch(rf"{AS_WRITTEN}:([0-9A-F]{{4}}):([0-9A-F]{{2}}):(\w+)", address):
+            row = self._drive.model.objects.get((int(match[1], 16), int(match[2], 16)))
+            known = row is not None and row in kept.storable(self._drive.model).values()
+            whole = isinstance(value, int) or match[3] == "unit"
+            fits = match[3] in kept.Kept._fields and whole and abs(value) < 2**62
+            return "" if known and fits else "is no value as it was written"
+        match = re.fullmatch(r"([0-9A-F]{4}):([0-9A-F]{2})", address)
+        if not match:
+            return "has no address of an object"
+        slot = self._drive.objects.slots.once((int(match[1], 16), int(match[2], 16)))
+        if slot is None or not slot.row.storable:
+            return ""  # left out
+        row = slot.row
+        if not (math.isfinite(value) if row.format == "f" else isinstance(value, int)):
+            return f"is no {row.data_type}"
+        if slot.kept is not None and slot.kept != kept.FACTOR:
+            info = np.iinfo(np.dtype("<" + row.format))  # the range of the row is in other units
+            return "" if info.min <= value <= info.max else f"is no {row.data_type}"
+        if not row.minimum <= value <= row.maximum:
+            return f"is out of range {row.minimum:.0f}..{row.maximum:.0f}"
+        if row.allowed is not None and value not in row.allowed:
+            return "is none of the values that are allowed"
+        mapping = row.area in ("rpdo", "tpdo") and row.index & 0x200 and row.subindex == 0
+        return f"is more than {ENTRIES} entries" if mapping and value > ENTRIES else ""
+
+    def _ranges(self, values: store.Values) -> store.Ranges:
+        """What the drive takes for the values of objects."""
+        slots = self._drive.objects.slots
+        ranges = {}
+        for address in values:
+            if re.fullmatch(r"[0-9A-F]{4}:[0-9A-F]{2}", address):
+                row = slots.once((int(address[:4], 16), int(address[5:], 16))).row
+                if row.format != "f":
+                    ranges[address] = [int(row.minimum), int(row.maximum)]
+        return ranges
+
+    def restore(self, values: store.Values) -> None:
+        """Put saved values in force; what the model does not store is left out.
+
+        First of all what makes the units: the defaults keep their meaning, the others are numbers
+        in these units, but for values that are saved as they were written. Values that do not go
+        together are told, and none of them is used.
+        """
+        self._put(values)
+        wrong = self._clash(values)
+        if wrong:
+            axis = self._drive.axis
+            axis.converted, axis.unit[:] = 0, 0.0  # the defaults are in units of their own
+            self.defaults()
+            store.ignored(self.file or Path("of the drive"), wrong)
+
+    def _clash(self, values: store.Values) -> str:
+        """Why the values in force do not go together; empty if they do."""
+        od = self._drive.objects
+        for address, value in values.items():
+            first, _, second = address.partition(":")
+            if first in (REACTION, AS_WRITTEN) or address in (ALIAS, *LSS):
+                continue
+            slot = od.slots.once((int(first, 16), int(second, 16)))
+            if slot is not None and slot.row.storable and slot.row.hook in JUDGES:
+                abort = HOOKS[slot.row.hook].write(od, slot.row, int(value))  # type: ignore[misc]
+                if abort is not Abort.NONE:
+                    return f"{address} = {value}: {TEXT[abort]}"
+        return ""
+
+    def _put(self, values: store.Values) -> None:
+        factors: list[tuple[Slot, int | float]] = []
+        others: list[tuple[Slot, int | float]] = []
+        exact: dict[int, dict[str, Any]] = {}
+        for address, value in values.items():
+            if address in (ALIAS, *LSS):
+                continue
+            first, *more = address.split(":")
+            if first == REACTION:
+                set_reaction(self._drive, int(more[0]), int(value))
+                continue
+            part = ""
+            if first == AS_WRITTEN:
+                first, *more = more
+                *more, part = more
+            slot = self._drive.objects.slots.once((int(first, 16), int(more[0], 16)))
+            if slot is None or slot.view is None or not slot.row.storable:
+                continue
+            if part:
+                exact.setdefault(slot.kept, {})[part] = value
+            else:
+                (factors if slot.kept == kept.FACTOR else others).append((slot, value))
+        if factors:
+            self._drive.objects.put_factors(factors)
+        for slot, value in others:
+            slot.put(value)
+        if self._drive.model.quirk("values_keep_meaning"):
+            whole = {n: p for n, p in exact.items() if len(p) == len(kept.Kept._fields)}
+            kept.keep(self._drive, {n: kept.Kept(**parts) for n, parts in whole.items()})
+
+    def reset_communication(self) -> None:
+        """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""
+        stored = self.stored()
+        for (index, _), slot in self._drive.objects.slots.items():
+            belongs = slot.row.storable or slot.row.per_node
+            if index < 0x2000 and slot.row.area == "axis" and belongs:
+                slot.put(self._default(slot))
+        self._default_pdos()
+        self.restore({a: v for a, v in stored.items() if a.startswith("1")})
+
+    def keep_alias(self, alias: int) -> bool:
+        """Store a station alias, and nothing else, unless the model stores all; False if it failed.
+
+        The alias is no parameter: 1011h leaves it.
+        """
+        values = self.values() if self._drive.model.quirk("alias_saves") else self.stored()
+        self.alias = alias
+        return self._keep({**values, ALIAS: alias})
+
+    def keep_lss(self, node_id: int, bit_rate: int | None) -> bool:
+        """Store what LSS has configured, and nothing else; False if it failed.
+
+        It is no parameter: 1011h leaves it.
+        """
+        stored = self.stored()
+        self.lss = node_id, bit_rate or 0
+        return self._keep(stored | self._identity())
+
+    def export(self) -> bytes:
+        """The parameter file as the drive would store it now."""
+        values = self.values()
+        return store.encode(self._drive.model.name, values, self._ranges(values)).encode()
+
+    def take(self, content: bytes) -> str:
+        """Store a parameter file for the next power-on; -> why it is refused, if it is."""
+        try:
+            values = store.decode(content.decode(), self._drive.model.name, self._unfit)
+        except ValueError as error:
+            return str(error)
+        if refused := self._untried(values):
+            return refused
+        return "" if self._keep(values) else "it could not be stored"
+
+    def _untried(self, values: store.Values) -> str:
+        """Do what power-on will do and take it back; -> why it cannot be done."""
+        before = self._drive.snapshot()
+        self._put(values)
+        wrong = self._clash(values)
+        self._drive.restore(before)
+        return wrong
+
+    def save(self) -> bool:
+        """What 1010h does: keep all storable objects for the next power-on; False if it failed."""
+        return self._keep(self.values())
+
+    def _keep(self, values: store.Values) -> bool:
+        if self.file is None:
+            self.kept = values
+            return True
+        try:
+            store.save(self.file, self._drive.model.name, values, self._ranges(values))
+        except OSError:
+            return False
+        return True
+
+    def load_defaults(self) -> None:
+        """What 1011h does in models where it acts at once: factory defaults, PDOs stay."""
+        slots = [
+            slot
+            for slot in self._drive.objects.slots.values()
+            if slot.row.index >= 0x2000
+            and slot.row.area == "axis"
+            and slot.row.storable
+            and slot.row.name not in KEPT
+        ]
+        makers = [(slot, self._default(slot)) for slot in slots if slot.kept == kept.FACTOR]
+        self._drive.objects.put_factors(makers)
+        for slot in slots:
+            if slot.kept != kept.FACTOR:
+                self._drive.objects.put(slot, self._default(slot))
+        self._drive.axis.od.reaction_code[:] = 0
+        self._drive.model.set_reactions(self._drive.axis)
+        self._drive.axis.parameters_changed = 1
+
+    def forget(self) -> bool:
+        """What 1011h does: the next power-on finds factory defaults; False if it failed."""
+        if identity := self._identity():
+            return self._keep(identity)
+        self.kept = None
+        try:
+            if self.file is not None:
+                self.file.unlink(missing_ok=True)
+        except OSError:
+            return False
+        return True

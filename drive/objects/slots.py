@@ -1,0 +1,136 @@
+"""Slots: the objects of a drive and where their bytes are.
+
+All drives of a model share the pattern of each; a slot of a drive is the pattern with a view.
+"""
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from ..model.rows import Object
+from .abort import Abort
+from .hooks import HOOKS
+
+
+class Slot:
+    """An object and where its bytes are; without a `view`, the pattern of it in every drive."""
+
+    __slots__ = ("code", "hook", "kept", "offset", "raw", "reads", "row", "view", "writable")
+
+    def __init__(
+        self,
+        row: Object,
+        view: memoryview | None,
+        rule: Callable[..., Abort] | None = None,
+        kept: int | None = None,
+        read_rule: Callable[..., Any] | None = None,
+    ):
+        self.row = row
+        self.view = view
+        self.offset = row.offset
+        self.code = struct.Struct("<" + row.format)
+        self.writable = row.access not in ("ro", "const")
+        self.reads = HOOKS[row.hook].read if row.hook else read_rule
+        self.hook = HOOKS[row.hook].write if row.hook else None
+        self.raw = HOOKS[row.hook].raw if row.hook else None
+        self.hook = self.hook or rule
+        self.kept = kept  # `kept.place`
+
+    def of(self, views: Mapping[str, memoryview | None]) -> "Slot":
+        """The same object in the memory of one drive, by area."""
+        slot = Slot.__new__(Slot)
+        slot.row, slot.offset, slot.code, slot.writable = (
+            self.row, self.offset, self.code, self.writable
+        )  # fmt: skip
+        slot.reads, slot.hook, slot.raw, slot.kept = self.reads, self.hook, self.raw, self.kept
+        slot.view = views[self.row.area]
+        return slot
+
+    def get(self) -> int | float | str:
+        """The value as it stands."""
+        if self.view is None:
+            return self.row.default
+        return self.code.unpack_from(self.view, self.offset)[0]
+
+    def put(self, value: int | float) -> None:
+        """Store a checked value."""
+        assert self.view is not None
+        self.code.pack_into(self.view, self.offset, value)
+
+    @property
+    def accepts(self) -> str:
+        """What a master may write, for people."""
+        row = self.row
+        if row.allowed is not None:
+            return f"{row.name} may be one of {sorted(row.allowed)}"
+        if row.format and row.access == "rw":
+            limits = f"{row.minimum:.0f}..{row.maximum:.0f}"
+            return f"{row.name} {row.data_type} {limits} {row.unit}".strip()
+        return row.name
+
+
+class Slots(Mapping[tuple[int, int], Slot]):
+    """The slots of one drive by address; kept are those that were asked for one by one."""
+
+    def __init__(self, shared: dict[tuple[int, int], Slot], views: Mapping[str, memoryview | None]):
+        self._shared = shared
+        self._views = views
+        self._made: dict[tuple[int, int], Slot] = {}
+
+    def get(self, address: tuple[int, int], default: Any = None) -> Any:
+        """The slot of an address, `default` where there is none."""
+        slot = self._made.get(address)
+        if slot is None:
+            pattern = self._shared.get(address)
+            if pattern is None:
+                return default
+            slot = self._made[address] = pattern.of(self._views)
+        return slot
+
+    def once(self, address: tuple[int, int]) -> Slot | None:
+        """The slot of an address, if there is one, for a single use: it is not kept."""
+        pattern = self._shared.get(address)
+        return pattern and pattern.of(self._views)
+
+    def __getitem__(self, address: tuple[int, int]) -> Slot:
+        slot = self.get(address)
+        if slot is None:
+            raise KeyError(address)
+        return slot
+
+    def __contains__(self, address: object) -> bool:
+        return address in self._shared
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter(self._shared)
+
+    def __len__(self) -> int:
+        return len(self._shared)
+
+    def items(self) -> Any:
+        """Addresses and slots, for one pass."""
+        return ((address, slot.of(self._views)) for address, slot in self._shared.items())
+
+    def values(self) -> Any:
+        """Slots, for one pass."""
+        return (slot.of(self._views) for slot in self._shared.values())
+
+
+class Names(Mapping[str, Slot]):
+    """The slots of one drive by name."""
+
+    def __init__(self, shared: dict[str, tuple[int, int]], slots: Slots):
+        self._shared = shared
+        self._slots = slots
+
+    def __getitem__(self, name: str) -> Slot:
+        return self._slots[self._shared[name]]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._shared
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shared)
+
+    def __len__(self) -> int:
+        return len(self._shared)

@@ -1,0 +1,72 @@
+"""Snapshots: a line with a checksum, a line of JSON that says whose it is, and arrays as bytes.
+
+One that is truncated, altered, of another version or of something else is refused before anything
+of it is taken over.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+VERSION = 3  # of the layout, and of what is in it
+MARK = b"servogym-snapshot"
+
+
+def seal(identity: Mapping[str, Any], state: Mapping[str, Any], parts: Sequence[bytes]) -> bytes:
+    """A snapshot.
+
+    Args:
+        identity: of what it is taken; one with another identity refuses it. JSON's types.
+        state: the part of the state that is words. JSON's types.
+        parts: the part of it that is arrays.
+    """
+    head = {"identity": identity, "state": state, "sizes": [len(part) for part in parts]}
+    body = json.dumps(head).encode() + b"\n" + b"".join(parts)
+    return b" ".join((MARK, str(VERSION).encode(), _checksum(body))) + b"\n" + body
+
+
+def unseal(snapshot: bytes, identity: Mapping[str, Any]) -> tuple[dict[str, Any], list[bytes]]:
+    """State and parts of a snapshot.
+
+    Args:
+        snapshot: made by `seal`.
+        identity: of what is to take it over.
+
+    Raises:
+        ValueError: it is none, damaged, of another version, or of something else.
+    """
+    title, _, body = bytes(snapshot).partition(b"\n")
+    words = title.split(b" ")
+    if len(words) != 3 or words[0] != MARK:
+        raise ValueError(f"this is no snapshot, it begins with {snapshot[:20]!r}: take a new one")
+    if words[1] != str(VERSION).encode():
+        raise ValueError(
+            f"this snapshot is of version {words[1].decode(errors='replace')[:10]}, version "
+            f"{VERSION} is needed: take a new one"
+        )
+    if words[2] != _checksum(body):
+        raise ValueError("this snapshot is damaged, its checksum does not match: take a new one")
+    head, _, data = body.partition(b"\n")
+    about = json.loads(head)
+    for name, own in identity.items():
+        its = about["identity"].get(name)
+        if its != own:
+            raise ValueError(
+                f"this snapshot is of another {identity['kind']}: its {name} is {_short(its)}, "
+                f"here it is {_short(own)}: take a new one"
+            )
+    parts, at = [], 0
+    for size in about["sizes"]:
+        parts.append(data[at : at + size])
+        at += size
+    return about["state"], parts
+
+
+def _checksum(body: bytes) -> bytes:
+    return hashlib.sha256(body).hexdigest().encode()
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,0 +1,108 @@
+"""Parameter storage 1010h/1011h: one small file, replaced as a whole or not at all.
+
+The file is JSON: version of its form, model, values by object address with their ranges, and a
+checksum over all. A file that is truncated, altered, of another model, or holds what the drive
+cannot have is named in a warning and ignored; the drive then starts with its factory defaults,
+never with half of a set.
+"""
+
+import contextlib
+import glob
+import json
+import os
+import tempfile
+import warnings
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Values = dict[str, int | float]
+Ranges = dict[str, list[int]]
+VERSION = 2  # of the form of the file
+SUFFIX = ".tmp"
+LEFT_OVER = 60.0  # s; an older file of a save is one that was killed
+
+
+def _checksum(content: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(content, sort_keys=True).encode())
+
+
+def encode(model: str, values: Values, ranges: Ranges | None = None) -> str:
+    """The text of a parameter file; `ranges` are what the drive takes for the values."""
+    content = {"version": VERSION, "model": model, "values": values, "ranges": ranges or {}}
+    return json.dumps(content | {"crc32": _checksum(content)}, indent=1)
+
+
+def decode(text: str, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
+    """The values of the text of a parameter file. Raises ValueError where it cannot be trusted.
+
+    `check` tells of an address and a value why the drive cannot have it, if it cannot.
+    """
+    try:
+        content = json.loads(text)
+        if not isinstance(content, dict):
+            raise ValueError("it is no table of parameters")
+        if content["model"] != model:
+            raise ValueError(f"it belongs to the model {content['model']!r}, not {model!r}")
+        if content.get("version") != VERSION:
+            raise ValueError(f"it has the form {content.get('version')!r}, not {VERSION}")
+        if content.pop("crc32") != _checksum(content):
+            raise ValueError("its checksum does not match")
+        values, ranges = content["values"], content["ranges"]
+        for address, value in values.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ValueError(f"{address} = {value!r} is no number")
+            wrong = check(address, value) if check else ""
+            if wrong:
+                then = ranges.get(address)
+                then = f" ({then[0]}..{then[1]} when it was stored)" if then else ""
+                raise ValueError(f"{address} = {value} {wrong}{then}")
+    except (LookupError, TypeError, AttributeError, RecursionError, json.JSONDecodeError) as error:
+        raise ValueError(f"it cannot be read ({type(error).__name__}: {error})") from None
+    return values
+
+
+def save(path: Path, model: str, values: Values, ranges: Ranges | None = None) -> None:
+    """Write a parameter set; a process killed in the middle leaves the old file. Raises OSError."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=SUFFIX)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(encode(model, values, ranges))
+            file.flush()
+            os.fsync(file.fileno())
+            now = os.fstat(file.fileno()).st_mtime
+        os.replace(name, path)
+        clean(path, now)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def clean(path: Path, now: float) -> None:
+    """Remove what killed processes have left beside a parameter file until `now` (s)."""
+    for left in path.parent.glob(f"{glob.escape(path.name)}*{SUFFIX}"):
+        with contextlib.suppress(OSError):
+            if now - left.stat().st_mtime > LEFT_OVER:
+                left.unlink()
+
+
+def load(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
+    """The values of a parameter file, empty if there is none or it cannot be trusted."""
+    try:
+        return decode(path.read_text(encoding="utf-8"), model, check)
+    except FileNotFoundError:
+        return {}
+    except (ValueError, OSError) as error:
+        reason = f"it cannot be read ({error})" if isinstance(error, OSError) else str(error)
+    ignored(path, reason)
+    return {}
+
+
+def ignored(path: Path, reason: str) -> None:
+    """Tell that a parameter file is not used."""
+    warnings.warn(
+        f"parameter file {path} is ignored, the drive starts with factory defaults: {reason}; "
+        "store the parameters again (1010h) to replace it",
+        stacklevel=3,
+    )

@@ -1,0 +1,108 @@
+"""A CAN adapter that may fail: a bus of python-can behind which a node lives through its bus."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+import can
+
+QUEUE = 256  # messages that wait for the bus; then the oldest is lost
+PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus anew
+TROUBLE = (can.CanError, OSError)
+
+
+class Adapter:
+    """A bus that refuses frames, goes bus-off or is pulled, and comes back.
+
+    What cannot be sent waits and is tried again in its order; what has waited for `PATIENCE` is
+    lost, as in a controller whose transmission is cancelled. The trouble is told once when it
+    begins and once when it is over.
+
+    Args:
+        bus: the bus; `shutdown` ends it.
+        reopen: makes it anew where it does not come back by itself.
+        tell: takes a line for the user.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        reopen: Callable[[], can.BusABC] | None = None,
+        tell: Callable[[str], None] = lambda text: None,
+    ):
+        self.bus = bus
+        self.failed = 0  # attempts to send or receive
+        self.lost = 0  # messages
+        self._reopen = reopen
+        self._tell = tell
+        self._waiting: deque[tuple[float, can.Message]] = deque()
+        self._trouble_since: float | None = None
+        self._opened_at = 0.0
+
+    def send(self, message: can.Message) -> None:
+        """Send as soon as the bus takes it."""
+        if len(self._waiting) >= QUEUE:
+            self._waiting.popleft()
+            self.lost += 1
+        self._waiting.append((time.monotonic(), message))
+        self.flush()
+
+    def flush(self) -> None:
+        """Try to send what waits."""
+        while self._waiting:
+            since, message = self._waiting[0]
+            if time.monotonic() - since > PATIENCE:
+                self._waiting.popleft()
+                self.lost += 1
+                continue
+            try:
+                self.bus.send(message)
+            except TROUBLE as error:
+                self._failed(error)
+                return
+            self._waiting.popleft()
+            self._works()
+
+    def receive(self, timeout: float) -> can.Message | None:
+        """The next message, None after `timeout` (s)."""
+        if self._waiting:
+            self.flush()
+        try:
+            message = self.bus.recv(timeout)
+        except TROUBLE as error:
+            self._failed(error)
+            time.sleep(timeout)
+            return None
+        if message is not None and not message.is_error_frame:
+            self._works()
+        return message
+
+    def _failed(self, error: Exception) -> None:
+        now = time.monotonic()
+        self.failed += 1
+        if self._trouble_since is None:
+            self._trouble_since = self._opened_at = now
+            reason = " ".join(str(error).split())
+            self._tell(f"the bus fails: {reason}; the drive goes on and tries again")
+        elif self._reopen and now - self._opened_at > PATIENCE:
+            self._opened_at = now
+            self._open_anew(self._reopen)
+
+    def _open_anew(self, reopen: Callable[[], can.BusABC]) -> None:
+        with suppress(Exception):  # of a device that is gone; each back-end has its own
+            self.bus.shutdown()
+        try:
+            self.bus = reopen()
+        except Exception:  # not there yet
+            self.failed += 1
+
+    def _works(self) -> None:
+        if self._trouble_since is not None:
+            lasted = time.monotonic() - self._trouble_since
+            self._trouble_since = None
+            self._tell(f"the bus works again after {lasted:.1f} s, {self.lost} frames were lost")
+
+    def shutdown(self) -> None:
+        """Close the bus."""
+        self.bus.shutdown()

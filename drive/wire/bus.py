@@ -1,0 +1,62 @@
+"""python-can: our frames as its messages, and a bus of it as the port of a master.
+
+>>> bus = CanPort(can.Bus(interface="socketcan", channel="can0", bitrate=1_000_000))
+>>> master = Master(CanOpenPort(bus, 1))
+"""
+
+import time
+from collections.abc import Iterable
+
+import can
+
+from ..canopen.frame import Frame
+
+
+def to_message(frame: Frame) -> can.Message:
+    """The frame as python-can sends it."""
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+    )
+
+
+def to_frame(message: can.Message) -> Frame | None:
+    """A classical data or remote frame; None for error frames and CAN FD."""
+    if message.is_error_frame or message.is_fd:
+        return None
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_remote_frame,
+        message.is_extended_id,
+    )
+
+
+class CanPort:
+    """A bus of python-can as a master needs it, in real time.
+
+    Args:
+        bus: the bus; its owner shuts it down.
+        wait: for the first frame, where none has come yet (s).
+    """
+
+    def __init__(self, bus: can.BusABC, wait: float = 0.002):
+        self._bus = bus
+        self._wait = wait
+
+    def now(self) -> float:
+        """The clock (s)."""
+        return time.monotonic()
+
+    def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
+        """Send `frames`, -> what has been received since."""
+        for frame in frames:
+            self._bus.send(to_message(frame))
+        received = []
+        message = self._bus.recv(self._wait)
+        while message is not None:
+            received.append(to_frame(message))
+            message = self._bus.recv(0)
+        return [frame for frame in received if frame is not None]

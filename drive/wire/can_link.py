@@ -1,0 +1,75 @@
+"""Links to the world: a bus of python-can, and a log of what passes through any link."""
+
+from collections.abc import Iterator
+
+import can
+
+from ..canopen.frame import Frame
+from ..canopen.link import Link
+from .bus import to_frame, to_message
+from .log import LogFile
+
+
+class CanLink:
+    """A bus of python-can; it has a time of its own and does not look at ours.
+
+    Args:
+        bus: the bus; its owner shuts it down.
+        wait: for the first frame of a `receive` (s).
+    """
+
+    def __init__(self, bus: can.BusABC, wait: float = 0.0):
+        self._bus = bus
+        self._wait = wait
+
+    def send(self, frame: Frame, time: int) -> None:
+        """Send at once."""
+        self._bus.send(to_message(frame))
+
+    def receive(self, time: int) -> Iterator[Frame]:
+        """Classical data and remote frames, until none is left."""
+        message = self._bus.recv(self._wait)
+        while message is not None:
+            frame = to_frame(message)
+            if frame is not None:
+                yield frame
+            message = self._bus.recv(0)
+
+
+class Traced:
+    """Any link, with all its frames in a log file that the tools of python-can read.
+
+    Args:
+        link: the link.
+        file: name of the log; its suffix is the format: .log (candump), .asc, .blf, .csv, ...
+
+    Raises:
+        ValueError: unknown suffix.
+    """
+
+    def __init__(self, link: Link, file: str):
+        self._link = link
+        self._time = 0  # µs, of the last line: a frame may be older than the time it is taken at
+        self._log = LogFile(file)
+
+    def send(self, frame: Frame, time: int) -> None:
+        """Send and write down."""
+        self._link.send(frame, time)
+        self._write(frame, time, received=False)
+
+    def receive(self, time: int) -> Iterator[Frame]:
+        """Receive and write down."""
+        for frame in self._link.receive(time):
+            self._write(frame, time, received=True)
+            yield frame
+
+    def _write(self, frame: Frame, time: int, received: bool) -> None:
+        self._time = max(self._time, time)
+        message = to_message(frame)
+        message.timestamp, message.is_rx = self._time * 1e-6, received
+        message.channel = 0
+        self._log(message)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._log.stop()

@@ -1,0 +1,124 @@
+"""Drives as EtherCAT slaves on Ethernet ports: what `servogym ethercat` runs."""
+
+import select
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from ..ethercat.bus import Bus, Clock
+from ..ethercat.frame import LENGTH, LOGICAL
+from .pcapng import Writer
+
+SLACK = 2_000_000  # ns: a master gives a frame up then (SOEM), so machines run after the reply
+
+
+class Port(Protocol):
+    """Where frames come from and go to."""
+
+    name: str
+
+    def receive(self, buffer: memoryview) -> int:
+        """Read a frame; -> its length, 0 for none."""
+
+    def send(self, frame: memoryview) -> None:
+        """Send a frame."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+    @property
+    def socket(self):
+        """To wait at."""
+
+
+class EtherCatServer:
+    """Serves a bus at one port of the master, or at two for redundancy.
+
+    Args:
+        bus: the segment and its machines.
+        ports: Ethernet ports.
+        log: capture of all frames.
+    """
+
+    def __init__(self, bus: Bus, ports: Sequence[Port], log: Writer | None = None):
+        self.bus = bus
+        self.ports = list(ports)
+        self.log = log
+        self._stopped = False
+        self._counter = 0
+        self._begin = time.monotonic_ns()
+        self._buffer = memoryview(bus.segment.frame)  # type: ignore[arg-type]
+
+    def stop(self) -> None:
+        """Let `run` return; may be called from another thread or a signal."""
+        self._stopped = True
+
+    @property
+    def now(self) -> int:
+        """Time since the start (ns)."""
+        return time.monotonic_ns() - self._begin
+
+    @property
+    def working_counter(self) -> int:
+        """Of the first datagram of the last frame that began with process data."""
+        return self._counter
+
+    def run(self, every: float = 0.5, show: Callable[[], None] | None = None) -> None:
+        """Serve until `stop`; `show` is called about every so many seconds."""
+        again = self.now
+        serve = self.serve if len(self.ports) == 1 else self.serve_both
+        while not self._stopped:
+            serve()
+            if show and self.now - again >= every * 1e9:
+                again = self.now
+                show()
+
+    def serve(self, port: int = 0) -> None:
+        """Wait for a frame at a port, answer it, let the machines run."""
+        length = self.ports[port].receive(self._buffer)
+        if length == 0:
+            if self.bus.clock != Clock.FRAME:
+                self.bus.advance(self.now)
+            return
+        now = self.now
+        if self.log:
+            self._write(length, port)
+        if self.bus.receive(length, now, port):
+            back = -1 - self.bus.segment.exits[port]
+            if back < len(self.ports):
+                self.ports[back].send(self._buffer[:length])
+                if self.log:
+                    self._write(length, back)
+        while self.bus.extra:
+            late = memoryview(self.bus.extra.popleft())
+            self.ports[port].send(late)
+            if self.log:
+                self.log.write(late, time.time_ns(), port)
+        if self._buffer[16] in LOGICAL:
+            self._counter = self._last_counter()
+        self.bus.advance(self.now)
+
+    def _last_counter(self) -> int:
+        """Working counter of the first datagram."""
+        end = 26 + (int.from_bytes(self._buffer[22:24], "little") & LENGTH)
+        return int.from_bytes(self._buffer[end : end + 2], "little")
+
+    def serve_both(self) -> None:
+        """`serve` whichever port has a frame."""
+        ready, _, _ = select.select([port.socket for port in self.ports], [], [], 0.001)
+        for number, port in enumerate(self.ports):
+            if port.socket in ready:
+                self.serve(number)
+        if not ready and self.bus.clock != Clock.FRAME:
+            self.bus.advance(self.now)
+
+    def _write(self, length: int, port: int) -> None:
+        assert self.log is not None
+        self.log.write(self._buffer[:length], time.time_ns(), port)
+
+    def close(self) -> None:
+        """Close the capture and the ports."""
+        if self.log:
+            self.log.close()
+        for port in self.ports:
+            port.close()

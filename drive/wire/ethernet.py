@@ -1,0 +1,129 @@
+"""Ethernet ports for EtherCAT: raw sockets bound to an interface, and UDP port 88A4h.
+
+A port reads a frame into the segment's own buffer and sends it from there.
+"""
+
+import errno
+import shutil
+import socket
+import struct
+import sys
+from pathlib import Path
+
+from ..ethercat.frame import ETHERTYPE, UDP_PORT
+
+HEADER = bytes.fromhex("ffffffffffff 010101010101 88a4")  # in front of what comes by UDP
+_TIMEOUT = struct.Struct("ll")  # of SO_RCVTIMEO: s and µs
+
+
+def _wait(port: socket.socket, seconds: float) -> None:
+    """Let `recv_into` wait that long in the kernel: a system call less than `settimeout`."""
+    value = _TIMEOUT.pack(int(seconds), int(seconds % 1 * 1e6))
+    port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, value)
+
+
+class RawPort:
+    """A network interface with Ethernet frames of type 88A4h (Linux).
+
+    Args:
+        interface: name, such as ``eth0``.
+        wait: for a frame (s).
+
+    Raises:
+        ValueError: no such interface, no right to it, no such sockets; tells what to do.
+    """
+
+    def __init__(self, interface: str, wait: float = 0.001):
+        if not hasattr(socket, "AF_PACKET"):
+            raise ValueError(f"{sys.platform} has no raw sockets: use --udp")
+        try:
+            self.socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETHERTYPE))
+        except PermissionError:
+            raise ValueError(_rights(interface)) from None
+        try:
+            self.socket.bind((interface, ETHERTYPE))
+        except OSError as error:
+            self.socket.close()
+            raise ValueError(_why(interface, error)) from None
+        _wait(self.socket, wait)
+        self.name = interface
+
+    def receive(self, buffer: memoryview) -> int:
+        """Read a frame; -> its length, 0 where none has come."""
+        try:
+            return self.socket.recv_into(buffer)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise ValueError(_why(self.name, error)) from None
+
+    def send(self, frame: memoryview) -> None:
+        """Send a frame; one that the interface has no room for is lost, as on a cable."""
+        try:
+            self.socket.send(frame)
+        except OSError as error:
+            if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
+                raise ValueError(_why(self.name, error)) from None
+
+    def close(self) -> None:
+        """Give the interface back."""
+        self.socket.close()
+
+
+class UdpPort:
+    """UDP port 88A4h: EtherCAT for those who have no raw sockets (ETG.1000.4, annex).
+
+    Args:
+        address: to listen on.
+        number: of the port.
+        wait: for a frame (s).
+
+    Raises:
+        ValueError: the address cannot be had.
+    """
+
+    def __init__(self, address: str = "127.0.0.1", number: int = UDP_PORT, wait: float = 0.001):
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.socket.bind((address, number))
+        except OSError as error:
+            self.socket.close()
+            raise ValueError(f"--udp {address}: port {number}: {error.strerror}; is another "
+                             "`servogym ethercat` running?") from None  # fmt: skip
+        _wait(self.socket, wait)
+        self.name = f"udp {address}:{self.socket.getsockname()[1]}"
+        self._from: tuple[str, int] = "", 0
+
+    def receive(self, buffer: memoryview) -> int:
+        """Read a frame and put an Ethernet header in front; -> its length, 0 for none."""
+        try:
+            length, self._from = self.socket.recvfrom_into(buffer[len(HEADER) :])
+        except BlockingIOError:
+            return 0
+        buffer[: len(HEADER)] = HEADER
+        return length + len(HEADER)
+
+    def send(self, frame: memoryview) -> None:
+        """Answer who has sent last."""
+        self.socket.sendto(frame[len(HEADER) :], self._from)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+
+def _rights(interface: str) -> str:
+    python = Path(sys.executable).resolve()
+    give = f"sudo setcap cap_net_raw+ep {python}"
+    if shutil.which("unshare"):
+        give += ", or try it without a network: unshare -Urn"
+    return f"-i {interface}: raw sockets need the right CAP_NET_RAW: {give}; or use --udp"
+
+
+def _why(interface: str, error: OSError) -> str:
+    if error.errno == errno.ENODEV:
+        known = ", ".join(name for _, name in socket.if_nameindex())
+        return f"-i {interface}: there is no such interface, only {known}"
+    if error.errno == errno.ENETDOWN:
+        return f"-i {interface}: it is down: sudo ip link set {interface} up"
+    return f"-i {interface}: {error.strerror}"

@@ -1,0 +1,129 @@
+"""Logs of a CAN bus: read and written in the formats of python-can."""
+
+import gzip
+import logging
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import can
+from can.io.player import MESSAGE_READERS
+
+TEXT_LOGS = (".log", ".asc", ".trc", ".csv")  # a frame a line
+LONGEST = 1 << 16  # bytes of a line; the readers would hold any at once, unpacked ones too
+
+
+def not_classical(message: can.Message) -> str:
+    """A line about a message that is no classical frame."""
+    if message.is_error_frame:
+        return "error frame"
+    return f"CAN FD {message.arbitration_id:03X}##{bytes(message.data).hex().upper()}"
+
+
+def messages(log: Path) -> Iterator[can.Message]:
+    """The messages of a log; whatever a reader stumbles over becomes a ValueError."""
+    suffixes = [suffix.lower() for suffix in log.suffixes]
+    plain = suffixes[-2:-1] if suffixes[-1:] == [".gz"] else suffixes[-1:]
+    if not plain or plain[0] not in MESSAGE_READERS:
+        known = " ".join(sorted(MESSAGE_READERS))
+        raise ValueError(f"{log}: unknown suffix, use one of {known}, also with .gz behind it")
+    with log.open("rb") as file:  # also because the reader of .db makes a file that is not there
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 1, 0))
+        ends = suffixes[-1] not in TEXT_LOGS or size == 0 or file.read() == b"\n"
+    if plain[0] in TEXT_LOGS:
+        _lines(log, packed=suffixes[-1] == ".gz")
+    library = logging.getLogger(MESSAGE_READERS[plain[0]].__module__)
+    library.addFilter(_refuse)
+    try:
+        with can.LogReader(log) as reader:
+            for message in reader:
+                if message.arbitration_id is None:  # of a damaged .db
+                    raise ValueError("a frame without an identifier")
+                yield message
+            if isinstance(reader, can.BLFReader) and size < reader.file_size:
+                raise ValueError(f"{size} bytes of {reader.file_size} are there")
+            if not ends:  # the readers take what is left of a frame for a short one
+                raise ValueError("its last line has no end and may be wrong")
+    except OSError:
+        raise
+    except Exception as error:  # each reader has exceptions of its own, down to IndexError
+        reason = " ".join(str(error).split())
+        raise ValueError(
+            f"{log}: damaged or cut off, no further frame can be read ({reason})"
+        ) from None
+    finally:
+        library.removeFilter(_refuse)
+
+
+def _lines(log: Path, packed: bool) -> None:
+    """Raises ValueError for a line that is longer than any frame."""
+    with (
+        suppress(EOFError, gzip.BadGzipFile, zlib.error),  # the reader tells, after what is whole
+        gzip.open(log) if packed else log.open("rb") as file,
+    ):
+        number = 1
+        while line := file.readline(LONGEST + 1):
+            if len(line) > LONGEST:
+                raise ValueError(f"{log}: line {number} has more than {LONGEST} bytes")
+            number += 1
+
+
+def _refuse(record: logging.LogRecord) -> bool:
+    """Readers only warn of a line they do not understand; an empty one may stay."""
+    if record.args != ("",):
+        raise ValueError(record.getMessage())
+    return False
+
+
+class LogFile:
+    """A log that python-can's tools read; each `flush` leaves complete lines behind.
+
+    A file that can no longer be written ends the log, not the drive.
+
+    Args:
+        file: its name; the suffix is the format: .log (candump), .asc, .blf, .csv, ...
+        tell: takes the line about a log that has ended early.
+
+    Raises:
+        ValueError: unknown suffix. OSError: the file cannot be made.
+    """
+
+    def __init__(self, file: str | Path, tell: Callable[[str], None] = lambda text: None):
+        self._name = file
+        self._tell = tell
+        self._written = False
+        try:
+            self._writer: Any = can.Logger(file)
+        except ValueError as error:
+            raise ValueError(f"log = {str(file)!r}: {error}; use .log, .asc or .blf") from None
+
+    def __call__(self, message: can.Message) -> None:
+        """Write a message down."""
+        self._try(lambda: self._writer(message))
+        self._written = True
+
+    def flush(self) -> None:
+        """Hand what is written to the operating system: it survives a kill of the process."""
+        if self._written:
+            self._written = False
+            self._try(lambda: getattr(self._writer, "file", None) and self._writer.file.flush())
+
+    def stop(self) -> None:
+        """Finish the file."""
+        self._try(lambda: self._writer.stop())
+        self._writer = None
+
+    def _try(self, write: Callable[[], object]) -> None:
+        if self._writer is None:
+            return
+        try:
+            write()
+        except OSError as error:
+            broken, self._writer = self._writer, None
+            with suppress(OSError, ValueError):
+                broken.stop()  # what is buffered cannot be written either
+            self._tell(f"{self._name}: {error}; the log ends here, the drive goes on")

@@ -1,0 +1,149 @@
+"""Drives as CANopen nodes on a bus of python-can, in real time: what `servogym node` runs."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import can
+
+from ..canopen.frame import Frame
+from ..canopen.node import Node
+from ..machine import Machine
+from .adapter import Adapter
+from .bus import to_frame, to_message
+from .log import LogFile
+
+SDO_REQUESTS = range(0x601, 0x680)
+WAIT = 0.0005  # s for a frame; what has a period of 1 ms is then in time
+ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
+
+
+@dataclass
+class Statistics:
+    """What a real-time server has done."""
+
+    received: int = 0
+    sent: int = 0
+    cycles: int = 0
+    missed: int = 0  # times the machine fell behind by more than `Server.TOLERANCE`
+
+
+class Server:
+    """Serves machines with one drive each as nodes on one bus.
+
+    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it. The
+    nodes hear each other; what a bus gives back of the server's own frames is dropped. A bus that
+    fails is tried again, see `adapter`.
+
+    Args:
+        bus: the bus; `close` shuts it down.
+        machines: with drives of different node-ids.
+        log: takes all frames.
+        reopen: makes the bus anew where it does not come back by itself.
+        tell: takes a line about trouble with bus or log.
+    """
+
+    TOLERANCE = 0.05  # s
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        machines: Sequence[Machine],
+        log: LogFile | None = None,
+        *,
+        reopen: Callable[[], can.BusABC] | None = None,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.adapter = Adapter(bus, reopen, tell)
+        self.log = log
+        self.machines = list(machines)
+        self.nodes = [Node(d) for machine in machines for d in machine.drives.values()]
+        self.statistics = Statistics()
+        self._begin = time.monotonic()
+        self._stopped = False
+        self._cycles_at_request = -1
+        self._sent: deque[tuple[int, Frame]] = deque()  # that may still come back
+
+    @property
+    def bus(self) -> can.BusABC:
+        """The bus as it is open now."""
+        return self.adapter.bus
+
+    def stop(self) -> None:
+        """Let `run` return; may be called from another thread."""
+        self._stopped = True
+
+    def run(self) -> None:
+        """Serve until `stop`."""
+        while not self._stopped:
+            self.serve(self.adapter.receive(WAIT))
+
+    def serve(self, message: can.Message | None) -> None:
+        """Handle a received message, let the due cycles pass, send what there is to send."""
+        self._advance()
+        now = int((time.monotonic() - self._begin) * 1e6)
+        frame = to_frame(message) if message else None
+        if frame and self._is_echo(frame, now):
+            frame = None
+        if frame and SDO_REQUESTS.start <= frame.id < SDO_REQUESTS.stop:
+            self._pass_a_cycle()
+        if message and frame:
+            self.statistics.received += 1
+            if self.log is not None:
+                self.log(message)
+            for node in self.nodes:
+                node.receive(frame, now)
+        for node in self.nodes:
+            for answer in node.poll(now):
+                self._send(answer, now)
+                for other in self.nodes:
+                    if other is not node:
+                        other.receive(answer, now)
+        if self.log is not None:
+            self.log.flush()
+
+    def _is_echo(self, frame: Frame, now: int) -> bool:
+        """Whether this is what the server has sent itself a moment ago."""
+        for i, (_, sent) in enumerate(self._sent):
+            if sent == frame:
+                del self._sent[i]
+                return True
+        return False
+
+    def _send(self, frame: Frame, now: int) -> None:
+        while self._sent and self._sent[0][0] < now - ECHO_TIME:
+            self._sent.popleft()
+        self._sent.append((now, frame))
+        message = to_message(frame)
+        message.is_rx = False
+        self.adapter.send(message)
+        self.statistics.sent += 1
+        if self.log is not None:
+            message.timestamp = time.time()
+            self.log(message)
+
+    def _pass_a_cycle(self) -> None:
+        """Let the drives see what one SDO request wrote before the next one is answered."""
+        while self.statistics.cycles == self._cycles_at_request:
+            time.sleep(1e-4)
+            self._advance()
+        self._cycles_at_request = self.statistics.cycles
+
+    def close(self) -> None:
+        """Close log and bus."""
+        if self.log is not None:
+            self.log.stop()
+        self.adapter.shutdown()
+
+    def _advance(self) -> None:
+        for machine in self.machines:
+            behind = time.monotonic() - self._begin - machine.time
+            if behind > self.TOLERANCE:
+                self.statistics.missed += 1
+                self._begin += behind - self.TOLERANCE
+                behind = self.TOLERANCE
+            cycles = int(behind / machine.cycle_time)
+            if cycles > 0:
+                machine.step(cycles)
+                self.statistics.cycles += cycles

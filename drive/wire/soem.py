@@ -1,0 +1,169 @@
+"""SOEM's master, through pysoem, for drives on a real segment.
+
+>>> master = SoemMaster("eth0")
+>>> axis = Master(EtherCatPort(master, {"x": "kollmorgen_akd"}, now=time.monotonic))
+
+It has what `drive.ethercat.port.EtherCatPort` needs of `drive.ethercat.master.EtherCatMaster`, so a
+program that moves an emulated drive in memory moves a real one with the same calls.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from ..ethercat.al import AlState
+from ..objects.abort import SdoAbort
+
+TIMEOUT = 100_000  # µs, for the reply to process data
+STATE_TIMEOUT = 5_000_000  # µs
+TRIES = 200  # cycles until all are in OPERATIONAL
+ASSIGNMENTS = (0x1C12, 0x1C13)
+
+
+class SoemMailbox:
+    """SDO of one slave, with the errors of the house."""
+
+    def __init__(self, soem: Any, slave: Any):
+        self._soem = soem
+        self._slave = slave
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object. Raises SdoAbort, TimeoutError."""
+        return self._tried(index, subindex, lambda: self._slave.sdo_read(index, subindex))
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Write an object. Raises SdoAbort, TimeoutError."""
+        self._tried(index, subindex, lambda: self._slave.sdo_write(index, subindex, bytes(data)))
+
+    def _tried(self, index: int, subindex: int, action: Any) -> Any:
+        try:
+            return action()
+        except self._soem.SdoError as error:
+            raise SdoAbort(error.abort_code, index, subindex) from None
+        except (self._soem.WkcError, self._soem.PacketError, self._soem.MailboxError) as error:
+            raise TimeoutError(
+                f"{index:04X}h:{subindex:02X}h: no answer ({type(error).__name__}); "
+                "is the slave in PRE_OP or higher?"
+            ) from None
+
+
+class SoemSlave:
+    """One slave as SOEM found it."""
+
+    def __init__(self, soem: Any, slave: Any):
+        self._slave = slave
+        self.mailbox = SoemMailbox(soem, slave)
+        self.outputs = bytearray()
+        self.inputs = b""
+
+    @property
+    def state(self) -> AlState:
+        """State without the error bit."""
+        self._slave.state_check(0, 0)
+        return AlState(self._slave.state & 0x0F or AlState.INIT)
+
+    def upload(self, index: int, subindex: int = 0) -> int:
+        """A number. Raises SdoAbort where the drive refuses."""
+        return int.from_bytes(self.mailbox.upload(index, subindex), "little")
+
+    def assign(self, rpdos: Iterable[int], tpdos: Iterable[int]) -> None:
+        """PDOs of sync managers 2 and 3 (1C12h, 1C13h)."""
+        for index, pdos in zip(ASSIGNMENTS, ([*rpdos], [*tpdos]), strict=True):
+            self.mailbox.download(index, 0, b"\0")
+            for n, pdo in enumerate(pdos, 1):
+                self.mailbox.download(index, n, pdo.to_bytes(2, "little"))
+            self.mailbox.download(index, 0, bytes([len(pdos)]))
+
+    def exchanged(self) -> None:
+        """Take the inputs of the last cycle."""
+        self.inputs = bytes(self._slave.input)
+
+    def prepare(self) -> None:
+        """Give the outputs to the next cycle."""
+        if self.outputs:
+            self._slave.output = bytes(self.outputs)
+
+    def sized(self) -> None:
+        """Buffers as long as SOEM has mapped."""
+        self.outputs = bytearray(bytes(self._slave.output))
+        self.inputs = bytes(self._slave.input)
+
+
+class SoemMaster:
+    """Commands the slaves at a network interface.
+
+    Args:
+        interface: such as ``eth0``; needs the right of raw sockets.
+        second: interface of the second port (redundancy).
+
+    Raises:
+        ImportError: pysoem is not there.
+        ConnectionError: the interface cannot be opened.
+    """
+
+    def __init__(self, interface: str, second: str | None = None):
+        try:
+            import pysoem
+        except ImportError:
+            raise ImportError("pysoem is not installed: pip install pysoem") from None
+        self._soem = pysoem
+        self._master = pysoem.Master()
+        self.slaves: list[SoemSlave] = []
+        self.wrong = 0  # cycles with a working counter that was not expected
+        try:
+            self._master.open(interface, *([second] if second else []))
+        except ConnectionError as error:
+            raise ConnectionError(
+                f"interface {interface}: {error}; it needs CAP_NET_RAW, such as by "
+                "sudo setcap cap_net_raw+ep on the Python that runs this"
+            ) from None
+
+    def scan(self) -> list[SoemSlave]:
+        """Find the slaves; they are in PRE_OPERATIONAL."""
+        self._master.config_init()
+        self.slaves = [SoemSlave(self._soem, slave) for slave in self._master.slaves]
+        return self.slaves
+
+    def to_preop(self) -> None:
+        """SOEM's scan has done it."""
+
+    def to_op(self) -> None:
+        """Map process data and go to OPERATIONAL. Raises RuntimeError where a slave refuses."""
+        if all(slave.state == AlState.OPERATIONAL for slave in self.slaves):
+            return
+        self._master.config_map()
+        reached = self._master.state_check(self._soem.SAFEOP_STATE, STATE_TIMEOUT)
+        if reached != self._soem.SAFEOP_STATE:
+            raise RuntimeError(f"SAFE_OP is not reached: {self._told()}")
+        for slave in self.slaves:
+            slave.sized()
+        self.cycle()
+        self._master.state = self._soem.OP_STATE
+        self._master.write_state()
+        for _ in range(TRIES):
+            self.cycle()
+            if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
+                return
+        raise RuntimeError(f"OP is not reached: {self._told()}")
+
+    def _told(self) -> str:
+        self._master.read_state()
+        text = self._soem.al_status_code_to_string
+        return "; ".join(f"{s.name}: {text(s.al_status)}" for s in self._master.slaves)
+
+    def cycle(self) -> bool:
+        """Exchange process data once; -> whether the working counter was right."""
+        for slave in self.slaves:
+            slave.prepare()
+        self._master.send_processdata()
+        right = self._master.receive_processdata(TIMEOUT) == self._master.expected_wkc
+        self.wrong += not right
+        if right:
+            for slave in self.slaves:
+                slave.exchanged()
+        return right
+
+    def close(self) -> None:
+        """Take the slaves to INIT and let the interface go."""
+        self._master.state = self._soem.INIT_STATE
+        self._master.write_state()
+        self._master.close()

@@ -1,0 +1,1 @@
+"""Drives and MuJoCo in one compiled loop."""

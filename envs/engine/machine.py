@@ -1,0 +1,479 @@
+"""Machine: a MuJoCo model whose actuators are moved by emulated drives."""
+
+import copy
+import math
+import time
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...drive.drive import Drive
+from ...drive.kernel import record
+from ...drive.memory import address, peek
+from ...drive.model.model import DriveModel, load
+from ...drive.objects import snapshot as snapshots
+from ..checks import whole
+from . import loop, mechanics
+from .guard import Turn
+from .mechanics import numeric
+from .mjcf import actuator_of, attach, read
+from .physics import STATE, addresses
+from .probe import PROBE
+from .rates import rates, whole_ratio
+
+SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
+BREATH = 0.05  # s, after which a long step lets Python see to Ctrl-C
+FIRST_STRIDE = 64  # physics steps, before it is known how long they take
+MOST = 10**12  # cycles of a step
+# of MjModel, what may differ between machines that share one
+VARIABLE = (
+    "body_pos", "body_ipos", "body_mass", "body_subtreemass", "body_inertia", "body_invweight0",
+    "jnt_stiffness", "dof_damping", "dof_invweight0", "dof_M0",
+    "dof_length", "geom_pos", "geom_size", "geom_aabb", "geom_rbound", "light_poscom0",
+    "cam_poscom0",
+    "tendon_stiffness", "tendon_length0", "tendon_invweight0",
+    "actuator_acc0",
+)  # fmt: skip
+FLOAT = np.dtype("f8")
+NO_IMAGES = np.zeros((1, 0), np.uint8)
+
+
+class Machine:
+    """Drives attached to named actuators of a MuJoCo model, stepped in one compiled loop.
+
+    A joint's name stands for the actuator on it; switches and brake go by the drive's name. An
+    actuator that gets a drive is a plain motor on a slide or hinge joint. Its gear is the
+    mechanics: rad of motor shaft per m or rad of joint, so the drive sees a shaft and gives a
+    torque in Nm. Its control range is lifted, because the drive has limits of its own. The MJCF
+    may wire switches and a holding brake to an actuator by name::
+
+        <custom>
+          <numeric name="x.negative_limit_switch" data="-1 -0.005 0.0003"/>  from, to, hysteresis
+          <numeric name="x.home_switch" data="0.2 0.23 0.0003"/>
+          <numeric name="z.brake_torque" data="3"/>                          Nm at the shaft
+        </custom>
+
+    What else there may be, friction, backlash and more, is in `mechanics`; ``mechanics`` of a
+    machine is its MECHANICS records, one a drive, with the energy of impacts on the end stops.
+
+    Args:
+        model: the MuJoCo model; its own from now on.
+        drives: drive model (name, folder or `DriveModel`) by actuator or joint name.
+
+    Raises:
+        ValueError: names what does not fit and how to mend it, before the first cycle.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, drives: Mapping[str, str | Path | DriveModel]
+    ) -> None:
+        if not drives:
+            raise ValueError(f"drives is empty: name at least one actuator of {_actuators(model)}")
+        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+            raise ValueError(
+                "integrator RK4 takes several steps in one, friction and drive act once in each: "
+                'use integrator="implicitfast", or Machine.from_mjcf, which sets it'
+            )
+        # A state that is not finite must reach the drive as a dead encoder, not vanish in a reset.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        axes = record.make(len(drives))
+        self._assemble(
+            model,
+            {
+                name: Drive(drive, axes=axes, index=i, node_id=i + 1)
+                for i, (name, drive) in enumerate(drives.items())
+            },
+        )
+        for (name, drive), coupling in zip(self.drives.items(), self.couplings, strict=True):
+            _couple(model, name, drive, coupling)
+        for name, coupling, joint in zip(drives, self.couplings, self.mechanics, strict=True):
+            mechanics.fit(model, name, coupling, joint)
+        self.cycle_time, self.physics_steps = rates(model, self.drives)
+        self._settle()
+        self.reset()
+
+    def _assemble(self, model: mujoco.MjModel, drives: dict[str, Drive]) -> None:
+        """Bring together what a machine consists of; the drives live in one array."""
+        self._model, self._data = model, mujoco.MjData(model)
+        self.drives = drives
+        self.axes = next(iter(drives.values())).axes
+        self.couplings = np.zeros(len(drives), record.accessible(loop.COUPLING))
+        self.mechanics = np.zeros(len(drives), record.accessible(mechanics.MECHANICS))
+        self.world = np.zeros(1, record.accessible(loop.WORLD))
+        self.addresses = np.array([address(self.world)])
+        self.turn = Turn()
+        self.probes = np.zeros(0, record.accessible(PROBE))
+        self._coordinates = np.zeros(model.nq), np.zeros(model.nv)
+        self._directory = np.zeros(len(drives), loop.PDOS)
+        for i, drive in enumerate(drives.values()):
+            for name, pdos in (("rpdo", drive.rpdos), ("tpdo", drive.tpdos)):
+                self._directory[f"{name}s"][i] = address(pdos)
+                self._directory[f"{name}_count"][i] = len(pdos)
+        self._residence: Residence | None = None
+        self._stride = FIRST_STRIDE
+        # what lies where the loop looks lives as long as the machine, whatever becomes of its names
+        self._alive = [
+            self.axes, self.couplings, self.mechanics, self.world, self._coordinates,
+            self._directory, *((drive.rpdos, drive.tpdos) for drive in drives.values()),
+        ]  # fmt: skip
+
+    def __repr__(self) -> str:
+        drives = ", ".join(f"{name}={drive.model.name}" for name, drive in self.drives.items())
+        cycle = f"{self.cycle_time * 1e6:g} µs"
+        return f"{type(self).__name__}({drives}; cycle {cycle}, time {self.time:g} s)"
+
+    def _settle(self) -> None:
+        """Tell the compiled loop where everything is."""
+        world = self.world
+        self._directions = mechanics.directions(self._model, self.couplings, self.mechanics)
+        self._responses = np.zeros_like(self._directions)
+        self._alive += [self._directions, self._responses]
+        world["mj_model"], world["mj_data"] = addresses(self._model, self._data)
+        for name, array in (
+            ("qpos", self._coordinates[0]), ("qvel", self._coordinates[1]),
+            ("mj_qpos", self._data.qpos), ("mj_qvel", self._data.qvel), ("ctrl", self._data.ctrl),
+            ("axes", self.axes), ("couplings", self.couplings), ("mechanics", self.mechanics),
+            ("pdos", self._directory), ("inertia", self._data.M),
+            ("passive", self._data.qfrc_passive), ("acceleration", self._data.qacc),
+            ("smooth_acceleration", self._data.qacc_smooth),
+            ("stiffness", self._model.jnt_stiffness), ("damping", self._model.dof_damping),
+            ("directions", self._directions), ("responses", self._responses),
+        ):  # fmt: skip
+            world[name] = address(array)
+        world["timestep"] = self._model.opt.timestep
+        world["nq"], world["nv"], world["nu"] = self._model.nq, self._model.nv, self._model.nu
+        world["inertias"], world["guides"] = len(self._data.M), self._model.ntendon
+        world["joints"], world["drives"] = self._model.njnt, len(self.axes)
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state of the physics."""
+        if self._residence:
+            with self.turn:
+                loop.enter(self.addresses)
+        return self._data
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model; what depends on its masses is up to date after `mujoco.mj_setConst`."""
+        if self._residence:
+            with self.turn:
+                loop.enter(self.addresses)
+        return self._model
+
+    def share(self, residence: "Residence") -> None:
+        """Live in MjModel and MjData of a residence by turns with others, bit by bit as if alone.
+
+        MjData takes half a megabyte and MjModel a tenth, an axis with its state some kilobytes.
+
+        Args:
+            residence: of this machine, or of one that differs in `VARIABLE` only.
+
+        Raises:
+            ValueError: it is of another kind of machine.
+        """
+        if _checksum(residence.model) != _checksum(self.model):
+            raise ValueError("the residence is of another machine: build both alike")
+        state = np.empty(mujoco.mj_stateSize(self._model, STATE))
+        mujoco.mj_getState(self._model, self._data, state, STATE)
+        kept = np.concatenate([array.ravel() for array in _variable(self._model)])
+        self._model, self._data = residence.model, residence.data
+        own = state, kept, residence.fields, residence.resident
+        for name, array in zip(("state", "kept", "fields", "resident"), own, strict=True):
+            self.world[name] = address(array)
+        self.world["field_count"] = len(residence.fields)
+        self._residence, self.turn = residence, residence.turn
+        residence.alive += [self.world, state, kept]
+        self._settle()
+
+    def probe(self) -> np.ndarray:
+        """PROBE records, one a drive, that the loop fills from now on; `probe.begin` starts one."""
+        self.probes = np.zeros(len(self.axes), record.accessible(PROBE))
+        self.probes["jerk_ticks"] = 1
+        self._alive.append(self.probes)
+        self.world["probes"] = address(self.probes)
+        return self.probes
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        mjcf: str | Path,
+        drives: Mapping[str, str | Path | DriveModel],
+        *,
+        gears: Mapping[str, float] | None = None,
+        folder: str | Path | None = None,
+    ) -> "Machine":
+        """A machine from any robot's MJCF: a file, or text (anything that begins with ``<``).
+
+        Position, velocity and other actuators become motors, a joint without one gets one, and the
+        timestep is shortened to fit the drives; `mjcf` says it in full. `commission_joint` sets
+        the drive's parameters for the joint.
+
+        Args:
+            mjcf: the model.
+            drives: drive model (name, folder or `DriveModel`) by actuator or joint name.
+            gears: rad of motor shaft per m (slide) or rad (hinge), by drive name; if not given that
+                of a plain motor, else 100 rad/rad or a ball screw of 20 mm lead.
+            folder: what its includes, meshes and textures must lie in; if not given that of the
+                file, of a text the working directory.
+
+        Raises:
+            ValueError: names what does not fit and how to mend it, before the first cycle.
+        """
+        text = str(mjcf)
+        try:
+            spec = read(mjcf, folder)
+            models = {name: load(drive) for name, drive in drives.items()}
+            if models:
+                attach(spec, models, gears or {})
+            return cls(spec.compile(), models)
+        except ValueError as error:
+            raise ValueError(f"{text if len(text) < 200 else 'MJCF'}: {error}") from None
+
+    @property
+    def time(self) -> float:
+        """Time since the reset (s)."""
+        return int(self.world["tick"][0]) * self.model.opt.timestep
+
+    def joint(self, name: str) -> tuple[float, str]:
+        """Gear of a drive (rad of motor shaft per unit of its joint), and that unit: m or rad."""
+        coupling = self.couplings[[*self.drives].index(name)]
+        return float(coupling.gear), _unit(self._model, self._model.dof_jntid[coupling.dof])
+
+    def step(self, cycles: int = 1) -> None:
+        """Run `cycles` position-controller cycles of the slowest drive; Ctrl-C stops between two.
+
+        Raises:
+            ValueError: `cycles` is no whole number from 0 on; the couplings were spoilt.
+            mujoco.FatalError: MuJoCo reports an error, such as a full arena; or what a callback of
+                MuJoCo raised. The machine then refuses to step until a `reset` or `restore`.
+        """
+        ticks = whole("cycles", cycles, 0, MOST) * self.physics_steps
+        with self.turn:
+            while ticks > self._stride:
+                begin = time.perf_counter()
+                loop.run(self.addresses, self._stride, NO_IMAGES, NO_IMAGES)
+                ticks -= self._stride
+                passed = time.perf_counter() - begin
+                if passed > BREATH:
+                    self._stride = max(self._stride // 2, 1)
+                elif passed < BREATH / 4:
+                    self._stride *= 2
+            loop.run(self.addresses, ticks, NO_IMAGES, NO_IMAGES)
+
+    def reset(self, positions: Mapping[str, float] | None = None) -> None:
+        """Power off and on again, at rest, the joints of the named drives at `positions`.
+
+        The drives keep their parameters and PDO mapping; they are disabled and not referenced.
+
+        Args:
+            positions: joint position by drive name (m or rad); the model's own if not named.
+
+        Raises:
+            ValueError: a name without a drive, a position that is not finite or out of the range.
+        """
+        places = {}
+        for name, position in (positions or {}).items():
+            if name not in self.drives:
+                raise ValueError(f"positions: there is no drive {name!r}, only {[*self.drives]}")
+            coupling = self.couplings[list(self.drives).index(name)]
+            joint = self.model.dof_jntid[coupling.dof]
+            number = list(self.drives).index(name)
+            low, high = (float(self.mechanics[end][number]) for end in ("low", "high"))
+            if not math.isfinite(position) or not low <= position <= high:
+                raise ValueError(
+                    f"positions[{name!r}] = {position} is out of the joint's range "
+                    f"{low:g}..{high:g} {_unit(self.model, joint)}"
+                )
+            places[int(coupling.qpos)] = float(position)
+        with self.turn:
+            self._reset(places)
+
+    def _reset(self, places: Mapping[int, float]) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        for place, position in places.items():
+            self.data.qpos[place] = position
+        for drive in self.drives.values():
+            drive.reset(keep_parameters=True)
+        for field in mechanics.MEMORY:
+            self.mechanics[field] = 0
+        loop.settle(self.axes, self.couplings, self.mechanics, self.data.qpos)
+        mujoco.mj_forward(self.model, self.data)
+        self.world["tick"] = 0
+        self.world["status"] = loop.SOUND
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "kind": "machine", "drives": {n: d.model.name for n, d in self.drives.items()},
+            "MjModel": _checksum(self.model), "layout": LAYOUT,
+        }  # fmt: skip
+
+    def snapshot(self) -> bytes:
+        """Everything the machine is, as bytes; `restore` continues bit by bit the same.
+
+        Of MjModel it holds what a randomisation changes and what MuJoCo derives from it (masses,
+        friction, damping, stiffness, lengths); all else has to be the same where it is restored.
+
+        Raises:
+            RuntimeError: the machine stands in the middle of a step that failed.
+        """
+        with self.turn:
+            if self.world["status"][0] != loop.SOUND:
+                raise RuntimeError(f"there is nothing to keep: {loop.RESET}")
+            state = np.empty(mujoco.mj_stateSize(self.model, STATE))
+            mujoco.mj_getState(self.model, self.data, state, STATE)
+            variable = np.concatenate([array.ravel() for array in _variable(self.model)])
+            arrays = self.couplings, self.mechanics, variable, state
+            parts = [drive.snapshot() for drive in self.drives.values()]
+            numbers = {name: int(self.world[name][0]) for name in ("tick", "delay")}
+            parts += [array.tobytes() for array in arrays]
+            return snapshots.seal(self._identity(), numbers, parts)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Become what `snapshot` was.
+
+        Raises:
+            ValueError: it is none, altered, or of another machine; nothing has changed.
+        """
+        with self.turn:
+            numbers, parts = snapshots.unseal(snapshot, self._identity())
+            drives = list(self.drives.values())
+            opened = [drive.opened(part) for drive, part in zip(drives, parts, strict=False)]
+            couplings, joints, variable, state = parts[len(drives) :]
+            for drive, taken in zip(drives, opened, strict=True):
+                drive.take(taken)
+            self.couplings[:] = np.frombuffer(couplings, loop.COUPLING)
+            self.mechanics[:] = np.frombuffer(joints, mechanics.MECHANICS)
+            at, values = 0, np.frombuffer(variable)
+            for array in _variable(self.model):
+                array.ravel()[:] = values[at : at + array.size]
+                at += array.size
+            mujoco.mj_setState(self.model, self.data, np.frombuffer(state), STATE)
+            for name, number in numbers.items():
+                self.world[name] = number
+            self.world["status"] = loop.SOUND
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy or a pickle is a machine of its own, as this one is now; probes are not kept."""
+        with self.turn:
+            drives = {n: (d.model, d.node_id, d.parameters.file) for n, d in self.drives.items()}
+            rates = self.cycle_time, self.physics_steps
+            return _rebuild, (copy.copy(self.model), drives, rates, self.snapshot())
+
+
+class Residence:
+    """MjModel and MjData that machines of one structure share, and whose turn it is.
+
+    Args:
+        machine: whose they are.
+    """
+
+    def __init__(self, machine: Machine):
+        self.model, self.data = machine.model, machine.data
+        self.turn = Turn()
+        self.resident = np.zeros(1, np.int64)  # address of who lives there now
+        arrays = _variable(self.model)
+        self.fields = np.zeros(len(arrays), loop.FIELD)
+        for field, array in zip(self.fields, arrays, strict=True):
+            field["address"], field["length"] = address(array), array.size
+        # who enters writes down the state of who lived there before, dropped or not
+        self.alive: list[np.ndarray] = [self.resident, self.fields]
+
+
+def _rebuild(
+    model: mujoco.MjModel, drives: dict[str, tuple], rates: tuple[float, int], snapshot: bytes
+) -> Machine:
+    machine = Machine.__new__(Machine)
+    axes = record.make(len(drives))
+    machine._assemble(
+        model,
+        {
+            name: Drive(drive, axes=axes, index=i, node_id=node_id, parameter_file=file)
+            for i, (name, (drive, node_id, file)) in enumerate(drives.items())
+        },
+    )
+    machine.cycle_time, machine.physics_steps = rates
+    machine.restore(snapshot)
+    machine._settle()
+    mujoco.mj_fwdPosition(machine.model, machine.data)  # not `mj_forward`, which warms the solver
+    return machine
+
+
+LAYOUT = zlib.crc32(repr((loop.COUPLING.descr, mechanics.MECHANICS.descr)).encode())
+
+
+def _variable(model: mujoco.MjModel) -> list[np.ndarray]:
+    """What may differ between machines that share a model; the last is mjStatistic."""
+    center = model.stat.center  # behind mean inertia, mass and size, and extent, which it follows
+    return [*(getattr(model, name) for name in VARIABLE), peek(FLOAT, address(center) - 32, 7)]
+
+
+def _checksum(model: mujoco.MjModel) -> int:
+    """Of all that is not variable."""
+    model = copy.copy(model)
+    for array in _variable(model):
+        array[:] = 0
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return zlib.crc32(buffer.tobytes())
+
+
+def _actuators(model: mujoco.MjModel) -> list[str]:
+    return [model.actuator(i).name for i in range(model.nu)]
+
+
+def _unit(model: mujoco.MjModel, joint: int) -> str:
+    return "m" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
+
+
+def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
+    """Fill the coupling of the drive on actuator `name`."""
+    number = actuator_of(model, name)
+    joint = model.actuator_trnid[number, 0]
+    on_joint = model.actuator_trntype[number] == int(mujoco.mjtTrn.mjTRN_JOINT)
+    sliding = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+    if not on_joint or model.jnt_type[joint] not in sliding:
+        raise ValueError(
+            f"actuator {name!r} does not act on a slide or hinge joint: "
+            f'a drive needs <motor name="{name}" joint="..." gear="..."/>'
+        )
+    gear = float(model.actuator_gear[number, 0])
+    if not math.isfinite(gear) or gear == 0.0:
+        raise ValueError(
+            f"actuator {name!r}: gear = {gear} rad/{_unit(model, joint)} must be finite and not 0; "
+            "it is the motor's angle per unit of joint travel"
+        )
+    plain = (
+        model.actuator_gaintype[number] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and model.actuator_gainprm[number, 0] == 1.0
+        and model.actuator_biastype[number] == int(mujoco.mjtBias.mjBIAS_NONE)
+        and model.actuator_dyntype[number] == int(mujoco.mjtDyn.mjDYN_NONE)
+    )
+    if not plain:
+        raise ValueError(
+            f"actuator {name!r} is not a plain motor (gain 1, no bias, no dynamics): "
+            "the drive is the controller, so use <motor> with the mechanics as its gear"
+        )
+    model.actuator_ctrllimited[number] = 0
+    coupling.qpos = model.jnt_qposadr[joint]
+    coupling.dof = model.jnt_dofadr[joint]
+    coupling.ctrl = number
+    coupling.gear = gear
+    coupling.friction = model.dof_frictionloss[coupling.dof]
+    model.dof_frictionloss[coupling.dof] = 0.0
+    velocity_cycle = drive.model.cycle_time["velocity"]
+    coupling.velocity_steps = whole_ratio(
+        velocity_cycle, model.opt.timestep, f"velocity cycle of drive {name!r}", "physics step"
+    )
+    for i, switch in enumerate(SWITCHES):
+        span = numeric(model, f"{name}.{switch}", 3)
+        coupling.switch_from[i], coupling.switch_to[i] = span[:2] if span else (1.0, -1.0)
+        coupling.switch_hysteresis[i] = span[2] if span else 0.0
+    brake = numeric(model, f"{name}.brake_torque", 1)
+    if brake:
+        coupling.brake_friction = brake[0] * abs(gear)
+        drive.commission({"brake_fitted": 1})

@@ -1,0 +1,271 @@
+"""Robots from outside: any MJCF made ready for drives, through `mujoco.MjSpec`.
+
+What is changed, and only for joints that get a drive:
+
+- An actuator that is not a plain motor (position, velocity, general, ...), or whose gear is given,
+  becomes one: gain 1, no bias, no dynamics, no delay. It keeps its name and its number in
+  ``data.ctrl``. A joint without an actuator gets one, the last, with the name of the joint.
+- Such a motor has the gear of `gears`, else `GEARS`; the joint's armature becomes the rotor inertia
+  of the drive model times gear². A plain motor without an entry in `gears` is the mechanics
+  already: it keeps its gear, and the joint its armature.
+- Limits of control, of actuator force and of the joint's actuator force are lifted, because the
+  drive has limits of its own.
+- The integrator RK4 becomes implicitfast: friction and drive act once a step.
+- The timestep, where it does not fit into the velocity cycles: the next shorter one that does.
+- Keyframes: the control of such an actuator is 0 Nm; their actuator activations are dropped where
+  the number of these changes.
+
+Everything else stays, other actuators too: they obey ``data.ctrl``.
+"""
+
+import functools
+import html
+import math
+import re
+from collections.abc import Iterator, Mapping
+from numbers import Real
+from pathlib import Path
+
+import mujoco
+
+from ...drive.model.model import DriveModel
+
+JOINT_TYPES = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}  # units
+ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+# motor angle per joint travel where nothing is said
+GEARS = {
+    mujoco.mjtJoint.mjJNT_HINGE: 100.0,  # rad/rad; strain wave gears have 30..160 (inferred)
+    mujoco.mjtJoint.mjJNT_SLIDE: 2 * math.pi / 0.02,  # rad/m; a ball screw of 20 mm lead (inferred)
+}
+# what says whose actuator it is; everything else says how it acts
+_IDENTITY = ("name", "target", "trntype", "group", "userdata", "info", "id", "signature")
+_OBJECTS = ("classname", "compiler", "plugin")
+LARGEST = 64 * 2**20  # bytes of a file of MJCF
+# elements whose files MuJoCo opens while it parses, and where files of meshes are looked for
+_OPENS = re.compile(r"""<(?:include|model|flexcomp)\b(?:[^"'>]|"[^"]*"|'[^']*')*""")
+_FILE = re.compile(r"""\b(file|meshdir|assetdir)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
+    """An MJCF file, or text (anything that begins with ``<``), that brings only files of its own.
+
+    Args:
+        mjcf: the model.
+        folder: what its includes, meshes, textures and height fields must lie in; if not given the
+            folder of the file, of a text the working directory.
+
+    Raises:
+        ValueError: there is no such file, a file of it lies elsewhere, it declares entities, or
+            MuJoCo cannot read it.
+    """
+    text, base, seen = str(mjcf), Path(), set[Path]()
+    if not text.lstrip().startswith("<"):
+        file = Path(mjcf)
+        if not file.is_file():
+            raise ValueError(f"there is no MJCF file {mjcf}")
+        base, text = file.parent, _text(file)
+        seen.add(file.resolve())
+    root = Path(base if folder is None else folder).resolve()
+    _opened(text, base, root, seen)
+    spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
+    for place, name in _assets(spec):
+        _inside(base / place / name, root)
+    return spec
+
+
+def _text(file: Path) -> str:
+    if (size := file.stat().st_size) > LARGEST:
+        raise ValueError(f"{file} has {size} bytes, an MJCF file has at most {LARGEST}")
+    return file.read_text(encoding="utf-8", errors="replace")
+
+
+def _opened(text: str, base: Path, root: Path, seen: set[Path]) -> None:
+    """Look through what MuJoCo opens while it parses, one in the other."""
+    if "<!ENTITY" in text:
+        raise ValueError("it declares entities (<!ENTITY ...>), which MJCF has none of: write out "
+                         "what they stand for")  # fmt: skip
+    attributes = [(name, html.unescape(value[1:-1])) for name, value in _FILE.findall(text)]
+    places = ["", *(value for name, value in attributes if name != "file")]
+    for element in _OPENS.findall(text):
+        for name, value in _FILE.findall(element):
+            for place in places if element.startswith("<flexcomp") else [""]:
+                file = _inside(base / place / html.unescape(value[1:-1]), root)
+                if name == "file" and not element.startswith("<flexcomp") and file not in seen:
+                    seen.add(file)
+                    if file.is_file():
+                        _opened(_text(file), base, root, seen)
+
+
+def _inside(file: Path, root: Path) -> Path:
+    file = file.resolve()
+    if not file.is_relative_to(root):
+        raise ValueError(
+            f"it wants {file}, outside its folder {root}: copy that file there, or trust "
+            "the model with folder=, a folder that has both"
+        )
+    return file
+
+
+def _assets(spec: mujoco.MjSpec) -> Iterator[tuple[str, str]]:
+    """Folder and name of the files that compiling opens."""
+    for asset in (*spec.meshes, *spec.hfields, *spec.skins):
+        if asset.file:
+            yield spec.meshdir, asset.file
+    for texture in spec.textures:
+        for file in (texture.file, *texture.cubefiles):
+            if file:
+                yield spec.texturedir, file
+
+
+def attach(
+    spec: mujoco.MjSpec, drives: Mapping[str, DriveModel], gears: Mapping[str, float]
+) -> None:
+    """Put a motor on the joint of every drive, as the head of this file says.
+
+    Args:
+        spec: the robot; changed in place.
+        drives: drive model by actuator or joint name; an actuator goes before a joint.
+        gears: rad of motor shaft per m (slide) or rad (hinge) of the joint, by drive name.
+
+    Raises:
+        ValueError: a name that is missing, a joint or transmission that cannot take a drive, two
+            actuators or drives on a joint, a gear that is 0 or not finite.
+    """
+    for name in gears:
+        if name not in drives:
+            raise ValueError(f"gears: there is no drive {name!r}, only {[*drives]}")
+    names: dict[str, str] = {}  # drive by joint
+    for name, drive in drives.items():
+        joint, actuator = _place(spec, name)
+        if joint.name in names:
+            raise ValueError(
+                f"drives {names[joint.name]!r} and {name!r} are both on joint {joint.name!r}: "
+                "leave one out"
+            )
+        names[joint.name] = name
+        if actuator is None or name in gears or not _plain(actuator):
+            gear = _gear(name, gears.get(name, GEARS[joint.type]), JOINT_TYPES[joint.type])
+            _install(spec, joint, actuator, gear)
+            joint.armature = drive.rotor_inertia * gear**2
+        else:
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT  # in its parent it is the same
+            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.timestep = fitting_timestep(spec.option.timestep, drives)
+
+
+def fitting_timestep(timestep: float, drives: Mapping[str, DriveModel]) -> float:
+    """The longest physics step (s) not above `timestep` that fits into all velocity cycles."""
+    if not (math.isfinite(timestep) and timestep > 0.0):
+        raise ValueError(f"option timestep = {timestep} s must be finite and above 0")
+    nanoseconds = {round(drive.cycle_time["velocity"] * 1e9) for drive in drives.values()}
+    cycle = functools.reduce(math.gcd, nanoseconds) * 1e-9
+    steps = math.ceil(cycle / timestep - 1e-9)
+    return timestep if abs(steps * timestep - cycle) < 1e-9 * cycle else cycle / steps
+
+
+def actuator_of(model: mujoco.MjModel, name: str) -> int:
+    """Number of the actuator called `name`, else of the only one on the joint called so.
+
+    Raises ValueError with the names there are.
+    """
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+    if number >= 0:
+        return number
+    joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    if joint < 0:
+        actuators = [model.actuator(i).name for i in range(model.nu)]
+        joints = [model.joint(i).name for i in range(model.njnt)]
+        raise ValueError(_missing(name, actuators, joints))
+    on_it = [
+        i
+        for i in range(model.nu)
+        if model.actuator_trntype[i] in map(int, ON_JOINT) and model.actuator_trnid[i, 0] == joint
+    ]
+    if len(on_it) != 1:
+        raise ValueError(
+            f"joint {name!r} has {len(on_it)} actuators, a drive needs one: "
+            "name the actuator, or use Machine.from_mjcf, which adds a missing one"
+        )
+    return on_it[0]
+
+
+def _missing(name: str, actuators: list[str], joints: list[str]) -> str:
+    return (
+        f"there is no actuator or joint {name!r}: the model has "
+        f"the actuators {[n for n in actuators if n]} and the joints {[n for n in joints if n]}"
+    )
+
+
+def _place(spec: mujoco.MjSpec, name: str):
+    """The joint that `name` means and its actuator, None where it has none."""
+    actuator = spec.actuator(name)
+    if actuator is not None and actuator.trntype not in ON_JOINT:
+        kind = actuator.trntype.name.removeprefix("mjTRN_").lower()
+        raise ValueError(
+            f"actuator {name!r} acts on a {kind}, a drive needs a slide or hinge joint: "
+            "name such a joint"
+        )
+    joint = spec.joint(name if actuator is None else actuator.target)
+    if joint is None:
+        raise ValueError(
+            _missing(name, [a.name for a in spec.actuators], [j.name for j in spec.joints])
+        )
+    if joint.type not in JOINT_TYPES:
+        kind = joint.type.name.removeprefix("mjJNT_").lower()
+        raise ValueError(
+            f"joint {joint.name!r} is a {kind} joint, a drive needs a slide or hinge joint: "
+            "drive another one, or make hinges of it"
+        )
+    on_it = [a for a in spec.actuators if a.trntype in ON_JOINT and a.target == joint.name]
+    if len(on_it) > 1:
+        raise ValueError(
+            f"joint {joint.name!r} has {len(on_it)} actuators {[a.name for a in on_it]}: "
+            "the drive is its only controller, so delete all but one from the MJCF"
+        )
+    return joint, on_it[0] if on_it else None
+
+
+def _plain(actuator) -> bool:
+    """Whether it is a motor: gain 1, no bias, no dynamics."""
+    return (
+        actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        and actuator.gainprm[0] == 1.0
+        and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        and actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE
+    )
+
+
+def _gear(name: str, gear: float, unit: str) -> float:
+    if not isinstance(gear, Real) or not math.isfinite(gear) or gear == 0.0:
+        raise ValueError(
+            f"gears[{name!r}] = {gear!r} rad/{unit} must be finite and not 0: "
+            f"it is the motor's angle per {unit} of joint travel, negative to turn the direction"
+        )
+    return float(gear)
+
+
+def _install(spec: mujoco.MjSpec, joint, actuator, gear: float) -> None:
+    """Make `actuator` a plain motor with `gear`; a new one on `joint` if it is None."""
+    number = len(spec.actuators) if actuator is None else spec.actuators.index(actuator)
+    if actuator is None:
+        actuator = spec.add_actuator(name=joint.name, target=joint.name)
+    stateful = actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE
+    # `set_to_motor` leaves limits, delays and the like; an actuator of an empty model has none
+    pristine = mujoco.MjSpec().add_actuator()
+    for field in dir(pristine):
+        if not field.startswith(("_", "set_")) and field not in (*_IDENTITY, *_OBJECTS):
+            setattr(actuator, field, getattr(pristine, field))
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.plugin.active = False
+    actuator.ctrllimited = actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    actuator.gear = [gear, 0.0, 0.0, 0.0, 0.0, 0.0]
+    for key in spec.keys:
+        if len(key.ctrl):
+            ctrl = [*key.ctrl, 0.0][: len(spec.actuators)]
+            ctrl[number] = 0.0
+            key.ctrl = ctrl
+        if stateful:
+            key.act = []

@@ -1,0 +1,106 @@
+"""Probe: what a motion was worth, measured by the loop at every physics step and not by the drive.
+
+`Machine.probe` gives the records; as long as a machine has none this costs a comparison a step.
+"""
+
+import math
+
+import numpy as np
+
+from ...drive.kernel.jit import block
+from ...drive.memory import viewer
+
+INTERNAL_LIMIT = 0x800  # statusword bit 11
+JERK_WINDOW = 5e-3  # s, over which accelerations are means; jerk is told up to 100 Hz
+
+# One record a drive. "m" stands for m (slide) or rad (hinge).
+PROBE = np.dtype(
+    [
+        ("goal", "f8"),  # set by `begin`: of what is moved (m); not a number: there is none
+        ("window", "f8"),  # half of it, around the goal (m)
+        ("side", "f8"),  # of the goal as seen from the start, -1 or 1
+        ("unit", "f8"),  # m per position unit
+        ("first", "i8"),  # coordinates behind the driven one that swing; -1: there is none
+        ("second", "i8"),
+        ("quiet_from", "i8"),  # ticks after which what swings is residual vibration
+        ("jerk_ticks", "i8"),
+        ("ticks", "i8"),  # measured since `begin`
+        ("outside", "i8"),  # the last tick outside the window
+        ("overshoot", "f8"),  # farthest beyond the goal (m)
+        ("torque_peak", "f8"),  # Nm at the shaft
+        ("torque_squares", "f8"),  # sum (Nm²)
+        ("error_peak", "f8"),  # following error (m)
+        ("error_squares", "f8"),  # sum (m²)
+        ("work", "f8"),  # positive mechanical work at the shaft (J)
+        ("lowest", "f8"),  # of the residual vibration (m)
+        ("highest", "f8"),
+        ("velocity", "f8"),  # of a jerk window before (m/s)
+        ("acceleration", "f8"),  # m/s²
+        ("jerk_squares", "f8"),  # sum (m²/s⁶)
+        ("jerks", "i8"),  # summed
+        ("limited", "i8"),  # ticks with an internal limit active
+    ],
+    align=True,
+)
+
+probes_at = viewer(PROBE)
+
+
+@block
+def observe(p, axis, coupling, timestep, qpos, qvel):
+    """Measure one drive after a physics step."""
+    p.ticks += 1
+    swing = qpos[p.first] if p.first >= 0 else 0.0
+    if p.second >= 0:
+        swing += qpos[p.second]
+    away = qpos[coupling.qpos] + swing - p.goal
+    if abs(away) > p.window:
+        p.outside = p.ticks
+    p.overshoot = max(p.overshoot, p.side * away)
+    if p.ticks > p.quiet_from:
+        p.lowest, p.highest = min(p.lowest, swing), max(p.highest, swing)
+    if int(axis.od.statusword) & INTERNAL_LIMIT:
+        p.limited += 1
+    p.torque_peak = max(p.torque_peak, abs(axis.torque))
+    p.torque_squares += axis.torque * axis.torque
+    error = abs(axis.od.following_error_actual_value) * p.unit
+    p.error_peak = max(p.error_peak, error)
+    p.error_squares += error * error
+    velocity = qvel[coupling.dof]
+    p.work += max(axis.torque * velocity * coupling.gear, 0.0) * timestep
+    if p.ticks % p.jerk_ticks == 0:
+        window = p.jerk_ticks * timestep
+        acceleration = (velocity - p.velocity) / window
+        jerk = (acceleration - p.acceleration) / window
+        p.velocity, p.acceleration = velocity, acceleration
+        p.jerk_squares += jerk * jerk
+        p.jerks += 1
+
+
+def begin(machine, duration: float, goal: float = math.nan, window: float = 0.0) -> None:
+    """Measure anew from the present on.
+
+    Args:
+        machine: with `Machine.probe` called.
+        duration: of what is measured (s); the last quarter of it counts as residual vibration.
+        goal: of what the first drive moves, with all that is elastic behind it (m).
+        window: half of the one around the goal (m).
+    """
+    timestep = machine.model.opt.timestep
+    machine.probes[:] = np.zeros((), PROBE)
+    for i, (probe, coupling) in enumerate(zip(machine.probes, machine.couplings, strict=True)):
+        springs = elastic(machine) if len(machine.probes) == 1 else []
+        probe.first, probe.second = ([*springs, -1, -1])[:2]
+        probe.goal, probe.window = (goal, window) if i == 0 else (math.nan, 0.0)
+        place = machine.data.qpos[coupling.qpos] + sum(machine.data.qpos[q] for q in springs)
+        probe.side = 1.0 if probe.goal >= place else -1.0
+        probe.unit = 1e-6
+        probe.quiet_from = round(0.75 * duration / timestep)
+        probe.jerk_ticks = max(round(JERK_WINDOW / timestep), 1)
+        probe.lowest, probe.highest = math.inf, -math.inf
+
+
+def elastic(machine) -> list[int]:
+    """Coordinates of the joints without a drive: a transmission, a load on a spring."""
+    driven = {int(coupling.qpos) for coupling in machine.couplings}
+    return [q for q in range(machine.model.nq) if q not in driven]

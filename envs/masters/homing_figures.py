@@ -1,0 +1,178 @@
+"""What a homing run was worth: error, torque, impact; of an agent, or of a method of the drive.
+
+A drive finds its home within what it can see. Here the truth is known: where the edge, the index
+pulse or the stop lies that a method looks for, and where the axis is. Both are looked at with the
+same function, so that an agent and the built-in methods are compared by the same figures.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ...drive.kernel.encoder import Event
+from ...drive.kernel.homing import END, HERE, METHODS
+from ...drive.kernel.jit import block, entry
+from ...drive.kernel.record import accessible
+from ...drive.kernel.words import ENABLED, Mode
+from ...drive.kernel.words import Controlword as C
+from ...drive.kernel.words import Statusword as S
+from ...drive.master.master import Master
+from ..engine.loop import axes_at, coordinates, couplings_at, mechanics_at, world_at
+from ..engine.machine import Machine
+from .port import MachinePort
+
+# what is measured; the fields with an underscore are set by `prepare`, or are of the last look
+FIELDS = (
+    ("attained", "?"),  # the drive has a reference
+    ("error", "f8"),  # home found minus true home (m); 0 before
+    ("greatest_torque", "f8"),  # share of the maximum torque
+    ("impact_energy", "f8"),  # brought into the end stops since the reset, sum (J)
+    ("_home", "f8"),  # true home (m)
+    ("_full_torque", "f8"),  # maximum torque (Nm)
+    ("_position", "f8"),  # m
+)
+FIGURES = accessible(np.dtype(list(FIELDS), align=True))
+
+
+class HomingFigures(NamedTuple):
+    """Of one run."""
+
+    method: int
+    attained: bool
+    error: float  # home found minus true home (m)
+    time: float  # s
+    greatest_torque: float  # share of the maximum torque
+    impact_energy: float  # J
+    index_near: bool  # the drive warns: home may jump by a turn
+
+
+@block
+def measure(world, figures):
+    """Look at the first axis of a machine."""
+    axis = axes_at(world.axes, world.drives)[0]
+    coupling = couplings_at(world.couplings, world.drives)[0]
+    position = coordinates(world)[coupling.qpos]
+    share = abs(axis.torque) / figures._full_torque
+    figures.greatest_torque = max(figures.greatest_torque, share)
+    figures.impact_energy = mechanics_at(world.mechanics, world.drives)[0].impact_sum
+    figures._position = position
+    figures.attained = axis.homed != 0
+    if figures.attained:
+        zero = axis.zero_counts * axis.rad_per_increment
+        figures.error = (zero - axis.home_offset) / coupling.gear - figures._home
+
+
+@entry
+def look(worlds, figures):
+    """`measure` from Python."""
+    for w in range(len(worlds)):
+        measure(world_at(worlds[w], 1)[0], figures[w])
+
+
+def prepare(machine: Machine, figures: np.record, home: float) -> None:
+    """Set what `measure` has to know; `home` is the true one (m). The drive has been stepped."""
+    coupling, axis = machine.couplings[0], machine.axes[0]
+    figures._home = home
+    figures._full_torque = axis.rated_torque * int(axis.od.max_torque) * 1e-3
+    figures._position = machine.data.qpos[coupling.qpos]
+
+
+def true_home(machine: Machine, method: int, start: float = 0.0) -> float:
+    """Where an ideal run of a homing method finds its home on the first axis (m).
+
+    Args:
+        machine: with its switches where they are now.
+        method: of `servogym.drive.kernel.homing.METHODS`.
+        start: where the run begins (m); it counts for methods 33 and 34 alone.
+
+    Raises:
+        ValueError: methods 35 and 37 look for nothing.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r} looks for nothing: choose of {sorted(METHODS)}")
+    legs = METHODS[method][2]
+    last = next(i for i, leg in enumerate(legs) if leg[3] == END)
+    if legs[last][2] != Event.INDEX:
+        return _place(machine, legs[last])
+    earlier = [leg for leg in legs if leg[3] == last]
+    begin = _place(machine, earlier[0]) if earlier else start
+    turn = 2 * math.pi / abs(float(machine.couplings[0].gear))
+    whole = math.floor if legs[last][0] < 0 else math.ceil
+    return whole(begin / turn) * turn
+
+
+def _place(machine: Machine, leg: tuple[int, ...]) -> float:
+    """Where the event of a leg comes, on the leg's own way (m)."""
+    direction, _, event, *_ = leg
+    coupling = machine.couplings[0]
+    if event == Event.STOP:
+        return float(machine.mechanics["high" if direction > 0 else "low"][0])
+    switch, on = (event - 1) >> 1, bool(event & 1)
+    slack = 0.0 if on else float(coupling.switch_hysteresis[switch])
+    if on == (direction > 0):
+        return float(coupling.switch_from[switch]) - slack
+    return float(coupling.switch_to[switch]) + slack
+
+
+def built_in(
+    machine: Machine,
+    method: int,
+    start: float,
+    *,
+    stride: int = 10,
+    timeout: float = 60.0,
+    objects: Mapping[str, int] | None = None,
+    observer: Callable[[float], None] | None = None,
+) -> HomingFigures:
+    """Run a homing method of the drive of a machine with one axis; the machine is left as it was.
+
+    Args:
+        machine: with the switches, friction and payload of the run.
+        method: homing method 6098h that the drive has.
+        start: joint position at power-on (m).
+        stride: position cycles between two looks.
+        timeout: after which the run has failed (s).
+        objects: written before, such as ``speed_during_search_for_switch``, in drive units.
+        observer: called at the start and at each look with the time since the start (s).
+
+    Raises:
+        ValueError: the drive does not have the method, or it looks for nothing.
+    """
+    (name,) = machine.drives
+    drive = machine.drives[name]
+    if method in HERE or method not in drive.model.homing_methods:
+        known = [known for known in drive.model.homing_methods if known not in HERE]
+        raise ValueError(
+            f"method = {method!r} is no search of drive {drive.model.name!r}, choose of {known}"
+        )
+    before = machine.snapshot()
+    try:
+        machine.reset(positions={name: start})
+        for object_name, value in (objects or {}).items():
+            drive.write(object_name, value)
+        drive.write("homing_method", method)
+        master = Master(MachinePort(machine))
+        master.enable()
+        master.set_mode(Mode.HOMING)
+        figures = np.zeros(1, FIGURES)
+        prepare(machine, figures[0], true_home(machine, method, start))
+        began = machine.time
+        drive.write("controlword", ENABLED | C.NEW_SET_POINT)
+        if observer:
+            observer(0.0)
+        while not figures[0].attained and machine.time - began < timeout:
+            machine.step(stride)
+            look(machine.addresses, figures)
+            if observer:
+                observer(machine.time - began)
+            if master.status(S.FAULT) or master.status(S.MODE_13):
+                break
+        return HomingFigures(
+            method, bool(figures[0].attained), float(figures[0].error), machine.time - began,
+            float(figures[0].greatest_torque), float(figures[0].impact_energy),
+            bool(drive.axis.index_near),
+        )  # fmt: skip
+    finally:
+        machine.restore(before)

@@ -1,0 +1,234 @@
+"""What can be chosen about a linear axis, and the family: presets by the kind of mechanics.
+
+Values marked `inferred` are of the size catalogues give for axes of this class, not of one product.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+from ..checks import in_range
+
+# lowest, highest, unit
+RANGES = {
+    "payload": (0.0, 100.0, "kg"),
+    "carriage_mass": (1e-3, 100.0, "kg"),
+    "feed_constant": (1e-3, 1.0, "m per motor revolution"),
+    "rotor_inertia": (0.0, 1.0, "kg·m²"),
+    "transmission_inertia": (0.0, 1.0, "kg·m² at the shaft"),
+    "coulomb_friction": (0.0, 200.0, "N"),
+    "static_friction": (0.0, 400.0, "N"),
+    "stribeck_velocity": (1e-4, 1.0, "m/s"),
+    "viscous_friction": (0.0, 2000.0, "N·s/m"),
+    "chain_drag": (0.0, 100.0, "N"),
+    "chain_drag_growth": (0.0, 1000.0, "N per m of travel"),
+    "cogging_torque": (0.0, 10.0, "Nm at the shaft"),
+    "cogging_order": (0.0, 1000.0, "periods per motor revolution"),
+    "torque_ripple": (0.0, 0.5, "share of the motor torque"),
+    "ripple_order": (0.0, 1000.0, "periods per motor revolution"),
+    "max_velocity": (1e-3, 10.0, "m/s"),
+    "max_acceleration": (1e-2, 200.0, "m/s²"),
+    "max_jerk": (1.0, 4000.0, "m/s³"),
+    "stiffness": (0.0, 1e8, "N/m"),
+    "structural_damping": (0.0, 1e5, "N·s/m"),
+    "transmission_stiffness": (0.0, 1e9, "N/m"),
+    "transmission_damping": (0.0, 1e6, "N·s/m"),
+    "backlash": (0.0, 0.01, "m"),
+    "efficiency": (0.1, 1.0, "share"),
+    "motor_winding_loss": (0.0, 1e5, "W"),
+    "motor_thermal_resistance": (0.0, 1e3, "K/W"),
+    "motor_thermal_time": (1.0, 65535.0, "s"),
+    "motor_temperature_limit": (0.0, 300.0, "degC"),
+    "home_switch": (0.0, 0.47, "m"),
+    "switch_offset": (-0.01, 0.01, "m"),
+    "switch_scatter": (0.0, 0.01, "m"),
+    "inclination": (-90.0, 90.0, "degree"),
+    "brake_torque": (0.0, 100.0, "Nm"),
+}
+
+
+@dataclass(frozen=True)
+class LinearAxisParameters:
+    """One linear axis. Raises ValueError naming field, value, range and unit.
+
+    An effect is off where its parameter is 0, `static_friction` also where it is the Coulomb one.
+    With a `transmission_stiffness` the carriage moves against the motor side: the drive sees the
+    motor; friction, end stops and switches are the carriage's.
+    """
+
+    payload: float = 5.0  # kg, on the carriage
+    carriage_mass: float = 1.5  # kg
+    feed_constant: float = 0.06  # m per motor revolution
+    rotor_inertia: float | None = None  # kg·m²; None: of the drive model's motor
+    transmission_inertia: float = 0.0  # kg·m² at the shaft, of pulleys, coupling, spindle
+    coulomb_friction: float = 12.0  # N
+    static_friction: float = 0.0  # N, at standstill; not below the Coulomb friction, or 0
+    stribeck_velocity: float = 0.01  # m/s, where friction has come down by 63 %; inferred
+    viscous_friction: float = 20.0  # N·s/m
+    chain_drag: float = 0.0  # N, of a cable chain
+    chain_drag_growth: float = 0.0  # N/m, with the travel from the left end stop
+    cogging_torque: float = 0.0  # Nm at the shaft, amplitude
+    cogging_order: float = 24.0  # periods a revolution; 24: of 12 slots and 8 poles
+    torque_ripple: float = 0.0  # share of the motor torque, amplitude
+    ripple_order: float = 24.0  # periods a revolution; 24: six times 4 pole pairs
+    max_velocity: float = 1.0  # m/s, profile velocity
+    max_acceleration: float = 10.0  # m/s², profile acceleration and deceleration
+    max_jerk: float = 1000.0  # m/s³, profile jerk
+    stiffness: float = 0.0  # N/m, between carriage and payload; 0: rigid
+    structural_damping: float = 0.0  # N·s/m, between carriage and payload
+    transmission_stiffness: float = 0.0  # N/m, between motor side and carriage; 0: rigid
+    transmission_damping: float = 0.0  # N·s/m, between motor side and carriage
+    backlash: float = 0.0  # m, whole gap between motor side and carriage
+    efficiency: float = 1.0  # of a gear at the motor; friction in proportion to what it carries
+    load_encoder: bool = False  # the position is measured at the carriage: dual-loop control
+    home_switch: float = 0.2  # m, left edge of the home switch, which is 30 mm long
+    switch_offset: float = 0.0  # m, all switches are mounted this much farther right
+    switch_scatter: float = 0.0  # m, standard deviation of where a switch answers
+    inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
+    brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
+    # the motor as one thermal mass; None: of the drive model
+    motor_winding_loss: float | None = None  # W, copper loss at rated torque
+    motor_thermal_resistance: float | None = None  # K/W, winding to ambient
+    motor_thermal_time: float | None = None  # s
+    motor_temperature_limit: float | None = None  # degC, a fault above it; 0: none
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None and field.default is None:
+                continue
+            if isinstance(field.default, bool):
+                if not isinstance(value, bool):
+                    raise ValueError(f"{field.name} = {value!r}: use True or False")
+                continue
+            in_range(field.name, value, *RANGES[field.name])
+        if self.static_friction and not 0.0 < self.coulomb_friction <= self.static_friction:
+            raise ValueError(
+                f"static_friction = {self.static_friction:g} N needs a coulomb_friction above "
+                f"0 and not above it, which is {self.coulomb_friction:g} N; 0 is off"
+            )
+        if self.backlash > 0.0 and self.transmission_stiffness == 0.0:
+            raise ValueError(
+                f"backlash = {self.backlash:g} m needs a transmission_stiffness above 0 N/m: the "
+                "gap lies in the spring between motor side and carriage"
+            )
+        if self.efficiency < 1.0 and self.transmission_stiffness == 0.0:
+            raise ValueError(
+                f"efficiency = {self.efficiency:g} needs a transmission_stiffness above 0 N/m: the "
+                "spring between motor side and carriage is what the gear carries"
+            )
+
+
+# 16 mm belt, both spans in parallel, at the middle of the stroke: Gates, Synchroflex: specific
+# stiffness of AT5 with steel tension members about 1e5 N per unit strain and spans of 0.5 m:
+# 4e5 N/m (inferred). Damping ratio 2 %, pulleys 0.1e-4 kg·m², repeatability of a proximity switch
+# 20 µm (inferred).
+TOOTHED_BELT = LinearAxisParameters(
+    transmission_inertia=0.1e-4,
+    transmission_stiffness=4e5,
+    transmission_damping=25.0,
+    static_friction=16.0,
+    chain_drag=2.0,
+    chain_drag_growth=3.0,
+    cogging_torque=0.013,  # 1 % of the rated torque, a usual limit for servo motors (inferred)
+    switch_scatter=20e-6,
+)
+# 16 x 10 mm ball screw, 0.65 m long: E A / L = 2.1e11 · 1.5e-4 / 0.65 = 48 N/µm, in series with
+# nut and bearings of about 80 N/µm: 30 N/µm. The home switch is mounted half a pitch beside the
+# index pulses, as the limit switches are. Rolled, ISO 3408 T7, without preload: axial play
+# 20 µm. Inertia of the steel spindle: pi/32 · 7850 · 0.65 · 0.016⁴ = 0.33e-4 kg·m² (inferred).
+BALL_SCREW = LinearAxisParameters(
+    feed_constant=0.01,
+    transmission_inertia=0.33e-4,
+    transmission_stiffness=3e7,
+    transmission_damping=450.0,
+    backlash=20e-6,
+    home_switch=0.205,
+    coulomb_friction=40.0,
+    static_friction=50.0,
+    viscous_friction=150.0,
+    chain_drag=2.0,
+    chain_drag_growth=3.0,
+    cogging_torque=0.013,
+    switch_scatter=20e-6,
+    max_velocity=0.4,
+    max_acceleration=5.0,
+)
+# Iron core, pole pair 30 mm: a "revolution" of the drive is a pole pair. The moving coil rides on
+# the carriage. Cogging 1.5 N amplitude per 100 N of rated force, twice a pole pair (inferred).
+LINEAR_MOTOR = LinearAxisParameters(
+    feed_constant=0.03,
+    carriage_mass=3.5,
+    rotor_inertia=0.0,
+    coulomb_friction=8.0,
+    static_friction=10.0,
+    viscous_friction=10.0,
+    chain_drag=3.0,
+    chain_drag_growth=4.0,
+    cogging_torque=0.02,
+    cogging_order=2.0,
+    torque_ripple=0.01,
+    ripple_order=6.0,
+    max_velocity=2.0,
+    max_acceleration=20.0,
+    switch_scatter=20e-6,
+)
+# The screw hangs its load on one flank. Brake: 1.3 Nm is usual for a motor of 400 W.
+VERTICAL = replace(BALL_SCREW, inclination=90.0, brake_torque=1.3, chain_drag_growth=8.0)
+# Rack of 5 mm metric pitch, pinion of 25 teeth, planetary gear 5:1: 25 mm a motor revolution.
+# Torsion of the gear 5 Nm/arcmin over the radius of 20 mm is 4e7 N/m, in series with the teeth
+# about 2e7; backlash of 3 arcmin, 17 µm, and of the teeth; efficiency of one planetary stage.
+# Motor: winding of class F, shut down at 140 °C. There is an index pulse at 200 mm, so the home
+# switch is half a turn beside it (inferred).
+RACK_PINION = LinearAxisParameters(
+    feed_constant=0.025,
+    transmission_inertia=0.3e-4,
+    transmission_stiffness=2e7,
+    transmission_damping=450.0,
+    backlash=40e-6,
+    efficiency=0.95,
+    home_switch=0.2125,
+    coulomb_friction=30.0,
+    static_friction=36.0,
+    viscous_friction=60.0,
+    chain_drag=2.0,
+    chain_drag_growth=3.0,
+    cogging_torque=0.013,
+    switch_scatter=20e-6,
+    max_acceleration=8.0,
+    motor_winding_loss=60.0,
+    motor_thermal_resistance=1.5,
+    motor_thermal_time=1200.0,
+    motor_temperature_limit=140.0,
+)
+# A scale at the carriage makes up for the spindle's compliance, but not for backlash: the nut is
+# preloaded, with more friction (inferred).
+SCALE = replace(
+    BALL_SCREW, load_encoder=True, backlash=0.0, coulomb_friction=55, static_friction=65
+)
+
+FAMILY = {
+    "rigid": LinearAxisParameters(),
+    "toothed_belt": TOOTHED_BELT,
+    "ball_screw": BALL_SCREW,
+    "linear_motor": LINEAR_MOTOR,
+    "vertical": VERTICAL,
+    "rack_pinion": RACK_PINION,
+    "ball_screw_scale": SCALE,
+}
+
+
+def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
+    """The preset called `mechanics`, with `values` instead of its own.
+
+    Raises:
+        ValueError: an unknown name, or a parameter out of range.
+    """
+    if mechanics not in FAMILY:
+        raise ValueError(f"mechanics = {mechanics!r} is unknown, choose of {', '.join(FAMILY)}")
+    return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
+
+
+def chosen(parameters: LinearAxisParameters | str | None, payload: float) -> LinearAxisParameters:
+    """Parameters as they are, or by the name of a preset; None: the rigid axis with `payload`."""
+    if parameters is None:
+        return LinearAxisParameters(payload=payload)
+    return family(parameters) if isinstance(parameters, str) else parameters

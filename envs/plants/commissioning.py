@@ -1,0 +1,225 @@
+"""Commissioning of a joint of any robot: its drive's parameters from the model alone.
+
+Windows are angles of the motor shaft, so they scale with the gear as the encoder does.
+"""
+
+import math
+from fractions import Fraction
+from numbers import Real
+
+import mujoco
+import numpy as np
+
+from ...drive.drive import Drive
+from ...drive.model.model import load
+from ...drive.objects.abort import SdoAbort
+from ..engine.machine import Machine
+from .linear_axis import MOTOR, factor_group
+from .tuning import gains
+
+RATED_SPEED = 3000 * 2 * math.pi / 60  # rad/s, usual of servo motors of this size
+TRAVEL_TIME = 0.5  # s, over the whole range, if the motor is that fast (inferred)
+RAMP_TIME = 0.2  # s, from standstill to the highest speed, if the motor can (inferred)
+POSES = 17  # places on the joint's range where its load is looked at
+# rad or rad/s at the shaft; of linear_axis: 1 mm, 20 µm, 5 mm/s at 60 mm a turn, wider where a
+# robot's axes disturb each other (inferred)
+FOLLOWING_ERROR_WINDOW = 0.5
+POSITION_WINDOW = 0.005
+VELOCITY_WINDOW = 0.5
+INCREMENTS = 4  # of the encoder, the smallest position window
+UNSIGNED16, INTEGER32 = 0xFFFF, 0x7FFFFFFF
+
+
+def commission_joint(
+    machine: Machine,
+    name: str,
+    *,
+    max_velocity: float | None = None,
+    max_acceleration: float | None = None,
+    position_unit: float = 1e-6,
+) -> None:
+    """Set units, limits, windows, motor data, homing and gains of the drive `name`.
+
+    Position unit 1 µrad (hinge) or 1 µm (slide), velocity and acceleration per s and s². The
+    direction is that of the joint, with a negative gear too. Software position limits are the
+    joint's range; an unlimited joint has none. Homing method 37, or 35 where the model lacks it,
+    gives the drive the joint's own coordinate, if it is homed at the present pose. Motor: 400 W,
+    made larger where the joint's load needs more; the gains are for the inertia at the present
+    pose. A frequency inverter is left as it is: it cannot position.
+
+    Args:
+        machine: a machine at rest, none of its drives in operation.
+        name: of the drive.
+        max_velocity: profile velocity (m/s or rad/s); if not given 3000 1/min of the motor, or what
+            crosses the range in 0.5 s.
+        max_acceleration: profile acceleration and deceleration (m/s² or rad/s²); what twice the
+            rated torque gives, up to full speed in 0.2 s, if not given.
+        position_unit: one unit of the drive's positions (m or rad).
+
+    Raises:
+        ValueError: a name without a drive, an argument that is not above 0, or a value the drive
+            cannot take, with what to change.
+    """
+    if name not in machine.drives:
+        raise ValueError(f"name: there is no drive {name!r}, only {[*machine.drives]}")
+    drive = machine.drives[name]
+    if not drive.model.positions:
+        return
+    coupling = machine.couplings[list(machine.drives).index(name)]
+    gear = abs(float(coupling.gear))
+    given = {"max_velocity": max_velocity, "max_acceleration": max_acceleration}
+    for argument, value in {**given, "position_unit": position_unit}.items():
+        if value is not None and not (isinstance(value, Real) and 0.0 < value < math.inf):
+            raise ValueError(f"{argument} = {value!r} must be a finite number above 0")
+    speed = _speed(machine, coupling) if max_velocity is None else max_velocity * gear
+    torque = _load(machine, coupling, speed / gear)
+    inertia = _inertia(machine, coupling)
+    rated = max(MOTOR["motor_rated_torque"] * 1e-3, 2 * torque)
+    if max_acceleration is None:
+        acceleration = min(speed / RAMP_TIME, (2 * rated - torque) / inertia)
+    else:
+        acceleration = max_acceleration * gear
+        rated = max(rated, (torque + inertia * acceleration) / 2)
+    try:
+        drive.commission(_motor(drive, rated) | _units(drive, gear * position_unit))
+        per_unit = gear * position_unit  # rad of the shaft
+        drive.commission(
+            {"polarity": 0xC0 if coupling.gear < 0 else 0}
+            | _profile(speed / per_unit, acceleration / per_unit)
+            | _windows(drive, per_unit)
+            | _places(machine, drive, coupling, position_unit)
+        )
+        drive.commission(gains(drive, inertia))
+    except (SdoAbort, OverflowError) as error:
+        raise ValueError(
+            f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "
+            f"shaft {inertia:.3g} kg·m², {speed:.4g} rad/s, position_unit {position_unit:g}: "
+            f"choose another gear than {gear:g} (gears[{name!r}] of Machine.from_mjcf adds the "
+            "rotor's inertia too), another position_unit, or smaller limits"
+        ) from None
+
+
+def _units(drive: Drive, angle: float) -> dict[str, float]:
+    """Units of `angle` (rad of the shaft), as a fraction of a revolution."""
+    turn = 2 * math.pi / angle
+    # both parts have to stay below 2^31 together with the increments of the encoder
+    units = Fraction(turn).limit_denominator(max(1, min(1000, int(2**31 / turn) - 1)))
+    return factor_group(drive, units.numerator, units.denominator)
+
+
+def _speed(machine: Machine, coupling) -> float:
+    """Speed of the shaft (rad/s) that suits motor and range."""
+    joint = machine.model.dof_jntid[coupling.dof]
+    if not machine.model.jnt_limited[joint]:
+        return RATED_SPEED
+    low, high = machine.model.jnt_range[joint]
+    return min(RATED_SPEED, abs(float(coupling.gear)) * float(high - low) / TRAVEL_TIME)
+
+
+def _inertia(machine: Machine, coupling) -> float:
+    """Inertia at the shaft (kg·m²) while the other drives hold and joints without one are free."""
+    model = machine.model
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, machine.data, mass)
+    driven = {int(other.dof) for other in machine.couplings}
+    free = [int(coupling.dof), *(dof for dof in range(model.nv) if dof not in driven)]
+    mobility = np.linalg.inv(mass[np.ix_(free, free)])
+    return float(1.0 / mobility[0, 0] / coupling.gear**2)
+
+
+def _load(machine: Machine, coupling, speed: float) -> float:
+    """Largest torque at the shaft (Nm) that gravity, springs, damping and friction ask for.
+
+    Over the range of the joint, all others as they are; at rest and at `speed` (m/s or rad/s).
+    """
+    model, data = machine.model, mujoco.MjData(machine.model)
+    data.qpos[:] = machine.data.qpos
+    joint = model.dof_jntid[coupling.dof]
+    here = data.qpos[coupling.qpos]
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (here, here)
+    if not model.jnt_limited[joint] and model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE):
+        high = here + 2 * math.pi
+    force = 0.0
+    for position in np.linspace(low, high, POSES):
+        data.qpos[coupling.qpos] = position
+        mujoco.mj_fwdPosition(model, data)
+        for velocity in (0.0, -speed, speed):
+            data.qvel[coupling.dof] = velocity
+            mujoco.mj_fwdVelocity(model, data)
+            asked = data.qfrc_bias[coupling.dof] - data.qfrc_passive[coupling.dof]
+            force = max(force, abs(float(asked)))
+    return (force + float(coupling.friction)) / abs(float(coupling.gear))
+
+
+def _motor(drive: Drive, rated_torque: float) -> dict[str, float]:
+    """`MOTOR` with another rated torque (Nm), its torque constant and DC link of the same design.
+
+    A larger drive has the larger capacitor and brake resistor that its motor needs.
+    """
+    scale = rated_torque * 1e3 / MOTOR["motor_rated_torque"]
+    values: dict[str, float] = {**MOTOR}
+    for name in ("motor_rated_current", "motor_rated_torque"):
+        values[name] = math.ceil(MOTOR[name] * scale)
+    for name, factor in (("link_capacitance", scale), ("chopper_resistance", 1 / scale)):
+        row = drive.model.names.get(name) or load("generic").names[name]
+        default = drive.model.fixed.get(name, row.default)
+        values[name] = math.ceil(float(default) * factor)
+    return values
+
+
+def _profile(velocity: float, acceleration: float) -> dict[str, float]:
+    """Speeds and ramps (drive units); limits at twice the profile, homing at a tenth."""
+    return {
+        "max_profile_velocity": 2 * velocity,
+        "profile_velocity": velocity,
+        "profile_acceleration": acceleration,
+        "profile_deceleration": acceleration,
+        "quick_stop_deceleration": 2 * acceleration,
+        "limit_switch_deceleration": min(2 * acceleration, INTEGER32),
+        "position_control_v_max": 2 * velocity,
+        "speed_during_search_for_switch": max(0.1 * velocity, 1),
+        "speed_during_search_for_zero": max(0.01 * velocity, 1),
+        "homing_acceleration": max(0.1 * acceleration, 1),
+    }
+
+
+def _windows(drive: Drive, per_unit: float) -> dict[str, float]:
+    """Windows (drive units); `per_unit` is rad of the shaft."""
+    increments, turns = drive.axis.od.position_encoder_resolution.tolist()
+    window = max(POSITION_WINDOW, INCREMENTS * 2 * math.pi * turns / increments)
+    velocity = min(max(VELOCITY_WINDOW / per_unit, 1), UNSIGNED16)
+    return {
+        "following_error_window": max(FOLLOWING_ERROR_WINDOW / per_unit, 1),
+        "following_error_time_out": 10,
+        "position_window": max(window / per_unit, 1),
+        "position_window_time": 5,
+        "velocity_window": velocity,
+        "velocity_window_time": 5,
+        "velocity_threshold": velocity,
+    }
+
+
+def _places(machine: Machine, drive: Drive, coupling, position_unit: float) -> dict[str, float]:
+    """Software limits and homing at the present place (drive units)."""
+    model = machine.model
+    joint = model.dof_jntid[coupling.dof]
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (0.0, 0.0)  # equal: none
+    here = float(machine.data.qpos[coupling.qpos])
+    name = model.joint(joint).name
+    if low < high and not low - 1e-6 <= here <= high + 1e-6:
+        raise ValueError(
+            f"joint {name!r} stands at {here:g}, out of its range {low:g}..{high:g}: "
+            "choose a pose with machine.reset(positions=...) first"
+        )
+    for place in (low, high, here):
+        if abs(place) / position_unit > INTEGER32:
+            raise ValueError(
+                f"joint {name!r} at {place:g}: an INTEGER32 has no place for it "
+                f"in units of {position_unit:g}: choose a larger position_unit"
+            )
+    return {
+        "min_position_limit": low / position_unit,
+        "max_position_limit": high / position_unit,
+        "homing_method": drive.model.homes_here,
+        "home_offset": -here / position_unit,
+    }

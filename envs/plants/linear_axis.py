@@ -1,0 +1,194 @@
+"""A linear axis with one drive, commissioned as a user would: through its objects."""
+
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from ...drive.drive import Drive
+from ...drive.model.model import DriveModel, load
+from ..engine.machine import Machine
+from .axis_parameters import LinearAxisParameters, family
+from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough, spring
+from .tuning import gains, inertia_at_shaft, inertia_of_motor_side
+
+MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
+
+# a 400 W servo motor: mA, mNm, per mille
+MOTOR = {
+    "motor_rated_current": 2500,
+    "motor_rated_torque": 1270,
+    "max_current": 3000,
+    "max_torque": 3000,
+}
+GRAVITY = 9.81  # m/s²
+
+
+def linear_axis(
+    drive: str | Path | DriveModel = "generic",
+    *,
+    mechanics: str = "rigid",
+    timestep: float | None = None,
+    parameters: LinearAxisParameters | None = None,
+    parameter_file: str | Path | None = None,
+    **values: float | None,
+) -> Machine:
+    """A `Machine` with one linear axis, its drive called ``x``, stroke 0..0.5 m.
+
+    Position unit 1 µm, velocity unit 1 µm/s, acceleration unit 1 µm/s². Limit switches lie 5 mm,
+    end stops 20 mm outside the stroke; homing method 17 puts the zero at its left end.
+
+    Args:
+        drive: drive model by name, folder or loaded.
+        mechanics: preset of the family: ``rigid``, ``toothed_belt``, ``ball_screw``,
+            ``linear_motor``, ``vertical``, ``rack_pinion`` or ``ball_screw_scale``, see
+            `axis_parameters`.
+        timestep: physics step (s); the velocity cycle of the drive if not given.
+        parameters: `LinearAxisParameters`, or its fields as keywords instead of the preset's.
+        parameter_file: where 1010h stores the drive's parameters; what it holds goes before what
+            commissions the axis.
+
+    Raises:
+        ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
+            do not allow or that is too long for the elastic mechanics.
+    """
+    if parameters is None:
+        parameters = family(mechanics, **values)
+    elif values or mechanics != "rigid":
+        given = [*values, *(["mechanics"] if mechanics != "rigid" else [])]
+        raise ValueError(f"parameters and {', '.join(given)} are both given: choose one way")
+    drive_model = load(drive)
+    if timestep is None:
+        timestep = drive_model.cycle_time["velocity"]
+    if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
+        raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
+    machine = Machine(_plant(parameters, drive_model, timestep), {"x": drive_model})
+    commission(machine, "x", parameters)
+    if parameter_file is not None:
+        machine.drives["x"].use_parameter_file(parameter_file)
+    machine.reset()
+    return machine
+
+
+def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_file(str(MJCF))
+    gear = 2 * math.pi / p.feed_constant
+    spec.option.timestep = timestep
+    joint = spec.joint("x")
+    rotor = drive_model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+    joint.armature = (rotor + p.transmission_inertia) * gear**2
+    joint.frictionloss = p.coulomb_friction
+    joint.damping[0] = p.viscous_friction
+    spec.actuator("x").gear[0] = gear
+    slope = math.radians(p.inclination)
+    spec.option.gravity = [-GRAVITY * math.sin(slope), 0.0, -GRAVITY * math.cos(slope)]
+    spec.geom("carriage").mass = p.carriage_mass
+    payload = spec.geom("payload")
+    payload.mass = p.payload
+    payload.size = [0.02 + 0.01 * min(p.payload, 5.0) ** (1 / 3)] * 3
+    payload.pos[2] = 0.014 + payload.size[2]
+    for name, values in {
+        "brake_torque": [p.brake_torque] if p.brake_torque > 0.0 else [],
+        "stribeck": [p.static_friction, p.stribeck_velocity] if p.static_friction > 0.0 else [],
+        "cable_chain": [p.chain_drag, p.chain_drag_growth],
+        "cogging": [p.cogging_torque, p.cogging_order],
+        "torque_ripple": [p.torque_ripple, p.ripple_order],
+        "backlash": [p.backlash],
+        "efficiency": [p.efficiency],
+        "switch_offset": [p.switch_offset] * 3,
+        "switch_scatter": [p.switch_scatter],
+    }.items():
+        if values:
+            spec.add_numeric(name=f"x.{name}", size=len(values), data=values)
+    _mount_home_switch(spec, p.home_switch)
+    carried = p.carriage_mass + p.payload
+    if p.stiffness > 0.0 and p.payload > 0.0:
+        spring(spec, "payload", "load", p.stiffness, p.structural_damping)
+        rest = joint.armature + p.carriage_mass
+        if p.transmission_stiffness > 0.0:
+            rest = p.carriage_mass
+        slow_enough("stiffness", p.stiffness, rest, p.payload, timestep)
+    if p.transmission_stiffness > 0.0:
+        drive_elastically(spec, "carriage", p.transmission_stiffness, p.transmission_damping)
+        motor = joint.armature + MOTOR_SIDE_MASS
+        slow_enough("transmission_stiffness", p.transmission_stiffness, motor, carried, timestep)
+    return spec.compile()
+
+
+def _mount_home_switch(spec: mujoco.MjSpec, place: float) -> None:
+    numeric, box = spec.numeric("x.home_switch"), spec.geom("home_switch")
+    low, high, hysteresis = numeric.data
+    numeric.data = [place, place + high - low, hysteresis]
+    box.pos[0] += place - low
+
+
+def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
+    """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains."""
+    x = machine.drives[name]
+    if not x.model.positions:
+        return  # its motor and its ramps are parameters of its own
+    micro = 1e6  # drive units per m
+    parameters = {
+        **MOTOR,
+        **factor_group(x, p.feed_constant * micro),
+        "min_position_limit": 0,
+        "max_position_limit": 0.5 * micro,
+        "following_error_window": 1_000,
+        "following_error_time_out": 10,
+        "position_window": 20,
+        "position_window_time": 5,
+        "velocity_window": 5_000,
+        "velocity_window_time": 5,
+        "velocity_threshold": 5_000,
+        "max_profile_velocity": 2 * p.max_velocity * micro,
+        "profile_velocity": p.max_velocity * micro,
+        "profile_acceleration": p.max_acceleration * micro,
+        "profile_deceleration": p.max_acceleration * micro,
+        "quick_stop_deceleration": 2 * p.max_acceleration * micro,
+        "profile_jerk_1": p.max_jerk * micro,
+        "homing_method": 17,
+        "speed_during_search_for_switch": 0.1 * micro,
+        "speed_during_search_for_zero": 0.01 * micro,
+        "homing_acceleration": 1.0 * micro,
+        "home_offset": 5_000,
+    }
+    x.commission(parameters | motor_and_encoder(p))
+    coupling = machine.couplings[list(machine.drives).index(name)]
+    place = machine.model, machine.data, coupling.dof, coupling.gear
+    tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))
+
+
+def motor_and_encoder(p: Any) -> dict[str, float]:
+    """Thermal model of the motor and source of the position, where they are given."""
+    scales = {
+        "motor_winding_loss": 1e3, "motor_thermal_resistance": 1e3, "motor_thermal_time": 1,
+        "motor_temperature_limit": 10,
+    }  # fmt: skip
+    given = {name: getattr(p, name) for name in scales}
+    values = {name: scales[name] * value for name, value in given.items() if value is not None}
+    return values | ({"position_source": 1} if p.load_encoder else {})
+
+
+def factor_group(drive: Drive, units: float, turns: int = 1) -> dict[str, float]:
+    """`units` position units in so many motor revolutions, and units/s, units/s².
+
+    The older factor group counts 65536 increments a turn, turns per 4096 min, and turns per minute
+    in 256 s (DSP 402 V2, 6093h, 6094h, 6097h).
+    """
+    if not drive.model.quirk("older_factor_group"):
+        return {"feed": units, "feed_shaft_revolutions": turns}
+    return {
+        "position_factor_divisor": units,
+        "position_factor_numerator": turns * 65536,
+        "velocity_encoder_factor_divisor": units,
+        "velocity_encoder_factor_numerator": turns * 60 * 4096,
+        "acceleration_factor_divisor": units,
+        "acceleration_factor_numerator": turns * 60 * 256,
+    }
+
+
+def tune(drive: Drive, inertia: float, motor_side: float | None = None) -> None:
+    """Set the gains for `inertia` (kg·m² at the shaft), `motor_side` of it before any spring."""
+    drive.commission(gains(drive, inertia, motor_side))

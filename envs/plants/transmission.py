@@ -1,0 +1,69 @@
+"""Elastic transmissions: a spring between the motor side of an axis and what it moves."""
+
+import math
+
+import mujoco
+
+MOTOR_SIDE_MASS = 1e-3  # kg; MuJoCo wants some for a moving body, the inertia is the armature
+FASTEST = 1.5  # rad of a vibration in one physics step; from 2 on the integrator diverges
+
+
+def spring(spec: mujoco.MjSpec, body: str, name: str, stiffness: float, damping: float) -> None:
+    """Put a body on a spring in the way of the joint ``x``: the joint `name`."""
+    driven = spec.joint("x")
+    joint = spec.body(body).add_joint(name=name, type=driven.type, axis=driven.axis)
+    joint.stiffness[0] = stiffness
+    joint.damping[0] = damping
+
+
+def drive_elastically(spec: mujoco.MjSpec, body: str, stiffness: float, damping: float) -> None:
+    """A spring, the joint called as `body`, between the motor side and what it moves.
+
+    Friction and end stops go from the motor's joint to what is moved, which is the tendon
+    ``x.guide``, the sum of the joints. The viscous friction stays: both move at nearly one speed.
+    """
+    spring(spec, body, body, stiffness, damping)
+    motor_side, motor = spec.body("motor_side"), spec.joint("x")
+    motor_side.mass = MOTOR_SIDE_MASS
+    motor_side.inertia = [MOTOR_SIDE_MASS * 1e-4] * 3
+    motor_side.explicitinertial = True
+    guide = spec.add_tendon(
+        name="x.guide",
+        limited=bool(motor.range[0] < motor.range[1]),
+        range=motor.range,
+        frictionloss=motor.frictionloss,
+        solref_limit=motor.solref_limit,
+        solimp_limit=motor.solimp_limit,
+    )
+    guide.wrap_joint("x", 1.0)
+    guide.wrap_joint(body, 1.0)
+    motor.limited = False
+    motor.frictionloss = 0.0
+
+
+def slow_enough(
+    name: str, stiffness: float, a: float, b: float, timestep: float,
+    units: tuple[str, str] = ("N/m", "kg"),
+) -> None:  # fmt: skip
+    """Refuse a spring between two masses or inertias that vibrates too fast for the physics step.
+
+    Args:
+        name: of the parameter.
+        stiffness: N/m or Nm/rad, as `units` say.
+        a: on one side of it (kg or kg·m²).
+        b: on the other.
+        timestep: physics step (s).
+        units: of stiffness and of what it connects.
+
+    Raises:
+        ValueError: naming the parameter, the resonance and the timestep it needs.
+    """
+    rate = math.sqrt(stiffness * (1.0 / a + 1.0 / b))
+    if rate * timestep > FASTEST:
+        of_spring, of_mass = units
+        raise ValueError(
+            f"{name} = {stiffness:g} {of_spring} between {a:.3g} {of_mass} and {b:.3g} {of_mass} "
+            f"resonates at {rate / (2 * math.pi):.0f} Hz, too fast for a timestep of "
+            f"{timestep * 1e6:g} µs: at most {FASTEST / rate * 1e6:.0f} µs, as a whole fraction of "
+            "the velocity cycle, or a softer spring"
+        )

@@ -1,0 +1,109 @@
+"""Tasks by their ids: how one is registered, and how any is found, those of other packages too.
+
+A package of your own calls `register` for its tasks when it is imported. Its ids work everywhere,
+with the module in front as Gymnasium has it: ``servogym train mylab:mylab/Nudge-v0``. In front of
+ids of this package ``servogym/`` may be left out.
+"""
+
+import importlib
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import gymnasium
+from gymnasium.envs.registration import load_env_creator
+
+from ..drive.model.near import near
+from .servo_env import ServoEnv
+from .vector_env import ServoVectorEnv
+
+NAMESPACE = "servogym/"
+
+
+def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = None) -> None:
+    """Register a task in Gymnasium by its ID, with the vector environments of this package.
+
+    Args:
+        task: the class.
+        vector: entry point of its vector environments; a `ServoVectorEnv` if not given.
+
+    Raises:
+        ValueError: it has no ID, or one Gymnasium does not take.
+    """
+    identity = getattr(task, "ID", None)
+    if not isinstance(identity, str):
+        raise ValueError(f"task {task.__name__} lacks ID: give it one such as 'mylab/Nudge-v0'")
+    try:
+        gymnasium.register(
+            identity,
+            entry_point=f"{task.__module__}:{task.__name__}",
+            vector_entry_point=vector or partial(ServoVectorEnv, task),
+            max_episode_steps=task.STEPS,
+        )
+    except gymnasium.error.Error as error:
+        raise ValueError(f"task {task.__name__}, ID = {identity!r}: {error}") from None
+
+
+def short(identity: str) -> str:
+    """An id as it may be written: without the name space of this package."""
+    return identity.removeprefix(NAMESPACE)
+
+
+def task(name: str) -> type[ServoEnv]:
+    """The class behind an id.
+
+    Args:
+        name: id of Gymnasium, with ``module:`` in front of one that another package registers;
+            that of a package may be left out where it is the name space, ``mylab:Nudge-v0``.
+
+    Raises:
+        ValueError: no such module, no such id (with near ones), or not a `ServoEnv`.
+    """
+    module, _, identity = name.rpartition(":")
+    if module:
+        _import(module, name)
+    spaces = ("", NAMESPACE, f"{module.partition('.')[0]}/")
+    found = next((each + identity for each in spaces if each + identity in _registry()), None)
+    if found is None:
+        raise ValueError(f"unknown environment {name!r}: {_hint(name, module)}")
+    spec = _registry()[found]
+    try:
+        made = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else None
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"environment {name!r} cannot be loaded: {error}") from None
+    made = spec.entry_point if made is None else made
+    if not (isinstance(made, type) and issubclass(made, ServoEnv)):
+        raise ValueError(
+            f"environment {name!r} is no task of servo drives: its class has to inherit from "
+            "servogym.envs.servo_env.ServoEnv"
+        )
+    if getattr(made, "ID", None) != found:
+        raise ValueError(
+            f"environment {name!r}: {made.__name__} is registered as {found!r}, give it the same ID"
+        )
+    return made
+
+
+def _registry() -> dict[str, Any]:
+    return gymnasium.registry  # type: ignore[return-value]
+
+
+def _import(module: str, name: str) -> None:
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        raise ValueError(
+            f"environment {name!r}: module {module!r} cannot be imported "
+            f"({type(error).__name__}: {error}); install its package, or set PYTHONPATH"
+        ) from error
+
+
+def _hint(name: str, module: str) -> str:
+    """What might be meant, of the tasks here or of what `module` registers."""
+    owner = module.partition(".")[0] or NAMESPACE[:-1]
+    known = [
+        f"{module}:{each.removeprefix(f'{owner}/')}" if module else short(each)
+        for each, spec in _registry().items()
+        if str(spec.entry_point).startswith((f"{owner}.", f"{owner}:"))
+    ]
+    return near(name, known) or f"{owner} registers none, see servogym.envs.registry.register"

@@ -1,0 +1,188 @@
+"""What an environment looks like: images with an overlay, and a window; ghosts show the goals."""
+
+import os
+import sys
+from collections.abc import Mapping
+from typing import Any, ClassVar, Protocol
+
+import mujoco
+import numpy as np
+
+from ..engine.machine import Machine
+from ..engine.physics import STATE
+from .overlay import Line, Overlay, lines
+
+HEIGHT, WIDTH = 540, 960
+GHOST = np.array([0.2, 0.75, 0.3, 0.35], np.float32)
+INSTEAD = "use render_mode='rgb_array', or `servogym watch ENV --record out.gif`"
+
+
+def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
+    """Draws off screen; without a display, and where MUJOCO_GL says nothing, through EGL.
+
+    MuJoCo chooses when it is imported, which is before anybody can know that a picture is wanted.
+    """
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not display and not os.environ.get("MUJOCO_GL"):
+        from mujoco.egl import GLContext
+        from mujoco.rendering.classic import gl_context
+
+        gl_context.GLContext = GLContext
+    return mujoco.Renderer(model, HEIGHT, WIDTH)
+
+
+class Scene(Protocol):
+    """What is drawn, such as a `ServoEnv`."""
+
+    ID: ClassVar[str]
+    episode: Any
+
+    @property
+    def time(self) -> float:
+        """Since the episode began (s)."""
+
+    @property
+    def machine(self) -> Machine:
+        """The machine in its present state."""
+
+    def ghosts(self) -> Mapping[str, Any]:
+        """Displacement of the goal by body, shape ``(3,)`` (m)."""
+
+
+class Picture:
+    """Draws one environment, off screen (``render_mode="rgb_array"``) or in a window ("human").
+
+    An episode goes on bit by bit the same, whether it is drawn or not.
+    """
+
+    def __init__(self, env: Scene):
+        self._env = env
+        self._renderer: mujoco.Renderer | None = None
+        self._overlay = Overlay(list(env.machine.drives), WIDTH)
+        self._viewer: Any = None
+
+    def image(self) -> np.ndarray:
+        """Shape ``(540, 960, 3)``, uint8. Raises RuntimeError where there is no OpenGL."""
+        machine = self._env.machine
+        if self._renderer is None:
+            try:
+                self._renderer = _renderer(machine.model)
+            except Exception as error:  # each OpenGL backend has exceptions of its own
+                raise RuntimeError(
+                    f"no image can be drawn ({type(error).__name__}: {error}): without a display "
+                    "set the environment variable MUJOCO_GL to egl or osmesa before starting"
+                ) from error
+        mujoco.mj_fwdPosition(machine.model, machine.data)
+        self._renderer.update_scene(machine.data)
+        self._ghosts(self._renderer.scene)
+        image = self._renderer.render()
+        self._overlay.draw(image, lines(machine), *self._head())
+        return image
+
+    def show(self) -> None:
+        """Bring the window up to date; once its user has closed it, nothing happens.
+
+        Raises RuntimeError where there is no display.
+        """
+        if self._viewer is None:
+            self._viewer = self._window()
+        if self.closed:
+            return
+        self._viewer.user_scn.ngeom = 0
+        self._ghosts(self._viewer.user_scn)
+        self._viewer.set_texts(self._texts())
+        self._viewer.sync()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the user has closed the window."""
+        return self._viewer is not None and not self._viewer.is_running()
+
+    def _window(self) -> Any:
+        require_display()
+        import mujoco.viewer
+
+        machine = self._env.machine
+        state = np.empty(mujoco.mj_stateSize(machine.model, STATE))
+        mujoco.mj_getState(machine.model, machine.data, state, STATE)
+        viewer = mujoco.viewer.launch_passive(
+            machine.model, machine.data, show_left_ui=False, show_right_ui=False
+        )
+        # the viewer has computed forces, from which the next step would start its solver
+        mujoco.mj_setState(machine.model, machine.data, state, STATE)
+        with viewer.lock():
+            mujoco.mjv_defaultFreeCamera(machine.model, viewer.cam)  # as in the images
+        return viewer
+
+    def _head(self) -> tuple[str, str, str]:
+        """Title, distance of each ghost, reward and time."""
+        env = self._env
+        goals = ", ".join(
+            f"{body} {1e3 * float(np.linalg.norm(displacement)):.3f}"
+            for body, displacement in env.ghosts().items()
+        )
+        goal = f"to the goal (mm): {goals}" if goals else ""
+        reward = f"reward {float(env.episode.reward):.2f}   {env.time:.3f} s"
+        return env.ID.partition("/")[2], goal, reward
+
+    def _texts(self) -> list[tuple[int, int, str, str]]:
+        """The overlay as the window's own text: a box above, one below."""
+        title, goal, reward = self._head()
+        machine = lines(self._env.machine)
+        font = mujoco.mjtFontScale.mjFONTSCALE_150
+        faults = [f"FAULT {line.name}: {line.fault}" for line in machine if line.fault]
+        return [
+            (font, mujoco.mjtGridPos.mjGRID_TOPLEFT, "\n".join([title, goal, *faults]), reward),
+            (
+                font, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT,
+                "\n".join(f"{line.name}  {_plain(line)}" for line in machine),
+                "\n".join(f"limit {line.limits}" if line.limits else "" for line in machine),
+            ),
+        ]  # fmt: skip
+
+    def _ghosts(self, scene: mujoco.MjvScene) -> None:
+        """Add the boxes of each body that has a ghost, translucent, where it should be."""
+        machine = self._env.machine
+        for body, displacement in self._env.ghosts().items():
+            number = machine.model.body(body).id
+            first = machine.model.body_geomadr[number]
+            for geom in range(first, first + machine.model.body_geomnum[number]):
+                if scene.ngeom >= scene.maxgeom:
+                    return
+                mujoco.mjv_initGeom(
+                    scene.geoms[scene.ngeom],
+                    machine.model.geom_type[geom],
+                    machine.model.geom_size[geom] * 1.02,
+                    machine.data.geom_xpos[geom] + displacement,
+                    machine.data.geom_xmat[geom],
+                    GHOST,
+                )
+                scene.ngeom += 1
+
+    def close(self) -> None:
+        """Close window and renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+
+def require_display() -> None:
+    """Raise RuntimeError, with what to do instead, where no window can be opened."""
+    variables = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
+        raise RuntimeError(
+            f"there is no display ({' and '.join(variables)} are not set): {INSTEAD}"
+        )
+    import glfw
+
+    if not glfw.init():  # the viewer would wait for its window without end
+        raise RuntimeError(f"no window can be opened on this display: {INSTEAD}")
+
+
+def _plain(line: Line) -> str:
+    """A line in the characters that the window's font has."""
+    text = f"{line.state.name.lower().replace('_', ' ')}  {line.mode}  {line.numbers}"
+    return text.replace("±", "+-").replace("−", "-")

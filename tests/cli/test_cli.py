@@ -1,0 +1,161 @@
+"""The command line: what each command prints, and how it ends."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from servogym import training
+from servogym.training import cli
+from servogym.training.bench import drive as bench
+from servogym.training.pictures import demo
+
+
+def servogym(*arguments):
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-m", "servogym.training.cli", *arguments],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=300,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["demo", "--drive", "nothing"], "unknown drive model 'nothing': choose one of"),
+        (["demo", "--payload", "nan"], "payload = nan is out of range 0..100 kg"),
+        (["demo", "--payload", "-1"], "payload = -1.0 is out of range 0..100 kg"),
+        (["bench", "--repeat", "0"], "--repeat = 0 is out of range"),
+        (["bench", "--drive", "nothing"], "unknown drive model 'nothing': choose one of"),
+        (["drives", "nothing"], "unknown drive model 'nothing': choose one of"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(capsys, arguments, says):
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.startswith(f"servogym {arguments[0]}: ")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [[], ["nothing"], ["demo", "--payload", "heavy"]])
+def test_a_wrong_command_line_shows_the_usage_and_status_2(capsys, arguments):
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main(arguments)
+    assert exit_info.value.code == 2
+    assert "usage: servogym" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["train", "LinearAxis-v0"], ["bench", "--train"]])
+def test_without_sb3_the_command_that_installs_it_is_told(capsys, monkeypatch, command):
+    for name in list(sys.modules):
+        if name.startswith("servogym.training.") and not name.endswith("cli"):
+            monkeypatch.delitem(sys.modules, name)
+            monkeypatch.delattr(training, name.rpartition(".")[2], raising=False)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    assert cli.main(command) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'servogym[train]'" in error
+    assert error.count("\n") == 1
+
+
+def test_a_picture_that_cannot_be_written_is_one_line(capsys, tmp_path):
+    file = tmp_path / "a file"
+    file.touch()
+    assert cli.main(["demo", "--out", str(file / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_interrupting_is_status_130_without_a_traceback(capsys, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo, "run", interrupt)
+    assert cli.main(["demo"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_version_is_the_installed_one():
+    from importlib.metadata import version
+
+    result = servogym("--version")
+    assert (result.returncode, result.stdout) == (0, f"servogym {version('servogym')}\n")
+
+
+def test_drives_lists_the_models(capsys):
+    assert cli.main(["drives"]) == 0
+    assert "generic" in capsys.readouterr().out
+
+
+def test_drives_tells_about_one(capsys):
+    assert cli.main(["drives", "generic"]) == 0
+    out = capsys.readouterr().out
+    for fact in ("csp", "17", "500 µs", "8611h", "quirks"):
+        assert fact in out
+
+
+def test_the_demo_runs_as_a_command_and_draws_its_picture(tmp_path):
+    result = servogym("demo", "--out", str(tmp_path / "new" / "out"))
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    for phase in ("enable", "home", "pp", "csp", "quick stop"):
+        assert phase in result.stdout
+    assert (tmp_path / "new" / "out" / "scope.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def run():
+    """The demo after its run, with its trace."""
+    run = demo.Demo("generic", 5.0)
+    run.run()
+    return run
+
+
+def test_the_demo_passes_through_the_states_and_modes(run):
+    words = run.trace.arrays()["statusword"]
+    states = [int(word) & 0x6F for word in words[np.flatnonzero(np.diff(words, prepend=0))]]
+    walk = [
+        state for state, before in zip(states, [None, *states], strict=False) if state != before
+    ]
+    switch_on_disabled = {0x40, 0x60}  # the quick stop bit counts in other states only
+    walk = [0x40 if state in switch_on_disabled else state for state in walk]
+    assert walk[-6:] == [0x40, 0x21, 0x23, 0x27, 0x07, 0x40]
+    modes = run.trace.arrays()["modes_of_operation_display"]
+    changes = modes[np.flatnonzero(np.diff(modes, prepend=-1))].tolist()
+    assert changes == [0, 6, 1, 8, 3]
+
+
+def test_csp_follows_within_a_hundredth_of_the_velocity_lag(run):
+    phase = next(phase for phase in run.phases if phase.name.startswith("csp"))
+    data = {name: values[phase.start : phase.end] for name, values in run.trace.arrays().items()}
+    error = np.abs(data["following_error_actual_value"]).max()
+    lag = np.abs(data["velocity_demand_value"]).max() / run.drive.axis.position_gain
+    assert error < 0.01 * lag
+
+
+def test_the_quick_stop_brakes_on_its_ramp(run):
+    data = run.trace.arrays()
+    braking = data["statusword"] & 0x6F == 0x07
+    velocity = data["velocity_demand_value"][braking]
+    time = data["time"][braking]
+    slope = np.polyfit(time[2:20], velocity[2:20], 1)[0]
+    assert abs(slope) == pytest.approx(run.drive.read(0x6085, 0), rel=1e-3)
+
+
+def test_two_demos_are_bit_identical(run):
+    again = demo.Demo("generic", 5.0)
+    again.run()
+    first, second = run.trace.arrays(), again.trace.arrays()
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name])
+
+
+def test_the_bench_compares_the_same_motion():
+    result = bench.measure("generic", 3, False)  # raises if the replay ends elsewhere
+    assert result["mj_step_ns"] > 0
+    low, high = result["ratio_quartiles"]
+    assert low <= result["ratio"] <= high

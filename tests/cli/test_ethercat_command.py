@@ -1,0 +1,160 @@
+"""`servogym ethercat`: mistakes in one line, a clean end, drives behind a UDP socket."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from servogym.drive.ethercat.frame import UDP_PORT
+from servogym.drive.ethercat.master import EtherCatMaster
+from servogym.drive.wire import ethernet
+from servogym.drive.wire.ethernet import UdpPort
+from servogym.training import cli
+
+HEADER = 14  # bytes of Ethernet in front of what goes by UDP
+LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="raw sockets of Linux")
+
+
+def refused(capsys, *arguments):
+    assert cli.main(["ethercat", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("servogym ethercat: ")
+    assert error.count("\n") == 1
+    return error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "name one interface with -i, two for redundancy, or use --udp"),
+        (["-i", "a", "-i", "b", "-i", "c"], "name one interface with -i, two for redundancy"),
+        (["-i", "a", "--udp"], "name one interface with -i, two for redundancy, or use --udp"),
+        (["--udp", "--clock", "sun"], "--clock = 'sun': use one of frame, dc, real"),
+        (["--udp", "--log", "run.txt"], "captures are .pcapng"),
+        (["--udp", "--slaves", "0"], "--slaves = 0: give 1 or more"),
+        (["--udp", "--fault", "explode"], "fault 'explode': choose one of drop, "),
+        (["--udp", "--fault", "drop at=noon:1"], "at=noon:1: give one of frame, "),
+        (["--udp", "--fault", "drop when=1"], "'when' is unknown, use of "),
+    ],
+)
+def test_a_mistake_is_one_line_that_says_the_next_step(capsys, arguments, says):
+    assert says in refused(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--drive", "metronix_ars2000"], "is not for ethercat, but for can: use `servogym node`"),
+        (["--drive", "nobody"], "unknown drive model 'nobody': choose one of"),
+        (["--axis", "ring"], "--axis = 'ring': use one of linear"),
+    ],
+)
+def test_what_cannot_be_served_is_told_and_the_port_is_given_back(capsys, arguments, says):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", UDP_PORT))
+        except OSError:
+            pytest.skip(f"UDP port {UDP_PORT} is in use here")
+    for _ in range(2):
+        assert says in refused(capsys, "--udp", *arguments)
+
+
+@LINUX
+def test_an_unknown_interface_is_told_with_those_there_are(capsys, monkeypatch):
+    class NoSuchDevice(socket.socket):
+        def __init__(self, *_):
+            super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
+
+        def bind(self, _):
+            raise OSError(19, "No such device")
+
+    monkeypatch.setattr(ethernet.socket, "socket", NoSuchDevice)
+    error = refused(capsys, "-i", "nowhere0")
+    assert "-i nowhere0: there is no such interface, only" in error
+    assert "lo" in error
+
+
+@LINUX
+def test_a_missing_right_is_told_with_the_command_that_gives_it(capsys, monkeypatch):
+    def forbidden(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(ethernet.socket, "socket", forbidden)
+    error = refused(capsys, "-i", "eth0")
+    assert "sudo setcap cap_net_raw+ep" in error
+    assert "use --udp" in error
+
+
+class UdpWire:
+    """A master's side of the UDP socket."""
+
+    def __init__(self, address):
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.settimeout(2.0)
+        self._address = address
+
+    def exchange(self, frame, now=0):
+        self._socket.sendto(frame[HEADER:], self._address)
+        try:
+            return frame[:HEADER] + self._socket.recv(2048)
+        except TimeoutError:
+            return None
+
+    def close(self):
+        self._socket.close()
+
+
+@pytest.fixture
+def served(tmp_path):
+    """The command in a process of its own, with a capture; ended by SIGTERM."""
+    try:
+        UdpPort("127.0.0.1").close()
+    except ValueError as error:
+        pytest.skip(str(error))
+    log = tmp_path / "run.pcapng"
+    command = [sys.executable, "-W", "error", "-m", "servogym.training.cli", "ethercat", "--udp",
+               "--axis", "none", "--slaves", "2", "--log", str(log)]  # fmt: skip
+    server = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    try:
+        yield server, log
+    finally:
+        if server.poll() is None:
+            server.kill()
+        server.communicate()
+
+
+def test_a_master_reaches_op_over_udp_and_sigterm_ends_it_clean(served):
+    server, log = served
+    line = ""
+    while "slaves on" not in line:
+        line = server.stdout.readline()
+        assert server.poll() is None, server.stderr.read()
+    assert f"2 slaves on udp 127.0.0.1:{UDP_PORT}, clock frame" in line
+    wire = UdpWire(("127.0.0.1", UDP_PORT))
+    master = EtherCatMaster(wire)
+    assert [slave.description.order for slave in master.scan()] == ["AKD", "AKD"]
+    master.to_op()
+    assert all(master.cycle() for _ in range(200))
+    wire.close()
+    server.send_signal(signal.SIGTERM)
+    out, err = server.communicate(timeout=30)
+    assert server.returncode == 0, err
+    assert err == ""
+    assert "0 deadlines missed" in " ".join(out.split())
+    assert log.stat().st_size > 200 * 60, "each frame is in the capture"
+
+
+def test_a_second_server_on_the_port_is_refused(served, capsys):
+    server, _ = served
+    while "slaves on" not in server.stdout.readline():
+        assert server.poll() is None, server.stderr.read()
+    begin = time.monotonic()
+    assert "is another `servogym ethercat` running?" in refused(capsys, "--udp")
+    assert time.monotonic() - begin < 5

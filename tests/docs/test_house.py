@@ -1,0 +1,80 @@
+"""The house: no circles, rooms of a size one can look over, each with a sentence of purpose."""
+
+import statistics
+from collections import Counter
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import grimp
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LAYERS = ("drive", "envs", "training")
+FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
+ROOMS = sorted({path.parent for path in FILES})
+LONGEST, MEDIAN, IN_A_ROOM, MOST_ROOMS, ARROWS = 500, 200, 24, 12, 30
+
+
+def lines(path):
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return grimp.build_graph(*(f"servogym.{layer}" for layer in LAYERS), cache_dir=None)
+
+
+def room(module):
+    """The room of a module: its first folder below the layer; a file of the layer is its own."""
+    parts = module.split(".")[1:]
+    folder = ROOT.joinpath(*parts)
+    inner = len(parts) > 2 or (len(parts) == 2 and folder.is_dir())
+    return ".".join(parts[:2]) if inner else module.removeprefix("servogym.")
+
+
+def test_no_file_is_too_long_and_half_of_them_are_short():
+    assert [path for path in FILES if lines(path) > LONGEST] == []
+    assert statistics.median(lines(path) for path in FILES) <= MEDIAN
+
+
+@pytest.mark.parametrize("folder", ROOMS, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_a_room_can_be_looked_over_and_says_what_it_is_for(folder):
+    assert len([*folder.glob("*.py")]) <= IN_A_ROOM
+    first = (folder / "__init__.py").read_text(encoding="utf-8").lstrip()
+    assert first.startswith('"""')
+    assert len(first.split('"""')[1].split()) >= 4
+
+
+def test_no_file_imports_itself_over_others(graph):
+    """Imports for type checking count; `__init__` files, which only collect, do not."""
+    inits = {f"servogym.{'.'.join(p.parent.relative_to(ROOT).parts)}" for p in FILES
+             if p.name == "__init__.py"}  # fmt: skip
+    inits = {module for module in inits if graph.find_modules_directly_imported_by(module)}
+    own = {m for m in graph.modules if m not in inits or m.endswith(("modes", "hooks"))}
+    TopologicalSorter(
+        {m: graph.find_modules_directly_imported_by(m) & own for m in own}
+    ).prepare()  # raises CycleError, naming the circle
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_the_rooms_of_a_layer_are_few_and_their_arrows_point_down(graph, layer):
+    arrows = Counter()
+    for module in graph.modules:
+        for other in graph.find_modules_directly_imported_by(module):
+            here, there = room(module), room(other)
+            inside = here.startswith(f"{layer}.") and there.startswith(f"{layer}.")
+            if inside and here != there:
+                arrows[here, there] += 1
+    rooms = {name for arrow in arrows for name in arrow if (ROOT / name.replace(".", "/")).is_dir()}
+    assert len(rooms) <= MOST_ROOMS
+    assert len([a for a in arrows if a[0] in rooms and a[1] in rooms]) <= ARROWS
+    before: dict[str, set[str]] = {}
+    for here, there in arrows:
+        before.setdefault(here, set()).add(there)
+    TopologicalSorter(before).prepare()
+
+
+def test_test_files_have_names_of_their_own():
+    """Pytest imports them by their names alone."""
+    names = Counter(path.name for path in (ROOT / "tests").rglob("test_*.py"))
+    assert [name for name, count in names.items() if count > 1] == []

@@ -1,0 +1,150 @@
+"""What README and documentation show works: Python, commands, links, tables."""
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from servogym.drive.kernel.words import MODE_ABBREVIATION
+from servogym.drive.model.model import QUIRKS, load, model_names
+from servogym.training import cli
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in [
+        README,
+        ROOT / "CONTRIBUTING.md",
+        *sorted((ROOT / "docs").glob("**/*.md")),
+    ]
+    if not re.match(r"\d\d_", path.name) and "_build" not in path.parts
+}
+
+
+def blocks(language):
+    return [
+        pytest.param(block, id=f"{name}-{n}")
+        for name, text in PAGES.items()
+        for n, block in enumerate(re.findall(rf"^```{language}\n(.*?)^```", text, re.S | re.M))
+    ]
+
+
+COMMANDS = [
+    pytest.param(command, id=command)
+    for command in dict.fromkeys(
+        line.partition("#")[0].strip()
+        for block in blocks("sh")
+        for line in block.values[0].splitlines()
+    )
+    if command
+]
+
+
+@pytest.mark.parametrize("code", blocks("python"))
+def test_a_python_block_prints_what_its_comments_say(code, tmp_path, monkeypatch):
+    promised = re.findall(r"^print\(.*\)  # (.*)$", code, re.MULTILINE)
+    assert promised
+    monkeypatch.chdir(tmp_path)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, "page", "exec"), {})
+    assert printed.getvalue().splitlines() == promised
+
+
+def test_the_first_two_commands_of_the_readme_are_make_demo_and_make_test():
+    assert re.findall(r"^make \w+", PAGES["README.md"], re.M)[:2] == ["make demo", "make test"]
+
+
+def test_the_readme_has_at_most_150_lines():
+    assert PAGES["README.md"].count("\n") <= 150
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_exists(command):
+    words = [word for word in shlex.split(command) if not re.fullmatch(r"[A-Z_]+=\S*", word)]
+    program, *arguments = words
+    if program == "make":
+        targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+        assert arguments[0] in targets
+    elif program == "servogym":
+        cli.parser().parse_args(arguments)  # exits where an option is unknown
+    else:
+        assert program in ("python", "pip")
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_to_files(name):
+    folder = (ROOT / name).parent
+    for target in re.findall(r"\]\(([^)#\s]+)", PAGES[name]):
+        if not target.startswith(("http://", "https://")):
+            assert (folder / target).exists(), target
+
+
+def test_the_table_of_drives_is_what_the_models_say():
+    text = PAGES["docs/reference/drives.md"]
+    rows = re.findall(r"^\| `(\w+)`[^|]*\|([^|]*)\|([^|]*)\|([^|]*)\|$", text, re.MULTILINE)
+    assert sorted(name for name, *_ in rows) == model_names()
+    for name, modes, methods, cycles in rows:
+        model = load(name)
+        assert modes.split() == [MODE_ABBREVIATION[mode] for mode in model.modes]
+        assert _numbers(methods) == sorted(model.homing_methods)
+        microseconds = [f"{time * 1e6:g}" for time in model.cycle_time.values()]
+        assert cycles.strip() == ", ".join(microseconds) + " µs"
+
+
+def test_the_readme_names_every_drive_model():
+    for name in model_names():
+        assert f"`{name}`" in PAGES["README.md"]
+
+
+def test_the_parts_of_the_house_exist():
+    for folder in re.findall(r"^\| `(\w+)/` \|", PAGES["README.md"], re.MULTILINE):
+        assert (ROOT / folder).is_dir()
+
+
+def test_every_key_and_column_of_a_model_is_explained():
+    text = PAGES["docs/reference/drive_files.md"]
+    explained = set(re.findall(r"^\| `(\w+)`", text, re.M))
+    for name in model_names():
+        folder = load(name).folder
+        for file in folder.glob("*.csv"):
+            columns = file.read_text(encoding="utf-8").partition("\n")[0].split(",")
+            assert set(columns) <= explained, file
+        for file in folder.glob("*.toml"):
+            keys = tomllib.loads(file.read_text(encoding="utf-8"))
+            assert set(keys) <= explained, file
+            tables = {key for value in keys.values() if isinstance(value, dict) for key in value}
+            if file.name == "ethercat.toml":
+                named = {key for key in tables if not key.startswith("0x")}
+                assert not [key for key in named if f"`{key}`" not in text], file
+
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    pytest.importorskip("sphinx")
+    environment = {**os.environ, "SERVOGYM_DOCS_PICTURES": "0"}
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", "docs", str(tmp_path)]
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "OPERATION_ENABLED" in (tmp_path / "tutorial" / "01_enable_a_drive.html").read_text()
+    files = (tmp_path / "reference" / "drive_files.html").read_text()
+    assert all(f">{name}<" in files for name in QUIRKS)
+    assert "target_position" in (tmp_path / "reference" / "api_tasks.html").read_text()
+
+
+def _numbers(text: str) -> list[int]:
+    """``"1–3, −2"`` -> ``[-2, 1, 2, 3]``."""
+    numbers: list[int] = []
+    if not text.strip():
+        return numbers
+    for part in text.replace("−", "-").split(","):
+        first, _, last = part.strip().partition("–")
+        numbers += range(int(first), int(last or first) + 1)
+    return sorted(numbers)

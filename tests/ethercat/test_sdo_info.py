@@ -1,0 +1,128 @@
+"""SDO information: ETG.1000.6, 5.6.3; tables 43-49."""
+
+import struct
+
+import pytest
+from wired import P, Wired
+
+from servogym.drive.ethercat.mailbox import Kind
+from servogym.drive.ethercat.sdo_info import DATA_TYPES
+from servogym.drive.objects.mapping import described
+
+
+@pytest.fixture(scope="module")
+def slave():
+    return Wired("generic").to(P)
+
+
+def information(slave, opcode, data):
+    """All fragments of an answer, put together: opcode and content."""
+    assert slave.send(Kind.COE, struct.pack("<HBxH", 0x8000, opcode, 0) + data) == 1
+    content, left = b"", None
+    while left != 0:
+        kind, body = slave.fetch()
+        service, answer, fragments = struct.unpack_from("<HBxH", body)
+        assert (kind, service) == (Kind.COE, 0x8000)
+        assert bool(answer & 0x80) == (fragments > 0), "incomplete while fragments follow"
+        assert left is None or fragments == left - 1
+        left = fragments
+        content += body[6:]
+    assert slave.fetch() is None
+    return answer & 0x7F, content
+
+
+def words(content):
+    return [word for (word,) in struct.iter_unpack("<H", content)]
+
+
+def test_the_lists_name_the_objects_that_belong_to_them(slave):
+    rows = described(slave.drive.model)
+    wanted = {
+        1: {row.index for row in rows},
+        2: {row.index for row in rows if "rx" in row.pdo},
+        3: {row.index for row in rows if "tx" in row.pdo},
+        4: {row.index for row in rows if row.storable},
+        5: {row.index for row in rows if row.storable and row.index < 0x2000},
+    }
+    for number, indices in wanted.items():
+        opcode, content = information(slave, 1, struct.pack("<H", number))
+        assert (opcode, words(content)) == (2, [number, *sorted(indices)])
+    opcode, content = information(slave, 1, bytes(2))
+    assert words(content) == [0, *(len(indices) for indices in wanted.values())]
+
+
+def test_a_long_list_comes_in_fragments():
+    slave = Wired("generic", mailbox=(64, 64)).to(P)
+    _, content = information(slave, 1, struct.pack("<H", 1))
+    assert words(content)[1:] == sorted({row.index for row in described(slave.drive.model)})
+
+
+# object -> data type, highest sub-index, object code (7 VAR, 8 ARRAY, 9 RECORD), name
+OBJECTS = {
+    0x1000: (0x0007, 0, 7, "device_type"),
+    0x1008: (0x0009, 0, 7, "manufacturer_device_name"),
+    0x1018: (0x0023, 4, 9, "identity_object"),
+    0x1600: (0x0021, 16, 9, "rpdo1"),
+    0x1C00: (0x0005, 4, 8, "sync_manager_types"),
+    0x1C12: (0x0006, 4, 8, "sync_manager_2_number_of_assigned_pdos"),
+    0x1C32: (0x0029, 0x20, 9, "output_synchronisation"),
+    0x6041: (0x0006, 0, 7, "statusword"),
+}
+
+
+@pytest.mark.parametrize("index", OBJECTS, ids="{:04X}h".format)
+def test_an_object_tells_type_entries_code_and_name(slave, index):
+    data_type, last, code, name = OBJECTS[index]
+    opcode, content = information(slave, 3, struct.pack("<H", index))
+    assert opcode == 4
+    assert struct.unpack_from("<HHBB", content) == (index, data_type, last, code)
+    assert content[6:].decode() == name
+
+
+ACCESS = {"ro": 0x0007, "const": 0x0007, "rw": 0x003F, "wo": 0x0038}
+MAPPABLE = {"": 0, "rx": 0x0040, "tx": 0x0080, "rxtx": 0x00C0}
+
+
+def test_every_entry_tells_the_type_bits_access_and_name_of_its_row(slave):
+    for row in described(slave.drive.model):
+        opcode, content = information(slave, 5, struct.pack("<HBB", row.index, row.subindex, 0))
+        assert opcode == 6
+        index, subindex, given, data_type, bits, access = struct.unpack_from("<HBBHHH", content)
+        assert (index, subindex, given) == (row.index, row.subindex, 0)
+        assert data_type == DATA_TYPES[row.data_type]
+        size = 1 if row.data_type == "BOOLEAN" else 8 * (row.size or len(str(row.default)))
+        assert bits == size
+        stored = 0x0100 if row.storable else 0
+        assert access == ACCESS[row.access] | MAPPABLE[row.pdo] | stored, row.name
+        assert content[10:].decode() == row.name
+
+
+def test_an_entry_tells_default_and_limits_where_they_are_asked_for(slave):
+    ask = struct.pack("<HBB", 0x605A, 0, 0x78)  # unit, default, minimum, maximum
+    _, content = information(slave, 5, ask)
+    row = next(row for row in described(slave.drive.model) if row.index == 0x605A)
+    assert content[3] == 0x70, "a unit has no number here"
+    values = struct.pack("<hhh", int(row.default), int(row.minimum), int(row.maximum))
+    assert content[10:] == values + b"quick_stop_option_code"
+
+
+@pytest.mark.parametrize(
+    ("opcode", "data", "code"),
+    [
+        (1, struct.pack("<H", 6), 0x06090030),
+        (3, struct.pack("<H", 0x5FFF), 0x06020000),
+        (5, struct.pack("<HBB", 0x5FFF, 0, 0), 0x06020000),
+        (5, struct.pack("<HBB", 0x1018, 9, 0), 0x06090011),
+        (9, bytes(4), 0x05040001),
+    ],
+)
+def test_what_is_not_there_is_an_information_error(slave, opcode, data, code):
+    assert information(slave, opcode, data) == (7, struct.pack("<I", code))
+
+
+@pytest.mark.parametrize("model", ["kollmorgen_akd", "festo_cmmp_as"])
+def test_models_whose_coe_details_do_not_offer_it_refuse_it(model):
+    slave = Wired(model).to(P)
+    assert not slave.data.coe_details & 0x02
+    request = struct.pack("<HBxHH", 0x8000, 1, 0, 1)
+    assert slave.ask(Kind.COE, request) == (Kind.ERROR, struct.pack("<HH", 1, 4))

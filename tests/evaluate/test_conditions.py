@@ -1,0 +1,68 @@
+"""Off nominal: what a condition sets, what it leaves, and what it tells."""
+
+import json
+
+import pytest
+
+from servogym.envs.registry import task
+from servogym.training import cli
+from servogym.training.evaluate import compare, conditions
+
+TRACKING = task("LinearAxisTracking-v0")
+SWAY = task("GantrySway-v0")
+
+
+def names(kind, drive="generic"):
+    return [row.name for row in conditions.suiting(kind, drive, {})]
+
+
+def test_a_task_has_the_conditions_that_mean_something_there():
+    own = names(TRACKING)
+    assert own[0] == "nominal"
+    assert {"delay=3", "drive=kollmorgen_akd", "mechanics=toothed_belt", "payload_of_range=1.5"} < {
+        *own
+    }
+    assert "drive=generic" not in own, "that is the nominal one"
+    assert "mechanics=rigid" not in own, "that too"
+    assert "drive=festo_cmmp_as" not in own, "it has no csp"
+    assert "stiffness_of_range=1.5" not in own, "nothing is drawn of it"
+    assert not any(name.startswith("mechanics") for name in names(SWAY))
+    assert "drive=generic" in names(TRACKING, "kollmorgen_akd")
+
+
+def test_names_are_told_apart():
+    every = {row.name for row in conditions.CONDITIONS}
+    assert len(every) == len(conditions.CONDITIONS)
+
+
+def test_a_condition_is_the_evaluation_with_these_arguments(tmp_path):
+    """By hand: the ranges of the task, and 1.5 times the heaviest payload."""
+    arguments = "compare LinearAxisTracking-v0 --policies hold,feed_forward --episodes 2"
+    chosen = "--conditions payload_of_range=1.5,delay=1"
+    assert cli.main([*arguments.split(), *chosen.split(), "--out", str(tmp_path)]) == 0
+    data = json.loads((tmp_path / "conditions.json").read_text(encoding="utf-8"))
+    assert data["version"] == conditions.VERSION
+    assert [*data["conditions"]] == ["payload_of_range=1.5", "delay=1"]
+    by_hand = {"payload": 15.0, "friction": (0.5, 2.0)}
+    results = compare.evaluate(
+        "LinearAxisTracking-v0", ["hold", "feed_forward"], "generic", 2, 0, {"randomise": by_hand}
+    )
+    found = data["conditions"]["payload_of_range=1.5"]
+    for result, summary in zip(results, compare.summaries(results)["load_error"], strict=True):
+        assert found[result.policy]["summary"]["iqm"] == summary.iqm
+    assert found["hold"]["difference"]["value"] > 0.0
+    page = (tmp_path / "conditions.md").read_text(encoding="utf-8")
+    assert "| payload_of_range=1.5 |" in page
+    assert "ahead of feed_forward, of 2" in page
+    for name in ("conditions.png", "conditions_curves.png"):
+        assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(("name", "says"), [("wind", "'wind' is unknown here"), (
+    "stiffness_of_range", "'stiffness_of_range' is unknown here")])  # fmt: skip
+def test_a_condition_that_does_not_exist_or_suit_is_one_line(name, says, tmp_path, capsys):
+    arguments = f"compare LinearAxisTracking-v0 --policies hold --conditions {name}"
+    assert cli.main([*arguments.split(), "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1

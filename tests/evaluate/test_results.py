@@ -1,0 +1,91 @@
+"""`servogym results`: the page of what was learned says what the data say."""
+
+import json
+import re
+
+from servogym.training import cli
+from servogym.training.evaluate import results
+from servogym.training.policies import SHIPPED
+
+
+def summary(iqm, low, high):
+    return {"mean": iqm, "iqm": iqm, "low": low, "high": high}
+
+
+def policy(settling, torque=(1, 1, 1), trainings=1, **differences):
+    values = {
+        "settling_time": summary(*settling), "rms_torque": summary(*torque),
+        "success": summary(0.5, 0, 1),
+    }  # fmt: skip
+    rows = {
+        metric: dict(zip(("value", "low", "high"), row, strict=True))
+        for metric, row in differences.items()
+    }
+    return {"summary": values, "trainings": trainings, "differences": rows}
+
+
+def folder(
+    path,
+    policies,
+    against="fast",
+    text="**Where the baseline is better**: see [it](compare.md).\n\nMore.\n",
+):
+    path = path / "LinearAxis-v0"
+    path.mkdir(parents=True)
+    data = {
+        "command": "servogym compare ...", "env": "LinearAxis-v0", "policies": policies,
+        "against": against,
+    }  # fmt: skip
+    (path / "compare.json").write_text(json.dumps(data), encoding="utf-8")
+    (path / "README.md").write_text("# Learned\n\n" + text, encoding="utf-8")
+    return path
+
+
+def test_the_committed_page_is_what_the_command_writes():
+    committed = (SHIPPED / "README.md").read_text(encoding="utf-8")
+    assert results.page(SHIPPED) == committed, "run `servogym results`"
+    for target in re.findall(r"\]\(([^)#]+)\)", committed):
+        assert (SHIPPED / target).is_file(), target
+
+
+def test_a_row_is_bold_only_where_the_paired_difference_leaves_0_out(tmp_path):
+    learned = {"settling_time": (-1.0, -1.2, -0.8), "rms_torque": (0.5, 0.4, 0.6)}
+    policies = {
+        "slow": policy((3.0, 2.9, 3.1)),
+        "fast": policy((2.0, 1.8, 2.2), torque=(0.5, 0.4, 0.6)),
+        "learned": policy((1.0, 0.9, 1.1), trainings=5, **learned),
+    }
+    page = results.page(folder(tmp_path / "a", policies).parent)
+    assert (
+        "| [LinearAxis-v0](#linearaxis-v0), 5 trainings | settling (s) | 1.00 [0.900, 1.10] | "
+        "fast: 2.00 [1.80, 2.20] | **-1.00 [-1.20, -0.800]** | – | – | 50 %, 50 % | –, – | –, – |\n"
+    ) in page
+    assert "see [it](LinearAxis-v0/compare.md).\n" in page
+    assert "fast is better in: rms torque / rated.\n" in page
+    assert "More." not in page
+    learned["settling_time"] = (-1.0, -2.0, 0.1)
+    policies["learned"] = policy((1.0, 0.9, 1.1), trainings=5, **learned)
+    assert "**-1.00" not in results.page(folder(tmp_path / "b", policies).parent)
+
+
+def test_what_is_missing_is_one_line_that_names_the_fix(tmp_path, capsys):
+    def says(path):
+        assert cli.main(["results", str(path)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        return error
+
+    (tmp_path / "none").mkdir()
+    assert "has no folder of a task" in says(tmp_path / "none")
+    own = folder(tmp_path / "a", {"hold": policy((1, 1, 1))})
+    assert "has no policy 'learned', only hold: run `servogym compare" in says(own.parent)
+    (own / "compare.json").unlink()
+    assert "has no compare.json: write it there with servogym compare" in says(own.parent)
+    both = {
+        "ruckig": policy((1, 1, 1)),
+        "learned": policy((1, 1, 1), settling_time=(0, 0, 0)),
+    }
+    alone = folder(tmp_path / "c", {"learned": policy((1, 1, 1))}, against="learned")
+    assert "has no baseline with settling_time beside 'learned'" in says(alone.parent)
+    bare = folder(tmp_path / "b", both, "ruckig", "Good.")
+    assert "has no paragraph that begins" in says(bare.parent)

@@ -1,0 +1,12 @@
+"""ethercrab on the wire: the program of the folder beside it, built by cargo."""
+
+import json
+import subprocess
+
+
+def reach_op(program, cycles):
+    done = subprocess.run(
+        [program, "vb", str(cycles)], capture_output=True, text=True, timeout=280, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout.splitlines()[-1])

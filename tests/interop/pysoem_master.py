@@ -1,0 +1,378 @@
+"""What an unmodified pysoem does on the wire; each function runs beside `servogym ethercat`."""
+
+import hashlib
+import struct
+import time
+
+import pysoem
+
+PORT, SECOND = "vb", "vb2"
+WAIT = 200_000  # µs; SOEM's own 2 ms are short for a machine that does other things as well
+COMMANDS = {0x40: 0x06, 0x21: 0x07, 0x23: 0x0F}  # status & 6Fh -> controlword
+
+
+def opened(second=False):
+    master = pysoem.Master()
+    master.open(PORT, SECOND) if second else master.open(PORT)
+    return master
+
+
+def cycle(master, times=1):
+    """Process data; -> working counters that were wrong."""
+    wrong = 0
+    for _ in range(times):
+        master.send_processdata()
+        wrong += master.receive_processdata(WAIT) != master.expected_wkc
+    return wrong
+
+
+def to_op(master):
+    """INIT to OP as the examples of pysoem have it; -> the state."""
+    master.config_init()
+    master.config_map()
+    assert master.state_check(pysoem.SAFEOP_STATE, 5_000_000) == pysoem.SAFEOP_STATE, [
+        pysoem.al_status_code_to_string(s.al_status) for s in master.slaves
+    ]
+    cycle(master)
+    master.state = pysoem.OP_STATE
+    master.write_state()
+    for _ in range(200):
+        cycle(master)
+        if master.state_check(pysoem.OP_STATE, 1000) == pysoem.OP_STATE:
+            break
+    return master.state_check(pysoem.OP_STATE, 50_000)
+
+
+def scan():
+    master = opened()
+    master.config_init()
+    master.config_map()
+    result = [
+        {"name": s.name, "vendor": s.man, "product": s.id, "revision": s.rev,
+         "outputs": len(s.output), "inputs": len(s.input)}
+        for s in master.slaves
+    ]  # fmt: skip
+    master.close()
+    return result
+
+
+def ten_thousand_cycles(cycles=10_000):
+    master = opened()
+    state = to_op(master)
+    begin = time.perf_counter()
+    wrong = cycle(master, cycles)
+    seconds = time.perf_counter() - begin
+    master.close()
+    return {"state": state, "wrong": wrong, "rate": cycles / seconds}
+
+
+# ------------------------------------------------------------------- faults
+
+SMALL = 150_000  # µs, for frames that do not come
+
+
+def one_cycle(master):
+    master.send_processdata()
+    return master.receive_processdata(SMALL)
+
+
+def recover(master, tries=40):
+    """What the example of pysoem does: acknowledge, reconfigure or recover, request OP again."""
+    steps = set()
+    for _ in range(tries):
+        one_cycle(master)
+        master.read_state()
+        for slave in master.slaves:
+            if slave.state == pysoem.SAFEOP_STATE + pysoem.STATE_ERROR:
+                steps.add("acknowledged")
+                slave.state = pysoem.SAFEOP_STATE + pysoem.STATE_ACK
+                slave.write_state()
+            elif slave.state & pysoem.STATE_ERROR:
+                steps.add("acknowledged")
+                slave.state = (slave.state & 15) + pysoem.STATE_ACK
+                slave.write_state()
+            elif slave.state == pysoem.SAFEOP_STATE:
+                steps.add("requested OP")
+                slave.state = pysoem.OP_STATE
+                slave.write_state()
+            elif pysoem.NONE_STATE < slave.state < pysoem.SAFEOP_STATE:
+                steps.add("reconfigured")
+                if slave.reconfig(50):
+                    slave.is_lost = False
+            elif slave.state == pysoem.NONE_STATE:
+                steps.add("recovered")
+                slave.is_lost = not slave.recover(50)
+        if one_cycle(master) == master.expected_wkc and all(
+            s.state == pysoem.OP_STATE for s in master.slaves
+        ):
+            break
+    return sorted(steps)
+
+
+def suffer(line, models, sdo=False):
+    """One fault, what the master saw of it, and its way back."""
+    import wire
+
+    with wire.forked(models, line.split("; ")):
+        master = opened()
+        state = to_op(master)
+        seen, refused = [], ""
+        if sdo:
+            try:
+                seen = [master.slaves[0].sdo_read(0x1008, 0).decode() for _ in range(3)]
+            except pysoem.SdoError as error:
+                refused = f"SdoError {error.abort_code:08X}"
+            except (pysoem.MailboxError, pysoem.PacketError, pysoem.WkcError) as error:
+                refused = type(error).__name__
+            seen.append(master.slaves[0].sdo_read(0x1008, 0).decode())
+        else:
+            seen = [one_cycle(master) for _ in range(150)]
+        master.read_state()
+        states = [(s.state, s.al_status) for s in master.slaves]
+        steps = recover(master)
+        master.read_state()
+        result = {
+            "state": state, "seen": seen, "refused": refused, "states": states, "steps": steps,
+            "back": [s.state for s in master.slaves], "expected": master.expected_wkc,
+            "last": one_cycle(master),
+        }  # fmt: skip
+        master.close()
+    return result
+
+
+def faults(lines, models=("kollmorgen_akd", "kollmorgen_akd")):
+    return {line: suffer(line, models, line.startswith("mailbox")) for line in lines}
+
+
+class Axis:
+    """Outputs and inputs of fixed PDOs by name: (format, names)."""
+
+    def __init__(self, master, slave, outputs, inputs):
+        self.master, self.slave = master, slave
+        self._out, self._names = outputs
+        self._in, self._shown = inputs
+        self.commands = dict.fromkeys(self._names, 0)
+
+    def cycle(self, times=1, **commands):
+        self.commands |= commands
+        values = [self.commands[name] for name in self._names]
+        self.slave.output = struct.pack(self._out, *values)
+        wrong = cycle(self.master, times)
+        assert not wrong
+        return dict(zip(self._shown, struct.unpack(self._in, self.slave.input), strict=True))
+
+    def enable(self, **commands):
+        seen = self.cycle(**commands)
+        for _ in range(2000):
+            state = seen["statusword"] & 0x6F
+            if state == 0x27:
+                return seen
+            seen = self.cycle(
+                controlword=COMMANDS.get(state | (0x20 if state & 1 else 0), 0x06)
+                if state != 0x60
+                else 0x06
+            )
+        raise AssertionError(f"statusword {seen['statusword']:04X}h")
+
+
+def home_and_move(distance=100_000, method=1, cycles=1000):
+    """Enable, home by method 1, move 0.1 m in csp; -> the places of the axis and their digest."""
+    master = opened()
+    slave = None
+
+    def assign(_):
+        for manager, pdo in ((0x1C12, 0x1724), (0x1C13, 0x1B24)):
+            slave.sdo_write(manager, 0, b"\0")
+            slave.sdo_write(manager, 1, struct.pack("<H", pdo))
+            slave.sdo_write(manager, 0, b"\1")
+
+    master.config_init()
+    slave = master.slaves[0]
+    slave.config_func = assign
+    master.config_map()
+    assert master.state_check(pysoem.SAFEOP_STATE, 5_000_000) == pysoem.SAFEOP_STATE
+    axis = Axis(master, slave, ("<iHh", ("target_position", "controlword", "torque_offset")),
+                ("<iH", ("position", "statusword")))  # fmt: skip
+    master.state = pysoem.OP_STATE
+    axis.cycle()
+    master.write_state()
+    while master.state_check(pysoem.OP_STATE, 1000) != pysoem.OP_STATE:
+        axis.cycle()
+    slave.sdo_write(0x6098, 0, struct.pack("<b", method))
+    slave.sdo_write(0x607C, 0, bytes(4))  # zero at the switch: inside the software limits
+    slave.sdo_write(0x6060, 0, b"\6")
+    axis.enable()
+    seen = axis.cycle(controlword=0x1F)
+    trace = []
+    for _ in range(100_000):
+        seen = axis.cycle()
+        trace.append(seen["position"])
+        if seen["statusword"] & 0x1400 == 0x1400:
+            break
+        assert not seen["statusword"] & 0x2000, "homing error"
+    homed = seen["position"]
+    seen = axis.cycle(controlword=0x0F, target_position=homed)
+    slave.sdo_write(0x6060, 0, b"\x08")
+    axis.cycle(20)
+    for n in range(cycles):
+        share = (n + 1) / cycles
+        place = homed + round(distance * (3 * share**2 - 2 * share**3))
+        seen = axis.cycle(target_position=place)
+        trace.append(seen["position"])
+    for _ in range(500):
+        seen = axis.cycle()
+        trace.append(seen["position"])
+    axis.cycle(controlword=0)
+    master.state = pysoem.INIT_STATE
+    master.write_state()
+    master.close()
+    return {
+        "homed": homed, "end": seen["position"], "statusword": seen["statusword"],
+        "trace": hashlib.sha256(struct.pack(f"<{len(trace)}i", *trace)).hexdigest(),
+    }  # fmt: skip
+
+
+# ------------------------------------------------- process images, clocks, redundancy
+
+
+def fixed_pdos(pairs):
+    """Every PDO of a list assigned and exchanged: sizes, state, whether the drive moves."""
+    found = []
+    for output, given in pairs:
+        master = opened()
+        master.config_init()
+        slave = master.slaves[0]
+
+        def assign(_, slave=slave, pair=(output, given)):
+            for manager, pdos in zip((0x1C12, 0x1C13), pair, strict=True):
+                slave.sdo_write(manager, 0, b"\0")
+                for n, pdo in enumerate(pdos, 1):
+                    slave.sdo_write(manager, n, struct.pack("<H", pdo))
+                slave.sdo_write(manager, 0, bytes([len(pdos)]))
+
+        slave.config_func = assign
+        master.config_map()
+        safe = master.state_check(pysoem.SAFEOP_STATE, 5_000_000)
+        mapping = []
+        for pdos in (output, given):
+            rows = []
+            for pdo in pdos:
+                for n in range(slave.sdo_read(pdo, 0)[0]):
+                    rows.append(struct.unpack("<I", slave.sdo_read(pdo, n + 1))[0])
+            mapping.append(rows)
+        master.state = pysoem.OP_STATE
+        cycle(master)
+        master.write_state()
+        while master.state_check(pysoem.OP_STATE, 1000) != pysoem.OP_STATE:
+            cycle(master)
+        word = mapping[0].index(0x60400010) if 0x60400010 in mapping[0] else -1
+        before, after = enabled_by_image(master, slave, mapping, word)
+        found.append({
+            "pdos": [output, given], "safe": safe, "sizes": [len(slave.output), len(slave.input)],
+            "managers": [register(slave, 0x0812, 2), register(slave, 0x081A, 2)],
+            "mapping": mapping, "status": [before, after],
+        })  # fmt: skip
+        master.state = pysoem.INIT_STATE
+        master.write_state()
+        master.close()
+    return found
+
+
+def enabled_by_image(master, slave, mapping, word):
+    """Statusword before and after shutdown, switch on, enable operation through the image."""
+    at = sum((entry & 0xFF) // 8 for entry in mapping[0][:word])
+    image = bytearray(len(slave.output))
+    shown = []
+    for command in (0, 6, 7, 15):
+        image[at : at + 2] = struct.pack("<H", command)
+        slave.output = bytes(image)
+        cycle(master, 20)
+        shown.append(struct.unpack("<H", slave.sdo_read(0x6041, 0))[0] & 0x6F)
+    image[at : at + 2] = b"\0\0"
+    slave.output = bytes(image)
+    cycle(master, 5)
+    return shown[0], shown[-1]
+
+
+def register(slave, address, size):
+    return int.from_bytes(slave._fprd(address, size), "little")
+
+
+def delays():
+    """0928h of all slaves after SOEM's own configuration of the clocks."""
+    master = opened()
+    master.config_init()
+    master.config_map()
+    master.config_dc()
+    found = [register(slave, 0x0928, 4) for slave in master.slaves]
+    master.close()
+    return found
+
+
+def line_of(n):
+    import wire
+
+    with wire.forked(["kollmorgen_akd"] * n):
+        return delays()
+
+
+def redundancy(cycles=150):
+    """A ring of four slaves; the cable between the second and the third breaks and heals."""
+    master = opened(second=True)
+    state = to_op(master)
+    seen, links = [], []
+    for n in range(cycles):
+        master.send_processdata()
+        seen.append(master.receive_processdata(WAIT))
+        if n in (cycles // 3, cycles - 1):
+            links.append([register(slave, 0x0110, 2) for slave in master.slaves])
+    master.read_state()
+    result = {"state": state, "seen": seen, "expected": master.expected_wkc, "links": links,
+              "states": [s.state for s in master.slaves]}  # fmt: skip
+    master.close()
+    return result
+
+
+def kilohertz(server, seconds=5.0):
+    """A kilohertz of cycles with SYNC0 on the clock dc; -> errors, and the server's memory."""
+    master = opened()
+    master.config_init()
+    master.config_map()
+    master.config_dc()
+    for slave in master.slaves:
+        slave.dc_sync(True, 1_000_000, 250_000)
+    state = master.state_check(pysoem.SAFEOP_STATE, 5_000_000)
+    cycle(master)
+    master.state = pysoem.OP_STATE
+    master.write_state()
+    for _ in range(500):
+        cycle(master)
+        time.sleep(0.001)
+        if master.state_check(pysoem.OP_STATE, 1000) == pysoem.OP_STATE:
+            break
+    late, wrong = 0, []  # number of the cycle and working counter
+    sizes = []
+    begin = due = time.perf_counter()
+    while due < begin + seconds:
+        master.send_processdata()
+        counter = master.receive_processdata(WAIT)
+        if counter != master.expected_wkc:
+            wrong.append((round((due - begin) * 1000), counter))
+        if not sizes and due > begin + min(seconds / 2, 30):
+            sizes.append(memory_of(server))
+        due += 0.001
+        rest = due - time.perf_counter()
+        late += rest < 0
+        time.sleep(max(rest, 0))
+    sizes.append(memory_of(server))
+    result = {
+        "safe": state, "state": master.state_check(pysoem.OP_STATE, 50_000), "wrong": wrong,
+        "late": late, "memory_kib": sizes, "clock": [register(s, 0x092C, 4) for s in master.slaves],
+    }  # fmt: skip
+    master.close()
+    return result
+
+
+def memory_of(process):
+    with open(f"/proc/{process.pid}/status") as status:
+        return int(next(line for line in status if line.startswith("VmRSS")).split()[1])

@@ -1,0 +1,22 @@
+"""KickCAT, as it comes from PyPI, against `servogym ethercat` on a veth pair."""
+
+import pytest
+from wire import on_the_wire
+
+NAMES = {
+    "kollmorgen_akd": ("AKD-P00606-NBCC-E000", [6, 6]),
+    "generic": ("servogym generic CiA 402 drive", [7, 7]),
+}
+
+
+@pytest.mark.parametrize("model", NAMES)
+def test_31_kickcat_reaches_op_and_every_working_counter_is_right(model):
+    result = on_the_wire(
+        "kickcat_master", "reach_op", "--drive", model, "--axis", "none", "--slaves", "2"
+    )
+    name, sizes = NAMES[model]
+    assert result["slaves"] == 2
+    assert result["sizes"] == [sizes, sizes]
+    assert result["states"] == [8, 8]
+    assert result["name"] == name
+    assert "SUCCESS" not in result["missing"]

@@ -1,0 +1,129 @@
+"""pysoem, as it comes from PyPI, against `servogym ethercat` on a veth pair."""
+
+import pytest
+from wire import on_the_wire
+
+AKD = ("--drive", "kollmorgen_akd")
+OP = 8
+
+
+def test_12_scan_shows_identity_and_sizes_of_the_model():
+    (slave,) = on_the_wire("pysoem_master", "scan", *AKD)
+    assert (slave["vendor"], slave["product"], slave["revision"]) == (0x6A, 0x414B44, 2)
+    assert (slave["outputs"], slave["inputs"]) == (6, 6)
+
+
+def test_31_reaches_op_and_every_working_counter_is_right():
+    result = on_the_wire("pysoem_master", "ten_thousand_cycles", *AKD)
+    assert result["state"] == OP
+    assert result["wrong"] == 0
+
+
+def test_32_homes_and_moves_bit_identically_in_five_runs():
+    runs = [on_the_wire("pysoem_master", "home_and_move", *AKD) for _ in range(5)]
+    assert runs == runs[:1] * 5
+    assert runs[0]["end"] - runs[0]["homed"] == pytest.approx(100_000, abs=100)
+
+
+# line -> working counters that the cycles 58 and following see, AL status and code of the second
+# slave then, and what the master does to have it in OP again (SOEM's and pysoem's examples)
+RIGHT, OP_STATE = 6, [8, 0]
+CYCLES = {
+    "drop at=cycle:60 count=3": ([-1] * 3, OP_STATE, []),
+    "lose at=cycle:60 count=3": ([-1] * 3, OP_STATE, []),
+    "delay at=cycle:60 frames=1": ([-1], OP_STATE, []),
+    "duplicate at=cycle:60": ([], OP_STATE, []),
+    "stale at=cycle:60": ([-1], OP_STATE, []),
+    "wrong_index at=cycle:60": ([-1], OP_STATE, []),
+    "wkc at=cycle:60 offset=-3 count=5 command=LRW slave=-1": ([3] * 5, OP_STATE, []),
+    "disconnect at=cycle:60 slave=1 frames=30": ([3] * 30, OP_STATE, []),
+    "break_link at=cycle:60 slave=0; heal_link at=cycle:100 slave=0": ([3] * 40, OP_STATE, []),
+    "power_cycle at=cycle:60 slave=1 frames=20": (
+        [3] * 93, [0, 0], ["reconfigured", "recovered", "requested OP"]
+    ),
+    "al_error at=cycle:60 slave=1 code=0x8001": ([], [0x18, 0x8001], ["acknowledged"]),
+    "retreat at=cycle:60 slave=1 code=0x1B": (
+        [], [0x14, 0x1B], ["acknowledged", "requested OP"]
+    ),
+}  # fmt: skip
+MAILBOX = {
+    "mailbox_abort at=op:1 code=0x08000021": "SdoError 08000021",
+    "mailbox_toggle at=op:1 count=0": "",  # SOEM does not look at toggle bits
+    "mailbox_silence at=op:1": "WkcError",
+    "mailbox_stale at=op:1": "PacketError",
+}
+
+
+@pytest.fixture(scope="module")
+def suffered():
+    return on_the_wire("pysoem_master", "faults", "forked", lines=[*CYCLES, *MAILBOX])
+
+
+@pytest.mark.parametrize("line", CYCLES)
+def test_39_a_fault_is_seen_and_the_segment_comes_back(suffered, line):
+    result = suffered[line]
+    wrong, status, steps = CYCLES[line]
+    first = next((i for i, counter in enumerate(result["seen"]) if counter != RIGHT), 57)
+    assert result["seen"] == [RIGHT] * first + wrong + [RIGHT] * (150 - first - len(wrong))
+    assert result["states"] == [OP_STATE, status]
+    assert result["steps"] == steps
+    assert result["back"] == [8, 8]
+    assert result["last"] == RIGHT
+
+
+@pytest.mark.parametrize("line", MAILBOX)
+def test_39_a_bad_mailbox_is_seen_and_the_next_sdo_works(suffered, line):
+    result = suffered[line]
+    assert result["refused"] == MAILBOX[line]
+    assert result["seen"][-1] == "AKD-P00606-NBCC-E000"
+    assert result["back"] == [8, 8]
+
+
+FIXED = [
+    *([[o], [0x1B01]] for o in (0x1701, 0x1702, 0x1720, 0x1721, 0x1722, 0x1723, 0x1724, 0x1725)),
+    *([[0x1701], [i]] for i in (0x1B20, 0x1B21, 0x1B22, 0x1B23, 0x1B24, 0x1B25, 0x1B26)),
+    [[0x1600], [0x1A00]],
+]  # fmt: skip
+
+
+def test_34_every_pdo_has_the_size_of_the_sii_and_enables_the_drive():
+    from servogym.drive.ethercat import sii
+    from servogym.drive.model.model import load
+
+    known = sii.unpack(sii.of_model(load("kollmorgen_akd", "ethercat")))
+    bits = {pdo.index: pdo.bits for pdo in known.rpdos + known.tpdos}
+    for row in on_the_wire("pysoem_master", "fixed_pdos", *AKD, pairs=FIXED):
+        outputs, inputs = (sum(bits[pdo] for pdo in pdos) // 8 for pdos in row["pdos"])
+        assert row["safe"] == 4
+        assert row["sizes"] == row["managers"] == [outputs, inputs]
+        assert row["status"] == [0x40, 0x27], row  # switch on disabled, operation enabled
+
+
+def test_35_soem_finds_the_delays_of_a_line_of_eight():
+    assert on_the_wire("pysoem_master", "line_of", "forked", n=8) == [k * 600 for k in range(8)]
+
+
+def test_40_a_broken_ring_keeps_every_working_counter():
+    result = on_the_wire(
+        "pysoem_master", "redundancy", *AKD, "--slaves", "4", "--axis", "none",
+        "--fault", "break_link at=op:30 slave=1", "--fault", "heal_link at=op:201 slave=1", ports=2,
+    )  # fmt: skip
+    assert result["state"] == OP
+    assert result["seen"] == [12] * 150
+    assert result["states"] == [OP] * 4
+    broken, healed = ([link >> 8 & 0x0F for link in links] for links in result["links"])
+    assert broken == [0xA, 0x6, 0x9, 0xA]  # ports 1 and 0: 10 open, 01 closed
+    assert healed == [0xA] * 4
+
+
+@pytest.mark.parametrize(
+    "seconds", [3.0, pytest.param(600.0, marks=pytest.mark.slow)], ids=["sample", "ten minutes"]
+)
+def test_41_a_kilohertz_on_the_clock_dc_keeps_working_counters_and_memory(seconds):
+    result = on_the_wire(
+        "pysoem_master", "kilohertz", *AKD, "--slaves", "2", "--clock", "dc",
+        timeout=900, seconds=seconds,
+    )  # fmt: skip
+    assert (result["safe"], result["state"]) == (4, OP)
+    assert result["wrong"] == []
+    assert abs(result["memory_kib"][1] - result["memory_kib"][0]) <= 1024

@@ -1,0 +1,64 @@
+"""Whatever bytes a program writes into the objects of a record, the cycle ends as a cycle.
+
+A trap in compiled code takes the process with it, so each model runs in one of its own, which has
+to say so at its end.
+"""
+
+import subprocess
+import sys
+
+import pytest
+
+from servogym.drive.model.model import model_names
+
+NOISE = """
+import sys
+import numpy as np
+from servogym.drive.drive import Drive
+from servogym.drive.kernel.faults import Cause
+
+drive = Drive(sys.argv[1])
+objects = drive.axes["od"].view(np.uint8).reshape(len(drive.axes), -1)[drive.index]
+factory = objects.copy()
+factors = np.concatenate([  # of the record: numbers that meet at the edges of 64 bits
+    np.arange(*(drive.axes.dtype["od"].fields[name][1] + end for end in (0, 8)))
+    for name in ("position_encoder_resolution", "gear_ratio", "feed_constant", "position_factor",
+                 "velocity_factor", "position_range_limit", "software_position_limit")])
+for seed in range(int(sys.argv[2])):
+    random = np.random.default_rng(seed)
+    drive.reset()
+    kind = seed % 4
+    for _ in range(8):
+        if kind == 0:
+            objects[:] = random.integers(0, 256, len(objects))
+        elif kind == 1:  # a few fields, the rest as it was made
+            objects[:] = factory
+            some = random.integers(0, len(objects), 12)
+            objects[some] = random.integers(0, 256, 12)
+        else:
+            objects[:] = factory if kind == 2 else random.integers(0, 256, len(objects))
+            edges = np.array([0, 1, 2, 2**31 - 1, 2**31, 2**32 - 1, 2**16], "<u4")
+            objects[factors] = random.choice(edges, len(factors) // 4).view(np.uint8)
+        drive.axis.parameters_changed = 1
+        drive.axis.fault_raised = random.choice(list(Cause))
+        for _ in range(4):
+            drive.cycle(float(random.choice([0.0, 1e3, -1e9])), float(random.normal()) * 100)
+print("whole")
+"""
+
+
+def run(model, seeds):
+    command = [sys.executable, "-W", "ignore", "-c", NOISE, model, str(seeds)]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=500)
+    assert (ran.returncode, ran.stdout) == (0, "whole\n"), ran.stderr[-2000:]
+
+
+@pytest.mark.parametrize("model", model_names())
+def test_noise_in_the_objects_of_a_record_ends_no_process(model):
+    run(model, 200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", model_names())
+def test_noise_in_the_objects_of_a_record_ends_no_process_long(model):
+    run(model, 20_000)

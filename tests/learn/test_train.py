@@ -1,0 +1,484 @@
+"""`servogym train`: it learns, it is interrupted and continues, it refuses what is foreign."""
+
+import csv
+import json
+import os
+import pickle
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
+
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+from servogym.envs import TASKS
+from servogym.envs.tasks.homing import HomingEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.training import cli
+from servogym.training.bench import train as train_bench
+from servogym.training.learn import checkpoint, hyperparameters, sb3, state
+from servogym.training.learn.evaluation import HoldStill, score
+from servogym.training.learn.train import ALGORITHMS, train
+from servogym.training.policies import make, saved, weights
+
+ID = "LinearAxis-v0"
+SHORT = {"max_episode_steps": 10}
+SMALL = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}
+SAC_SMALL = {
+    "buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "gradient_steps": 1,
+    "policy_kwargs": {"net_arch": [8]},
+}  # fmt: skip
+
+
+def brief(out, steps=256, **arguments):
+    """A run of a few updates of 128 steps: 8 environments, 16 steps."""
+    fresh = {} if arguments.get("resume") else {"envs": 8, "arguments": SHORT, "settings": SMALL}
+    every = {"checkpoint_every": 128, "evaluate_every": 128}
+    return train(ID, out=out, steps=steps, **(fresh | every | arguments))
+
+
+def counts(out):
+    with (out / "progress.csv").open() as file:
+        return [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A finished brief run."""
+    out = tmp_path_factory.mktemp("run")
+    brief(out)
+    return out
+
+
+def test_ppo_brings_the_axis_to_its_goal_far_better_than_holding_still(tmp_path):
+    coarse = {"policy_kwargs": {"log_std_init": -1.0, "net_arch": [64, 64]}}  # finds the way soon
+    policy, still = train(
+        ID, out=tmp_path, steps=120_000, seed=1, evaluate_every=60_000, settings=coarse
+    )
+    assert policy.length > 180, "hardly a fault, so short a training as it is"
+    assert policy.reward > 2 * still.reward
+
+
+def test_holding_still_is_no_motion(made):
+    env = VecMonitor(sb3.make(ID, 16, max_episode_steps=10))
+    assert score(HoldStill(env.action_space), env).length == 10
+    assert score(HoldStill(env.action_space), env) == score(HoldStill(env.action_space), env), (
+        "the same episodes each time"
+    )
+    env.close()
+
+
+def test_a_run_leaves_checkpoints_evaluations_and_the_best_policy(made):
+    assert [folder.name for folder in checkpoint.numbered(made)] == ["0000000128", "0000000256"]
+    for folder in (*checkpoint.numbered(made), made / "best"):
+        about = saved.read(folder)
+        assert about["env_id"] == "servogym/LinearAxis-v0"
+        assert about["drive"] == "generic"
+        assert about["arguments"] == SHORT
+        assert set(about["versions"]) == set(checkpoint.VERSIONED)
+        env = sb3.make(about["env_id"], 2, drive=about["drive"], **about["arguments"])
+        policy = weights.load(folder).policy(about)
+        assert policy.observation_space.shape == env.observation_space.shape
+        env.close()
+        if folder.name != "best":
+            assert weights.arrays(folder / "state.npz")["num_timesteps"] == about["steps"]
+    found = np.load(made / "evaluations.npz")
+    assert found["timesteps"].tolist() == [128, 256]
+    assert found["results"].shape == (2, 16)
+    assert not list(made.glob("**/.*")), "nothing half written"
+
+
+def network(folder):
+    """The arrays of its policy."""
+    return weights.load(folder).network
+
+
+def test_the_same_seed_makes_the_same_policy(made, tmp_path):
+    brief(tmp_path)
+    one, other = (network(checkpoint.numbered(out)[-1]) for out in (made, tmp_path))
+    assert all((one[name] == other[name]).all() for name in one)
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+def test_it_continues_without_losing_count(algorithm, tmp_path):
+    settings = SMALL if algorithm == "PPO" else SAC_SMALL
+    brief(tmp_path, algorithm=algorithm, settings=settings)
+    before = weights.arrays(checkpoint.numbered(tmp_path)[-1] / "state.npz")
+    brief(tmp_path, 512, resume=True)
+    last = checkpoint.numbered(tmp_path)[-1]
+    after = weights.arrays(last / "state.npz")
+    assert (before["num_timesteps"], after["num_timesteps"]) == (256, 512)
+    updates = {"PPO": (2, 4), "SAC": (24, 56)}[algorithm]  # SAC: one for 8 steps after the first 64
+    assert (before["_n_updates"], after["_n_updates"]) == updates
+    assert after["_episode_num"] >= before["_episode_num"]
+    assert np.load(tmp_path / "evaluations.npz")["timesteps"].tolist() == [128, 256, 384, 512]
+    seen = counts(tmp_path)
+    assert seen == sorted(seen)
+    assert {128, 256, 384, 512} <= set(seen)
+    buffers = [f.parent for f in tmp_path.glob("checkpoints/*/replay.npz")]
+    assert buffers == ([last] if algorithm == "SAC" else [])
+    if algorithm == "SAC":
+        assert weights.arrays(last / "replay.npz")["pos"] == 512 // 8
+
+
+@pytest.fixture(scope="module")
+def learners():
+    """What SB3 itself trained, and its maker, by algorithm."""
+    made = {}
+    for name, settings in (("PPO", {"n_steps": 16, "batch_size": 64, "n_epochs": 1}), ("SAC", {
+        "buffer_size": 400, "learning_starts": 64, "batch_size": 32})):  # fmt: skip
+
+        def fresh(name=name, settings=settings):
+            env = VecNormalize(VecMonitor(sb3.make(ID, 8, **SHORT)))
+            return ALGORITHMS[name]("MlpPolicy", env, seed=1, device="cpu", **settings)
+
+        made[name] = fresh(), fresh
+        made[name][0].learn(512)  # more than the buffer of SAC holds
+    return made
+
+
+@pytest.mark.parametrize("name", ["PPO", "SAC"])
+def test_what_goes_on_is_what_sb3_itself_would_have_loaded(name, learners, tmp_path):
+    model, fresh = learners[name]
+    about = {"env_id": ID, "algorithm": name, "hyperparameters": {}, "arguments": {}}
+    checkpoint.save(model, about, tmp_path / "one")
+    again = fresh()
+    state.load(again, tmp_path / "one")
+    model.save(tmp_path / "model.zip")
+    oracle = ALGORITHMS[name].load(tmp_path / "model.zip", fresh().env, device="cpu")
+
+    def same(one, other):
+        if isinstance(one, dict):
+            assert one.keys() == other.keys()
+            for key in one:
+                same(one[key], other[key])
+        elif isinstance(one, (list, tuple)):
+            for a, b in zip(one, other, strict=True):
+                same(a, b)
+        else:
+            one, other = (x.numpy() if hasattr(x, "numpy") else x for x in (one, other))
+            assert np.array_equal(one, other)
+
+    same(again.get_parameters(), oracle.get_parameters())
+    for counter in state.COUNTERS:
+        assert getattr(again, counter) == getattr(oracle, counter)
+    for variable in model._get_torch_save_params()[1]:
+        assert (getattr(again, variable) == getattr(oracle, variable)).all()
+    assert [e["r"] for e in again.ep_info_buffer] == [e["r"] for e in oracle.ep_info_buffer]
+    means, expected = again.get_vec_normalize_env(), model.get_vec_normalize_env()
+    for each in state.MEANS:
+        same(vars(getattr(means, each)), vars(getattr(expected, each)))
+    if name == "SAC":
+        state.load_replay(again, tmp_path / "one")
+        for array in ("observations", "next_observations", "actions", "rewards", "dones"):
+            same(getattr(again.replay_buffer, array), getattr(model.replay_buffer, array))
+        assert again.replay_buffer.pos == model.replay_buffer.pos
+        assert again.replay_buffer.full
+
+
+def test_no_file_of_a_run_is_a_pickle(made, learners, tmp_path):
+    checkpoint.save(learners["SAC"][0], {}, tmp_path / "sac")
+    files = [f for folder in (made, tmp_path) for f in folder.rglob("*") if f.is_file()]
+    assert {"state.npz", "replay.npz", "weights.npz"} <= {f.name for f in files}
+    for file in files:
+        assert file.suffix not in (".pkl", ".zip", ".pth")
+        if file.suffix == ".npz":
+            assert all(array.dtype.kind in "fiub" for array in weights.arrays(file).values())
+
+
+class Payload:
+    def __reduce__(self):
+        return Path.touch, (Path("ran.txt"),)
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "says"),
+    [
+        ("state.npz", pickle.dumps(Payload()), "state.npz holds no arrays"),
+        ("state.npz", {"num_timesteps": np.array([Payload()], object)}, "holds no arrays"),
+        ("state.npz", {"num_timesteps": np.array(1)}, "does not fit the network"),
+        ("state.npz", None, "pickles that can run any program when they are read"),
+        ("weights.npz", pickle.dumps(Payload()), "weights.npz holds no arrays"),
+    ],
+)
+def test_a_run_goes_on_from_no_program(made, tmp_path, monkeypatch, file, content, says):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(made, tmp_path / "run")
+    last = checkpoint.numbered(tmp_path / "run")[-1]
+    for name in ("model.zip", "vecnormalize.pkl", "replay_buffer.pkl"):  # as an earlier version
+        (last / name).write_bytes(pickle.dumps(Payload()))
+    if content is None:
+        (last / file).unlink()
+    elif isinstance(content, bytes):
+        (last / file).write_bytes(content)
+    else:
+        np.savez(last / file, **content)
+    with pytest.raises(ValueError, match=says):
+        brief(tmp_path / "run", 512, resume=True)
+    assert not Path("ran.txt").exists()
+
+
+def test_the_state_of_another_network_is_refused(learners, tmp_path):
+    checkpoint.save(learners["SAC"][0], {}, tmp_path / "sac")
+    model = learners["PPO"][1]()
+    with pytest.raises(ValueError, match="does not fit the network"):
+        state.load(model, tmp_path / "sac")
+    other = learners["SAC"][1]()
+    other.replay_buffer.observations = other.replay_buffer.observations[..., :1]
+    with pytest.raises(ValueError, match=r"replay.npz is not of this run"):
+        state.load_replay(other, tmp_path / "sac")
+
+
+def test_a_killed_run_continues_from_its_last_checkpoint(tmp_path):
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--out",
+        str(tmp_path), "--steps", "10000000", "--checkpoint-every", "256", "--evaluate-every",
+        "1024", "--argument", "max_episode_steps=10",
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    try:
+        end = time.monotonic() + 120
+        while len(checkpoint.numbered(tmp_path)) < 5 and process.poll() is None:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        said = process.communicate()[0]
+    assert process.returncode == -signal.SIGKILL, said
+    steps = saved.read(checkpoint.numbered(tmp_path)[-1])["steps"]
+    with (tmp_path / "progress.csv").open("a") as file:
+        file.write("1,2")  # a row cut off
+    (tmp_path / "checkpoints" / ".0000009999.1").mkdir()
+    train(ID, out=tmp_path, steps=steps + 256, resume=True)
+    assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] == steps + 256
+    seen = counts(tmp_path)
+    assert seen == sorted(seen)
+    assert seen[-1] == steps + 256
+    assert not list(tmp_path.glob("checkpoints/.*"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGINT to a child there")
+def test_ctrl_c_says_how_to_continue_and_exits_with_130(tmp_path):
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--out",
+        str(tmp_path), "--steps", "10000000", "--checkpoint-every", "256",
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8",
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
+    )  # fmt: skip
+    end = time.monotonic() + 120
+    while not checkpoint.numbered(tmp_path) and process.poll() is None:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert "--resume continues from the last checkpoint" in out
+    assert error.strip() == "interrupted"
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments", "says"),
+    [
+        ("LinearAxisTracking-v0", {}, "'servogym/LinearAxis-v0', asked for is 'servogym/LinearAxi"
+         "sTracking-v0'"),
+        (ID, {"drive": "kollmorgen_akd"}, "drive = 'generic', asked for is 'kollmorgen_akd'"),
+        (ID, {"algorithm": "SAC"}, "algorithm = 'PPO', asked for is 'SAC'"),
+        (ID, {"seed": 3}, "seed = 0, asked for is 3"),
+        (ID, {"envs": 9}, "envs = 8, asked for is 9"),
+        (ID, {"arguments": {}}, "asked for is {}"),
+    ],
+)  # fmt: skip
+def test_a_checkpoint_of_something_else_is_refused_naming_both(made, env_id, arguments, says):
+    with pytest.raises(ValueError, match=r"checkpoint .*another --out") as refusal:
+        train(env_id, out=made, resume=True, **arguments)
+    assert says in str(refusal.value)
+
+
+def resume_with_another(package, made, monkeypatch, capsys):
+    """Exit status, and what was said of the version the checkpoint has and the present one."""
+    real = checkpoint.version
+    monkeypatch.setattr(checkpoint, "version", lambda n: "99.1" if n == package else real(n))
+    then = saved.read(checkpoint.numbered(made)[-1])["versions"][package]
+    status = cli.main(["train", ID, "--out", str(made), "--resume", "--steps", "256"])
+    said = " ".join("".join(capsys.readouterr()).split())
+    return status, f"made with {package} {then}, this is 99.1" in said
+
+
+@pytest.mark.parametrize("package", checkpoint.DECIDING)
+def test_another_version_of_the_environment_is_refused_naming_both(
+    package, made, monkeypatch, capsys
+):
+    assert resume_with_another(package, made, monkeypatch, capsys) == (2, True)
+
+
+def test_another_version_of_the_learner_is_told_with_both(made, monkeypatch, capsys):
+    assert resume_with_another("torch", made, monkeypatch, capsys) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["Pole-v0"], "unknown environment 'Pole-v0'"),
+        ([ID, "--drive", "nothing"], "unknown drive model 'nothing'"),
+        ([ID, "--drive", "bonfiglioli_act"], "has no mode cyclic_sync_position"),
+        ([ID, "--steps", "0"], "steps = 0 must be a whole number"),
+        ([ID, "--seed", "-1"], "seed = -1 must be a whole number"),
+        ([ID, "--envs", "0"], "envs = 0 must be a whole number"),
+        ([ID, "--argument", "payloads=3"], "arguments of servogym/LinearAxis-v0:"),
+        ([ID, "--argument", "payload=-3"], "payload"),
+        ([ID, "--resume"], "leave out --resume"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2_and_leaves_nothing(capsys, tmp_path, options, says):
+    out = tmp_path / "out"
+    assert cli.main(["train", *options, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_folder_with_a_run_is_not_overwritten(made):
+    with pytest.raises(ValueError, match="has a run already: --resume continues it"):
+        brief(made)
+
+
+def test_a_broken_checkpoint_says_what_to_do(made, tmp_path):
+    folder = tmp_path / "checkpoints" / "0000000128"
+    folder.mkdir(parents=True)
+    (folder / "checkpoint.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ValueError, match="remove its folder, and the one before is taken"):
+        brief(tmp_path, resume=True)
+
+
+def test_a_wrong_hyper_parameter_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"hyper-parameters of PPO: .*learning_speed"):
+        brief(tmp_path, settings=SMALL | {"learning_speed": 1})
+
+
+def test_a_learning_rate_of_two_numbers_falls_also_where_a_run_is_continued(tmp_path):
+    falling = SMALL | {"learning_rate": [1e-3, 0.0]}
+    brief(tmp_path / "run", steps=512, settings=falling)
+    brief(tmp_path / "run", steps=1024, resume=True)
+    with (tmp_path / "run" / "progress.csv").open() as file:
+        seen = [row["train/learning_rate"] for row in csv.DictReader(file)]
+    rates = [float(rate) for rate in seen if rate]
+    assert rates[0] == pytest.approx(1e-3 * (1 - 128 / 512))
+    assert rates[-1] < 0.2 * rates[0]
+    with pytest.raises(ValueError, match=r"learning_rate = \[0.1\]: give one number, or"):
+        brief(tmp_path / "other", settings=SMALL | {"learning_rate": [0.1]})
+
+
+@pytest.mark.parametrize(("envs", "batch"), [(64, 512), (4, 256), (12, 384), (1, 64)])
+def test_the_rollout_is_a_multiple_of_the_batch(envs, batch):
+    settings = hyperparameters.of(TASKS[0], "PPO", envs)
+    assert settings["batch_size"] == batch
+    assert settings["n_steps"] * envs % batch == 0
+
+
+def test_the_table_names_what_exists():
+    for task in TASKS:
+        for algorithm in task.HYPERPARAMETERS:
+            assert json.dumps(hyperparameters.of(task, algorithm))
+            assert hyperparameters.of(task, algorithm) != hyperparameters.COMMON[algorithm]
+    with pytest.raises(ValueError, match="algorithm = 'DQN', use one of PPO, SAC"):
+        hyperparameters.of(TASKS[0], "DQN")
+
+
+def test_the_bench_trains_both_on_the_same(monkeypatch):
+    monkeypatch.setattr(train_bench, "ROLLOUT", 512)
+    with sb3.one_thread():
+        rows = train_bench.measure("generic", 1, (8,))
+    assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", "ServoVecEnv of 8"]
+    assert rows[0]["ratio"] == 1.0
+    assert all(row["rollout_us"] > 0 and row["update_us"] > 0 for row in rows)
+
+
+def test_a_trained_policy_comes_through_the_same_door(tmp_path):
+    brief(tmp_path / "run")
+    env = LinearAxisEnv()
+    policy = make(str(tmp_path / "run"), env)
+    observation, info = env.reset(seed=1)
+    policy.reset(observation, info)
+    action = policy.act(observation)
+    assert env.action_space.contains(action)
+    assert (action == make(str(tmp_path / "run"), env).act(observation)).all()
+    with pytest.raises(ValueError, match="was trained for servogym/LinearAxis-v0, not for"):
+        make(str(tmp_path / "run"), HomingEnv())
+    with pytest.raises(ValueError, match="make it with the arguments"):
+        make(str(tmp_path / "run"), LinearAxisEnv(history=3))
+    seeing = SHORT | {"history": 2, "previous_action": True}
+    brief(tmp_path / "seeing", arguments=seeing)
+    plain, shown = LinearAxisEnv(), LinearAxisEnv(history=2, previous_action=True)
+    one, other = (make(str(tmp_path / "seeing"), e) for e in (plain, shown))
+    observations = [e.reset(seed=2)[0] for e in (plain, shown)]
+    one.reset(observations[0], {})
+    other.reset(observations[1], {})
+    for _ in range(5):
+        actions = one.act(observations[0]), other.act(observations[1])
+        np.testing.assert_array_equal(*actions)
+        observations = [e.step(a)[0] for e, a in zip((plain, shown), actions, strict=True)]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="no checkpoint of a training run"):
+        make(str(tmp_path / "empty"), env)
+
+
+def test_a_run_keeps_its_scalars_for_tensorboard(tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    brief(tmp_path)
+    (file,) = tmp_path.glob("events.out.tfevents.*")
+    kept = EventAccumulator(str(file)).Reload()
+    assert {"rollout/ep_rew_mean", "train/loss", "eval/mean_reward"} <= set(kept.Tags()["scalars"])
+    assert [row.step for row in kept.Scalars("eval/mean_reward")] == [128, 256]
+    found = np.load(tmp_path / "evaluations.npz")["results"].mean(axis=1)
+    told = [row.value for row in kept.Scalars("eval/mean_reward")]
+    assert told == pytest.approx(found.tolist(), rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:rich is experimental")  # stable-baselines3 does it as well
+def test_a_bar_counts_the_steps_where_it_is_asked_for(tmp_path, capfd):
+    pytest.importorskip("tqdm")
+    brief(tmp_path / "without")
+    assert "256/256" not in "".join(capfd.readouterr())
+    brief(tmp_path / "with", progress=True)
+    assert "256/256" in "".join(capfd.readouterr())
+
+
+def test_in_a_terminal_the_command_shows_a_bar_and_what_it_tells_above_it(tmp_path):
+    pytest.importorskip("tqdm")
+    pty = pytest.importorskip("pty", reason="no terminals on this system")
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--steps",
+        "3000", "--evaluate-every", "1000", "--argument", "max_episode_steps=10", "--out",
+        str(tmp_path),
+    ]  # fmt: skip
+    own, its = pty.openpty()
+    environ = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
+    with subprocess.Popen(command, stdin=its, stdout=its, stderr=its, env=environ) as process:
+        os.close(its)
+        said = b""
+        try:
+            while part := os.read(own, 4096):
+                said += part
+        except OSError:  # Linux, when the other end is closed
+            pass
+    os.close(own)
+    assert process.returncode == 0, said
+    text = re.sub(r"\x1b\[2K", "\n", said.decode())  # a line is cleared
+    lines = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", text).replace("\r", "\n").splitlines()
+    assert any("/3,000" in line and "━" in line for line in lines)
+    told = [line for line in lines if "steps: reward of an episode" in line]
+    assert len(told) == 3
+    assert not any("━" in line for line in told)

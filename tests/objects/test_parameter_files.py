@@ -1,0 +1,287 @@
+"""Parameter files of users: what is in them is checked before the drive starts with it."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+
+import pytest
+
+from servogym.drive.canopen.frame import parse
+from servogym.drive.canopen.node import Node
+from servogym.drive.drive import Drive
+from servogym.drive.model.model import model_names
+from servogym.drive.objects import store
+from servogym.envs.plants.catalogue import machines_for
+from servogym.envs.plants.linear_axis import linear_axis
+
+SAVE, LOAD = 0x65766173, 0x64616F6C
+ODD = (0, 1, -1, 2.5, 1e300, True, 10**30, -(10**30))
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "parameters.json"
+
+
+def written(file, model="generic", **values):
+    """A file with a good checksum and any values, by name of the object or address."""
+    drive = Drive(model)
+    stored = drive.parameters.values()
+    ranges = drive.parameters._ranges(stored)
+    for name, value in values.items():
+        row = drive.model.names.get(name)
+        stored[f"{row.index:04X}:{row.subindex:02X}" if row else name] = value
+    file.write_text(store.encode(drive.model.name, stored, ranges))
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"quick_stop_option_code": 99}, r"605A:00 = 99 is out of range 0..8"),
+        ({"quick_stop_option_code": 2.5}, "605A:00 = 2.5 is no INTEGER16"),
+        ({"quick_stop_option_code": True}, "605A:00 = True is no number"),
+        ({"homing_method": 99}, "6098:00 = 99"),
+        ({"feed": 0}, "6092:01 = 0 is out of range"),
+        ({"1600:00": 200}, "1600:00 = 200 is more than 16 entries"),
+        ({"reaction:999": 1}, "reaction:999 = 1 is no reaction to a fault"),
+        ({"alias:0": -1}, "alias:0 = -1 cannot be stored"),
+        ({"lss:0": 200}, "lss:0 = 200 cannot be stored"),
+        ({"anything": 1}, "anything = 1 has no address of an object"),
+    ],
+)
+def test_a_value_the_drive_cannot_have_is_named_and_the_file_ignored(file, values, says):
+    written(file, profile_velocity=4711, **values)
+    with pytest.warns(UserWarning, match=rf"parameters.json is ignored.*{says}.*1010h"):
+        drive = Drive(parameter_file=file)
+    assert drive.read("profile_velocity") == drive.model.names["profile_velocity"].default
+
+
+def test_values_that_do_not_go_together_are_named_and_the_file_ignored(file):
+    values = {"feed": 2_147_483_629, "encoder_increments": 2_147_483_587}
+    drive = Drive()
+    drive.write("feed", values["feed"])
+    written(file, profile_velocity=4711, gear_motor_revolutions=2_147_483_563, **{
+        name: value for name, value in values.items() if name in drive.model.names
+    })  # fmt: skip
+    with pytest.warns(UserWarning, match=r"is ignored.*general internal incompatibility"):
+        drive = Drive(parameter_file=file)
+    assert drive.read("profile_velocity") == drive.model.names["profile_velocity"].default
+
+
+def test_the_range_at_the_time_of_storing_is_told(file):
+    written(file)
+    text = json.loads(file.read_text())
+    del text["crc32"]
+    text["values"]["605A:00"], text["ranges"]["605A:00"] = 99, [0, 200]
+    file.write_text(json.dumps(text | {"crc32": store._checksum(text)}))
+    with pytest.warns(UserWarning, match=r"605A:00 = 99 .*0\.\.200 when it was stored"):
+        Drive(parameter_file=file)
+
+
+def test_a_file_of_an_older_form_is_named(file):
+    file.write_text(json.dumps({"model": "generic", "values": {}, "crc32": 0}))
+    with pytest.warns(UserWarning, match="it has the form None, not 2"):
+        Drive(parameter_file=file)
+
+
+def test_a_file_that_cannot_be_read_is_told(tmp_path):
+    with pytest.warns(UserWarning, match="it cannot be read"):
+        Drive(parameter_file=tmp_path)
+    plain = tmp_path / "a file"
+    plain.touch()
+    with pytest.warns(UserWarning, match="it cannot be read"):
+        Drive(parameter_file=plain / "parameters.json")
+
+
+def test_what_killed_processes_left_is_removed_when_the_next_one_saves(file):
+    old, fresh = (file.with_name(f"{file.name}{n}.tmp") for n in ("old", "fresh"))
+    for left in (old, fresh):
+        left.touch()
+    os.utime(old, (0, time.time() - 2 * store.LEFT_OVER))
+    Drive(parameter_file=file).write("save_all_parameters", SAVE)
+    assert sorted(path.name for path in file.parent.iterdir()) == [file.name, fresh.name]
+
+
+def damaged(text, chance):
+    """Bytes lost, changed, doubled; or a value changed and the checksum made good again."""
+    dice = chance.random()
+    if dice < 0.4:
+        content = json.loads(text)
+        del content["crc32"]
+        values = content["values"]
+        for _ in range(chance.choice((1, 1, 2, 10))):
+            address = chance.choice([*values])
+            low, high = content["ranges"].get(address, [0, 1])
+            near = (low, high, low - 1, high + 1, chance.randint(low, high), *ODD)
+            values[address] = chance.choice(near)
+        if dice < 0.02:
+            content[chance.choice([*content])] = chance.choice([None, [], {}, "x", 1])
+        return json.dumps(content | {"crc32": store._checksum(content)}).encode()
+    data = bytearray(text.encode())
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(data) + 1)
+        kind = chance.randrange(4)
+        if kind == 0:
+            del data[at : at + chance.choice((1, 10, 1000))]
+        elif kind == 1:
+            data[at:at] = chance.choice([b"[", b"\x00", b"\xff", b"9" * 30, b"[" * 5000, b'"'])
+        elif kind == 2 and at < len(data):
+            data[at] = chance.randrange(256)
+        else:
+            data = data[:at]
+    return bytes(data)
+
+
+def start_with_damaged_files(file, seed, count):
+    chance = random.Random(seed)
+    texts = {}
+    for name in model_names():
+        drive = Drive(name, parameter_file=file)
+        drive.parameters.save()
+        texts[name] = file.read_text()
+        file.unlink()
+    told = 0
+    for _ in range(count):
+        name = chance.choice([*texts])
+        data = damaged(texts[name], chance)
+        file.write_bytes(data)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            drive = Drive(name, parameter_file=file)
+        told += bool(caught)
+        assert all("is ignored" in str(warning.message) for warning in caught)
+        assert all(str(warning.message).count("\n") == 0 for warning in caught)
+        for _ in range(2):
+            assert drive.cycle(0.0) == 0.0
+        drive.exchange(bytes(drive.rpdo_size))
+    return told
+
+
+def test_damaged_parameter_files_are_told_and_never_a_traceback(file):
+    assert start_with_damaged_files(file, 1, 100) > 50
+
+
+@pytest.mark.slow
+def test_2000_damaged_parameter_files_are_told_and_never_a_traceback(file):
+    assert start_with_damaged_files(file, 2, 2000) > 1000
+
+
+SAVER = """
+import sys
+from servogym.drive.drive import Drive
+drive = Drive("kollmorgen_akd", parameter_file=sys.argv[1])
+print("ready", flush=True)
+n = 0
+while True:
+    n += 1
+    drive.write("profile_velocity", n)
+    drive.write("quick_stop_deceleration", n)
+    drive.write("save_all_parameters", 0x65766173)
+"""
+
+
+def kill_while_saving(file, kills):
+    """-> parameter sets that were found after a kill."""
+    chance, found = random.Random(5), set()
+    for _ in range(kills):
+        process = subprocess.Popen(
+            [sys.executable, "-c", SAVER.replace("kollmorgen_akd", "generic"), str(file)],
+            stdout=subprocess.PIPE,
+        )
+        assert process.stdout.readline() == b"ready\n"
+        for _ in range(
+            20
+        ):  # a stopped process is one that was killed here, as far as the file goes
+            time.sleep(chance.uniform(0.0005, 0.004))
+            process.send_signal(signal.SIGSTOP)
+            found.add(whole(file))
+            process.send_signal(signal.SIGCONT)
+        process.kill()
+        process.communicate()
+        found.add(whole(file))
+    return found
+
+
+def whole(file):
+    """The number that was saved last; the file is whole and its two values belong together."""
+    if not file.exists():
+        return 0
+    values = store.decode(file.read_text(), "generic")
+    assert values["6081:00"] == values["6085:00"]
+    return values["6081:00"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs SIGSTOP")
+def test_no_kill_during_1010h_tears_the_file(file):
+    assert len(kill_while_saving(file, 2)) > 3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs SIGSTOP")
+def test_of_a_thousand_kills_during_1010h_none_tears_the_file(file):
+    assert len(kill_while_saving(file, 50)) > 100
+
+
+# ---------------------------------------------------------------------- LSS, node, axis
+
+
+def frames(node, *texts):
+    for text in texts:
+        node.receive(parse(text), 0)
+    return [*map(str, node.poll(0))]
+
+
+CONFIGURE = ("7E5#0401000000000000", "7E5#1105000000000000", "7E5#1300020000000000",
+             "7E5#1700000000000000")  # fmt: skip
+
+
+def test_what_lss_stores_is_there_after_power_on_and_survives_1011h(file):
+    node = Node(Drive(parameter_file=file))
+    node.drive.write("profile_velocity", 4711)
+    assert frames(node, *CONFIGURE)[-1] == "7E4#1700000000000000"
+    again = Node(Drive(parameter_file=file))
+    assert (again.node_id, again.lss.stored_bit_rate) == (5, 500_000)
+    assert again.drive.read("profile_velocity") != 4711, "LSS stores no parameters"
+    again.drive.write("save_all_parameters", SAVE)
+    again.drive.write("restore_all_default_parameters", LOAD)
+    assert Node(Drive(parameter_file=file)).node_id == 5
+
+
+def test_lss_tells_that_it_cannot_store(tmp_path):
+    node = Node(Drive(parameter_file=tmp_path / "missing" / "p.json"))
+    assert frames(node, *CONFIGURE)[-1] == "7E4#1702000000000000"
+
+
+def test_without_a_file_lss_stores_in_the_drive_and_its_copies():
+    node = Node(Drive())
+    frames(node, *CONFIGURE)
+    copy = Drive()
+    copy.restore(node.drive.snapshot())
+    assert Node(node.drive).node_id == Node(copy).node_id == 5
+
+
+def test_a_linear_axis_takes_its_file_before_what_commissions_it(file):
+    axis = linear_axis(parameter_file=file)
+    drive = axis.drives["x"]
+    assert drive.read("home_offset") == 5_000
+    drive.write("home_offset", 4711)
+    drive.write("save_all_parameters", SAVE)
+    again = linear_axis(parameter_file=file).drives["x"]
+    assert again.read("home_offset") == 4711
+    assert again.read("feed") == drive.read("feed")
+
+
+def test_each_of_several_drives_of_a_node_has_its_own_file(tmp_path):
+    machines = machines_for("generic", [3, 4], "linear", tmp_path / "p.json")
+    for machine in machines:
+        machine.drives["x"].write("save_all_parameters", SAVE)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p_3.json", "p_4.json"]
+    shutil.rmtree(tmp_path)
+    with pytest.raises(ValueError, match=r"there is no folder .* make it first"):
+        machines_for("generic", [3], "linear", tmp_path / "p.json")

@@ -1,0 +1,112 @@
+"""Weights as arrays: the actions of the network, and no code in the file."""
+
+import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from servogym.envs.tasks.compliant import CompliantAxisEnv
+from servogym.training.learn import checkpoint, sb3
+from servogym.training.policies import SHIPPED, weights
+from servogym.training.policies.learned import Learned
+
+FOLDERS = sorted(SHIPPED.glob("*/seed_*"))
+GOLDEN = Path(__file__).parent / "learned_actions.npz"  # as played from SB3's own files
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A network, and the checkpoint of it."""
+    folder = tmp_path_factory.mktemp("run") / "checkpoint"
+    env = VecNormalize(sb3.make("CompliantAxis-v0", 2))
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=16, device="cpu", seed=1)
+    model.learn(64)
+    about = {"env_id": CompliantAxisEnv.ID, "algorithm": "PPO", "hyperparameters": {},
+             "arguments": {}}  # fmt: skip
+    checkpoint.save(model, about, folder)
+    return model, folder
+
+
+def test_the_actions_are_those_of_the_algorithm_bit_for_bit(trained):
+    model, folder = trained
+    policy = Learned(folder, CompliantAxisEnv())
+    generator = np.random.default_rng(1)
+    for _ in range(100):
+        seen = generator.uniform(-1, 1, model.observation_space.shape).astype(np.float32)
+        normal = model.get_vec_normalize_env().normalize_obs(seen)
+        expected, _ = model.predict(normal, deterministic=True)
+        assert np.array_equal(policy.act(seen), expected)
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_what_comes_with_the_laboratory_acts_as_it_was_trained(folder):
+    found = weights.load(folder)
+    policy = found.policy(weights.read(folder))
+    with np.load(GOLDEN) as golden:
+        name = f"{folder.parent.name}/{folder.name}"
+        for seen, action in zip(golden[f"{name}/seen"], golden[f"{name}/actions"], strict=True):
+            acted, _ = policy.predict(found.normalised(seen), deterministic=True)
+            assert acted == pytest.approx(action, abs=1e-6)
+
+
+def test_nothing_that_is_unpickled_comes_with_the_laboratory():
+    assert not [*SHIPPED.rglob("*.pkl"), *SHIPPED.rglob("*.zip"), *SHIPPED.rglob("*.pth")]
+
+
+class Payload:
+    def __reduce__(self):
+        return Path.touch, (Path("ran.txt"),)
+
+
+@pytest.mark.parametrize("name", ["vecnormalize.pkl", "model.zip", "weights.npz"])
+def test_a_folder_with_a_program_in_it_runs_nothing(trained, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "checkpoint"
+    shutil.copytree(trained[1], folder)
+    (folder / name).write_bytes(pickle.dumps(Payload()))
+    if name == "weights.npz":
+        with pytest.raises(ValueError, match="holds no arrays"):
+            Learned(folder, CompliantAxisEnv())
+    else:
+        Learned(folder, CompliantAxisEnv())
+    assert not Path("ran.txt").exists()
+
+
+def test_an_array_of_objects_is_refused(trained, tmp_path):
+    np.savez(tmp_path / "weights.npz", shape=np.array([Payload()], object))
+    with pytest.raises(ValueError, match="holds no arrays"):
+        weights.load(tmp_path)
+
+
+def test_arrays_that_do_not_fit_are_refused(trained, tmp_path):
+    found = weights.load(trained[1])
+    with pytest.raises(ValueError, match="does not fit the network"):
+        found._replace(network={}).policy(weights.read(trained[1]))
+
+
+def test_an_older_checkpoint_is_refused_with_the_command_that_converts_it(trained, tmp_path):
+    folder = tmp_path / "checkpoint"
+    shutil.copytree(trained[1], folder)
+    expected = weights.load(folder)
+    (folder / weights.WEIGHTS).unlink()
+    trained[0].save(folder / "model.zip")
+    trained[0].get_vec_normalize_env().save(str(folder / "vecnormalize.pkl"))
+    with pytest.raises(ValueError, match=r"policies\.weights .* --unpickle"):
+        Learned(folder, CompliantAxisEnv())
+    command = [sys.executable, "-m", "servogym.training.policies.weights", str(folder)]
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert refused.returncode == 2
+    assert "can run any program" in refused.stderr
+    subprocess.run([*command, "--unpickle"], check=True, capture_output=True, timeout=120)
+    again = weights.load(folder)
+    assert again.network.keys() == expected.network.keys()
+    assert all(np.array_equal(again.network[n], expected.network[n]) for n in again.network)

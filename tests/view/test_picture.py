@@ -1,0 +1,331 @@
+"""Pictures and windows: what they say, that they follow the state, that they disturb nothing."""
+
+import contextlib
+import sys
+import types
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+
+from servogym.drive.kernel.words import Limit, State
+from servogym.drive.master import Master
+from servogym.envs import gantry
+from servogym.envs.masters.port import MachinePort
+from servogym.envs.tasks import LinearAxisEnv
+from servogym.envs.view import picture
+from servogym.envs.view.overlay import (
+    BAR,
+    BAR_WIDTH,
+    HEAD,
+    LIMIT,
+    LIMIT_NAME,
+    MODE,
+    ROW,
+    STATE,
+    STATE_COLOUR,
+    Overlay,
+    lines,
+)
+from servogym.envs.view.picture import HEIGHT, WIDTH
+
+ID = "servogym.envs:servogym/LinearAxis-v0"
+START = {"start": 0.1, "goal": 0.4}
+FAST = np.full(1, 0.6, np.float32)  # of the maximum velocity at once: at the torque limit
+
+
+def overlay(machine, title="", goal="", right=""):
+    """The overlay alone, on black."""
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    Overlay(list(machine.drives), WIDTH).draw(image, lines(machine), title, goal, right)
+    return image
+
+
+def columns(image, begin, end):
+    """The part of the last line between two places."""
+    return image[-ROW - 6 : -6, begin:end]
+
+
+@pytest.fixture
+def env():
+    env = LinearAxisEnv()
+    env.reset(seed=1, options=START)
+    return env
+
+
+def test_a_line_says_what_the_objects_say(env):
+    for _ in range(3):
+        env.step(FAST)
+    (line,) = lines(env.machine)
+    x = env.drive
+    assert (line.name, line.state, line.mode) == (
+        "x", State.OPERATION_ENABLED, "cyclic sync position",
+    )  # fmt: skip
+    assert 1e3 * line.error == pytest.approx(x.read("following_error_actual_value"), abs=1.0)
+    assert (line.window, line.unit) == (20.0, "mm")
+    assert line.limits == "torque"
+    assert x.axis.od.active_limits == Limit.TORQUE
+    assert line.fault == ""
+
+
+def test_every_limit_and_every_state_can_be_shown():
+    assert LIMIT_NAME.keys() == set(Limit)
+    assert STATE_COLOUR.keys() == set(State)
+
+
+def test_a_window_switched_off_is_said_and_drawn(env):
+    env.drive.write("following_error_window", 0xFFFFFFFF)
+    env.step(FAST)
+    (line,) = lines(env.machine)
+    assert line.numbers.endswith("/ off mm")
+    overlay(env.machine)
+
+
+def test_a_window_of_zero_has_every_error_outside(env):
+    line = lines(env.machine)[0]._replace(window=0.0)
+    none, some = np.zeros((2, HEIGHT, WIDTH, 3), np.uint8)
+    Overlay(["x"], WIDTH).draw(none, [line._replace(error=0.0)], "", "", "")
+    Overlay(["x"], WIDTH).draw(some, [line._replace(error=-1e-3)], "", "", "")
+    assert columns(none, BAR, BAR + 1)[14].max() < 100
+    assert columns(some, BAR, BAR + 1)[14].max() > 200
+
+
+def test_a_machine_just_powered_on_can_be_drawn():
+    assert overlay(gantry())[-20:].any()
+
+
+def test_the_parts_of_the_overlay_change_with_what_they_show(env):
+    env.step(np.zeros(1, np.float32))
+    rest = overlay(env.machine)
+    for _ in range(3):
+        env.step(FAST)
+    moving = overlay(env.machine)
+    for begin, end, changes in (
+        (STATE, MODE, False), (MODE, BAR, False), (BAR, BAR + BAR_WIDTH, True), (LIMIT, WIDTH, True)
+    ):  # fmt: skip
+        before, after = (columns(image, begin, end) for image in (rest, moving))
+        assert (before != after).any() == changes
+    env.drive.inject("overvoltage")
+    env.step(FAST)
+    fault = overlay(env.machine)
+    assert (columns(fault, STATE, MODE) != columns(moving, STATE, MODE)).any()
+    red = tuple(bytes.fromhex(STATE_COLOUR[State.FAULT][1:]))
+    assert tuple(fault[HEAD + 1, WIDTH - 2]) == red, "the fault is named in a red bar"
+    assert not moving[HEAD:-100].any(), "without a fault there is none"
+
+
+def test_the_bar_grows_with_the_following_error_and_turns_red_outside_the_window(env):
+    widths, reds = [], []
+    for share in (0.0, 0.01, 0.25, 1.0, 4.0):
+        line = lines(env.machine)[0]
+        image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        line = line._replace(error=share * line.window)
+        Overlay(["x"], WIDTH).draw(image, [line], "", "", "")
+        bar = columns(image, BAR + BAR_WIDTH // 2 + 2, BAR + BAR_WIDTH)[14].astype(int)
+        filled = np.abs(bar - bar[-1]).sum(axis=1) > 150
+        widths.append(int(filled.sum()) if share < 4 else BAR_WIDTH)
+        reds.append(bool(bar[0, 0] > 200))
+    assert widths == sorted(set(widths))
+    assert reds == [False, False, False, False, True]
+
+
+def test_a_gantry_has_a_line_for_each_drive(env):
+    machine = gantry()
+    Master(MachinePort(machine), "y").enable()
+    states = [line.state for line in lines(machine)]
+    assert states == [
+        State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED,
+    ]  # fmt: skip
+    three, one = (overlay(m)[HEAD:].any(axis=(1, 2)).sum() for m in (machine, env.machine))
+    assert three - one == 2 * ROW
+
+
+def test_long_names_and_texts_stay_in_their_columns(env):
+    line = lines(env.machine)[0]
+    one, other = np.zeros((2, HEIGHT, WIDTH, 3), np.uint8)
+    endless = "very " * 100
+    Overlay(["x"], WIDTH).draw(one, [line._replace(limits=endless)], "T", endless, "reward 1.00")
+    Overlay(["x"], WIDTH).draw(other, [line], "T", "", "reward 1.00")
+    np.testing.assert_array_equal(columns(one, 0, LIMIT), columns(other, 0, LIMIT))
+    np.testing.assert_array_equal(one[:HEAD, -100:], other[:HEAD, -100:])
+    np.testing.assert_array_equal(one[:HEAD, :40], other[:HEAD, :40])
+
+
+def test_images_have_their_shape_and_follow_the_goal(gl):
+    env = gym.make(ID, render_mode="rgb_array")
+    env.reset(seed=1, options=START)
+    image = env.render()
+    assert (image.shape, image.dtype) == ((HEIGHT, WIDTH, 3), np.uint8)
+    env.reset(seed=1, options=START | {"goal": 0.2})
+    other = env.render()
+    assert (image[100:400] != other[100:400]).any(), "the ghost has moved"
+    assert (image[:HEAD] != other[:HEAD]).any(), "the distance has changed"
+    env.close()
+    env.close()
+
+
+def test_drawing_changes_nothing_bit_for_bit(gl):
+    plain, drawn = LinearAxisEnv(), LinearAxisEnv(render_mode="rgb_array")
+    for env in (plain, drawn):
+        env.reset(seed=3)
+    for action in np.random.default_rng(0).uniform(-0.5, 0.5, (30, 1)).astype(np.float32):
+        drawn.render()
+        np.testing.assert_array_equal(plain.step(action)[0], drawn.step(action)[0])
+    assert plain.machine.snapshot() == drawn.machine.snapshot()
+    drawn.close()
+
+
+def test_a_vector_environment_draws_each_of_its_machines(gl):
+    envs = gym.make_vec(ID, 3, render_mode="rgb_array", threads=2)
+    alone = gym.make_vec(ID, 3, threads=2)
+    envs.reset(seed=5)
+    alone.reset(seed=5)
+    for action in np.linspace(-0.5, 0.5, 6, dtype=np.float32):
+        images = envs.render()
+        actions = np.full((3, 1), action)
+        np.testing.assert_array_equal(envs.step(actions)[0], alone.step(actions)[0])
+    assert len(images) == 3
+    assert len({image.tobytes() for image in images}) == 3
+    single = LinearAxisEnv(render_mode="rgb_array")
+    single.reset(seed=6)
+    for action in np.linspace(-0.5, 0.5, 6, dtype=np.float32)[:5]:
+        single.step(np.full(1, action))
+    np.testing.assert_array_equal(single.render(), images[1])
+    envs.close()
+    single.close()
+
+
+def test_images_a_second_are_the_steps_of_a_second():
+    assert LinearAxisEnv().metadata["render_fps"] == 200
+    assert LinearAxisEnv(cycles_per_step=40).metadata["render_fps"] == 50
+    envs = gym.make_vec(ID, 2, cycles_per_step=40)
+    assert envs.metadata["render_fps"] == 50
+    envs.close()
+
+
+def test_record_video_gets_every_image(gl, tmp_path, monkeypatch):
+    # what is tested is the wrapper's side; the encoder itself is stood in for where it is missing
+    clips = []
+
+    class Clip:
+        def __init__(self, frames, fps):
+            clips.append((len(frames), frames[0].shape, fps))
+
+        def write_videofile(self, path, logger):
+            pass
+
+    names = ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip")
+    for name in names:
+        module = types.ModuleType(name)
+        module.ImageSequenceClip = Clip
+        monkeypatch.setitem(sys.modules, name, module)
+    env = gym.wrappers.RecordVideo(
+        gym.make(ID, render_mode="rgb_array", max_episode_steps=4), str(tmp_path / "video")
+    )
+    env.reset(seed=1)
+    for _ in range(4):
+        env.step(np.zeros(1, np.float32))
+    env.close()
+    assert clips == [(5, (HEIGHT, WIDTH, 3), 200)]
+
+
+# ------------------------------------------------------------------------- the window
+
+
+class Window:
+    """Stands for the passive viewer of MuJoCo, which needs a display."""
+
+    def __init__(self, model, data, **_):
+        mujoco.mj_forward(model, data)  # as launch_passive does
+        self.user_scn = mujoco.MjvScene(model, 100)
+        self.cam = mujoco.MjvCamera()
+        self.texts, self.syncs, self.open = [], 0, True
+
+    def lock(self):
+        return contextlib.nullcontext()
+
+    def is_running(self):
+        return self.open
+
+    def set_texts(self, texts):
+        self.texts = texts
+
+    def sync(self):
+        self.syncs += 1
+
+    def close(self):
+        self.open = False
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    import mujoco.viewer
+
+    opened = []
+    monkeypatch.setattr(picture, "require_display", lambda: None)
+    monkeypatch.setattr(
+        mujoco.viewer,
+        "launch_passive",
+        lambda *a, **k: opened.append(Window(*a, **k)) or opened[-1],
+    )
+    return opened
+
+
+def test_a_window_shows_ghost_and_texts_and_changes_nothing(windows):
+    plain, watched = LinearAxisEnv(), LinearAxisEnv(render_mode="human")
+    for env in (plain, watched):
+        env.reset(seed=3, options=START)
+    for _ in range(6):
+        np.testing.assert_array_equal(plain.step(FAST)[0], watched.step(FAST)[0])
+    (window,) = windows
+    assert window.syncs == 7
+    assert window.user_scn.ngeom == 1
+    (_, _, title, _), (_, _, drives, limits) = window.texts
+    assert "LinearAxis-v0" in title
+    assert "carriage" in title
+    assert drives.startswith("x  operation enabled  cyclic sync position")
+    assert drives.isascii()
+    assert limits == "limit torque"
+    watched.close()
+    assert not window.open
+
+
+def test_an_episode_goes_on_when_the_user_closes_the_window(windows):
+    env = LinearAxisEnv(render_mode="human")
+    env.reset(seed=3)
+    windows[0].open = False
+    env.step(FAST)
+    env.reset()
+    assert len(windows) == 1, "it is not opened again"
+    assert windows[0].syncs == 1
+    env.close()
+
+
+def test_images_open_no_window(gl, windows):
+    env = LinearAxisEnv(render_mode="rgb_array")
+    env.reset(seed=3)
+    env.render()
+    env.step(FAST)
+    env.close()
+    assert not windows
+
+
+@pytest.mark.skipif("sys.platform != 'linux'", reason="elsewhere a window needs no variable")
+def test_without_a_display_the_next_step_is_named(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    env = LinearAxisEnv(render_mode="human")
+    with pytest.raises(RuntimeError, match=r"no display.*rgb_array.*--record"):
+        env.reset(seed=1)
+
+
+def test_without_opengl_the_next_step_is_named(monkeypatch):
+    def missing(*_):
+        raise RuntimeError("no EGL device")
+
+    monkeypatch.setattr(mujoco, "Renderer", missing)
+    env = LinearAxisEnv(render_mode="rgb_array")
+    env.reset(seed=1)
+    with pytest.raises(RuntimeError, match=r"no EGL device.*MUJOCO_GL"):
+        env.render()

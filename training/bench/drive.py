@@ -1,0 +1,213 @@
+"""`servogym bench`: what the drive costs beside the physics, measured interleaved in one run.
+
+The drive runs a motion once and its torques are recorded. Then blocks alternate: physics alone with
+those torques replayed, and drive and physics together, both from the same state, both inside a
+compiled loop. Physics alone is `mj_step` on the same model with MuJoCo's own friction in it. Both
+see the same motion, and a machine that grows slower meanwhile slows both.
+"""
+
+import copy
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from rich.console import Console
+from rich.table import Table
+
+from ...drive.kernel.jit import entry
+from ...drive.kernel.words import Mode
+from ...drive.master import Master
+from ...envs.engine import loop
+from ...envs.engine.machine import NO_IMAGES, Machine
+from ...envs.engine.physics import STATE, addresses, mj_step
+from ...envs.masters.port import MachinePort
+from ...envs.plants.linear_axis import linear_axis
+
+CYCLES = 600  # position cycles a block
+SAME_MOTION = 1e-4  # m; MuJoCo's friction is a soft constraint, ours is not
+
+
+@entry
+def physics_alone(model, data, ctrl, torques):
+    """`mj_step` once for each of the recorded torques (Nm)."""
+    for i in range(len(torques)):
+        ctrl[0] = torques[i]
+        mj_step(model, data)
+
+
+def _moving_machine(drive: str, everything_each_step: bool):
+    machine = linear_axis(drive)
+    if everything_each_step:
+        for axis in machine.axes:
+            axis.velocity_cycles = 1
+            axis.position_period = axis.velocity_period
+            axis.parameters_changed = 1
+    machine.reset(positions={"x": 0.1})
+    if everything_each_step:
+        for axis in machine.axes:
+            axis.velocity_cycles = 1
+            axis.position_period = axis.velocity_period
+    master = Master(MachinePort(machine))
+    master.enable()
+    master.set_mode(Mode.PROFILE_VELOCITY)
+    machine.drives["x"].write("target_velocity", 200_000)
+    machine.step(100)
+    return machine
+
+
+def _with_own_friction(machine: Machine) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The same model with the friction of its driven joints as MuJoCo's constraint."""
+    model = copy.copy(machine.model)
+    for coupling in machine.couplings:
+        model.dof_frictionloss[coupling.dof] = coupling.friction
+    return model, mujoco.MjData(model)
+
+
+def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, Any]:
+    """Nanoseconds per physics step with and without the drive, and their ratio, per block."""
+    machine = _moving_machine(drive, everything_each_step)
+    snapshot = machine.snapshot()
+    steps = CYCLES * (1 if everything_each_step else machine.physics_steps)
+    torques = np.zeros(steps)
+    plain, plain_data = _with_own_friction(machine)
+    model, data = addresses(plain, plain_data)
+
+    def loop_of_the_machine(steps: int) -> None:
+        loop.run(machine.addresses, steps, NO_IMAGES, NO_IMAGES)
+
+    def with_drive() -> float:
+        machine.restore(snapshot)
+        begin = time.perf_counter()
+        loop_of_the_machine(steps)
+        return (time.perf_counter() - begin) / steps * 1e9
+
+    def alone() -> float:
+        mujoco.mj_setState(plain, plain_data, begin_state, STATE)
+        begin = time.perf_counter()
+        physics_alone(model, data, plain_data.ctrl, torques)
+        return (time.perf_counter() - begin) / steps * 1e9
+
+    machine.restore(snapshot)
+    begin_state = np.empty(mujoco.mj_stateSize(plain, STATE))
+    mujoco.mj_getState(machine.model, machine.data, begin_state, STATE)
+    for i in range(steps):
+        loop_of_the_machine(1)
+        torques[i] = machine.data.ctrl[0]
+    alone()
+    if np.abs(plain_data.qpos - machine.data.qpos).max() > SAME_MOTION:
+        raise RuntimeError("the replay of the torques does not reproduce the motion")
+    with_drive()
+    pairs = np.array([(with_drive(), alone()) for _ in range(repeat)])
+    ratios = pairs[:, 0] / pairs[:, 1]
+    return {
+        "mj_step_ns": float(np.median(pairs[:, 1])),
+        "drive_and_mj_step_ns": float(np.median(pairs[:, 0])),
+        "ratio": float(np.median(ratios)),
+        "ratio_quartiles": [float(q) for q in np.percentile(ratios, (25, 75))],
+        "steps_per_block": steps,
+        "blocks": repeat,
+    }
+
+
+def two_threads(drive: str, repeat: int) -> dict[str, float]:
+    """Throughput of two machines on two threads over one on one; the same for mujoco.batch."""
+    steps = 40_000
+    machines = [_moving_machine(drive, False) for _ in range(2)]
+    snapshots = [machine.snapshot() for machine in machines]
+
+    def run(chosen) -> float:
+        for machine, snapshot in zip(machines, snapshots, strict=True):
+            machine.restore(snapshot)
+        begin = time.perf_counter()
+        with ThreadPoolExecutor(len(chosen)) as pool:
+            list(pool.map(lambda machine: machine.step(steps // machine.physics_steps), chosen))
+        return time.perf_counter() - begin
+
+    batches = {n: Batch(machines[0].model, nsim=2, nthread=n) for n in (1, 2)}
+
+    def batch(threads: int) -> float:
+        begin = time.perf_counter()
+        batches[threads].step(nstep=steps)
+        return time.perf_counter() - begin
+
+    run(machines)
+    batch(2)
+    ours, theirs = [], []
+    for _ in range(repeat):
+        ours.append(2 * run(machines[:1]) / run(machines))
+        theirs.append(batch(1) / batch(2))
+    return {"machines": float(np.median(ours)), "mujoco_batch": float(np.median(theirs))}
+
+
+_START = """
+import time; begin = time.perf_counter()
+from servogym.envs import linear_axis
+machine = linear_axis(); machine.step()
+print(time.perf_counter() - begin)
+"""
+
+
+def start_times() -> dict[str, float]:
+    """Seconds from the start of Python to the first cycle, compiling (cold) and not (warm)."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"SERVOGYM_CACHE_DIR": cache}
+        times = []
+        for _ in range(2):
+            result = subprocess.run(
+                [sys.executable, "-c", _START],
+                env=environment, capture_output=True, text=True, check=True,
+            )  # fmt: skip
+            times.append(float(result.stdout))
+    return {"cold_start_s": times[0], "warm_start_s": times[1]}
+
+
+def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
+    """Measure and print; -> exit status."""
+    with console.status("measuring ..."):
+        results = {
+            "drive": drive,
+            "python": platform.python_version(),
+            "mujoco": mujoco.__version__,
+            "rates_of_the_model": measure(drive, repeat, False),
+            "position_cycle_every_step": measure(drive, repeat, True),
+            "two_threads_over_one": two_threads(drive, max(repeat // 5, 3)),
+            **start_times(),
+        }
+    if as_json:
+        console.file.write(json.dumps(results, indent=1) + "\n")
+        return 0
+    table = Table(
+        title=f"drive {drive}, one axis with friction, moving; MuJoCo {mujoco.__version__}"
+    )
+    for column in ("", "mj_step\n(ns)", "drive + mj_step\n(ns)", "ratio\n(median)", "quartiles"):
+        table.add_column(column, justify="right" if column else "left")
+    for key, name in (
+        ("rates_of_the_model", "rates of the model"),
+        ("position_cycle_every_step", "position cycle every step"),
+    ):
+        r: Any = results[key]
+        low, high = r["ratio_quartiles"]
+        table.add_row(
+            name, f"{r['mj_step_ns']:.0f}", f"{r['drive_and_mj_step_ns']:.0f}",
+            f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
+        )  # fmt: skip
+    console.print(table)
+    threads: Any = results["two_threads_over_one"]
+    console.print(
+        f"two machines on two threads over one: {threads['machines']:.2f} times the steps "
+        f"(mujoco.batch in the same run: {threads['mujoco_batch']:.2f})"
+    )
+    console.print(
+        f"start to first cycle: cold {results['cold_start_s']:.1f} s (compiling), "
+        f"warm {results['warm_start_s']:.1f} s"
+    )
+    return 0

@@ -1,0 +1,158 @@
+"""`servogym bench --ethercat`: frames through slave controllers, and pysoem on a veth pair.
+
+The second part runs in a network namespace of its own (`unshare -Urn`), so it needs no rights;
+where there are no namespaces, or no pysoem, it is left out and the reason is shown.
+"""
+
+import importlib.util
+import json
+import os
+import platform
+import shutil
+import signal
+import statistics
+import struct
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ...drive.ethercat.bus import Bus
+from ...drive.ethercat.frame import Command as C
+from ...drive.ethercat.frame import logical, pack
+from ...drive.ethercat.master import EtherCatMaster
+from ...envs.plants.catalogue import ethercat_line
+
+MODEL = "kollmorgen_akd"
+SLAVES = (1, 2, 8, 32)
+ON_THE_WIRE = ((1, "none"), (8, "none"), (1, "linear"), (8, "linear"))
+FRAMES = 100  # in a row: short, so that some row has a core for itself
+CYCLES, ROWS = 20_000, 20
+
+
+def controllers(slaves: int, repeat: int) -> dict[str, float]:
+    """Time of an LRW frame through slaves in OPERATIONAL, without machines (µs).
+
+    Returns: `best` and `median` of `repeat` rows of frames.
+
+    Raises RuntimeError where a working counter is wrong.
+    """
+    segment, _ = ethercat_line([MODEL] * slaves, "none")
+    master = EtherCatMaster(Bus(segment))
+    master.to_op()
+    begin, size, _ = master._groups[0]
+    frame = np.frombuffer(pack([logical(C.LRW, begin, bytes(size))]), np.uint8)
+    length, times = len(frame), []
+    for _ in range(repeat):
+        spent = 0
+        for _ in range(FRAMES):
+            segment.frame[:length] = frame
+            start = time.perf_counter_ns()
+            segment.pass_frame(length, 0)
+            spent += time.perf_counter_ns() - start
+        times.append(spent / FRAMES / 1000)
+    (counter,) = struct.unpack_from("<H", segment.frame.tobytes(), 26 + size)
+    if counter != 3 * slaves:
+        raise RuntimeError(f"working counter {counter} of {slaves} slaves")
+    return {"best": min(times), "median": statistics.median(times)}
+
+
+def on_the_wire(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
+    """Pysoem's LRW cycles per second; -> rate and wrong working counters, or the reason."""
+    if importlib.util.find_spec("pysoem") is None:
+        return {"left_out": "pip install pysoem"}
+    if not shutil.which("unshare") or not shutil.which("ip"):
+        return {"left_out": "unshare and ip are needed (util-linux, iproute2)"}
+    done = subprocess.run(
+        ["unshare", "-Urn", sys.executable, "-m", __name__, str(slaves), axis, str(cycles)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        return {"left_out": (done.stderr.strip().splitlines() or ["it failed"])[-1]}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
+    """What runs in the namespace: the server in a copy of this process, pysoem in this one."""
+    import pysoem
+
+    from ...drive.wire.ethercat import EtherCatServer
+    from ...drive.wire.ethernet import RawPort
+
+    for command in (
+        "link add va type veth peer name vb", "link set va up", "link set vb up",
+    ):  # fmt: skip
+        subprocess.run(["ip", *command.split()], check=True)
+    segment, machines = ethercat_line([MODEL] * slaves, axis)
+    server = EtherCatServer(Bus(segment, machines), [RawPort("va")])
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGTERM, lambda *_: server.stop())
+        server.run()
+        os._exit(0)
+    try:
+        master = pysoem.Master()
+        master.open("vb")
+        master.config_init()
+        master.config_map()
+        master.state_check(pysoem.SAFEOP_STATE, 5_000_000)
+        master.state = pysoem.OP_STATE
+        master.write_state()
+        for _ in range(100):
+            master.send_processdata()
+            master.receive_processdata(100_000)
+        wrong, rates = 0, []
+        for _ in range(ROWS):
+            begin = time.perf_counter()
+            for _ in range(cycles // ROWS):
+                master.send_processdata()
+                wrong += master.receive_processdata(100_000) != master.expected_wkc
+            rates.append(cycles // ROWS / (time.perf_counter() - begin))
+        state = master.state_check(pysoem.OP_STATE, 50_000)
+        master.close()
+    finally:
+        os.kill(child, signal.SIGTERM)
+        os.waitpid(child, 0)
+    return {"best": max(rates), "median": statistics.median(rates), "wrong": wrong,
+            "in_op": state == pysoem.OP_STATE}  # fmt: skip
+
+
+def run(repeat: int, as_json: bool, console: Console) -> int:
+    """Measure and print; -> exit status."""
+    with console.status("measuring ..."):
+        results: dict[str, Any] = {
+            "python": platform.python_version(),
+            "controller_us": {n: controllers(n, 10 * repeat) for n in SLAVES},
+            "pysoem": {
+                f"{n} {axis}": on_the_wire(n, axis, CYCLES if axis == "none" else CYCLES // 10)
+                for n, axis in ON_THE_WIRE
+            },
+        }
+    if as_json:
+        console.file.write(json.dumps(results, indent=1) + "\n")
+        return 0
+    table = Table(title=f"an LRW frame through {MODEL} in OPERATIONAL (µs)")
+    for column in ("slaves", "best", "median"):
+        table.add_column(column, justify="right")
+    for n, row in results["controller_us"].items():
+        table.add_row(str(n), f"{row['best']:.2f}", f"{row['median']:.2f}")
+    console.print(table)
+    for name, row in results["pysoem"].items():
+        slaves, axis = name.split()
+        what = f"pysoem, clock = frame, {slaves} slaves, axis {axis}"
+        if "left_out" in row:
+            console.print(f"{what}: left out: {row['left_out']}")
+        else:
+            console.print(
+                f"{what}: {row['median']:.0f} cycles/s (best row {row['best']:.0f}), "
+                f"{row['wrong']} wrong working counters"
+            )
+    return 0
+
+
+if __name__ == "__main__":
+    print(json.dumps(_inside(int(sys.argv[1]), sys.argv[2], int(sys.argv[3]))))

@@ -1,0 +1,114 @@
+"""`servogym bench --train`: PPO on our vector beside PPO on SB3's `DummyVecEnv`, in one run.
+
+The same environment, net, rollout, batches and epochs; only what steps the environments differs.
+Blocks alternate, so a machine that grows slower meanwhile slows both.
+"""
+
+import json
+import time
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ..learn import sb3  # first: tells what has to be installed
+
+# isort: split
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+
+from ...envs import POINT_TO_POINT
+from ..learn import checkpoint, hyperparameters
+
+ENV = POINT_TO_POINT.ID
+ROLLOUT = 8192  # steps between updates, of all environments together
+BLOCKS = 4
+PEERS = 8  # environments in the `DummyVecEnv`
+OURS = (8, 64, 256)
+
+
+class _Stopwatch(BaseCallback):
+    """Seconds spent in rollouts."""
+
+    spent = 0.0
+
+    def _on_rollout_start(self) -> None:
+        self._begin = time.perf_counter()
+
+    def _on_rollout_end(self) -> None:
+        self.spent += time.perf_counter() - self._begin
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def _learner(env: VecEnv) -> PPO:
+    chosen = hyperparameters.of(POINT_TO_POINT, "PPO")
+    names = ("batch_size", "n_epochs", "learning_rate", "gamma", "policy_kwargs")
+    settings = {name: chosen[name] for name in names}
+    settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
+    n_steps = ROLLOUT // env.num_envs
+    return PPO("MlpPolicy", VecMonitor(env), n_steps=n_steps, seed=0, device="cpu", **settings)
+
+
+def _block(model: PPO) -> tuple[float, float]:
+    """One rollout and update: µs a step of the rollout, and of the update."""
+    stopwatch = _Stopwatch()
+    begin = time.perf_counter()
+    model.learn(ROLLOUT, stopwatch, reset_num_timesteps=False)
+    whole = time.perf_counter() - begin
+    return stopwatch.spent / ROLLOUT * 1e6, (whole - stopwatch.spent) / ROLLOUT * 1e6
+
+
+def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> list[dict[str, Any]]:
+    """Medians of `blocks` after one for warming up; the first row is that of the peer."""
+    environments: dict[str, VecEnv] = {
+        f"DummyVecEnv of {PEERS}": DummyVecEnv(
+            [lambda: gym.make(ENV, drive=drive) for _ in range(PEERS)]
+        )
+    }
+    environments |= {f"ServoVecEnv of {n}": sb3.make(ENV, n, drive=drive) for n in ours}
+    learners = {name: _learner(env) for name, env in environments.items()}
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in learners}
+    for _ in range(blocks + 1):
+        for name, learner in learners.items():
+            times[name].append(_block(learner))
+    taken = {name: np.array(found[1:]) for name, found in times.items()}
+    first = next(iter(taken.values()))
+    rows = []
+    for name, found in taken.items():
+        ratio = first.sum(axis=1) / found.sum(axis=1)
+        rows.append({
+            "environments": name,
+            "steps_per_s": float(1e6 / np.median(found.sum(axis=1))),
+            "rollout_us": float(np.median(found[:, 0])),
+            "update_us": float(np.median(found[:, 1])),
+            "ratio": float(np.median(ratio)),
+            "ratio_of_the_rollouts": float(np.median(first[:, 0] / found[:, 0])),
+        })  # fmt: skip
+    for env in environments.values():
+        env.close()
+    return rows
+
+
+def run(drive: str, as_json: bool, console: Console) -> int:
+    """Measure and print; -> exit status."""
+    with console.status("training ..."), sb3.one_thread():
+        rows = measure(drive)
+    if as_json:
+        results = {"drive": drive, "versions": checkpoint.versions(), "train": rows}
+        console.file.write(json.dumps(results, indent=1) + "\n")
+        return 0
+    table = Table(title=f"PPO on {ENV}, drive {drive}, updates of {ROLLOUT} steps")
+    heads = ("", "steps/s", "rollout\n(µs/step)", "update\n(µs/step)", "ratio", "of rollouts")
+    for head in heads:
+        table.add_column(head, justify="right" if head else "left")
+    for row in rows:
+        name, rate, rollout, update, ratio, of_rollouts = row.values()
+        table.add_row(name, f"{rate:.0f}", f"{rollout:.0f}", f"{update:.0f}", f"{ratio:.2f}",
+                      f"{of_rollouts:.2f}")  # fmt: skip
+    console.print(table)
+    return 0

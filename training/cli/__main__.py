@@ -1,0 +1,7 @@
+"""``python -m servogym.training.cli``."""
+
+import sys
+
+from . import main
+
+sys.exit(main())

@@ -1,0 +1,46 @@
+"""`servogym bench`."""
+
+import argparse
+
+from rich.console import Console
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    bench = commands.add_parser("bench", help="cost of the drive beside mj_step, start times")
+    bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    bench.add_argument("--repeat", type=int, default=200, help="pairs of blocks (200)")
+    bench.add_argument("--can", action="store_true", help="SDO servers, and drives in lock-step")
+    bench.add_argument(
+        "--envs", action="store_true", help="the environments, beside the loop and their peers"
+    )
+    bench.add_argument(
+        "--ethercat", action="store_true", help="slave controllers, and pysoem on a veth pair"
+    )
+    bench.add_argument("--train", action="store_true", help="PPO on our vector and on DummyVecEnv")
+    bench.add_argument("--json", action="store_true", help="machine-readable")
+    bench.set_defaults(run=_bench)
+
+
+def _bench(options: argparse.Namespace, console: Console) -> int:
+    if options.repeat < 1:
+        raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
+    if options.train:
+        from ..bench import train as train_bench
+
+        return train_bench.run(options.drive, options.json, console)
+    if options.can:
+        from ..bench import can as can_bench
+
+        return can_bench.run(options.repeat, options.json, console)
+    if options.ethercat:
+        from ..bench import ethercat as ethercat_bench
+
+        return ethercat_bench.run(options.repeat, options.json, console)
+    if options.envs:
+        from ..bench import envs as env_bench
+
+        return env_bench.run(options.drive, options.repeat, options.json, console)
+    from ..bench import drive as bench
+
+    return bench.run(options.drive, options.repeat, options.json, console)

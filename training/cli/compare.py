@@ -1,0 +1,50 @@
+"""`servogym eval` and `servogym compare`."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from . import arguments
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    for name, what in (("eval", "one policy on fixed episodes"), ("compare", "several policies")):
+        command = commands.add_parser(name, help=f"{what}: table, data, picture")
+        command.add_argument("env", help="environment, as LinearAxis-v0")
+        if name == "eval":
+            command.add_argument("--policy", required=True, help=arguments.POLICY)
+        else:
+            command.add_argument("--policies", required=True, help="names, separated by commas")
+            command.add_argument(
+                "--conditions", nargs="?", const="all", metavar="NAMES",
+                help="off nominal: delay, noise, friction, … (all), or a list of names or axes",
+            )  # fmt: skip
+        command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
+        command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
+        command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
+        command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
+        arguments.add(command)
+        command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
+        command.set_defaults(run=_compare)
+
+
+def _compare(options: argparse.Namespace, console: Console) -> int:
+    from ..evaluate import compare
+
+    single = options.command == "eval"
+    policies = [options.policy] if single else [p for p in options.policies.split(",") if p]
+    if not policies:
+        raise ValueError("--policies is empty: give names, separated by commas")
+    if not single and options.conditions is not None:
+        from ..evaluate import conditions
+
+        return conditions.run(
+            options.env, policies, options.drive, options.episodes, options.seed, options.out,
+            console, dict(options.argument or ()), options.conditions,
+        )  # fmt: skip
+    return compare.run(
+        options.command, options.env, policies, options.drive, options.episodes, options.seed,
+        options.out, console, dict(options.argument or ()), options.trace,
+    )  # fmt: skip

@@ -1,0 +1,74 @@
+"""`servogym decode`."""
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.console import Console
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    decode = commands.add_parser("decode", help="print a log of CAN or EtherCAT by meaning")
+    decode.add_argument(
+        "log", type=Path,
+        help=".log of candump, .asc, .blf, .trc, .csv; .pcapng and .pcap of EtherCAT",
+    )  # fmt: skip
+    decode.add_argument(
+        "--drive",
+        help="drive model, see `servogym drives` (generic; on EtherCAT that of the identity)",
+    )
+    decode.add_argument(
+        "--node-id", type=int, nargs="+", action="extend", help="nodes that are such a drive (all)"
+    )
+    decode.set_defaults(run=_decode)
+
+
+def _decode(options: argparse.Namespace, console: Console) -> int:
+    """Print the frames of a log. Raises ValueError where it is damaged or holds no frame."""
+    lines = _of_ethercat if options.log.suffix in (".pcapng", ".pcap") else _of_can
+    empty = True
+    try:
+        for seconds, text in lines(options):
+            empty = False
+            if text:
+                print(f"{seconds:12.6f}  {text}")
+        sys.stdout.flush()
+    except BrokenPipeError:  # `servogym decode run.log | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    if empty:
+        raise ValueError(f"{options.log}: there is no frame in it; is it complete?")
+    return 0
+
+
+def _of_ethercat(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
+    """Time (s) and line; an empty line for a frame that tells nothing new."""
+    from ...drive.ethercat.decode import EtherCatDecoder
+    from ...drive.wire.pcapng import read
+
+    if options.node_id:
+        raise ValueError("--node-id is for CAN; slaves of EtherCAT are all told")
+    decoder = EtherCatDecoder(options.drive)
+    begin = None
+    for packet in read(options.log):
+        begin = packet.time if begin is None else begin
+        for text in decoder.decode(packet.frame) or [""]:
+            yield (packet.time - begin) * 1e-9, text
+
+
+def _of_can(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
+    """Time (s) and line."""
+    from ...drive.canopen.decode import Decoder
+    from ...drive.wire.bus import to_frame
+    from ...drive.wire.log import messages, not_classical
+
+    decoder = Decoder(options.drive or "generic", options.node_id or range(1, 128))
+    begin = None
+    for message in messages(options.log):
+        begin = message.timestamp if begin is None else begin
+        frame = to_frame(message)
+        text = decoder.decode(frame) if frame else not_classical(message)
+        yield message.timestamp - begin, text

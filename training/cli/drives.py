@@ -1,0 +1,71 @@
+"""`servogym drives`."""
+
+import argparse
+
+from rich.console import Console
+from rich.table import Table
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    drives = commands.add_parser("drives", help="list the drive models, or tell about one")
+    drives.add_argument("model", nargs="?", help="name or folder of a model")
+    drives.set_defaults(run=_drives)
+
+
+def _identity(model) -> str:
+    """Identity object 1018h, as far as the model has it."""
+    parts = ("vendor-id", "product code", "revision", "serial number")
+    rows = [(part, model.objects.get((0x1018, n))) for n, part in enumerate(parts, start=1)]
+    return "\n".join(f"{part} {row.default:08X}h" for part, row in rows if row)
+
+
+def _modes(model) -> str:
+    from ...drive.kernel.words import MODE_ABBREVIATION
+
+    return " ".join(MODE_ABBREVIATION[mode] for mode in model.modes)
+
+
+def _drives(options: argparse.Namespace, console: Console) -> int:
+    from ...drive.drive import Drive
+    from ...drive.model.model import foreign_names, load, model_names
+
+    if options.model is None:
+        table = Table("model", "title", "modes", "position cycle (µs)")
+        for name in dict.fromkeys([*model_names(), *foreign_names()]):
+            try:
+                model = load(name)
+            except ValueError as error:  # of another package
+                table.add_row(name, str(error))
+                continue
+            table.add_row(
+                name, model.title, _modes(model), f"{model.cycle_time['position'] * 1e6:g}"
+            )
+        console.print(table)
+        return 0
+    model = Drive(options.model).model  # with all the checks a drive makes
+    own = [fault for fault in model.faults if fault.cause]
+    faults = [f"{fault.name} {fault.code:04X}h {fault.meaning}".strip() for fault in own]
+    if len(own) < len(model.faults):
+        faults.append(f"{len(model.faults) - len(own)} more by injection, see faults.csv")
+    page = model.folder / "README.md"
+    table = Table(show_header=False, title=model.title)
+    for key, value in (
+        ("model", model.name),
+        ("standard", model.standard),
+        ("bus", ", ".join(model.buses)),
+        ("axes", "1" if model.axes == 1 else f"{model.axes}, with consecutive node-ids"),
+        ("identity", _identity(model)),
+        ("modes", _modes(model)),
+        ("homing methods", " ".join(map(str, model.homing_methods))),
+        *((f"{n} cycle", f"{t * 1e6:g} µs") for n, t in model.cycle_time.items()),
+        ("objects", str(len(model.objects))),
+        ("PDOs", f"{len(model.rpdos)} receive, {len(model.tpdos)} transmit"),
+        ("faults", "\n".join(faults)),
+        ("quirks", "\n".join(f"{n} = {q.value} ({q.source})" for n, q in model.quirks.items())),
+    ):
+        table.add_row(key, value or "none")
+    console.print(table)
+    if page.is_file():
+        print(f"what is inferred, what is not supported: {page}")
+    return 0

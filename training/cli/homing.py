@@ -1,0 +1,21 @@
+"""`servogym homing`."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    homing = commands.add_parser("homing", help="draw the homing methods from real runs")
+    homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
+    homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
+    homing.add_argument("--format", choices=("svg", "png"), default="svg")
+    homing.set_defaults(run=_homing)
+
+
+def _homing(options: argparse.Namespace, console: Console) -> int:
+    from ..pictures import homing_gallery
+
+    return homing_gallery.run(options.gallery, options.method, options.format, console)

@@ -1,0 +1,99 @@
+"""`servogym node`."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    from can.cli import add_bus_arguments
+
+    node = commands.add_parser(
+        "node",
+        help="serve drives as CANopen nodes on a bus, in real time",
+        epilog=f"without -i: -i {INTERFACE} -c {CHANNEL}, which needs no hardware",
+    )
+    node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
+    node.add_argument(
+        "--axis",
+        default="linear",
+        help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
+    )
+    add_bus_arguments(node, group_title="bus, as python-can has it")
+    node.add_argument("--bus-config", help="section of the configuration file of python-can")
+    node.add_argument("--log", help="file for all frames; .log candump, .asc, .blf ...")
+    node.add_argument(
+        "--parameter-file", type=Path,
+        help="where 1010h and LSS store, and power-on looks; of several drives each has its own, "
+        "with the node-id in its name",
+    )  # fmt: skip
+    node.set_defaults(run=_node)
+
+
+def _open(options: argparse.Namespace):
+    """The bus that the options say. Raises ValueError with all there is to say in a line."""
+    import can
+    from can.cli import create_bus_from_namespace
+
+    given: dict[str, Any] = {}
+    if options.bus_config:
+        given["config_context"] = options.bus_config
+    elif "interface" not in options:
+        given = {"interface": INTERFACE} | ({} if "channel" in options else {"channel": CHANNEL})
+    if "bitrate" not in options and "timing" not in options and not options.bus_config:
+        given["bitrate"] = BITRATE
+    if given.get("interface", getattr(options, "interface", "")) == "udp_multicast":
+        given["fd"] = False  # a node speaks classical CAN; its bus is FD by default
+    try:
+        return create_bus_from_namespace(options, **given)
+    except Exception as error:
+        reason = error.__cause__ or error  # python-can and its back-ends raise anything
+        where = " ".join(
+            f"--{name.replace('_', '-')} {getattr(options, name)}"
+            for name in ("bus_config", "interface", "channel", "bitrate", "bus_kwargs")
+            if getattr(options, name, None)
+        )
+        kind = "" if isinstance(reason, (can.CanError, OSError)) else f"{type(reason).__name__}: "
+        raise ValueError(
+            f"no bus on {where or 'the default'}: {kind}{' '.join(str(reason).split())}; "
+            f"without hardware use -i {INTERFACE} -c {CHANNEL}"
+        ) from None
+
+
+def _node(options: argparse.Namespace, console: Console) -> int:
+    """Serve until Ctrl-C or SIGTERM."""
+    from ...drive.wire.log import LogFile
+    from ...drive.wire.server import Server
+    from ...envs.plants.catalogue import machines_for
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False)
+
+    with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
+        machines = machines_for(
+            options.drive, options.node_id or [1], options.axis, options.parameter_file
+        )
+    log = LogFile(options.log, tell) if options.log else None
+    bus = _open(options)
+    server = Server(bus, machines, log, reopen=lambda: _open(options), tell=tell)
+    nodes = ", ".join(str(node.node_id) for node in server.nodes)
+    tell(f"{options.drive} as node {nodes} on {bus.channel_info}")
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()
+    s, adapter = server.statistics, server.adapter
+    trouble = f", {adapter.failed} bus errors, {adapter.lost} frames lost" if adapter.failed else ""
+    tell(
+        f"{s.received} frames received, {s.sent} sent, {s.cycles} position cycles, "
+        f"{s.missed} deadlines missed{trouble}"
+    )
+    return 0

@@ -1,0 +1,68 @@
+"""`servogym train` and `servogym curves`."""
+
+import argparse
+from pathlib import Path
+
+from rich import get_console
+from rich.console import Console
+
+from . import arguments
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    train = commands.add_parser("train", help="train a policy with stable-baselines3")
+    train.add_argument("env", help="id of an environment, as LinearAxis-v0")
+    train.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
+    train.add_argument("--algorithm", choices=("PPO", "SAC"), type=str.upper, help="(PPO)")
+    train.add_argument("--seed", type=int, help="of environments, weights and actions (0)")
+    train.add_argument("--steps", type=int, help="of all environments together")
+    train.add_argument("--envs", type=int, help="environments side by side")
+    arguments.add(train)
+    train.add_argument("--residual", metavar="POLICY", help="correct what this policy does")
+    train.add_argument(
+        "--bounds", type=_bounds, help="largest correction of each action: 0.05,0.05"
+    )
+    train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
+    train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
+    train.add_argument("--checkpoint-every", type=int, help="steps")
+    train.add_argument("--evaluate-every", type=int, help="steps")
+    train.set_defaults(run=_train)
+
+    curves = commands.add_parser("curves", help="draw the learning curves of trainings")
+    curves.add_argument("folder", type=Path, help="of a training, or with several in seed_*")
+    curves.add_argument("-o", "--out", type=Path, default=Path("out/curves.png"), help="picture")
+    curves.set_defaults(run=_curves)
+
+
+def _train(options: argparse.Namespace, console: Console) -> int:
+    from ..learn import train
+
+    console = get_console()  # on which the bar lives: what is printed comes above it
+    given = {
+        name: getattr(options, name)
+        for name in ("steps", "checkpoint_every", "evaluate_every")
+        if getattr(options, name) is not None
+    }
+    return train.run(
+        options.env, options.out, console, resume=options.resume, drive=options.drive,
+        algorithm=options.algorithm, seed=options.seed, envs=options.envs,
+        arguments=dict(options.argument) if options.argument else None,
+        residual=options.residual, bounds=options.bounds, progress=console.is_terminal, **given,
+    )  # fmt: skip
+
+
+def _bounds(text: str) -> list[float]:
+    """``"0.05,0.1"`` -> ``[0.05, 0.1]``."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no list of numbers: give one an action, as 0.05,0.05"
+        ) from None
+
+
+def _curves(options: argparse.Namespace, console: Console) -> int:
+    from ..evaluate import curves
+
+    return curves.run(options.folder, options.out, console)

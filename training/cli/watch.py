@@ -1,0 +1,30 @@
+"""`servogym watch`."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from . import arguments
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    watch = commands.add_parser("watch", help="see an environment move, in a window or recorded")
+    watch.add_argument("env", metavar="ENV", help="such as LinearAxis-v0")
+    watch.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
+    watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    watch.add_argument("--episodes", type=int, default=1, help="1 or more (1)")
+    watch.add_argument("--seed", type=int, default=0, help="of the first reset (0)")
+    watch.add_argument("--speed", type=float, default=1.0, help="1 is real time (1)")
+    watch.add_argument("--record", type=Path, help=".mp4, .gif, or a folder; else a window")
+    watch.set_defaults(run=_watch)
+
+
+def _watch(options: argparse.Namespace, console: Console) -> int:
+    from .. import watch
+
+    return watch.run(
+        options.env, options.policy, options.drive, options.episodes, options.seed,
+        options.speed, options.record, console,
+    )  # fmt: skip

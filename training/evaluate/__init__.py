@@ -1,0 +1,1 @@
+"""Judges policies and methods: episodes, metrics, comparisons, results."""

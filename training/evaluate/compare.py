@@ -1,0 +1,371 @@
+"""`servogym eval` and `servogym compare`: policies on the same fixed episodes.
+
+Score: 0 is holding still, 1 the reference of the task, both as the interquartile means of their
+returns over the same episodes. Every policy is compared with the best baseline, episode by episode.
+"""
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ...envs.about import Metric
+from ...envs.registry import task
+from ..pictures import episode as trace
+from ..policies import POLICIES, make, needed
+from ..report import GRID, INK, markdown, number, origin, write_json, write_page
+from .episodes import Evaluation, Evaluator
+from .metrics import METRICS, RESAMPLES, Difference, Summary, difference, iqm, summarise
+
+ZERO = "hold"
+SCORE = Metric("score", "high", "")
+# arguments that are a way to command and not a part of the task
+COMMANDING = {name for row in POLICIES.values() for name in row.arguments}
+ARROWS = {"high": " →", "low": " ←", "": ""}
+SHARES = ("success", "limited", "faults")  # told as means in percent
+SHOWN = (  # in the picture, the first six that apply
+    "score", "settling_time", "tracking_error", "overshoot", "vibration", "sway",
+    "reference_error", "peak_error", "rms_torque", "energy",
+)  # fmt: skip
+IDLE = ("hold", "random")  # would spoil the scales of all but the score
+
+
+def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
+    """Of each episode; not a number where `one` earns no more than `zero`."""
+    low, high = float(iqm(zero)), float(iqm(one))
+    span = high - low
+    return (returns - low) / span if span > 0.0 else np.full_like(returns, np.nan)
+
+
+def evaluate(
+    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
+    arguments: Mapping[str, Any] | None = None, traced: int = 0,
+) -> list[Evaluation]:  # fmt: skip
+    """Each policy on the fixed episodes, with the metric `score` where the task has a reference.
+
+    Args:
+        env: id of the environment.
+        policies: by name, each in an environment with the arguments it needs.
+        drive: drive model.
+        episodes: how many, 1..1000.
+        seed: of the episodes.
+        arguments: of the environment; the ends of the score keep the way they command.
+        traced: the episode to be recorded, 0 being the first.
+
+    Raises:
+        ValueError: an unknown environment, drive or policy, before the first episode.
+    """
+    given = dict(arguments or {})
+    common = {name: value for name, value in given.items() if name not in COMMANDING}
+    kind = task(env)
+    ends = [ZERO, kind.REFERENCE] if kind.REFERENCE else []
+    played = [(policy, needed(policy) | given) for policy in dict.fromkeys(policies)]
+    bounds = [(policy, common | needed(policy)) for policy in ends]
+    evaluators: dict[str, Evaluator] = {}
+    done: dict[tuple[str, str], Evaluation] = {}
+    try:
+        for policy, own in (*played, *bounds):
+            if repr(own) not in evaluators:
+                try:
+                    evaluators[repr(own)] = Evaluator(
+                        env, drive=drive, episodes=episodes, seed=seed, traced=traced, **own
+                    )
+                except TypeError as error:
+                    raise ValueError(
+                        f"--argument: {error}: see the arguments of {kind.ID}"
+                    ) from None
+            make(policy, evaluators[repr(own)].env)
+        for policy, own in (*played, *bounds):
+            if (policy, repr(own)) not in done:
+                done[policy, repr(own)] = evaluators[repr(own)].run(policy)
+    finally:
+        for evaluator in evaluators.values():
+            evaluator.close()
+    results = [done[policy, repr(own)] for policy, own in played]
+    if ends:
+        zero, one = (done[policy, repr(own)].values["episode_return"] for policy, own in bounds)
+        values = [scores(result.values["episode_return"], zero, one) for result in results]
+        for result, score in zip(results, values, strict=True):
+            result.values["score"] = score
+    return results
+
+
+def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
+    """By metric that applies to any: a summary for each policy, None where it does not apply."""
+    table = {}
+    for metric in ("score", *results[0].metrics):
+        better = _row(results, metric).better
+        columns = [result.by_training(metric) for result in results]
+        if any(values is not None for values in columns):
+            table[metric] = [
+                None if values is None else summarise(values, better, share=metric in SHARES)
+                for values in columns
+            ]
+    return table
+
+
+def _row(results: Sequence[Evaluation], metric: str) -> Metric:
+    return SCORE if metric == "score" else results[0].metrics[metric]
+
+
+def best(
+    table: Mapping[str, Sequence[Summary | None]], names: Sequence[str], metric: str, better: str
+) -> str:
+    """The best baseline by the interquartile mean of a metric; an idle one if there is no other.
+
+    Args:
+        table: of `summaries`.
+        names: of its columns.
+        metric: of the task.
+        better: "high" or "low".
+
+    Returns the first policy where no baseline has that metric.
+    """
+    known = {
+        name: s
+        for name, s in zip(names, table.get(metric, ()), strict=False)
+        if s is not None and name.partition(":")[0] in POLICIES
+    }
+    moving = [name for name in known if name not in IDLE] or list(known)
+    sign = -1.0 if better == "high" else 1.0
+    return min(moving, key=lambda name: sign * known[name].iqm, default=names[0])
+
+
+def differences(results: Sequence[Evaluation], against: str) -> dict[str, list[Difference | None]]:
+    """By metric: each policy less the one it is compared with, None where one has no value."""
+    (other,) = (result for result in results if result.policy == against)
+    table: dict[str, list[Difference | None]] = {}
+    for metric in ("score", *results[0].metrics):
+        base = other.by_training(metric)
+        columns = [result.by_training(metric) for result in results]
+        if base is not None:
+            table[metric] = [
+                None
+                if values is None or result is other
+                else difference(values, base, share=metric in SHARES)
+                for result, values in zip(results, columns, strict=True)
+            ]
+    return table
+
+
+def _cell(metric: str, summary: Summary | None) -> str:
+    if summary is None:
+        return "–"
+    if metric in SHARES:
+        low, high = 100 * summary.low, 100 * summary.high
+        return f"{100 * summary.mean:.0f} % [{low:.0f}, {high:.0f}]"
+    if metric == "score":
+        return f"{summary.iqm:.2f} [{summary.low:.2f}, {summary.high:.2f}]".replace("-0.00", "0.00")
+    return f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]"
+
+
+def _worst(metric: str, summary: Summary | None) -> str:
+    """Worst training and worst 5 %."""
+    if summary is None:
+        return "–"
+    pair = summary.worst_training, summary.tail
+    if metric in SHARES:
+        return ", ".join(f"{100 * value:.0f} %" for value in pair)
+    return ", ".join(number(value) for value in pair)
+
+
+def _apart(metric: str, found: Difference | None, better: str) -> str:
+    """In bold where the interval leaves 0 out on the better side."""
+    if found is None:
+        return "–"
+    if metric in SHARES:
+        text = f"{100 * found.value:+.0f} % [{100 * found.low:+.0f}, {100 * found.high:+.0f}]"
+    else:
+        text = f"{number(found.value)} [{number(found.low)}, {number(found.high)}]"
+    return f"**{text}**" if ahead(found, better) else text
+
+
+def ahead(found: Difference, better: str) -> bool:
+    """Whether the interval of a difference leaves 0 out, on the better side."""
+    return found.low > 0.0 if better == "high" else found.high < 0.0 and better == "low"
+
+
+def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
+    """Interquartile means with their intervals, a panel a metric."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
+    own = [metric for metric in metrics if metric not in METRICS and metric != "score"]
+    shown = [metric for metric in (*SHOWN, *own) if metric in table][:6]
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    figure, panels = plt.subplots(
+        rows, columns, figsize=(4.2 * columns, 0.8 + rows * (1.1 + 0.3 * len(results))),
+        layout="constrained", squeeze=False, sharey=True,
+    )  # fmt: skip
+    names = [_label(result.policy) for result in results]
+    for panel, metric in zip(panels.flat, shown, strict=False):
+        for y, (name, s) in enumerate(zip(names, table[metric], strict=True)):
+            if s is None or (metric != "score" and name in IDLE):
+                continue
+            panel.plot([s.low, s.high], [y, y], color=INK, lw=3, alpha=0.45)
+            panel.plot(s.iqm, y, "o", color=INK, ms=6)
+        panel.set_xlabel(metrics[metric].heading + ARROWS[metrics[metric].better])
+        panel.set_yticks(range(len(names)), names)
+        panel.set_ylim(len(names) - 0.5, -0.5)
+        panel.locator_params(axis="x", nbins=6)  # long numbers would touch
+        panel.grid(**GRID)
+        if metric == "score":
+            panel.axvline(0.0, color="#8a8f98", lw=1, ls="--")
+            panel.axvline(1.0, color="#8a8f98", lw=1, ls="--")
+        else:
+            panel.set_xlim(left=0.0)
+    for panel in list(panels.flat)[len(shown) :]:
+        panel.set_visible(False)
+    figure.suptitle(f"{title}: interquartile mean, 95 % interval; arrow: better", fontsize=11)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+def run(
+    command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
+    out: Path, console: Console, arguments: Mapping[str, Any] | None = None, traced: int = 0,
+) -> int:  # fmt: skip
+    """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
+
+    The second picture is of the episode `traced`.
+    """
+    results = evaluate(env, policies, drive, episodes, seed, arguments, traced)
+    table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
+    heading = ["metric", *(_label(result.policy) for result in results)]
+    rows = [
+        [metrics[metric].heading, *(_cell(metric, s) for s in columns)]
+        for metric, columns in table.items()
+    ]
+    shown = Table(*heading, title=f"{env}, drive {drive}, {episodes} episodes, seed {seed}")
+    for row in rows:
+        shown.add_row(*row)
+    console.print(shown)
+    names = [result.policy for result in results]
+    by = task(env).METRIC
+    against = best(table, names, by, metrics[by].better)
+    apart = differences(results, against) if len(results) > 1 else {}
+    sorted_out = [metric for metric in table if metrics[metric].better]
+    pages = markdown(heading, rows)
+    if apart:
+        pages += f"\n## Against {_label(against)}, on the same episodes\n\n" + markdown(
+            heading,
+            [
+                [
+                    metrics[metric].heading,
+                    *(_apart(metric, found, metrics[metric].better) for found in apart[metric]),
+                ]
+                for metric in sorted_out
+                if metric in apart
+            ],
+        )
+    pages += "\n## Worst training, worst 5 % of the episodes\n\n" + markdown(
+        heading,
+        [
+            [metrics[metric].heading, *(_worst(metric, s) for s in table[metric])]
+            for metric in sorted_out
+        ],
+    )
+    chosen = f"--policy {policies[0]}" if command == "eval" else f"--policies {','.join(policies)}"
+    source = origin(
+        f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
+        + (f" --trace {traced}" if traced else "")
+        + "".join(f" --argument {_quoted(*one)}" for one in (arguments or {}).items())
+    )
+    notes = (
+        f"Interquartile mean [95 % interval, {RESAMPLES} resamples of trainings and episodes] over "
+        f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[episodes - 1]}; "
+        f"{_trainings(results)}{_needs(policies)}shares are means. Differences are those of the "
+        "(interquartile) means, in bold where the interval is on the better side of 0. "
+        f"Score: {_scale(env, results)}.\n\n"
+    )
+    notes += "\n".join(
+        f"- {metrics[metric].heading}: {metrics[metric].what}"
+        for metric in table
+        if metrics[metric].what
+    )
+    title = f"{env}, drive {drive}"
+    write_page(out / f"{command}.md", title, pages, source, notes)
+    write_json(out / f"{command}.json", _data(source, env, drive, results, table, against, apart))
+    draw(out / f"{command}.png", title, results)
+    episode = f"episode {traced} of seed {seed}"
+    trace.draw(out / f"{command}_trace.png", f"{title}, {episode}", _traces(results))
+    console.print(f"{out / command}.md, .json, .png and _trace.png")
+    return 0
+
+
+def _traces(results: Sequence[Evaluation]) -> list[trace.Recording]:
+    """By their labels; idle policies only where there is no other."""
+    moving = [result for result in results if result.policy not in IDLE] or results
+    return [result.trace._replace(policy=_label(result.policy)) for result in moving]
+
+
+def _quoted(name: str, value: Any) -> str:
+    """As typed in a shell: ``NAME=VALUE``, a text as it is, all else in JSON."""
+    return shlex.quote(f"{name}={value if isinstance(value, str) else json.dumps(value)}")
+
+
+def _label(policy: str) -> str:
+    """Of a folder its name."""
+    return Path(policy).name if Path(policy).is_dir() else policy
+
+
+def _scale(env: str, results: Sequence[Evaluation]) -> str:
+    one = task(env).REFERENCE
+    if not one:
+        return "none, the task has no reference"
+    if all(result.by_training("score") is None for result in results):
+        return f"none, here {one} earns no more than {ZERO}"
+    return (
+        f"0 is {ZERO}, 1 is {one}, by the interquartile means of their returns on the same episodes"
+    )
+
+
+def _needs(policies: Sequence[str]) -> str:
+    rows = [(policy, needed(policy)) for policy in policies]
+    return "".join(
+        f"{policy} in an environment with {', '.join(_quoted(*one) for one in own.items())}; "
+        for policy, own in rows if own
+    )  # fmt: skip
+
+
+def _trainings(results: Sequence[Evaluation]) -> str:
+    several = [f"{result.policy}: {result.trainings}" for result in results if result.trainings > 1]
+    return f"trainings: {', '.join(several)}; " if several else ""
+
+
+def _data(source, env, drive, results, table, against, apart) -> dict[str, Any]:
+    return {
+        **source,
+        "env": env,
+        "drive": drive,
+        "seeds": sorted(set(results[0].seeds)),
+        "against": against,
+        "policies": {
+            result.policy: {
+                "summary": {
+                    metric: columns[i]._asdict()
+                    for metric, columns in table.items() if columns[i] is not None
+                },
+                "differences": {
+                    metric: columns[i]._asdict()
+                    for metric, columns in apart.items() if columns[i] is not None
+                },
+                "episodes": {
+                    metric: values for metric, values in result.values.items() if metric in table
+                },
+                "faults": result.faults,
+                "trainings": result.trainings,
+            }
+            for i, result in enumerate(results)
+        },
+    }  # fmt: skip

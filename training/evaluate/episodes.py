@@ -1,0 +1,251 @@
+"""Fixed episodes of an environment under a policy, and the metrics of each.
+
+Episode i of evaluation seed s has the seed 1,000,000 + 1,000 s + i: training, which counts up from
+small seeds, does not meet them. All episodes run side by side in a vector environment.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from ...drive.kernel.words import Mode
+from ...drive.model.model import DriveModel
+from ...envs.about import Metric
+from ...envs.engine import probe
+from ...envs.registry import task
+from ...envs.servo_env import ServoEnv
+from ...envs.vector_env import ServoVectorEnv
+from ..pictures.episode import Recorder, Recording
+from ..policies import BuiltIn, make, trainings
+from .metrics import METRICS, metrics
+
+FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
+WITHOUT_POSITION = (
+    Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
+)  # fmt: skip
+PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Of one policy: seeds, and by metric its values, both shape ``(n,)``, training by training."""
+
+    policy: str
+    seeds: list[int]
+    values: dict[str, np.ndarray]
+    faults: list[str]  # code and meaning, empty without one
+    trace: Recording  # of one of the episodes; of several trainings the first
+    trainings: int = 1  # of the same policy from as many seeds, each evaluated on all episodes
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)  # what values can be
+
+    def by_training(self, metric: str) -> np.ndarray | None:
+        """Values of a metric, shape ``(trainings, episodes)``; None where it does not apply."""
+        values = self.values.get(metric)
+        if values is None or not np.isfinite(values).any():
+            return None
+        return values.reshape(self.trainings, -1)
+
+
+def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
+    """The evaluations of several trainings as one."""
+    return Evaluation(
+        policy,
+        [seed for result in results for seed in result.seeds],
+        {
+            metric: np.concatenate([result.values[metric] for result in results])
+            for metric in results[0].values
+        },
+        [fault for result in results for fault in result.faults],
+        results[0].trace._replace(policy=policy),
+        len(results),
+        results[0].metrics,
+    )
+
+
+def seeds(seed: int, episodes: int) -> list[int]:
+    """Of the fixed episodes. Raises ValueError for numbers out of range."""
+    if not 1 <= episodes <= SEEDS_APART:
+        raise ValueError(f"--episodes = {episodes} is out of range 1..{SEEDS_APART}")
+    if not 0 <= seed <= 1_000_000:
+        raise ValueError(f"--seed = {seed} is out of range 0..1000000")
+    first = FIRST_SEED + SEEDS_APART * seed
+    return list(range(first, first + episodes))
+
+
+class Evaluator:
+    """The fixed episodes of one environment.
+
+    Args:
+        name: id of the environment.
+        drive: drive model.
+        episodes: how many, 1..1000.
+        seed: evaluation seed.
+        options: of the reset of each episode, shape ``(n,)``; none if not given.
+        traced: the episode that is recorded, 0..episodes - 1.
+        **arguments: of the environment.
+
+    Raises:
+        ValueError: naming what is wrong, before the first episode.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        drive: str | DriveModel = "generic",
+        episodes: int = 50,
+        seed: int = 0,
+        options: Sequence[dict[str, Any]] = (),
+        traced: int = 0,
+        **arguments: Any,
+    ):
+        self.task = task(name)
+        self.metrics = metrics(self.task)
+        self.seeds = seeds(seed, episodes)
+        if not 0 <= traced < episodes:
+            raise ValueError(
+                f"--trace = {traced} is out of range 0..{episodes - 1}: "
+                "choose one of the episodes, counted from 0"
+            )
+        self._traced = traced
+        self._options = options
+        self.vector = ServoVectorEnv(
+            self.task, episodes, autoreset_mode=AutoresetMode.DISABLED, drive=drive, **arguments
+        )
+        self.env = self.vector.envs[0]
+        self._actions = math.prod(self.env.action_space.shape or ())
+        self.steps = self.vector.max_episode_steps
+        self.duration = self.steps * self.env.step_time
+        for env in self.vector.envs:
+            env.machine.probe()
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self.vector.close()
+
+    def run(self, policy: str) -> Evaluation:
+        """All episodes under the policy of that name, or under each of its trainings.
+
+        Raises ValueError if it does not fit.
+        """
+        if folders := trainings(policy, self.task.ID):
+            return pooled(policy, [self._run(folder) for folder in folders])
+        return self._run(policy)
+
+    def _run(self, policy: str) -> Evaluation:
+        first = make(policy, self.env, self.seeds[0])
+        observations, infos = self._reset()
+        if isinstance(first, BuiltIn):
+            return self._built_in(policy, first)
+        made: list[Any] = [first]
+        made += [
+            make(policy, self.vector.envs[i], self.seeds[i]) for i in range(1, len(self.seeds))
+        ]
+        n = len(self.seeds)
+        returns, sway = np.zeros(n), np.zeros(n)
+        steps, unsettled = np.zeros(n, int), np.zeros(n, int)
+        active, faults = np.ones(n, bool), [""] * n
+        for i, one in enumerate(made):
+            one.reset(observations[i], {k: infos[k][i] for k in PUBLIC if k in infos})
+        actions = np.zeros((n, self._actions), np.float32)
+        recorder = Recorder(self.vector.envs[self._traced])
+        recorder.look(0.0)
+        while active.any():
+            for i in np.flatnonzero(active).tolist():
+                actions[i] = made[i].act(observations[i])
+            observations, rewards, ends, truncations, infos = self.vector.step(actions)
+            returns += rewards
+            steps += active
+            if active[self._traced]:
+                recorder.look(float(steps[self._traced]) * self.env.step_time)
+            if "sway" in infos and steps.max() > 0.75 * self.steps:
+                sway = np.maximum(sway, infos["sway"])
+            failing = active & ~infos["is_success"]
+            unsettled[failing] = steps[failing]
+            for i in np.flatnonzero(ends & active).tolist():
+                faults[i] = str(infos["fault"][i]) if "fault" in infos else ""
+            active &= ~(ends | truncations)
+        success = infos["is_success"].astype(float)
+        settled = np.where(success > 0, unsettled * self.env.step_time, self.duration)
+        values = self._empty() | {
+            "episode_return": returns,
+            "success": success,
+            "settling_time": settled,
+            "faults": np.array([fault != "" for fault in faults], float),
+        }
+        if "sway" in infos:
+            values["sway"] = np.where(steps == self.steps, 1e3 * sway, math.nan)
+        for i, env in enumerate(self.vector.envs):
+            for name, value in self._measured(env, faults[i]).items():
+                values[name][i] = value
+        done = float(values["settling_time"][self._traced])
+        trace = recorder.trace(
+            policy, done if done < self.duration else math.nan, faults[self._traced]
+        )
+        return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
+
+    def _reset(self) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin all episodes, and the measurement of each."""
+        seeds: list[int | None] = list(self.seeds)
+        observations, infos = self.vector.reset(seed=seeds)
+        for i, options in enumerate(self._options):
+            mask = np.arange(len(seeds)) == i
+            observations, infos = self.vector.reset(
+                seed=seeds, options={**options, "reset_mask": mask}
+            )
+        for env in self.vector.envs:
+            probe.begin(env.machine, self.duration, **env.settling())
+        return observations, infos
+
+    def _measured(self, env: ServoEnv, fault: str) -> dict[str, float]:
+        """Of an episode that has ended: the largest of all drives, work is a sum."""
+        probes = env.machine.probes
+        ticks = max(int(probes["ticks"][0]), 1)
+        rated = env.machine.axes["rated_torque"]
+        values = {
+            "peak_error": 1e6 * probes["error_peak"].max(),
+            "rms_error": 1e6 * np.sqrt(probes["error_squares"] / ticks).max(),
+            "peak_torque": (probes["torque_peak"] / rated).max(),
+            "rms_torque": (np.sqrt(probes["torque_squares"] / ticks) / rated).max(),
+            "rms_jerk": np.sqrt(probes["jerk_squares"] / np.maximum(probes["jerks"], 1)).max(),
+            "energy": probes["work"].sum(),
+            "limited": probes["limited"].max() / ticks,
+        }
+        if env.MODES[0] in WITHOUT_POSITION:
+            values["peak_error"] = values["rms_error"] = math.nan  # no demand, nothing follows
+        one = probes[0]
+        if env.settling():
+            values["overshoot"] = 1e6 * one.overshoot
+            inside = one.outside < one.ticks and not fault
+            timestep = env.machine.model.opt.timestep
+            values["settling_time"] = one.outside * timestep if inside else self.duration
+        if one.first >= 0 and one.highest >= one.lowest:
+            values["vibration"] = 0.5e6 * (one.highest - one.lowest)
+        values |= env.figures()
+        if unknown := values.keys() - self.metrics.keys():
+            raise ValueError(
+                f"task {self.task.__name__}: METRICS lacks {', '.join(sorted(unknown))}, which "
+                "its figures() tell"
+            )
+        return {name: float(value) for name, value in values.items()}
+
+    def _built_in(self, policy: str, chosen: BuiltIn) -> Evaluation:
+        """What a homing method of the drive makes of the same starts."""
+        values = self._empty()
+        recorder = Recorder(self.vector.envs[self._traced])
+        for i, env in enumerate(self.vector.envs):
+            observer = recorder.look if i == self._traced else None
+            judged: Any = env
+            found = judged.judged(chosen.method, chosen.objects, observer=observer)
+            for name, value in ({"settling_time": self.duration} | found).items():
+                values[name][i] = value
+        trace = recorder.trace(policy, math.nan)
+        faults = [""] * len(self.seeds)
+        return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
+
+    def _empty(self) -> dict[str, np.ndarray]:
+        return {name: np.full(len(self.seeds), math.nan) for name in self.metrics}

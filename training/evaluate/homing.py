@@ -1,0 +1,132 @@
+"""`servogym benchmark homing`: every homing method of a drive on every axis of the family.
+
+Each method searches from several starts, with the switches answering elsewhere each time as far as
+the mechanics let them. Repeatability is three standard deviations of the errors over the starts.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from ...drive.kernel.homing import HERE
+from ...drive.model.model import load
+from ...envs import FAMILY, Machine, linear_axis
+from ...envs.masters.homing_figures import built_in
+from ..pictures.heat_map import draw
+from ..pictures.homing_gallery import fit_home_switch, home_switch
+from ..report import markdown, number, origin, write_csv, write_page
+
+STARTS = (0.033, 0.127, 0.217, 0.364, 0.473)  # m, none on an index pulse, one on the home switch
+QUICK_STARTS = (0.033, 0.217)
+QUICK_METHODS = (1, 17, 23, -17)
+QUICK_FAMILY = ("rigid", "ball_screw")
+ON_A_STOP = (-1, -2, -17, -18)
+STOP_SPEED = 50_000  # µm/s, all the way to a stop
+TIMEOUT = 20.0  # s
+SEED = 1  # of where the switches answer
+
+Row = dict[str, Any]
+
+
+def measure(drive: str, quick: bool, console: Console) -> list[Row]:
+    """A row for each run."""
+    model = load(drive)
+    methods = [method for method in model.homing_methods if method not in HERE]
+    if quick:
+        methods = [method for method in methods if method in QUICK_METHODS]
+    if not methods:
+        raise ValueError(f"drive {model.name!r} has no homing method that searches")
+    generator = np.random.default_rng(SEED)
+    rows: list[Row] = []
+    for mechanics in track(QUICK_FAMILY if quick else FAMILY, "homing", console=console):
+        machine = linear_axis(model, mechanics=mechanics)
+        own = home_switch(machine)
+        for method in methods:
+            fit_home_switch(machine, method, own)
+            for start in QUICK_STARTS if quick else STARTS:
+                machine.mechanics["switch_seed"] = generator.integers(1, 2**63)
+                rows.append({"mechanics": mechanics, **_run(machine, method, start)})
+    return rows
+
+
+def _run(machine: Machine, method: int, start: float) -> Row:
+    objects = {"speed_during_search_for_zero": STOP_SPEED} if method in ON_A_STOP else {}
+    row: Row = {"method": method, "start_m": start}
+    try:
+        figures = built_in(machine, method, start, timeout=TIMEOUT, objects=objects)
+    except (RuntimeError, TimeoutError) as error:
+        return row | {
+            "attained": 0, "time_s": None, "error_um": None, "peak_torque_share": None,
+            "impact_J": None, "index_near": None, "failure": str(error),
+        }  # fmt: skip
+    return row | {
+        "attained": int(figures.attained),
+        "time_s": round(figures.time, 6),
+        "error_um": round(1e6 * figures.error, 3) if figures.attained else None,
+        "peak_torque_share": round(figures.greatest_torque, 4),
+        "impact_J": round(figures.impact_energy, 6),
+        "index_near": int(figures.index_near),
+        "failure": "" if figures.attained else f"no reference after {figures.time:g} s",
+    }
+
+
+def _of(rows: list[Row], name: str) -> np.ndarray:
+    return np.array([row[name] for row in rows if row["attained"]], float)
+
+
+def repeatability(errors: np.ndarray) -> float:
+    """Three standard deviations; not a number for fewer than two."""
+    return float(3.0 * errors.std(ddof=1)) if len(errors) > 1 else np.nan
+
+
+def run(drive: str, quick: bool, out: Path, console: Console) -> int:
+    """Measure, and write homing.csv, homing.md and homing.png to `out`; -> exit status."""
+    rows = measure(drive, quick, console)
+    source = origin(f"servogym benchmark homing --drive {drive}{' --quick' if quick else ''}")
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    family = list(dict.fromkeys(row["mechanics"] for row in rows))
+    shape = len(methods), len(family)
+    time, spread, bias, impact = (np.full(shape, np.nan) for _ in range(4))
+    failures, near = np.zeros(shape, int), np.zeros(shape, int)
+    for i, method in enumerate(methods):
+        for k, mechanics in enumerate(family):
+            runs = [r for r in rows if (r["method"], r["mechanics"]) == (method, mechanics)]
+            errors = _of(runs, "error_um")
+            failures[i, k] = len(runs) - len(errors)
+            near[i, k] = sum(bool(r["index_near"]) for r in runs)
+            spread[i, k] = repeatability(errors)
+            if len(errors):
+                bias[i, k] = errors[np.abs(errors).argmax()]
+                time[i, k] = _of(runs, "time_s").mean()
+                impact[i, k] = _of(runs, "impact_J").max()
+    table = [
+        [
+            str(method), mechanics, number(time[i, k]), number(bias[i, k]), number(spread[i, k]),
+            number(impact[i, k]), str(failures[i, k]), str(near[i, k]),
+        ]
+        for i, method in enumerate(methods)
+        for k, mechanics in enumerate(family)
+    ]  # fmt: skip
+    heading = [
+        "method", "axis", "time (s)", "worst error (µm)", "3σ (µm)", "largest impact (J)",
+        "failures", "index warnings",
+    ]  # fmt: skip
+    starts = sorted({row["start_m"] for row in rows})
+    notes = (
+        f"From {len(starts)} starts ({', '.join(f'{1e3 * s:g}' for s in starts)} mm): mean time, "
+        "error of the largest size, repeatability as three standard deviations, impacts on the end "
+        "stops. The error is the home found minus the true edge, index pulse or stop; the drive "
+        "sees its motor, so what is elastic in between counts. Index warnings: runs in which the "
+        "drive found the index pulse so near to the edge that home may jump by a turn (warning "
+        "FF10h of `generic`); then the switch belongs half a pitch farther."
+    )
+    write_csv(out / "homing.csv", source, rows)
+    write_page(out / "homing.md", f"Homing, drive {drive}", markdown(heading, table), source, notes)
+    panels = {"time (s)": time, "3σ (µm)": spread, "largest impact (J)": impact}
+    draw(out / "homing.png", f"homing methods, drive {drive}", methods, family, panels, failures)
+    done = sum(row["attained"] for row in rows)
+    console.print(f"{done} of {len(rows)} runs found a reference; {out / 'homing'}.csv, .md, .png")
+    return 0

@@ -1,0 +1,172 @@
+"""What is told of an episode, and how many of them are summed up.
+
+The figures come from the physics, at every physics step (`servogym.envs.engine.probe`), and from
+the infos at every step of the agent. What does not apply to a task is not a number and left out of
+tables.
+"""
+
+import math
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from ...envs.about import Metric
+from ...envs.servo_env import ServoEnv
+
+RESAMPLES = 2000
+CONFIDENCE = 0.95
+BOOTSTRAP_SEED = 1
+TAIL = 0.05  # of the episodes, the worst of which are told for themselves
+
+
+METRICS: dict[str, Metric] = {
+    "episode_return": Metric("return", "high", "sum of the rewards"),
+    "success": Metric("success", "high", "of the task, at the end of the episode"),
+    "settling_time": Metric(
+        "settling (s)", "low",
+        "after it what is moved stays in the window to the end; where the task ends with success: "
+        "until then; the whole episode where there was none",
+    ),
+    "overshoot": Metric("overshoot (µm)", "low", "farthest beyond the goal"),
+    "tracking_error": Metric("rms tracking error (µm)", "low", "reference minus position"),
+    "peak_error": Metric("peak following error (µm)", "low", "60F4h, demand minus actual"),
+    "rms_error": Metric("rms following error (µm)", "low", "60F4h, demand minus actual"),
+    "peak_torque": Metric("peak torque / rated", "", "of the motor"),
+    "rms_torque": Metric("rms torque / rated", "low", "of the motor, over the episode"),
+    "rms_jerk": Metric("rms jerk (m/s³)", "low", "of the driven joint, up to 100 Hz"),
+    "energy": Metric("energy (J)", "low", "positive mechanical work at the shaft"),
+    "vibration": Metric(
+        "residual vibration (µm)", "low",
+        "half the span of what is elastic, in the last quarter of an episode of full length",
+    ),
+    "sway": Metric(
+        "residual sway (mrad)", "low",
+        "greatest angle of the cable at a step, in the last quarter of an episode of full length",
+    ),
+    "reference_error": Metric("homing error (µm)", "low", "home found minus true home, absolute"),
+    "impact_energy": Metric("impact (J)", "low", "brought into the end stops, sum"),
+    "limited": Metric(
+        "at a limit", "low", "share of the time with statusword bit 11, at physics steps"
+    ),
+    "faults": Metric("faults", "low", "share of the episodes that a fault of the drive ended"),
+}  # fmt: skip
+
+
+def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
+    """The common ones, and those of a task."""
+    return METRICS | dict(task.METRICS)
+
+
+def iqm(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half along the last axis; a quarter is left out at each end.
+
+    What is not a number does not count; without any number it is not a number.
+    """
+    values = np.sort(values, axis=-1)  # what is not a number comes last
+    n = np.isfinite(values).sum(axis=-1, keepdims=True)
+    rank = np.arange(1, values.shape[-1] + 1)
+    weights = np.clip(np.minimum(rank, n + 1 - rank) - n / 4, 0.0, 1.0)
+    total = np.where(weights > 0.0, values * weights, 0.0).sum(axis=-1)
+    return _ratio(total, weights.sum(axis=-1))
+
+
+def mean(values: np.ndarray) -> np.ndarray:
+    """Along the last axis, of what is a number."""
+    finite = np.isfinite(values)
+    return _ratio(np.where(finite, values, 0.0).sum(axis=-1), finite.sum(axis=-1))
+
+
+def _ratio(total: np.ndarray, count: np.ndarray) -> np.ndarray:
+    return np.where(count > 0, total / np.maximum(count, 1e-300), math.nan)
+
+
+class Summary(NamedTuple):
+    """Of the values of one metric."""
+
+    mean: float
+    iqm: float  # interquartile mean
+    low: float  # of the 95 % interval of the interquartile mean, of shares of the mean
+    high: float
+    worst_training: float = math.nan  # the same of the worst training
+    tail: float = math.nan  # mean of the worst 5 % of the episodes
+
+
+class Difference(NamedTuple):
+    """Of two policies on the same episodes, the first less the second, and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def summarise(values: np.ndarray, better: str = "high", *, share: bool = False) -> Summary:
+    """Means and their interval by a two-level bootstrap.
+
+    Each of 2,000 resamples draws trainings with replacement, and episodes with replacement, the
+    same for all trainings, since they all play the same: what differs from training to training and
+    from episode to episode is in the interval (a crossed bootstrap: Owen 2007, The pigeonhole
+    bootstrap). Of zeros and ones it is joined with Wilson's interval for as many episodes, because
+    a resample of ones alone cannot say how rare a zero may be.
+
+    Args:
+        values: of one metric, shape ``(trainings, episodes)``; what does not apply is not a number.
+        better: "high" or "low"; empty: there is no worst.
+        share: tell the mean instead of the interquartile mean.
+    """
+    statistic = mean if share else iqm
+    low, high = _interval(statistic(_drawn(values, 0)))
+    finite = np.sort(values[np.isfinite(values)])
+    if share and np.isin(finite, (0.0, 1.0)).all():
+        bounds = _wilson(float(finite.mean()), int(np.isfinite(values).any(axis=0).sum()))
+        low, high = min(low, bounds[0]), max(high, bounds[1])
+    worst = tail = math.nan
+    if better:
+        count = math.ceil(TAIL * len(finite))
+        each = statistic(values)
+        worst = float(np.nanmin(each) if better == "high" else np.nanmax(each))
+        tail = float((finite[:count] if better == "high" else finite[-count:]).mean())
+    return Summary(
+        float(finite.mean()), float(iqm(values.reshape(1, -1))[0]), low, high, worst, tail
+    )
+
+
+def difference(one: np.ndarray, other: np.ndarray, *, share: bool = False) -> Difference:
+    """Of the (interquartile) means of two policies, paired by the episodes.
+
+    Both are resampled with the same episodes, each with trainings of its own.
+
+    Args:
+        one: values, shape ``(trainings, episodes)``.
+        other: of the same episodes.
+        share: of the means instead of the interquartile means.
+    """
+    statistic = mean if share else iqm
+    value = statistic(one.reshape(1, -1))[0] - statistic(other.reshape(1, -1))[0]
+    low, high = _interval(statistic(_drawn(one, 0)) - statistic(_drawn(other, 1)))
+    return Difference(float(value), low, high)
+
+
+def _drawn(values: np.ndarray, stream: int) -> np.ndarray:
+    """Resamples, shape ``(RESAMPLES, trainings × episodes)``; each stream draws other trainings."""
+    trainings, episodes = values.shape
+    chosen = np.random.default_rng([BOOTSTRAP_SEED, 0])
+    of_episodes = chosen.integers(0, episodes, (RESAMPLES, 1, episodes))
+    chosen = np.random.default_rng([BOOTSTRAP_SEED, 1 + stream])
+    of_trainings = chosen.integers(0, trainings, (RESAMPLES, trainings, 1))
+    return values[of_trainings, of_episodes].reshape(RESAMPLES, -1)
+
+
+def _interval(estimates: np.ndarray) -> tuple[float, float]:
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    found = estimates[np.isfinite(estimates)]  # a resample may have met no number
+    low, high = np.percentile(found, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def _wilson(share: float, n: int) -> tuple[float, float]:
+    """Interval of a share of `n` (Wilson 1927, Probable inference)."""
+    z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
+    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    return max(centre - half, 0.0), min(centre + half, 1.0)

@@ -1,0 +1,120 @@
+"""`servogym benchmark positioning`: ways to move from point to point, on every axis of the family.
+
+LinearAxis-v0 with fixed moves. The settling time is of the carriage itself, with what is elastic
+between it and the motor; the profiles are those of `servogym.training.policies.profiles`.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from ...envs import FAMILY, POINT_TO_POINT
+from ..pictures.heat_map import draw
+from ..report import markdown, number, origin, write_csv, write_page
+from .episodes import Evaluator
+
+STRATEGIES = ("trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd")
+PAYLOADS = (1.0, 5.0, 20.0)  # kg
+MOVES = ((0.2, 0.21), (0.3, 0.29), (0.1, 0.15), (0.35, 0.3), (0.1, 0.3), (0.4, 0.2))  # m
+QUICK_FAMILY, QUICK_PAYLOADS, QUICK_MOVES = ("rigid", "toothed_belt"), (5.0,), MOVES[:2]
+TOLERANCE = 50e-6  # m
+FIGURES = {  # name in the CSV: metric
+    "settling_s": "settling_time",
+    "overshoot_um": "overshoot",
+    "peak_following_error_um": "peak_error",
+    "residual_vibration_um": "vibration",
+    "rms_jerk_m_s3": "rms_jerk",
+    "rms_torque_share_of_rated": "rms_torque",
+    "peak_torque_share_of_rated": "peak_torque",
+    "energy_J": "energy",
+    "fault": "faults",
+}
+
+Row = dict[str, Any]
+
+
+def measure(drive: str, quick: bool, console: Console) -> list[Row]:
+    """A row for each move; a strategy that does not suit an axis has none there."""
+    moves = QUICK_MOVES if quick else MOVES
+    options = [{"start": start, "goal": goal} for start, goal in moves]
+    rows: list[Row] = []
+    for mechanics in track(QUICK_FAMILY if quick else FAMILY, "positioning", console=console):
+        for payload in QUICK_PAYLOADS if quick else PAYLOADS:
+            evaluator = Evaluator(
+                POINT_TO_POINT.ID, drive=drive, episodes=len(moves), options=options,
+                parameters=replace(FAMILY[mechanics], payload=payload), tolerance=TOLERANCE,
+            )  # fmt: skip
+            for strategy in STRATEGIES:
+                try:
+                    result = evaluator.run(strategy)
+                except ValueError:
+                    continue  # no spring to shape for, or not enough torque
+                for i, (start, goal) in enumerate(moves):
+                    rows.append(
+                        {
+                            "strategy": strategy, "mechanics": mechanics, "payload_kg": payload,
+                            "start_m": start, "goal_m": goal,
+                            "settled": int(result.values["settling_time"][i] < evaluator.duration),
+                            **{
+                                name: round(float(result.values[metric][i]), 6)
+                                for name, metric in FIGURES.items()
+                            },
+                        }
+                    )  # fmt: skip
+            evaluator.close()
+    return rows
+
+
+def run(drive: str, quick: bool, out: Path, console: Console) -> int:
+    """Measure, and write positioning.csv, .md and .png to `out`; -> exit status."""
+    rows = measure(drive, quick, console)
+    source = origin(f"servogym benchmark positioning --drive {drive}{' --quick' if quick else ''}")
+    plants = list(dict.fromkeys((row["mechanics"], row["payload_kg"]) for row in rows))
+    columns = [f"{mechanics}, {payload:g} kg" for mechanics, payload in plants]
+    means: dict[str, np.ndarray] = {}
+    failures = np.zeros((len(STRATEGIES), len(plants)), int)
+    shown = ("settling_s", "overshoot_um", "residual_vibration_um", "rms_torque_share_of_rated",
+             "energy_J")  # fmt: skip
+    for name in shown:
+        means[name] = np.full(failures.shape, np.nan)
+        for i, strategy in enumerate(STRATEGIES):
+            for k, plant in enumerate(plants):
+                runs = [
+                    row for row in rows
+                    if (row["strategy"], row["mechanics"], row["payload_kg"]) == (strategy, *plant)
+                ]  # fmt: skip
+                failures[i, k] = sum(not row["settled"] for row in runs)
+                if runs:
+                    means[name][i, k] = np.mean([row[name] for row in runs])
+    table = [
+        [columns[k], strategy, *(number(means[name][i, k]) for name in shown), str(failures[i, k])]
+        for k in range(len(plants))
+        for i, strategy in enumerate(STRATEGIES)
+        if np.isfinite(means["settling_s"][i, k])
+    ]
+    heading = [
+        "axis", "strategy", "settling (s)", "overshoot (µm)", "residual vibration (µm)",
+        "rms torque / rated", "energy (J)", "not settled",
+    ]  # fmt: skip
+    ways = sorted({round(1e3 * abs(row["goal_m"] - row["start_m"])) for row in rows})
+    notes = (
+        f"Means over moves of {', '.join(map(str, ways))} mm, there and back. Settling: the "
+        f"carriage stays within ±{1e6 * TOLERANCE:g} µm; where it does not within the second of an "
+        "episode, 1 s counts. Strategies without a row do not suit the axis."
+    )
+    write_csv(out / "positioning.csv", source, rows)
+    title = f"Positioning, drive {drive}"
+    write_page(out / "positioning.md", title, markdown(heading, table), source, notes)
+    panels = {
+        "settling (s)": means["settling_s"].T,
+        "overshoot (µm)": means["overshoot_um"].T,
+        "rms torque / rated": means["rms_torque_share_of_rated"].T,
+    }
+    path = out / "positioning.png"
+    draw(path, f"positioning strategies, drive {drive}", columns, STRATEGIES, panels, failures.T)
+    console.print(f"{len(rows)} moves; {out / 'positioning'}.csv, .md, .png")
+    return 0

@@ -1,0 +1,172 @@
+"""`servogym results`: what was learned, beside the best baseline, from the folders of the policies.
+
+Each folder, named after its task, has the `compare.json` that `servogym compare` wrote, pictures,
+and a README.md with a paragraph that begins with `HONEST`. Nothing else is on the page.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from ...envs.about import Metric
+from ...envs.registry import task
+from ..policies import LEARNED
+from ..report import markdown, number
+from .compare import SHARES, ahead
+from .metrics import METRICS, Difference, Summary, metrics
+
+FILE, PAGE, HONEST = "compare.json", "README.md", "**Where the baseline is better**"
+PICTURES = {  # as far as they are there
+    "compare_trace.png": "one episode",
+    "compare.png": "comparison",
+    "curves.png": "learning curves",
+}
+HEADING = (
+    "task", "metric", "learned", "best baseline", "difference", "worst training", "worst 5 %",
+    *(METRICS[share].heading for share in SHARES)
+)  # fmt: skip
+HEAD = """# What was learned
+
+The policy `learned` of each task, and the baseline that is best by the metric of that task, on the
+same fixed episodes and the same drive: interquartile means with their 95 % intervals, of which
+trainings and episodes are resampled, and the difference on the same episodes, in bold where its
+interval is on the better side of 0. Beside them the worst training and the worst 5 % of the
+episodes of the learned policy. Shares are means over the episodes, of the learned policy and of
+that baseline. One episode is drawn under each policy, of several trainings under the first.
+
+"""
+FOOT = """Written by `servogym results` from the `compare.json` of each folder.
+"""
+
+
+def page(folder: Path) -> str:
+    """The page about the policies in `folder`, a folder a task.
+
+    Raises:
+        ValueError: there are none, or one lacks a file, the policy `learned` or the paragraph.
+    """
+    folders = sorted(path for path in folder.glob("*-v*") if path.is_dir())
+    if not folders:
+        raise ValueError(f"{folder} has no folder of a task, such as CompliantAxis-v0")
+    rows, sections = [], []
+    for path in folders:
+        data = json.loads(_text(path, FILE, "servogym compare"))
+        kind = task(data["env"])
+        known = metrics(kind)
+        own, baseline = _chosen(path, data, kind.METRIC, known)
+        rows.append(_row(path.name, own, baseline, known, kind.METRIC))
+        sections.append(_section(path, data, own, baseline, known))
+    return HEAD + markdown(HEADING, rows) + "\n" + "".join(sections) + FOOT
+
+
+def run(folder: Path, console: Console) -> int:
+    """Write the page; -> exit status."""
+    text = page(folder)
+    (folder / PAGE).write_text(text, encoding="utf-8")
+    console.print(f"{folder / PAGE}")
+    return 0
+
+
+class _Policy(NamedTuple):
+    """One of a `compare.json`."""
+
+    name: str
+    summary: dict[str, Summary]  # by metric
+    differences: dict[str, Difference]  # from the best baseline, by metric
+    trainings: int
+
+
+def _chosen(
+    path: Path, data: Mapping[str, Any], metric: str, known: Mapping[str, Metric]
+) -> tuple[_Policy, _Policy]:
+    """The learned policy, and the baseline that is best by the metric of the task."""
+    policies = data["policies"]
+    if LEARNED not in policies:
+        raise ValueError(
+            f"{path / FILE} has no policy {LEARNED!r}, only {', '.join(policies)}: "
+            f"run `servogym compare {data['env']} --policies …,{LEARNED} --out {path}`"
+        )
+    against = data.get("against")
+    if against is None or metric not in policies[against]["summary"] or against == LEARNED:
+        raise ValueError(
+            f"{path / FILE} has no baseline with {metric} beside {LEARNED!r}: run "
+            f"`servogym compare {data['env']} --policies …,{LEARNED} --out {path}` with one"
+        )
+    own, baseline = (
+        _Policy(
+            name,
+            {metric: Summary(**row) for metric, row in policies[name]["summary"].items()},
+            {m: Difference(**row) for m, row in policies[name]["differences"].items()},
+            policies[name]["trainings"],
+        )
+        for name in (LEARNED, against)
+    )
+    return own, baseline
+
+
+def _row(
+    name: str, own: _Policy, baseline: _Policy, known: Mapping[str, Metric], metric: str
+) -> list[str]:
+    trainings = f"{own.trainings} trainings" if own.trainings > 1 else "1 training"
+    learned, found = own.summary[metric], own.differences[metric]
+    apart = f"{number(found.value)} [{number(found.low)}, {number(found.high)}]"
+    return [
+        f"[{name}](#{name.lower()}), {trainings}",
+        known[metric].heading,
+        _interval(learned),
+        f"{baseline.name}: {_interval(baseline.summary[metric])}",
+        f"**{apart}**" if ahead(found, known[metric].better) else apart,
+        number(learned.worst_training),
+        number(learned.tail),
+        *(f"{_share(own, share)}, {_share(baseline, share)}" for share in SHARES),
+    ]
+
+
+def _share(policy: _Policy, share: str) -> str:
+    return f"{100 * policy.summary[share].mean:.0f} %" if share in policy.summary else "–"
+
+
+def _behind(found: Difference, row: Metric) -> bool:
+    return ahead(found, "low" if row.better == "high" else "high")
+
+
+def _interval(summary: Summary) -> str:
+    return f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]"
+
+
+def _section(
+    path: Path, data: Mapping[str, Any], own: _Policy, baseline: _Policy,
+    known: Mapping[str, Metric],
+) -> str:  # fmt: skip
+    told = _text(path, PAGE, "a text editor")
+    honest = re.search(rf"^{re.escape(HONEST)}.*?(?=\n\s*\n|\Z)", told, re.M | re.S)
+    if honest is None:
+        raise ValueError(
+            f"{path / PAGE} has no paragraph that begins with {HONEST}: write where it loses"
+        )
+    pictures = "".join(
+        f"![{path.name}, {what}]({path.name}/{name})\n"
+        for name, what in PICTURES.items() if (path / name).is_file()
+    )  # fmt: skip
+    lost = [
+        row.heading for metric, row in known.items()
+        if metric in own.differences and row.better and _behind(own.differences[metric], row)
+    ]  # fmt: skip
+    better = ", ".join(lost) or "nothing"
+    intervals = f"By the intervals of the differences {baseline.name} is better in: {better}."
+    text = re.sub(r"\]\((?![a-z]+:|#|/)", f"]({path.name}/", honest.group().strip())
+    link = f"[{path.name}/{PAGE}]({path.name}/{PAGE})"
+    return (
+        f"## {path.name}\n\n{pictures}\n{text}\n\n{intervals}\n\nHow it was trained: {link}\n\n"
+        f"```sh\n{data['command']}\n```\n\n"
+    )
+
+
+def _text(path: Path, name: str, maker: str) -> str:
+    if not (path / name).is_file():
+        raise ValueError(f"{path} has no {name}: write it there with {maker}")
+    return (path / name).read_text(encoding="utf-8")

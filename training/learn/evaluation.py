@@ -1,0 +1,91 @@
+"""Evaluation of policies: the same episodes each time, and holding still beside them."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecEnv
+
+from . import checkpoint
+
+EPISODES = 16  # of an evaluation, one in each of as many environments
+EPISODES_SEED = 20_000_000  # they are the same for every run
+
+
+class Score(NamedTuple):
+    """Of the fixed episodes: mean return, its standard deviation, mean length (steps)."""
+
+    reward: float
+    deviation: float
+    length: float
+
+    def __str__(self) -> str:
+        """``"87.2 ± 4.1 in 200 steps"``."""
+        return f"{self.reward:.1f} ± {self.deviation:.1f} in {self.length:.0f} steps"
+
+
+class HoldStill:
+    """The policy every other one has to beat: actions of 0, or no correction."""
+
+    def __init__(self, actions: gym.Space):
+        self.shape = actions.shape or ()
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """Actions, shape ``(num_envs, actions)``, and no state."""
+        return np.zeros((len(observation), *self.shape), np.float32), None
+
+
+def score(policy, env: VecEnv) -> Score:
+    """Play the fixed episodes in `EPISODES` environments."""
+    env.seed(EPISODES_SEED)
+    rewards, lengths = evaluate_policy(policy, env, EPISODES, return_episode_rewards=True)
+    return Score(float(np.mean(rewards)), float(np.std(rewards)), float(np.mean(lengths)))
+
+
+class EvaluationCallback(EvalCallback):
+    """SB3's evaluation on fixed episodes, going on where a checkpoint was made; keeps the best."""
+
+    def __init__(
+        self, env: VecEnv, about: dict[str, Any], out: Path, every: int, console: Console
+    ):  # fmt: skip
+        freq = max(every // about["envs"], 1)
+        super().__init__(
+            env, n_eval_episodes=EPISODES, eval_freq=freq, log_path=str(out), verbose=0
+        )
+        self.about, self.out, self.console = about, out, console
+
+    def go_on(self, steps: int) -> None:
+        """Recover what was found up to `steps`."""
+        self.n_calls = steps // self.about["envs"]
+        file = self.out / "evaluations.npz"
+        if not file.is_file():
+            return
+        with np.load(file) as found:
+            kept = found["timesteps"] <= steps
+            self.evaluations_timesteps = found["timesteps"][kept].tolist()
+            self.evaluations_results = found["results"][kept].tolist()
+            self.evaluations_length = found["ep_lengths"][kept].tolist()
+            if "successes" in found:
+                self.evaluations_successes = found["successes"][kept].tolist()
+        means = [float(np.mean(rewards)) for rewards in self.evaluations_results]
+        self.best_mean_reward = max(means, default=-np.inf)
+
+    def _on_step(self) -> bool:
+        if self.n_calls % self.eval_freq:
+            return True
+        self.eval_env.seed(EPISODES_SEED)
+        best = self.best_mean_reward
+        super()._on_step()
+        better = self.best_mean_reward > best
+        if better:
+            about = self.about | {"mean_reward": self.best_mean_reward}
+            checkpoint.save(self.model, about, self.out / "best", resumable=False)
+        self.console.print(
+            f"{self.num_timesteps:>10} steps: reward of an episode {self.last_mean_reward:.1f}"
+            + (", the best so far" if better else "")
+        )
+        return True

@@ -1,0 +1,189 @@
+"""A `ServoVectorEnv` as the `VecEnv` of stable-baselines3.
+
+>>> env = make("LinearAxis-v0", 64, drive="kollmorgen_akd")
+>>> PPO("MlpPolicy", VecMonitor(env)).learn(100_000)
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from ...envs.registry import task
+from ...envs.servo_env import ServoEnv
+from ...envs.vector_env import ServoVectorEnv
+from ..policies.residual import ResidualVectorEnv
+from ..policies.saved import stable_baselines3
+
+stable_baselines3()  # tells what has to be installed
+
+# isort: split
+import torch  # noqa: E402
+from stable_baselines3.common.utils import LinearSchedule  # noqa: E402
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
+
+
+def make(
+    env_id: str, num_envs: int = 1, *, residual: str | None = None,
+    bounds: Sequence[float] | None = None, **arguments: Any,
+) -> "ServoVecEnv":  # fmt: skip
+    """Environments for SB3.
+
+    Args:
+        env_id: of any task, see `servogym.envs.registry.task`.
+        num_envs: how many.
+        residual: a policy by name; the actions are bounded corrections of what it does.
+        bounds: the largest correction of each component of an action, 0..1.
+        **arguments: of `ServoVectorEnv` and of the task.
+
+    Raises:
+        ValueError: an unknown id, a residual without bounds or the contrary, and as
+            `ServoVectorEnv` and `ResidualVectorEnv` do.
+    """
+    kind, same = task(env_id), AutoresetMode.SAME_STEP
+    if (residual is None) != (bounds is None):
+        raise ValueError(
+            f"residual = {residual!r} and bounds = {bounds!r} belong together: give the policy "
+            "that is corrected and the largest correction of each action, or neither"
+        )
+    if residual is not None and bounds is not None:
+        return ServoVecEnv(
+            ResidualVectorEnv(
+                kind, num_envs, residual=residual, bounds=bounds, autoreset_mode=same, **arguments
+            )
+        )
+    return ServoVecEnv(ServoVectorEnv(kind, num_envs, autoreset_mode=same, **arguments))
+
+
+def learning_rate(rate: float | Sequence[float]) -> float | LinearSchedule:
+    """As SB3 takes it: a number, or what falls from the first of two to the second.
+
+    Raises ValueError for any other number of numbers.
+    """
+    if not isinstance(rate, Sequence):
+        return rate
+    if len(rate) != 2:
+        raise ValueError(f"learning_rate = {rate!r}: give one number, or the first and the last")
+    first, last = rate
+    return LinearSchedule(first, last, 1.0)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: with nets this small, a second one costs more than it brings."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class ServoVecEnv(VecEnv):
+    """What SB3 trains on; the numbers are those of its `DummyVecEnv` of the same environments.
+
+    An info is nearly empty until an episode ends: then it is that of the last step, with
+    ``terminal_observation`` and ``TimeLimit.truncated``, but without ``state``, ``time`` and
+    ``injected``, which a `ServoVectorEnv` does not tell.
+
+    Args:
+        vector: the environments, with `AutoresetMode.SAME_STEP`.
+
+    Raises:
+        ValueError: for another autoreset.
+    """
+
+    def __init__(self, vector: ServoVectorEnv):
+        if vector.autoreset_mode != AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"autoreset_mode = {vector.autoreset_mode.value!r}, SB3 expects the first "
+                "observation of the next episode in the step that ends one: make the vector with "
+                "autoreset_mode='SameStep'"
+            )
+        self.vector = vector
+        self._actions = np.zeros(vector.action_space.shape or ())
+        super().__init__(
+            vector.num_envs, vector.single_observation_space, vector.single_action_space
+        )
+
+    def reset(self) -> np.ndarray:
+        """Begin anew with the seeds and options set before, shape ``(num_envs, width)``.
+
+        Raises ValueError where `set_options` was given different ones.
+        """
+        if any(options != self._options[0] for options in self._options):
+            raise ValueError("set_options: the environments are reset together, give one dict")
+        observations, _ = self.vector.reset(seed=self._seeds, options=self._options[0])
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = [env.info() for env in self.vector.envs]
+        return observations
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for `step_wait`, shape ``(num_envs, actions)`` in [-1, 1]."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """One step of each: observations, rewards, dones, infos."""
+        observations, rewards, terminated, truncated, ended = self.vector.step(self._actions)
+        dones = terminated | truncated
+        infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in dones]
+        for i in np.flatnonzero(dones).tolist():
+            infos[i] = _row(ended["final_info"], i)
+            infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+            infos[i]["terminal_observation"] = ended["final_obs"][i].copy()
+            self.reset_infos[i] = self.vector.envs[i].info()
+        return observations, rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """Stop the threads, close what was rendered."""
+        self.vector.close()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """A picture of each with ``render_mode="rgb_array"``, else None of each."""
+        return self.vector.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        """An attribute of the environments. Raises AttributeError."""
+        return [getattr(env, attr_name) for env in self._chosen(indices)]
+
+    def set_attr(
+        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
+    ) -> None:
+        """Set an attribute of the environments."""
+        for env in self._chosen(indices):
+            setattr(env, attr_name, value)
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: int | Iterable[int] | None = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """What a method of the environments returns."""
+        return [
+            getattr(env, method_name)(*method_args, **method_kwargs)
+            for env in self._chosen(indices)
+        ]
+
+    def env_is_wrapped(
+        self, wrapper_class: type, indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        """No environment is: what SB3 puts around is put around all of them."""
+        return [False for _ in self._chosen(indices)]
+
+    def _chosen(self, indices: int | Iterable[int] | None) -> list[ServoEnv]:
+        return [self.vector.envs[i] for i in self._get_indices(indices)]
+
+
+def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """The info of environment `i` out of the infos of all, in Python's own types."""
+    shown = {name: values for name, values in infos.items() if not name.startswith("_")}
+    drawn = shown.pop("parameters", {})
+    info = {name: values[i : i + 1].tolist()[0] for name, values in shown.items()}
+    info.setdefault("fault", "")
+    info["parameters"] = {name: values[i : i + 1].tolist()[0] for name, values in drawn.items()}
+    return info

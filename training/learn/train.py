@@ -1,0 +1,252 @@
+"""`servogym train`: PPO or SAC of stable-baselines3 on an environment, to be interrupted at will.
+
+A run has a folder: `progress.csv`, `evaluations.npz` (the same episodes each time), `checkpoints/`
+and `best/`, the policy of the best evaluation.
+"""
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from . import sb3  # first: tells what has to be installed
+
+# isort: split
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+
+from ...envs.checks import whole
+from ...envs.registry import short, task
+from ..policies import saved
+from . import checkpoint, hyperparameters, state
+from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
+
+MOST = 10**12  # steps
+ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a training run is; each of its checkpoints says it.
+
+    Args:
+        env_id: of the environment.
+        drive: drive model, by name or folder.
+        algorithm: PPO or SAC.
+        seed: of environments, weights and actions.
+        envs: number of environments.
+        arguments: others of the environment, in JSON's types.
+        hyperparameters: as in `servogym.training.learn.hyperparameters`.
+        residual: a policy whose actions are corrected; none: the actions are the policy's own.
+        bounds: the largest correction of each component of an action, 0..1.
+
+    Raises:
+        ValueError: naming the argument, its value and what is possible.
+    """
+
+    env_id: str
+    drive: str
+    algorithm: str
+    seed: int
+    envs: int
+    arguments: dict[str, Any]
+    hyperparameters: dict[str, Any]
+    residual: str | None = None
+    bounds: list[float] | None = None
+
+    def __post_init__(self):
+        whole("seed", self.seed, 0, 2**31 - 1)
+
+    def vector(self, envs: int) -> VecEnv:
+        """Environments of this run. Raises ValueError as the environment does."""
+        try:
+            return VecMonitor(
+                sb3.make(
+                    self.env_id, envs, drive=self.drive, residual=self.residual,
+                    bounds=self.bounds, **self.arguments,
+                )
+            )  # fmt: skip
+        except TypeError as error:
+            raise ValueError(f"arguments of {self.env_id}: {error}") from None
+
+
+def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None) -> Run:
+    """A new run of what is asked for, and the defaults."""
+    kind = task(env_id)
+    algorithm = asked["algorithm"] or "PPO"
+    residual = asked["residual"]
+    table = hyperparameters.of(kind, algorithm, asked["envs"], residual=bool(residual))
+    chosen = table | dict(settings or {})
+    return Run(
+        kind.ID, asked["drive"] or "generic", algorithm, asked["seed"] or 0,
+        chosen.pop("n_envs"), asked["arguments"] or {}, chosen, residual, asked["bounds"],
+    )  # fmt: skip
+
+
+def _continued(folder: Path, env_id: str, asked: Mapping[str, Any], console: Console) -> Run:
+    """The run of a checkpoint. Raises ValueError where something else is asked for."""
+    about = saved.read(folder)
+    for name, value in {"env_id": task(env_id).ID, **asked}.items():
+        if value is not None and value != about.get(name):
+            raise ValueError(
+                f"checkpoint {folder} has {name} = {about.get(name)!r}, asked for is {value!r}: "
+                "leave it out, or begin a new run with another --out"
+            )
+    for name, present in checkpoint.versions().items():
+        then = about["versions"].get(name)
+        if then == present:
+            continue
+        if name in checkpoint.DECIDING:
+            raise ValueError(
+                f"checkpoint {folder} was made with {name} {then}, this is {present}: "
+                "go on with that version, or begin a new run with another --out"
+            )
+        console.print(f"note: the checkpoint was made with {name} {then}, this is {present}")
+    return Run(**{name: about[name] for name in Run.__dataclass_fields__ if name in about})
+
+
+def train(
+    env_id: str,
+    *,
+    steps: int = hyperparameters.STEPS,
+    out: Path | None = None,
+    resume: bool = False,
+    drive: str | None = None,
+    algorithm: str | None = None,
+    seed: int | None = None,
+    envs: int | None = None,
+    arguments: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    residual: str | None = None,
+    bounds: Sequence[float] | None = None,
+    checkpoint_every: int = 50_000,
+    evaluate_every: int = 25_000,
+    progress: bool = False,
+    console: Console | None = None,
+) -> tuple[Score, Score]:
+    """Train a policy -> score of it and of actions of 0, on the fixed episodes.
+
+    Args:
+        env_id: of any task, see `servogym.envs.registry.task`.
+        steps: of all environments together, from the beginning of the run.
+        out: folder of the run; ``out/ENV-DRIVE-ALGORITHM-SEED`` if not given.
+        resume: go on from the latest checkpoint; what is not given is as it was.
+        drive: drive model (generic).
+        algorithm: PPO or SAC (PPO).
+        seed: of environments, weights and actions (0).
+        envs: number of environments; if not given, that of the hyper-parameters.
+        arguments: others of the environment, in JSON's types; `max_episode_steps` too.
+        settings: hyper-parameters that differ from the table, for a new run.
+        residual: a policy whose actions are corrected by what is learned.
+        bounds: the largest correction of each component of an action, 0..1.
+        checkpoint_every: steps from one to the next.
+        evaluate_every: steps from one to the next.
+        progress: show a bar, where tqdm is installed.
+        console: where to tell.
+
+    Raises:
+        ValueError: naming what is wrong; where `out` has a run already, or another one.
+    """
+    console = console or Console(quiet=True)
+    whole("steps", steps, 1, MOST)
+    whole("checkpoint_every", checkpoint_every, 1, MOST)
+    whole("evaluate_every", evaluate_every, 1, MOST)
+    whole("envs", 1 if envs is None else envs, 1, 100_000)
+    arguments = None if arguments is None else json.loads(json.dumps(dict(arguments)))
+    asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
+             "arguments": arguments, "residual": residual,
+             "bounds": None if bounds is None else [float(bound) for bound in bounds],
+    }  # fmt: skip
+    if out is None:
+        name = short(task(env_id).ID).replace("/", "-")
+        parts = [name, Path(drive or "generic").name, algorithm or "PPO", str(seed or 0)]
+        out = Path("out", "-".join(parts if residual is None else [*parts, "residual"]))
+    found = checkpoint.numbered(out)
+    if resume and not found:
+        raise ValueError(f"no checkpoint in {out}: leave out --resume to begin there")
+    if found and not resume:
+        raise ValueError(
+            f"{out} has a run already: --resume continues it, another --out begins a new one"
+        )
+    last = found[-1] if found else None
+    run = _continued(last, env_id, asked, console) if last else _run(env_id, asked, settings)
+    with sb3.one_thread():
+        return _train(run, last, out, int(steps), checkpoint_every, evaluate_every, progress,
+                      console)  # fmt: skip
+
+
+def _train(
+    run: Run, last: Path | None, out: Path, steps: int, checkpoint_every: int,
+    evaluate_every: int, progress: bool, console: Console,
+) -> tuple[Score, Score]:  # fmt: skip
+    env, judged = run.vector(run.envs), run.vector(EPISODES)
+    settings = dict(run.hyperparameters)
+    settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
+    if settings.pop("normalize"):
+        judged = VecNormalize(judged, training=False, norm_reward=False)
+        env = VecNormalize(env, gamma=settings["gamma"])
+    model: Any
+    try:
+        model = ALGORITHMS[run.algorithm]("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
+    except TypeError as error:
+        raise ValueError(f"hyper-parameters of {run.algorithm}: {error}") from None
+    evaluation = EvaluationCallback(judged, asdict(run), out, evaluate_every, console)
+    if last:
+        state.load(model, last)
+        # not the episodes of the beginning once more
+        seeds = np.random.SeedSequence([run.seed, model.num_timesteps])
+        model.set_random_seed(int(seeds.generate_state(1)[0]) % 2**31)
+        if isinstance(model, SAC):
+            if (last / state.REPLAY).is_file():
+                state.load_replay(model, last)
+            else:  # only the latest checkpoint had it
+                console.print(f"note: {last} has no {state.REPLAY}, it is filled anew")
+        evaluation.go_on(model.num_timesteps)
+        checkpoint.tidy(out)
+        console.print(f"{run.env_id}: from step {model.num_timesteps} on")
+    model.cpu_begin = time.process_time() - (saved.read(last)["cpu_seconds"] if last else 0.0)
+    out.mkdir(parents=True, exist_ok=True)
+    model.set_logger(_logger(out, model.num_timesteps))
+    callbacks = [evaluation, checkpoint.Checkpoints(asdict(run), out, checkpoint_every)]
+    remaining = steps - model.num_timesteps
+    try:
+        if remaining > 0:
+            model.learn(
+                remaining, callbacks, reset_num_timesteps=not last,
+                progress_bar=progress and find_spec("tqdm") is not None,
+            )  # fmt: skip
+            checkpoint.save_numbered(model, asdict(run), out)
+        if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
+            judged.obs_rms = env.obs_rms
+        scores = score(model, judged), score(HoldStill(env.action_space), judged)
+    finally:
+        model.logger.close()
+        env.close()
+        judged.close()
+    return scores
+
+
+def _logger(out: Path, steps: int) -> Logger:
+    formats: list[Any] = [checkpoint.ContinuedCsv(out / "progress.csv", steps)]
+    if find_spec("tensorboard") is not None:
+        formats.append(TensorBoardOutputFormat(str(out)))
+    return Logger(str(out), formats)
+
+
+def run(env_id: str, out: Path | None, console: Console, **options: Any) -> int:
+    """The command; -> exit status."""
+    try:
+        scores = train(env_id, out=out, console=console, **options)
+    except KeyboardInterrupt:
+        console.print("the same command with --resume continues from the last checkpoint")
+        raise
+    still = f"{options['residual']} alone" if options.get("residual") else "holding still"
+    console.print(f"trained policy: {scores[0]}; {still}: {scores[1]}")
+    return 0

@@ -1,0 +1,1 @@
+"""Scopes, episodes, heat maps, homing diagrams, videos."""

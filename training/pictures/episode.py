@@ -1,0 +1,173 @@
+"""One fixed episode under several policies, as an oscilloscope shows it: panels over the time.
+
+A recorder looks at one environment at each of its steps: at the body its task moves, in MjData, and
+at the records of its drives. It only reads, so nothing that is measured changes.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from ...envs.servo_env import ServoEnv
+from ...envs.view.channels import Channel
+from ..report import GRID
+from .scope import DEMAND, FORBIDDEN, show_both
+
+COLOURS = (  # of the policies, in turn; red is for windows and limits
+    "#1f5fa8", "#e08214", "#2e8b57", "#8e44ad", "#16a2b8", "#d65db1", "#8a6d3b", "#9aa51b",
+)  # fmt: skip
+SHADES = 16  # of each colour towards white, in the picture
+DASHED = (0, (5, 2))
+
+
+class Recording(NamedTuple):
+    """Of one episode.
+
+    `time` (s) has shape ``(n,)``; `samples` has shape ``(n, channels, 3)``: value, aim and half
+    window of each channel, not a number where there is none. `done` (s) is when what the task asks
+    for was reached for good, not a number if never, and `words` what that and the contrary are
+    called; `ended` is the fault or the like that ended it.
+    """
+
+    policy: str
+    channels: tuple[Channel, ...]
+    words: tuple[str, str]
+    time: np.ndarray
+    samples: np.ndarray
+    done: float
+    ended: str
+
+
+class Recorder:
+    """Records an environment, look by look."""
+
+    def __init__(self, env: ServoEnv):
+        self._env = env
+        self._channels = env.channels()
+        self._times: list[float] = []
+        self._rows: list[list[list[float]]] = []
+
+    def look(self, time: float) -> None:
+        """Keep the present, at `time` (s)."""
+        self._times.append(time)
+        self._rows.append(
+            [
+                [
+                    math.nan if quantity is None else quantity(self._env)
+                    for quantity in (channel.value, channel.aim, channel.window)
+                ]
+                for channel in self._channels
+            ]
+        )
+        self._declared = self._env.declared()
+
+    def trace(self, policy: str, done: float, fault: str = "") -> Recording:
+        """What was kept; `done` is when the agent declared it, where it does, right or wrong."""
+        if self._declared is not None:
+            done = self._times[-1] if self._declared else math.nan
+        ended = self._env.outcome() or (f"fault {fault.partition(' ')[0]}" if fault else "")
+        return Recording(
+            policy, self._channels, self._env.DONE, np.array(self._times), np.array(self._rows),
+            done, ended,
+        )  # fmt: skip
+
+
+def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
+    """A panel a channel, a colour a policy, to `path`. All are of the same task."""
+    shown = traces[0].channels
+    figure = Figure((9.5, 0.9 + 0.22 * len(traces) + 1.35 * len(shown)), 110, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    colours = [COLOURS[i % len(COLOURS)] for i in range(len(traces))]
+    for i, (panel, channel) in enumerate(zip(panels, shown, strict=True)):
+        _panel(panel, channel, [trace.samples[:, i] for trace in traces], traces, colours)
+    panels[0].set_xlim(0.0, 1.01 * max(trace.time[-1] for trace in traces))
+    panels[-1].set_xlabel("time (s)")
+    figure.align_ylabels(panels)
+    keys = [
+        Line2D([], [], color=colour, lw=1.6, label=f"{trace.policy}{outcome(trace)}")
+        for trace, colour in zip(traces, colours, strict=True)
+    ]
+    keys += [
+        Line2D([], [], color=DEMAND, lw=1.0, ls="--", label="goal or reference"),
+        Line2D([], [], color=FORBIDDEN, lw=1.0, ls=DASHED, label="window or limit"),
+    ]
+    figure.legend(
+        handles=keys, loc="outside lower center", ncols=2, frameon=False, fontsize=8
+    )  # fmt: skip
+    figure.suptitle(title, fontsize=11)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    canvas.draw()
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    image.quantize(palette=_palette(), dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def _palette() -> Image.Image:
+    """All colours of a picture with their shades: a quarter of the bytes."""
+    ink = np.array([to_rgb(colour) for colour in (*COLOURS, DEMAND, FORBIDDEN, "#000000")])
+    white = np.linspace(0.0, 1.0, SHADES)[:, None]
+    shades = ink[:, None] * (1.0 - white) + white
+    image = Image.new("P", (1, 1))
+    image.putpalette(np.rint(255.0 * shades).astype(np.uint8).tobytes())
+    return image
+
+
+def outcome(trace: Recording) -> str:
+    """How the episode ended, in words; empty where a task asks for nothing that ends."""
+    if trace.ended:
+        return f": {trace.ended} after {trace.time[-1]:.3f} s (cross)"
+    done, not_done = trace.words
+    if math.isfinite(trace.done):
+        return f": {done} after {trace.done:.3f} s (dot)"
+    return f": {not_done}" if not_done else ""
+
+
+def _panel(panel: Axes, channel: Channel, samples, traces, colours) -> None:
+    times = [trace.time for trace in traces]
+    aims = [one[:, 1] for one in samples]
+    _reference_lines(panel, times, aims, colours, DEMAND, "--")
+    for sign in (-1.0, 1.0):
+        edges = [np.nan_to_num(one[:, 1]) + sign * one[:, 2] for one in samples]
+        _reference_lines(panel, times, edges, colours, FORBIDDEN, DASHED)
+    for one, trace, colour in zip(samples, traces, colours, strict=True):
+        panel.plot(trace.time, one[:, 0], color=colour, lw=1.3)
+        if trace.ended:
+            panel.plot(trace.time[-1], one[-1, 0], "X", color=colour, ms=8, mec="white", zorder=4)
+        elif math.isfinite(trace.done):
+            at = min(int(np.searchsorted(trace.time, trace.done, "right")), len(one) - 1)
+            panel.plot(trace.time[at], one[at, 0], "o", color=colour, ms=6, mec="white", zorder=4)
+    _scale(panel, channel, np.concatenate(samples))
+    panel.set_ylabel(channel.label, fontsize=8.5)
+    panel.tick_params(labelsize=8)
+    panel.grid(**GRID)
+
+
+def _scale(panel: Axes, channel: Channel, samples: np.ndarray) -> None:
+    """The range of a panel; `samples` of all policies, shape ``(n, 3)``."""
+    away, windows = np.abs(samples[:, 0]), samples[np.isfinite(samples[:, 2]), 2]
+    window = float(windows.max()) if len(windows) else math.inf
+    near = channel.nearest * window
+    if near < math.inf and away.min() < near < away.max():
+        panel.set_ylim(-near, near)
+    elif channel.wide and window < math.inf:
+        show_both(panel, float(away.max()), window)
+    else:
+        panel.margins(y=0.08)
+
+
+def _reference_lines(panel: Axes, times, lines, colours, colour: str, style: Any) -> None:
+    """Once where it is the same for all policies, else in the colour of each."""
+    longest = max(range(len(lines)), key=lambda i: len(lines[i]))
+    same = all(np.array_equal(line, lines[longest][: len(line)], equal_nan=True) for line in lines)
+    for i in [longest] if same else range(len(lines)):
+        own = colour if same else colours[i]
+        panel.plot(times[i], lines[i], color=own, lw=1.0, ls=style, zorder=1.5)

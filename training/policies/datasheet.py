@@ -1,0 +1,238 @@
+"""What a policy may know before an episode: its task's constants and the machine's data sheet.
+
+Nothing here comes from the physics or from an episode. What was drawn at random is not known.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...drive.drive import Drive
+from ...envs import fields
+from ...envs.about import Sensor
+from ...envs.plants.axis_parameters import LinearAxisParameters
+from ...envs.plants.gantry import FEED_CONSTANT, GantryParameters
+from ...envs.plants.linear_axis import GRAVITY
+from ...envs.randomisation import PAYLOAD
+from ...envs.servo_env import METRE, ServoEnv
+
+
+class Bounds(NamedTuple):
+    """Of a profile."""
+
+    velocity: float  # m/s
+    acceleration: float  # m/s²
+    jerk: float  # m/s³
+
+
+class Vibration(NamedTuple):
+    """Of what swings behind an axis that is held, nominal."""
+
+    frequency: float  # undamped (rad/s)
+    ratio: float  # damping ratio
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Data sheet of one axis: what is moved, by how much force, how it is commanded and seen."""
+
+    carriage: float  # kg, without payload
+    rotor: float  # of motor and transmission, as a mass at the carriage (kg)
+    payload: float  # nominal (kg)
+    heaviest: float  # payload declared (kg)
+    coulomb_friction: float  # N
+    viscous_friction: float  # N·s/m
+    weight: float  # along the axis, with the nominal payload (N)
+    lost: float  # to friction and weight at most, with the heaviest payload (N)
+    force: float  # that the maximum torque 6072h makes at the carriage (N)
+    offset: float  # that action 1 adds at 1, where there is one (N)
+    stroke: float  # m
+    speed: float  # of the set-point for an action of 1 (m/s)
+    fastest: float  # maximum profile velocity 607Fh, 1 in an observation (m/s)
+    profile: Bounds  # commissioned for profile position mode
+    vibration: Vibration | None
+    sensor: Sensor | None  # None: nothing is seen of the load
+
+    def mass(self, payload: float) -> float:
+        """What a force at the carriage accelerates, the motor included (kg)."""
+        return self.carriage + payload + self.rotor
+
+
+@dataclass(frozen=True)
+class Datasheet:
+    """Of one environment."""
+
+    task: str  # its id
+    action_record: np.dtype  # the names of an action
+    observation_record: np.dtype  # and of an observation
+    step_time: float  # s
+    steps: int  # of an episode
+    tolerance: float  # m; 0 where the task has none
+    sampling: float  # cycle in which the drive samples its inputs (s)
+    axes: tuple[Axis, ...]  # that the agent moves; none where there is no data sheet
+    sensor: str = ""  # argument of the environment that gives a sensor of the load
+    reference: str = ""  # that a homing looks for
+    homing_method: int | None = None  # of the drive, that looks for the same
+    hold: tuple[tuple[str, float], ...] = ()  # actions that hold still where that is not 0
+
+    @property
+    def actions(self) -> int:
+        """Components of an action."""
+        return fields.width(self.action_record)
+
+    def action(self, **values: Any) -> np.ndarray:
+        """An action by the names of its components, float32; 0 where nothing is said."""
+        action, slots = np.zeros(self.actions, np.float32), fields.slots(self.action_record)
+        for name, value in values.items():
+            action[slots[name]] = value
+        return action
+
+    def seen(self, observation: np.ndarray) -> Any:
+        """An observation by the names of its components, of a history the latest."""
+        return fields.seen(self.observation_record, observation)
+
+    def seen_of_axes(self, observation: np.ndarray) -> Any:
+        """The same, axis by axis: ``axes`` of the record where it has them, else all of it."""
+        seen = self.seen(observation)
+        return seen.axes if "axes" in (self.observation_record.names or ()) else [seen]
+
+    @property
+    def axis(self) -> Axis:
+        """The first. Raises ValueError where there is none."""
+        if not self.axes:
+            raise ValueError(f"{self.task} has no data sheet of its axes: use hold or random")
+        return self.axes[0]
+
+
+def datasheet(env: ServoEnv) -> Datasheet:
+    """What a policy may know of `env`."""
+    task = vars(env)
+    parameters, reference = env.datasheet, task.get("reference")
+    axes: tuple[Axis, ...] = ()
+    if isinstance(parameters, LinearAxisParameters):
+        axes = (_linear(env, parameters),)
+    elif isinstance(parameters, GantryParameters):
+        axes = tuple(_of_gantry(env, parameters, d) for d in range(len(env.drives)))
+    return Datasheet(
+        task=env.ID,
+        action_record=env.action_record,
+        observation_record=env.observation_record,
+        step_time=env.step_time,
+        steps=env.STEPS,
+        tolerance=task.get("tolerance", 0.0),
+        sampling=env.drive.model.cycle_time["velocity"],
+        axes=axes,
+        sensor=env.SENSOR,
+        reference=reference if isinstance(reference, str) else "",
+        homing_method=env.homing_method,
+        hold=tuple(env.HOLD.items()),
+    )
+
+
+def _linear(env: ServoEnv, p: LinearAxisParameters) -> Axis:
+    task, drive = vars(env), env.drive
+    gear = 2 * math.pi / p.feed_constant
+    rotor = drive.model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+    heaviest = _heaviest(env, p.payload)
+    fastest = _object(drive, "max_profile_velocity") / METRE
+    slope = math.radians(p.inclination)
+    lost = (p.carriage_mass + heaviest) * GRAVITY * abs(math.sin(slope))
+    lost += max(p.coulomb_friction, p.static_friction)
+    lost += p.chain_drag + p.chain_drag_growth * _stroke(env, 0)
+    lost += p.viscous_friction * fastest
+    force = _torque(drive) * gear
+    return Axis(
+        carriage=p.carriage_mass,
+        rotor=(rotor + p.transmission_inertia) * gear**2,
+        payload=p.payload,
+        heaviest=heaviest,
+        coulomb_friction=p.coulomb_friction,
+        viscous_friction=p.viscous_friction,
+        weight=(p.carriage_mass + p.payload) * GRAVITY * math.sin(slope),
+        lost=lost,
+        force=force,
+        offset=force * task.get("torque_range", 1.0),
+        stroke=_stroke(env, 0),
+        speed=task.get("max_velocity", fastest),
+        fastest=fastest,
+        profile=Bounds(p.max_velocity, p.max_acceleration, p.max_jerk),
+        vibration=_spring(p),
+        sensor=env.sensor(),
+    )
+
+
+def _spring(p: LinearAxisParameters) -> Vibration | None:
+    if p.stiffness > 0.0 and p.payload > 0.0:
+        stiffness, damping, mass = p.stiffness, p.structural_damping, p.payload
+    elif p.transmission_stiffness > 0.0:
+        stiffness, damping = p.transmission_stiffness, p.transmission_damping
+        mass = p.payload + p.carriage_mass
+    else:
+        return None
+    return Vibration(math.sqrt(stiffness / mass), damping / (2.0 * math.sqrt(stiffness * mass)))
+
+
+def _of_gantry(env: ServoEnv, p: GantryParameters, d: int) -> Axis:
+    """Axis X or Y: all that hangs on it is carried."""
+    task, drive = vars(env), env.drives[d]
+    gear = 2 * math.pi / FEED_CONSTANT
+    fastest = _object(drive, "max_profile_velocity") / METRE
+    speed = task.get("speed", fastest)
+    vibration = None
+    if p.cable_length > 0.0:
+        natural = math.sqrt(GRAVITY / p.cable_length)
+        inertia = p.payload * p.cable_length**2
+        vibration = Vibration(natural, p.sway_damping / (2.0 * inertia * natural))
+    acceleration = _object(drive, "profile_acceleration") / METRE
+    jerk = _object(drive, "profile_jerk_1") / METRE
+    return Axis(
+        carriage=_carried(env.machine.model, env.DRIVES[d]),
+        rotor=drive.model.rotor_inertia * gear**2,
+        payload=p.payload,
+        heaviest=_heaviest(env, p.payload),
+        coulomb_friction=p.coulomb_friction,
+        viscous_friction=p.viscous_friction,
+        weight=0.0,
+        lost=p.coulomb_friction + p.viscous_friction * speed,
+        force=_torque(drive) * gear,
+        offset=0.0,
+        stroke=_stroke(env, d),
+        speed=speed,
+        fastest=fastest,
+        profile=Bounds(min(p.max_velocity, speed), acceleration, jerk),
+        vibration=vibration,
+        sensor=env.sensor(),
+    )
+
+
+def _carried(model: Any, joint: str) -> float:
+    """Mass of the body of a joint and of all behind it but the payload, which is drawn (kg)."""
+    carried, mass = {int(model.joint(joint).bodyid[0])}, 0.0
+    for body in range(model.nbody):  # parents come first
+        if body in carried or int(model.body_parentid[body]) in carried:
+            carried.add(body)
+            mass += 0.0 if model.body(body).name == PAYLOAD else float(model.body_mass[body])
+    return mass
+
+
+def _stroke(env: ServoEnv, d: int) -> float:
+    if d >= len(env.STROKE):
+        raise ValueError(f"task {type(env).__name__} lacks STROKE: give it that of each axis (m)")
+    return env.STROKE[d]
+
+
+def _heaviest(env: ServoEnv, payload: float) -> float:
+    return env.randomisation.ranges.get("payload", (payload, payload))[1]
+
+
+def _torque(drive: Drive) -> float:
+    """Maximum torque 6072h (Nm)."""
+    rated = _object(drive, "motor_rated_torque") * 1e-3
+    return _object(drive, "max_torque") * 1e-3 * rated
+
+
+def _object(drive: Drive, name: str) -> int:
+    """Of the object dictionary; 0 where a drive without set-point modes does not have it."""
+    return drive.read(name) if name in drive.objects.names else 0

@@ -1,0 +1,116 @@
+"""Residual learning: a bounded correction on top of a policy that is already there.
+
+The action of the environment is ``clip(baseline + bounds × correction, -1, 1)``, component by
+component: a correction of 0 is the baseline, bit for bit (Johannink et al. 2019, Silver et al.
+2018).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...envs import fields
+from ...envs.servo_env import ServoEnv
+from ...envs.vector_env import ServoVectorEnv
+from .homing import BuiltIn
+
+PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
+
+
+def checked(bounds: Sequence[float], env: ServoEnv) -> np.ndarray:
+    """The bounds of a correction, float32, one a component of an action.
+
+    Raises ValueError for another number of them, or one that is not in 0..1.
+    """
+    wanted = fields.names(env.action_record)
+    array = np.asarray(bounds, np.float32)
+    if array.shape != (len(wanted),):
+        raise ValueError(
+            f"bounds = {_listed(bounds)}: {array.size} given, {env.ID} has {len(wanted)} actions: "
+            f"{', '.join(wanted)}"
+        )
+    if not ((array >= 0.0) & (array <= 1.0)).all():
+        raise ValueError(f"bounds = {_listed(bounds)}: each is a share of an action, 0..1")
+    return array
+
+
+def baseline(name: str, env: ServoEnv, seed: int = 0) -> Any:
+    """The policy that is corrected. Raises ValueError where it does not fit the task."""
+    from . import make
+
+    policy = make(name, env, seed)
+    if isinstance(policy, BuiltIn):
+        raise ValueError(
+            f"residual {name!r} runs in the drive and gives no actions that could be corrected: "
+            "choose another policy"
+        )
+    return policy
+
+
+def corrected(base: np.ndarray, bounds: np.ndarray, correction: np.ndarray) -> np.ndarray:
+    """The action, float32 in -1..1."""
+    return np.clip(base + bounds * np.asarray(correction, np.float32), -1.0, 1.0)
+
+
+def _listed(bounds: Sequence[float]) -> str:
+    return ",".join(f"{bound:g}" for bound in bounds)
+
+
+class ResidualVectorEnv(ServoVectorEnv):
+    """Environments whose actions are corrections of a policy, each with a policy of its own.
+
+    Args:
+        task: class of the environments.
+        num_envs: how many.
+        residual: the policy that is corrected, by a name that `make` knows.
+        bounds: the largest correction of each component of an action, 0..1.
+        **arguments: of `ServoVectorEnv` and of the task.
+
+    Raises:
+        ValueError: the policy does not fit the task, wrong bounds, and as `ServoVectorEnv` does.
+    """
+
+    def __init__(
+        self,
+        task: type[ServoEnv],
+        num_envs: int = 1,
+        *,
+        residual: str,
+        bounds: Sequence[float],
+        **arguments: Any,
+    ):
+        super().__init__(task, num_envs, **arguments)
+        self.bounds = checked(bounds, self.envs[0])
+        self._policies = [baseline(residual, env) for env in self.envs]
+        self._bases = np.zeros(self._batch.actions.shape, np.float32)
+        self._residual = residual
+
+    def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
+        super()._restart(i, options)
+        info = self.envs[i].info()
+        seen = self._batch.observed(slice(i, i + 1))[0]
+        self._policies[i].reset(seen, {name: info[name] for name in PUBLIC if name in info})
+
+    def _reset(self, seed: Any, options: dict[str, Any] | None) -> Any:
+        observations, infos = super()._reset(seed, options)
+        mask = (options or {}).get("reset_mask", self._all)
+        self._look(observations, np.flatnonzero(mask).tolist())
+        return observations, infos
+
+    def _step(self, actions: np.ndarray) -> Any:
+        given = np.asarray(actions, np.float32)
+        if given.shape == self._bases.shape and (np.abs(given) <= 1.0 + 1e-6).all():
+            actions = corrected(self._bases, self.bounds, given)
+        result = super()._step(actions)
+        self._look(result[0], np.flatnonzero(~self._ended).tolist())
+        return result
+
+    def _look(self, observations: np.ndarray, rows: list[int]) -> None:
+        """What the policies do next; they see each observation once."""
+        for i in rows:
+            self._bases[i] = self._policies[i].act(observations[i])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Refused: what a policy remembers cannot be told. Raises TypeError."""
+        raise TypeError("a ResidualVectorEnv cannot be copied or pickled in mid-episode")

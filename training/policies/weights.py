@@ -1,0 +1,158 @@
+"""Weights as arrays: what a trained policy is, in a file that runs no code when it is read.
+
+`weights.npz` holds the arrays of the network by name, the width of what it sees and does, and the
+running means its observations are normalised by. An older checkpoint, which had to be unpickled, is
+converted by its owner, who says so: unpickling runs what the file says::
+
+    python -m servogym.training.policies.weights FOLDER --unpickle
+"""
+
+import argparse
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .saved import ABOUT, MODEL, STATISTICS, read, stable_baselines3
+
+WEIGHTS = "weights.npz"
+LARGEST = 256 * 2**20  # bytes, unpacked
+NETWORK = "network/"
+COMMAND = "python -m servogym.training.policies.weights {} --unpickle"
+
+
+class Weights(NamedTuple):
+    """What `weights.npz` holds."""
+
+    shape: tuple[int, int]  # numbers seen, actions
+    network: dict[str, np.ndarray]
+    mean: np.ndarray | None  # of the observations; None: they are not normalised
+    variance: np.ndarray | None
+    limits: tuple[float, float]  # largest normalised observation, what is added to the variance
+
+    def policy(self, about: dict[str, Any]) -> Any:
+        """The policy of stable-baselines3. Raises ValueError where the arrays do not fit it."""
+        import gymnasium as gym
+        import torch
+
+        algorithm = getattr(stable_baselines3(), about["algorithm"])
+        settings = about["hyperparameters"]
+        seen, actions = (gym.spaces.Box(-1.0, 1.0, (n,), np.float32) for n in self.shape)
+        policy = algorithm.policy_aliases["MlpPolicy"](
+            seen, actions, lambda _: 0.0, use_sde=bool(settings.get("use_sde", False)),
+            **settings.get("policy_kwargs", {}),
+        )  # fmt: skip
+        try:
+            arrays = {name: torch.from_numpy(array) for name, array in self.network.items()}
+            policy.load_state_dict(arrays)
+        except (RuntimeError, TypeError) as error:
+            raise ValueError(f"{WEIGHTS} does not fit the network: {error}") from None
+        policy.set_training_mode(False)
+        return policy
+
+    def normalised(self, observation: np.ndarray) -> np.ndarray:
+        """An observation as the network was trained on."""
+        if self.mean is None or self.variance is None:
+            return observation
+        clip, epsilon = self.limits
+        scaled = (observation - self.mean) / np.sqrt(self.variance + epsilon)
+        return np.clip(scaled, -clip, clip).astype(np.float32)
+
+
+def save(model, folder: Path) -> None:
+    """Write the weights of an algorithm of stable-baselines3 into the folder of a checkpoint."""
+    _write(folder, model.policy.state_dict(), _widths(model), model.get_vec_normalize_env())
+
+
+def load(folder: Path) -> Weights:
+    """Read them; nothing is unpickled.
+
+    Raises:
+        ValueError: there are none, with the command that makes them of an older checkpoint, or the
+            file is no such file.
+    """
+    file = folder / WEIGHTS
+    if not file.is_file():
+        older = (folder / MODEL).is_file()
+        raise ValueError(
+            f"{folder} has no {WEIGHTS}"
+            + (
+                f": an older checkpoint, convert it with `{COMMAND.format(folder)}`"
+                if older
+                else ""
+            )
+        )
+    found = arrays(file)
+    try:
+        seen, actions = map(int, found["shape"])
+        clip, epsilon = map(float, found["limits"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{file} holds no weights of a policy: {error}") from None
+    network = {n.removeprefix(NETWORK): a for n, a in found.items() if n.startswith(NETWORK)}
+    mean, variance = found.get("mean"), found.get("variance")
+    return Weights((seen, actions), network, mean, variance, (clip, epsilon))
+
+
+def arrays(file: Path, largest: int = LARGEST) -> dict[str, np.ndarray]:
+    """The arrays of an npz file of at most `largest` bytes, by name; nothing is unpickled.
+
+    Raises ValueError where it is no such file, or a larger one.
+    """
+    try:
+        with zipfile.ZipFile(file) as packed:
+            if sum(entry.file_size for entry in packed.infolist()) > largest:
+                raise ValueError(f"it is larger than {largest} bytes")
+        with np.load(file, allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{file} holds no arrays that can be read: {error}") from None
+
+
+def convert(folder: Path) -> None:
+    """Write the weights of an older checkpoint; runs whatever its files say."""
+    algorithm = getattr(stable_baselines3(), read(folder)["algorithm"])
+    model = algorithm.load(folder / MODEL, device="cpu")
+    statistics = None
+    if (folder / STATISTICS).is_file():
+        with (folder / STATISTICS).open("rb") as file:
+            statistics = pickle.load(file)
+    _write(folder, model.policy.state_dict(), _widths(model), statistics)
+
+
+def _widths(model) -> tuple[int, int]:
+    return model.observation_space.shape[0], model.action_space.shape[0]
+
+
+def _write(folder: Path, network, shape: tuple[int, int], statistics) -> None:
+    kept = {f"{NETWORK}{name}": tensor.numpy() for name, tensor in network.items()}
+    limits = (0.0, 0.0)
+    if statistics is not None:
+        kept |= {"mean": statistics.obs_rms.mean, "variance": statistics.obs_rms.var}
+        limits = statistics.clip_obs, statistics.epsilon
+    np.savez_compressed(
+        folder / WEIGHTS, shape=np.array(shape), limits=np.array(limits), allow_pickle=False,
+        **kept,
+    )  # fmt: skip
+
+
+def main() -> int:
+    """The command; -> exit status."""
+    parser = argparse.ArgumentParser(description="weights.npz of older checkpoints")
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--unpickle", action="store_true", help="you trust who made the folders")
+    asked = parser.parse_args()
+    if not asked.unpickle:
+        parser.error(
+            f"{MODEL} and {STATISTICS} are pickles, which can run any program when they are read: "
+            "say --unpickle if you made them, or trust who did"
+        )
+    for folder in asked.folders:
+        convert(folder)
+        print(f"{folder / WEIGHTS}: {(folder / ABOUT).name} and the weights are all it needs now")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
