@@ -125,7 +125,8 @@ def test_an_adapter_that_was_pulled_is_opened_anew_when_it_is_back(clock):
 
 
 @pytest.mark.parametrize("error", TROUBLE, ids=lambda e: type(e).__name__)
-def test_a_served_drive_goes_on_while_the_bus_is_gone_and_answers_afterwards(error):
+def test_a_served_drive_goes_on_while_the_bus_is_gone_and_answers_afterwards(error, monkeypatch):
+    monkeypatch.setattr(adapters, "PATIENCE", 600.0)  # no frame ages on a slow machine
     bus = Bad(error)
     server = Server(bus, [axis_for("generic", 1)])
     end = time.monotonic() + 0.05
