@@ -22,8 +22,14 @@ PDO_BYTES = 8
 TICKS_A_CALL = 20_000  # physics steps, some 40 ms: how long Ctrl-C waits
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
 REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO image
-# what every task keeps of an episode; fields with an underscore are not shown in the infos
+# what every task keeps of an episode
 JUDGED = [("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?")]
+JUDGED_NAMES = tuple(name for name, _ in JUDGED)
+
+
+def shown(name: str) -> bool:
+    """Whether the infos have a field; a step gives the reward, libraries keep theirs in infos."""
+    return name != "reward" and not name.startswith("_")
 
 
 def episode(*fields: tuple) -> np.dtype:

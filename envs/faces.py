@@ -13,6 +13,7 @@ the mode displayed (6061h) on the same scale, 0 where it is none of them, ``stat
 """
 
 from ..drive.kernel.jit import block, entry
+from .engine.loop import world_at
 from .fields import action, observation
 
 SETPOINT, PDO = "setpoint", "pdo"
@@ -22,7 +23,6 @@ STATUS_BITS = 16
 CONTROL = action(("controlword", CONTROL_BITS), "mode")
 STATUS = observation(("statusword", STATUS_BITS), "mode")
 FAULT = 0x08
-INTERNAL_LIMIT = 0x800
 
 
 @entry
@@ -72,9 +72,10 @@ def faulted(tpdo):
 
 
 @block
-def limited(tpdo):
-    """1.0 while an internal limit is active in one of the drives (statusword bit 11), else 0.0."""
-    words = 0
-    for d in range(len(tpdo)):
-        words |= int(tpdo[d].statusword)
-    return 1.0 if words & INTERNAL_LIMIT else 0.0
+def limited(address):
+    """Share of the step with an internal limit active in one of the drives (statusword bit 11).
+
+    `address` is that of the machine, ``worlds[w]``; each physics step counts.
+    """
+    world = world_at(address, 1)[0]
+    return world.limited_ticks / max(world.step_ticks, 1)

@@ -17,7 +17,7 @@ from ..drive.ethercat.faulty import Fault, FaultyBus
 from ..drive.ethercat.master import EtherCatMaster
 from ..drive.ethercat.segment import Segment
 from ..drive.ethercat.slave import Slave
-from .engine import loop
+from .engine import loop, probe
 from .engine.machine import NO_IMAGES
 from .servo_env import ServoEnv
 
@@ -35,6 +35,7 @@ class _Frames:
 
     def run(self, worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
         """As `loop.run`, for one world."""
+        probe.renew(self._machine)
         delay = min(int(self._machine.world["delay"][0]), ticks)
         loop.run(worlds, delay, NO_IMAGES, NO_IMAGES)
         at = 0

@@ -21,9 +21,10 @@ from ..drive.model.model import DriveModel, load
 from ..drive.objects.abort import SdoAbort
 from . import fields
 from .about import Metric, Sensor
-from .batch import COMMANDED, REPORTED, Batch, image_type, mapping
+from .batch import COMMANDED, JUDGED_NAMES, REPORTED, Batch, image_type, mapping, shown
 from .checks import whole
 from .engine.machine import Machine
+from .engine.rates import interpolation_period, step_cycles
 from .faces import FACES, FAULT, PDO
 from .masters.port import MachinePort
 from .plants.axis_parameters import LinearAxisParameters
@@ -60,7 +61,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     Args:
         drive: drive model by name, folder or loaded, for all axes; it needs the modes of the task.
-        cycles_per_step: position-controller cycles a step, a whole number 1..1000.
+        step_time: of the agent (s), whole position-controller cycles of the drive, 1..1000; that
+            of the task if not given, to the nearest cycle.
         action: "setpoint", or "pdo" for controlword, mode and set-points: `servogym.envs.faces`.
         history: number of observations shown, the latest first, 1..100.
         previous_action: whether the action taken last is shown, after the observations.
@@ -86,6 +88,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     )  # fmt: skip
     ID: ClassVar[str]  # in the registry of Gymnasium
     STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
+    STEP_TIME: ClassVar[float] = 5e-3  # of the agent (s), with every drive
     ACTION: np.dtype  # made by `fields.action`; may depend on arguments, as may DRIVES and
     OBSERVATION: np.dtype  # made by `fields.observation`
     EPISODE: ClassVar[np.dtype]  # made by `episode`
@@ -114,7 +117,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self,
         drive: str | Path | DriveModel = "generic",
         *,
-        cycles_per_step: int = 10,
+        step_time: float | None = None,
         action: str = "setpoint",
         history: int = 1,
         previous_action: bool = False,
@@ -139,10 +142,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
         self.render_mode = render_mode
         self.face = action
-        self.cycles_per_step = whole("cycles_per_step", cycles_per_step, 1, 1000)
         self.machine = self._make(model)
         self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
         self.drive = self.drives[0]
+        self.cycles_per_step = step_cycles(step_time, self.STEP_TIME, self.machine.cycle_time)
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
         self._faults = _injections(faults or {}, self.machine.drives, self.drives)
@@ -220,7 +223,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
                 raise ValueError(f"drive {drive.model.name!r}: {error}") from None
             cyclic = not INTERPOLATING.isdisjoint(self.MODES)
             if cyclic and "interpolation_time_period_value" in drive.objects.names:
-                units, index = _interpolation_period(self.step_time)
+                units, index = interpolation_period(self.step_time)
                 drive.write("interpolation_time_period_value", units)
                 drive.write("interpolation_time_index", index)
         for drive in self.machine.drives.values():
@@ -321,7 +324,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self._show()
         info = self.info()
         observation = self._batch.observed(rows)[0]
-        return observation, info["reward"], self._terminated, False, info
+        return observation, self._reward, self._terminated, False, info
 
     def _refusal(self, action: Any) -> str:
         return (
@@ -360,7 +363,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     def info(self) -> dict[str, Any]:
         """What is known of the present, with the same keys at any time."""
         values = self._part.episodes.item(0)
-        self._terminated = values[self._TERMINATED]
+        self._reward, self._terminated = values[self._REWARD], values[self._TERMINATED]
         words = self._part.tpdos["statusword"][0].tolist()
         info = {name: values[i] for i, name in self._SHOWN}
         info["fault"] = self.faults(words)
@@ -385,10 +388,11 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
         episode = getattr(cls, "EPISODE", None)  # without one no environment can be made
-        names = (episode.names if isinstance(episode, np.dtype) else None) or ("_terminated",)
-        cls._TERMINATED = names.index("_terminated")
-        cls._SHOWN = [(i, name) for i, name in enumerate(names) if not name.startswith("_")]
+        names = (episode.names if isinstance(episode, np.dtype) else None) or JUDGED_NAMES
+        cls._REWARD, cls._TERMINATED = names.index("reward"), names.index("_terminated")
+        cls._SHOWN = [(i, name) for i, name in enumerate(names) if shown(name)]
 
+    _REWARD: ClassVar[int]
     _TERMINATED: ClassVar[int]
     _SHOWN: ClassVar[list[tuple[int, str]]]
 
@@ -466,18 +470,3 @@ def _injections(
         if not (isinstance(probability, Real) and 0.0 <= probability <= 1.0):
             raise ValueError(f"faults[{key!r}] = {probability!r} is out of range 0..1")
     return injections
-
-
-def _interpolation_period(step_time: float) -> tuple[int, int]:
-    """60C2h: value and index with value × 10^index = `step_time` (s) exactly.
-
-    Raises ValueError where UNSIGNED8 cannot express it.
-    """
-    for index in range(0, -7, -1):
-        value = step_time / 10.0**index
-        if 1 <= round(value) <= 255 and abs(value - round(value)) < 1e-6:
-            return round(value), index
-    raise ValueError(
-        f"cycles_per_step: the step time {step_time * 1e3:g} ms cannot be written to 60C2h "
-        "(1..255 times a power of ten): choose another number of cycles"
-    )

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from .batch import shown
 from .checks import whole
 from .engine.guard import Turn
 from .engine.machine import Residence
@@ -204,7 +205,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
 
     def _infos(self) -> dict[str, Any]:
         batch = self._batch
-        names = [name for name in batch.episodes.dtype.names if not name.startswith("_")]
+        names = [name for name in batch.episodes.dtype.names if shown(name)]
         infos: dict[str, Any] = {name: np.array(batch.episodes[name]) for name in names}
         if self.envs[0].parameters:
             infos["parameters"] = {

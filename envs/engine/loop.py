@@ -26,7 +26,7 @@ from . import friction, mechanics
 from .guard import JOB, guarded
 from .mechanics import MECHANICS
 from .physics import STATE, mj_get_state, mj_reset, mj_set_state, mj_step1, mj_step2
-from .probe import observe, probes_at
+from .probe import begin_step, notice, observe, probes_at
 
 AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
@@ -48,6 +48,8 @@ COUPLING = np.dtype(
         ("switch_active", "u1", (3,)),
         ("noise", "f8"),  # standard deviation of the measured position (m or rad); 0 = none
         ("noise_state", "u8"),  # of its generator
+        ("torque_peak", "f8"),  # of the step, with its sign (Nm)
+        ("error_peak", "f8"),  # the following error's (position units)
     ],
     align=True,
 )
@@ -86,6 +88,8 @@ WORLD = np.dtype(
         ("delay", "i8"),  # physics steps an RPDO image is late
         ("probes", "i8"),  # address of the records that measure the drives; 0: there are none
         ("timestep", "f8"),  # s
+        ("step_ticks", "i8"),  # physics steps since the last RPDO image came
+        ("limited_ticks", "i8"),  # of these with an internal limit active in one of the drives
         # of a machine that shares MjModel and MjData with others, addresses of
         ("state", "i8"),  # its state while others live there; 0: it lives alone
         ("kept", "i8"),  # its values of the fields of MjModel
@@ -230,6 +234,7 @@ def _tick(world, axes, couplings, joints, qpos, qvel, ctrl):
         friction.remember(world, couplings, joints)
         for i in range(len(axes)):
             mechanics.watch(world, couplings[i], joints[i], qpos, qvel)
+    notice(world, axes, couplings)
     if world.probes != 0:
         probes = probes_at(world.probes, world.drives)
         for i in range(len(axes)):
@@ -336,6 +341,8 @@ def _advance(address, ticks, rpdo, tpdo):
     qpos = floats_at(world.mj_qpos, world.nq)
     qvel = floats_at(world.mj_qvel, world.nv)
     ctrl = floats_at(world.ctrl, world.nu)
+    if len(rpdo):
+        begin_step(world, axes, couplings)
     latched_at = min(max(world.delay, 0), ticks) if len(rpdo) else -1
     latched, collected = len(rpdo), len(tpdo)
     for now in range(ticks):

@@ -1,6 +1,7 @@
 """Probe: what a motion was worth, measured by the loop at every physics step and not by the drive.
 
 `Machine.probe` gives the records; as long as a machine has none this costs a comparison a step.
+Every machine keeps what a step of an agent has to know of itself: its peaks, its time at a limit.
 """
 
 import math
@@ -47,6 +48,32 @@ probes_at = viewer(PROBE)
 
 
 @block
+def begin_step(world, axes, couplings):
+    """A step of an agent begins: its peaks are the present."""
+    world.step_ticks = world.limited_ticks = 0
+    for i in range(len(axes)):
+        couplings[i].torque_peak = axes[i].torque
+        couplings[i].error_peak = axes[i].od.following_error_actual_value
+
+
+@block
+def notice(world, axes, couplings):
+    """Of a step of an agent, after one physics step of it."""
+    words = 0
+    for i in range(len(axes)):
+        axis, coupling = axes[i], couplings[i]
+        words |= int(axis.od.statusword)
+        if abs(axis.torque) > abs(coupling.torque_peak):
+            coupling.torque_peak = axis.torque
+        error = float(axis.od.following_error_actual_value)
+        if abs(error) > abs(coupling.error_peak):
+            coupling.error_peak = error
+    world.step_ticks += 1
+    if words & INTERNAL_LIMIT:
+        world.limited_ticks += 1
+
+
+@block
 def observe(p, axis, coupling, timestep, qpos, qvel):
     """Measure one drive after a physics step."""
     p.ticks += 1
@@ -75,6 +102,13 @@ def observe(p, axis, coupling, timestep, qpos, qvel):
         p.velocity, p.acceleration = velocity, acceleration
         p.jerk_squares += jerk * jerk
         p.jerks += 1
+
+
+def renew(machine) -> None:
+    """Begin a step of an agent whose images go another way than through the loop."""
+    machine.world["step_ticks"] = machine.world["limited_ticks"] = 0
+    machine.couplings["torque_peak"] = machine.axes["torque"]
+    machine.couplings["error_peak"] = machine.axes["od"]["following_error_actual_value"]
 
 
 def begin(machine, duration: float, goal: float = math.nan, window: float = 0.0) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import mujoco
 
 from ...drive.drive import Drive
+from ..checks import in_range
 
 
 def whole_ratio(slow: float, fast: float, slow_name: str, fast_name: str, remedy: str = "") -> int:
@@ -32,3 +33,38 @@ def rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, in
         )
     steps = whole_ratio(cycles[longest], model.opt.timestep, "machine cycle", "physics step")
     return cycles[longest], steps
+
+
+def step_cycles(wanted: float | None, usual: float, cycle: float) -> int:
+    """Position cycles of `cycle` (s) in a step of the agent.
+
+    Args:
+        wanted: by the user (s), a whole number of cycles; None: `usual`.
+        usual: of the task (s), to the nearest cycle.
+        cycle: of the drives (s).
+
+    Raises ValueError for a time that is no whole number of cycles, or out of 1..1000 of them.
+    """
+    seconds = in_range("step_time", usual if wanted is None else wanted, cycle, 1000 * cycle, "s")
+    cycles = round(seconds / cycle)
+    if wanted is not None and abs(cycles * cycle - seconds) > 1e-6 * seconds:
+        raise ValueError(
+            f"step_time = {wanted!r} s is not a whole number of position cycles of "
+            f"{cycle * 1e6:g} µs: {cycles * cycle:g} is the nearest"
+        )
+    return cycles
+
+
+def interpolation_period(step_time: float) -> tuple[int, int]:
+    """60C2h: value and index with value × 10^index = `step_time` (s) exactly.
+
+    Raises ValueError where UNSIGNED8 cannot express it.
+    """
+    for index in range(0, -7, -1):
+        value = step_time / 10.0**index
+        if 1 <= round(value) <= 255 and abs(value - round(value)) < 1e-6:
+            return round(value), index
+    raise ValueError(
+        f"step_time = {step_time:g} s cannot be written to 60C2h (1..255 times a power of ten): "
+        "choose another"
+    )

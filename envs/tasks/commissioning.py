@@ -102,7 +102,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.reward_in_position = 1.0 if before < 5 <= reached else 0.0
         episode.distance = distance
         episode.reward = (reached - before) / MILESTONES
-        episode.cost = limited(tpdos[w])
+        episode.cost = limited(worlds[w])
         episode.is_success = reached == MILESTONES
         episode._terminated = episode.is_success
 

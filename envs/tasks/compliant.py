@@ -91,7 +91,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.reward_gentle = 1.0 / (1.0 + energy / GENTLE)
         kept = 0.4 * episode.reward_near + 0.4 * episode.reward_settled
         episode.reward = kept + 0.2 * episode.reward_near * episode.reward_gentle
-        episode.cost = limited(tpdos[w])
+        episode.cost = limited(worlds[w])
         episode.is_success = settled
         episode._terminated = faulted(tpdos[w])
 
@@ -141,7 +141,7 @@ class CompliantAxisEnv(ServoEnv):
     Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale of
     distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). The terms are in
     ``info``, with ``distance`` and ``deflection`` (m) of the load,
-    ``energy`` (J), and ``info["cost"]``, 1 while an internal limit is active.
+    ``energy`` (J), and ``info["cost"]``, the share of the step at a limit.
 
     ## Episode
     Starts at rest at a random position, with a random goal, both from ``np_random`` unless the

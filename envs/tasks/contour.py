@@ -119,7 +119,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.reward_close = 1.0 / (1.0 + away * away)
         episode.reward_progress = episode._override
         episode.reward = 0.6 * episode.reward_close + 0.4 * episode.reward_progress
-        episode.cost = limited(tpdo)
+        episode.cost = limited(worlds[w])
         episode.is_success = (
             episode.laps >= 1.0
             and episode.progress >= PROGRESS
@@ -179,7 +179,7 @@ steps × `feed` × step time |
     feed override. The contour error is the true perpendicular distance to the contour, positive
     outside. ``info`` has the terms, ``contour_error``, ``mean_error``, ``worst`` and
     ``worst_corner``, within 2 mm of a corner (m, so far, without sign), ``laps``, ``progress``,
-    the way as a share of that at full feed, and ``cost``, 1 while an internal limit is active.
+    the way as a share of that at full feed, and ``cost``, the share of the step at a limit.
     ``is_success``: a lap is done, `progress` is 0.8 at least, and `worst` is within
     `tolerance`: who only keeps close by going slowly has not succeeded.
 

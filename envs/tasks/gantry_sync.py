@@ -96,7 +96,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.reward = (
             0.4 * episode.reward_square + 0.3 * episode.reward_near + 0.3 * episode.reward_settled
         )
-        episode.cost = limited(tpdo)
+        episode.cost = limited(worlds[w])
         episode.is_success = settled
         episode.twisted = not abs(skew) <= episode._max_twist
         episode._terminated = episode.twisted or faulted(tpdo)
@@ -144,8 +144,8 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     In [0, 1], of the truth: 0.4 for squareness, ``1 / (1 + (skew / 0.5 mm)²)``, 0.3 for nearness of
     the middle of the bridge, ``1 / (1 + (distance / 20 mm)²)``, and 0.3 for being settled: distance
     within `tolerance`, skew within `skew_tolerance`, both sides slower than 5 mm/s. The terms are
-    in ``info``, with ``skew`` (m, positive where x2 is ahead), and ``info["cost"]``, 1 while an
-    internal limit is active.
+    in ``info``, with ``skew`` (m, positive where x2 is ahead), and ``info["cost"]``, the share of
+    the step at an internal limit.
 
     ## Episode
     Starts at rest; ``np_random`` draws start (of x1), goal, the place of the slide and the skew,

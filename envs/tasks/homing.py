@@ -137,7 +137,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.reward_gentleness = gentleness if ended else 0.0
         taken = _worth(episode.reward_accuracy, episode.reward_speed, episode.reward_gentleness)
         episode.reward = SEARCH * episode.reward_search + taken
-        episode.cost = limited(tpdos[w])
+        episode.cost = limited(worlds[w])
         episode.is_success = ended and abs(episode.error) <= episode._tolerance
         episode._terminated = ended or faulted(tpdos[w])
 
@@ -209,7 +209,7 @@ the positive one; -1 the negative, 0 none |
     10 mm; `speed` = 1 / (1 + time / 1 s), `gentleness` = half for the share of torque never used,
     half 1 / (1 + impact energy / 0.1 J). ``info`` has
     error (m), greatest_torque (share of the maximum, at the ends of steps), impact_energy (J) and
-    the place of power-on, start (m). ``info["cost"]`` is 1 while an internal limit is active.
+    the place of power-on, start (m). ``info["cost"]`` is the share of the step at a limit.
 
     ## Episode
     Starts at rest at a random position; the switches lie off their places by up to

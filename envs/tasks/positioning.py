@@ -97,7 +97,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         episode.reward_near = near
         episode.reward_settled = 1.0 if settled else 0.0
         episode.reward = 0.5 * near + 0.5 * episode.reward_settled
-        episode.cost = limited(tpdos[w])
+        episode.cost = limited(worlds[w])
         episode.is_success = settled
         episode._terminated = faulted(tpdos[w])
 
@@ -140,7 +140,7 @@ class LinearAxisEnv(ServoEnv):
     In [0, 1]: half for nearness, half for being settled: closer than `tolerance` and slower than
     5 mm/s. Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale
     of distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). The terms are in
-    ``info``, and ``info["cost"]``, 1 while an internal limit is active.
+    ``info``, and ``info["cost"]``, the share of the step at a limit.
 
     ## Episode
     Starts at rest at a random position, with a random goal, both from ``np_random`` unless the

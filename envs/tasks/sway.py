@@ -93,7 +93,7 @@ def _judge(address, episode, tpdo):
     episode.reward = (
         0.4 * episode.reward_near + 0.1 * episode.reward_calm + 0.5 * episode.reward_settled
     )
-    episode.cost = limited(tpdo)
+    episode.cost = limited(address)
     episode.is_success = settled
     episode._terminated = faulted(tpdo)
 
@@ -176,8 +176,8 @@ class GantrySwayEnv(ServoEnv):
     ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled: closer than `tolerance` and slower than
     `resting`. Nearness is 1 at rest at the goal and 0 a stroke of X away from it, on a logarithmic
     scale of distance / `tolerance` + velocity / `resting` (`servogym.envs.tasks.rewards`).
-    ``info`` has the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, 1 while
-    an internal limit is active.
+    ``info`` has the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, the
+    share of the step at an internal limit.
 
     ## Episode
     Starts with the load at rest, at a random start with a random goal, both from ``np_random``
@@ -186,7 +186,7 @@ class GantrySwayEnv(ServoEnv):
     terminates (``info["fault"]``). Time truncates, after 400 steps (4 s).
 
     ## Arguments
-    Those of `ServoEnv`, with 20 `cycles_per_step` and ``{"payload": (1.0, 5.0), "cable_length":
+    Those of `ServoEnv`, with 10 ms as `step_time` and ``{"payload": (1.0, 5.0), "cable_length":
     (0.2, 0.4)}`` for `randomise` if they are not given; `axes` ("x" or "xy"), `sway_sensor`,
     `speed` (m/s), `tolerance` (m), `resting` (m/s), `following_error_window` (m).
 
@@ -196,6 +196,7 @@ class GantrySwayEnv(ServoEnv):
 
     ID = "servogym/GantrySway-v0"
     STEPS = 400
+    STEP_TIME = 10e-3
     RPDO = ("target_position",)
     EPISODE = episode(
         ("goal_x", "f8"),  # of the load (m); of Y if it is used
@@ -264,7 +265,6 @@ class GantrySwayEnv(ServoEnv):
         tolerance: float = 5e-3,
         resting: float = 0.02,
         following_error_window: float = 0.02,
-        cycles_per_step: int = 20,
         randomise: Mapping[str, float | tuple[float, float]] | None = None,
         **arguments: Any,
     ):
@@ -282,7 +282,7 @@ class GantrySwayEnv(ServoEnv):
         self._window = window
         self.datasheet = GantryParameters(cable_length=CABLE)
         randomise = RANDOMISED if randomise is None else randomise
-        super().__init__(drive, cycles_per_step=cycles_per_step, randomise=randomise, **arguments)
+        super().__init__(drive, randomise=randomise, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
         machine = gantry(model, parameters=self.datasheet)

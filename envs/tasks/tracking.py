@@ -96,7 +96,7 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
             episode.rms_error = (episode._squares / episode._count) ** 0.5
             episode.rms_load_error = (episode._load_squares / episode._count) ** 0.5
         episode._torque = torque
-        episode.cost = limited(tpdos[w])
+        episode.cost = limited(worlds[w])
         episode.is_success = episode._count > 0 and episode.rms_error <= episode._tolerance
         episode._terminated = faulted(tpdos[w])
 
@@ -145,7 +145,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     with the tracking error ``error`` (m) of the drive's encoder, its root mean square so far
     ``rms_error`` (m), that of the load itself ``rms_load_error`` (m, the truth, behind what is
     elastic, when the position was sampled), ``is_success`` while `rms_error` is within `tolerance`,
-    and ``info["cost"]``, 1 while an internal limit is active.
+    and ``info["cost"]``, the share of the step at a limit.
 
     ## Episode
     Starts at rest at a random position. The reference is one of `servogym.envs.tasks.references`,

@@ -94,8 +94,8 @@ def _window(env: Any) -> float:
 
 
 def _torque(env: Any) -> float:
-    """Share of the rated torque."""
-    return _largest(env, env.machine.axes["torque"] / env.machine.axes["rated_torque"])
+    """The peak of the step, share of the rated torque."""
+    return _largest(env, env.machine.couplings["torque_peak"] / env.machine.axes["rated_torque"])
 
 
 def _torque_limit(env: Any) -> float:
@@ -106,13 +106,15 @@ def _torque_limit(env: Any) -> float:
 
 
 def drives(several: bool) -> tuple[Channel, ...]:
-    """Of the drives an agent commands, in every task; of several the larger value."""
+    """Of the drives an agent commands, in every task; of several the larger value; the peaks of
+    each step.
+    """
     larger = ("larger following\nerror (µm)", "larger torque\n/ rated")
     following_error, torque = larger if several else ("following error\n(µm)", "torque / rated")
     return (
         Channel(
             following_error,
-            lambda env: _largest(env, env.machine.axes["od"]["following_error_actual_value"]),
+            lambda env: _largest(env, env.machine.couplings["error_peak"]),
             window=_window, wide=True,
         ),
         Channel(torque, _torque, window=_torque_limit),

@@ -284,7 +284,7 @@ m = linear_axis(); m.step(10); after(0.2); t = time.monotonic()
 refused(KeyboardInterrupt, "", m.step, 10**9); passed = time.monotonic() - t; assert passed < 2.0, passed
 m.step(5); assert m.snapshot()
 # in a long step of a vector
-v = vector(64, 2, cycles_per_step=1000) if 0 else ServoVectorEnv(LinearAxisEnv, 64, threads=2, cycles_per_step=200)
+v = ServoVectorEnv(LinearAxisEnv, 64, threads=2, step_time=0.1)
 v.reset(seed=1); after(0.2); t = time.monotonic()
 def long():
     while True: v.step(act(v))

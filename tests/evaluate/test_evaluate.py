@@ -42,7 +42,7 @@ def test_the_evaluation_is_what_the_environments_say_one_by_one():
             cost += info["cost"]
         assert result.values["episode_return"][i] == total
         assert result.values["success"][i] == info["is_success"]
-        assert result.values["limited"][i] == pytest.approx(cost / env.STEPS, abs=0.01)
+        assert result.values["limited"][i] == pytest.approx(cost / env.STEPS, abs=1e-9)
 
 
 def test_measuring_does_not_change_the_motion():

@@ -17,7 +17,7 @@ from servogym.training.policies.profiles import Bounds, shaped, trapezoid
 
 STEPS = CompliantAxisEnv.STEPS
 FAR = {"start": 0.1, "goal": 0.4}
-TERMS = ("reward", "reward_near", "reward_settled", "reward_gentle", "cost")
+TERMS = ("reward_near", "reward_settled", "reward_gentle", "cost")
 assert servogym.envs
 
 

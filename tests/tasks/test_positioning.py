@@ -173,11 +173,11 @@ def test_a_wrong_action_is_an_error_that_names_the_fix(action, env):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"cycles_per_step": 2.5}, "whole number"),
-        ({"cycles_per_step": 0}, "whole number"),
-        ({"cycles_per_step": float("nan")}, "cycles_per_step = nan"),
+        ({"step_time": 1.1e-3}, "whole number"),
+        ({"step_time": 0.0}, "step_time = 0.0"),
+        ({"step_time": float("nan")}, "step_time = nan"),
         ({"history": "two"}, "history = .two."),
-        ({"cycles_per_step": 511}, "60C2h"),
+        ({"step_time": 0.2555}, "60C2h"),
         ({"payload": -1.0}, "payload = -1.0"),
         ({"mode": "pp"}, "mode = 'pp', use one of csp, csv, cst"),
         ({"tolerance": float("nan")}, "tolerance"),

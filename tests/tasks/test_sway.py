@@ -83,7 +83,7 @@ def test_the_load_is_judged_not_the_axis():
     assert not info["is_success"]
     _, info = env.reset(options={"start": 0.4, "goal": 0.4})
     assert info["is_success"]
-    assert info["reward"] == pytest.approx(1.0, abs=1e-3)
+    assert env.episode.reward == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(("axes", "sensor", "width"), [("x", 0, 7), ("x", 1, 9), ("xy", 1, 18)])

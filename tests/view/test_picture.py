@@ -198,8 +198,8 @@ def test_a_vector_environment_draws_each_of_its_machines(gl):
 
 def test_images_a_second_are_the_steps_of_a_second():
     assert LinearAxisEnv().metadata["render_fps"] == 200
-    assert LinearAxisEnv(cycles_per_step=40).metadata["render_fps"] == 50
-    envs = gym.make_vec(ID, 2, cycles_per_step=40)
+    assert LinearAxisEnv(step_time=0.02).metadata["render_fps"] == 50
+    envs = gym.make_vec(ID, 2, step_time=0.02)
     assert envs.metadata["render_fps"] == 50
     envs.close()
 
