@@ -5,8 +5,8 @@ observation. A step of some rows is three compiled calls: the task makes RPDO im
 the loop latches them, runs and collects TPDO images, and the task judges what came back.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from .engine import loop
 from .engine.guard import Turn
 from .engine.machine import Machine
 from .faces import CONTROL, STATUS, control, report
+
+if TYPE_CHECKING:
+    from .over_ethercat import EtherCatLine
 
 PDO_BYTES = 8
 TICKS_A_CALL = 20_000  # physics steps, some 40 ms: how long Ctrl-C waits
@@ -99,7 +102,7 @@ class Batch:
     ):  # fmt: skip
         self.task = task
         self.ticks = ticks
-        self.exchange: Callable[..., None] = loop.run  # images against cycles of the machines
+        self.lines: dict[int, EtherCatLine] = {}  # by world, where images go in frames
         self.stopped = False  # set by another thread: a step ends as soon as it can
         self.modes = np.array(modes, np.int8)
         self.action, self.observation = task.ACTION, task.OBSERVATION
@@ -161,8 +164,16 @@ class Batch:
                     raise RuntimeError("the step was interrupted")
                 now = slice(i, i + rows)
                 images = part.received[now], part.transmitted[now]
-                self.exchange(part.worlds[now], self.ticks, *images)
+                self._exchange(part.worlds[now], *images)
             self._judge(part)
+
+    def _exchange(self, worlds: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """Images against a step of the machines."""
+        if not self.lines:
+            loop.run(worlds, self.ticks, rpdos, tpdos)
+            return
+        for i in np.flatnonzero(worlds).tolist():
+            self.lines[int(worlds[i])].run(worlds[i : i + 1], self.ticks, rpdos[i], tpdos[i])
 
     def _judge(self, part: Part) -> None:
         self.task.judge(part.worlds, part.episodes, part.rpdos, part.tpdos, part.seen)

@@ -1,103 +1,114 @@
-"""An environment whose process data travel in EtherCAT frames, with faults of the bus to order.
+"""The drives of an environment as slaves on a segment: process data travel in EtherCAT frames.
 
->>> env = OverEtherCat(gym.make("servogym.envs:servogym/LinearAxis-v0", drive="kollmorgen_akd"),
-...                    faults=["drop rate=0.01 count=0"])
-
-Without faults an episode is the same as without frames, byte by byte. A frame that is lost leaves
-the drive with its last set-point and the agent with its last observation; time passes all the same.
+An environment is put on one by a fault of the bus among its `faults`. As long as none happens an
+episode is the same as without frames, byte by byte. A frame that is lost leaves the drives with
+their last set-points and the agent with its last observation; time passes all the same.
 """
 
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
+from ..drive.drive import Drive
+from ..drive.ethercat.bus import Bus
+from ..drive.ethercat.controller.registers import R
 from ..drive.ethercat.faulty import Fault, FaultyBus
 from ..drive.ethercat.master import EtherCatMaster
 from ..drive.ethercat.segment import Segment
 from ..drive.ethercat.slave import Slave
 from .engine import loop, probe
-from .engine.machine import NO_IMAGES
-from .servo_env import ServoEnv
+from .engine.machine import NO_IMAGES, Machine
+
+WATCHDOG_UNIT = 1e-4  # s, of 0420h with the divider of the reset
+WATCHDOG = 0.1  # s, of the reset; longer where an agent's step is long
+STEPS = 4  # of the agent without outputs, at least, until the watchdog bites
+MOST = 0xFFFF
 
 
-class _Frames:
-    """Takes the place of `loop.run` for one machine: images go in frames."""
+class EtherCatLine:
+    """The drives of one environment behind slave controllers in OPERATIONAL.
 
-    def __init__(self, env: ServoEnv, faults: Sequence[Fault], seed: int):
-        self._machine = env.machine
-        self._bus = FaultyBus(Segment([Slave(drive) for drive in env.drives]), seed=seed)
-        self.master = EtherCatMaster(self._bus)
-        self.master.to_op()
-        self._bus.order(faults)  # from here on: what brings the slaves to OP is undisturbed
-        self.lost = 0  # frames of process data
+    A step has two frames of process data: with the set-points (LRW), and for the answers (LRD).
 
-    def run(self, worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """As `loop.run`, for one world."""
+    Args:
+        machine: of the environment.
+        drives: that its agent commands, with the mapping of the task.
+        period: of its steps (s).
+        faults: that happen, in each episode anew.
+
+    Raises:
+        ValueError: a drive without EtherCAT, a fault of a slave that is not there.
+    """
+
+    def __init__(
+        self, machine: Machine, drives: Sequence[Drive], period: float, faults: Sequence[Fault]
+    ):
+        self._machine = machine
+        self._drives = list(drives)
+        self._faults = list(faults)
+        self._tick = round(machine.cycle_time * 1e9) // machine.physics_steps  # ns
+        self._segment = Segment([Slave(drive) for drive in drives])
+        self._master = EtherCatMaster(Bus(self._segment))
+        self._master.scan()
+        watchdog = min(round(max(STEPS * period, WATCHDOG) / WATCHDOG_UNIT), MOST)
+        for slave in self._master.slaves:
+            slave.write(R.WATCHDOG_TIME, watchdog.to_bytes(2, "little"))
+        self._master.to_op()
+        self._built = [drive.snapshot() for drive in drives]
+        self._operational = self._segment.snapshot(drives=False), self._master.state()
+        self._order(0)
+
+    def _order(self, seed: int | np.random.Generator) -> None:
+        self._bus = FaultyBus(self._segment, faults=self._faults, seed=seed)
+        self._master.wire = self._bus
+        self.lost = 0  # frames that did not come back, or were not counted by all slaves
+
+    def begin(self, random: np.random.Generator) -> None:
+        """Before an episode: slaves in OPERATIONAL, faults counted anew, their rates by `random`.
+
+        A drive that was without power is what it was when the environment was made.
+        """
+        happened = zip(self._faults, self._bus.happened, strict=True)
+        if any(times and fault.kind == "power_cycle" for fault, times in happened):
+            for drive, built in zip(self._drives, self._built, strict=True):
+                drive.restore(built)
+        segment, master = self._operational
+        self._segment.restore(segment)
+        self._master.become(master)
+        self._order(random)
+
+    def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """As `loop.run`, for one world and its images as bytes."""
         probe.renew(self._machine)
         delay = min(int(self._machine.world["delay"][0]), ticks)
-        loop.run(worlds, delay, NO_IMAGES, NO_IMAGES)
+        self._pass(world, delay)
         at = 0
-        for slave in self.master.slaves:
+        for slave in self._master.slaves:
             size = len(slave.outputs)
-            slave.outputs[:] = rpdos[0, at : at + size].tobytes()
+            slave.outputs[:] = rpdos[at : at + size].tobytes()
             at += size
-        self.lost += not self.master.cycle()
-        loop.run(worlds, ticks - delay, NO_IMAGES, NO_IMAGES)
-        self._bus.segment.publish(0)
-        if self.master.look():
-            inputs = b"".join(slave.inputs for slave in self.master.slaves)
-            tpdos[0] = np.frombuffer(inputs, np.uint8)
+        self.lost += not self._master.cycle()
+        self._pass(world, ticks - delay)
+        self._segment.publish(self._bus.time)
+        if self._master.look():
+            inputs = b"".join(slave.inputs for slave in self._master.slaves)
+            tpdos[:] = np.frombuffer(inputs, np.uint8)
         else:
             self.lost += 1
 
+    def _pass(self, world: np.ndarray, ticks: int) -> None:
+        loop.run(world, ticks, NO_IMAGES, NO_IMAGES)
+        self._bus.let_pass(ticks * self._tick)
 
-class OverEtherCat(gym.Wrapper):
-    """The environment `env`, its drives behind slave controllers on a segment.
+    def state(self) -> tuple[Any, ...]:
+        """All that has happened since it was made; the drives are kept by their machine."""
+        segment = self._segment.snapshot(drives=False)
+        return segment, self._bus.state(), self._master.state(), self.lost
 
-    ``info["frames_lost"]`` counts frames of the episode that were lost, or not counted by all
-    slaves.
-
-    Args:
-        env: a servogym environment with a drive model for EtherCAT.
-        faults: lines as `servogym ethercat --fault` takes them, or `Fault`; each episode anew.
-        seed: of faults with a rate, until a reset gives one.
-
-    Raises:
-        ValueError: another environment or drive model, a fault that is none.
-    """
-
-    def __init__(self, env: gym.Env, faults: Sequence[str | Fault] = (), seed: int = 0):
-        super().__init__(env)
-        base = env.unwrapped
-        if not isinstance(base, ServoEnv):
-            raise ValueError(f"{base} is no environment of servogym")
-        if base.drive.model.bus != "ethercat":
-            raise ValueError(
-                f"drive {base.drive.model.name!r} is on {base.drive.model.bus}: give the "
-                'environment a model for EtherCAT, such as drive=load("generic", "ethercat")'
-            )
-        self._base = base
-        self._faults = [f if isinstance(f, Fault) else Fault.parse(f) for f in faults]
-        self._random = np.random.default_rng(seed)
-        self._frames: _Frames | None = None
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start anew, with slaves in OPERATIONAL."""
-        if seed is not None:
-            self._random = np.random.default_rng(seed)
-        self._base.exchange_by(loop.run)
-        observation, info = self.env.reset(seed=seed, options=options)
-        draw = int(self._random.integers(1 << 31))
-        self._frames = _Frames(self._base, self._faults, draw)
-        self._base.exchange_by(self._frames.run)
-        return observation, info | {"frames_lost": 0}
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One step, its set-points and answers in frames."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        lost = self._frames.lost if self._frames else 0
-        return observation, reward, terminated, truncated, info | {"frames_lost": lost}
+    def become(self, state: tuple[Any, ...]) -> None:
+        """Go on where `state` was told, of a line made alike; the drives are there already."""
+        segment, bus, master, self.lost = state
+        self._segment.restore(segment)
+        self._bus.become(bus)
+        self._master.become(master)

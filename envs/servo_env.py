@@ -6,15 +6,13 @@ and homing, the two faces of an action, randomisation, injected faults, infos, r
 """
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
-from numbers import Real
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 
-from ..drive.drive import Drive
 from ..drive.kernel.words import ENABLED, Mode, state_of
 from ..drive.master.master import Master
 from ..drive.model.model import DriveModel, load
@@ -26,12 +24,16 @@ from .checks import whole
 from .engine.machine import Machine
 from .engine.rates import interpolation_period, step_cycles
 from .faces import FACES, FAULT, PDO
+from .injection import Faults, injections, sort
 from .masters.port import MachinePort
 from .plants.axis_parameters import LinearAxisParameters
 from .plants.gantry import GantryParameters
 from .randomisation import Randomisation
 from .view import channels
 from .view.picture import Picture
+
+if TYPE_CHECKING:
+    from .over_ethercat import EtherCatLine
 
 METRE = 1e6  # position units
 STATE_MASK = 0x6F
@@ -68,7 +70,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         previous_action: whether the action taken last is shown, after the observations.
         randomise: ranges by name, drawn for each episode: `servogym.envs.randomisation`.
         faults: probability per step of causes of faults to be injected: ``{"encoder_loss": 1e-4}``
-            into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one.
+            into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one; and
+            per frame of faults of an EtherCAT bus: ``{"drop": 0.01}``, ``{"retreat at=op:50": 1}``.
+            Or lines of the bus alone, as ``servogym ethercat --fault`` takes them. With one of the
+            bus the drives are on EtherCAT: `servogym.envs.over_ethercat`.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
@@ -122,14 +127,15 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         history: int = 1,
         previous_action: bool = False,
         randomise: Mapping[str, float | tuple[float, float]] | None = None,
-        faults: Mapping[str, float] | None = None,
+        faults: Faults = None,
         render_mode: str | None = None,
     ):
         for name, what in NEEDED.items():
             given = vars(self).get(name, getattr(type(self), name, None))
             if given is getattr(ServoEnv, name, None):
                 raise ValueError(f"task {type(self).__name__} lacks {name}: give it {what}")
-        model = load(drive)
+        causes, bus_faults = sort(faults)
+        model = load(drive, "ethercat" if bus_faults else None)
         for mode in self.MODES:
             if mode not in model.modes:
                 raise ValueError(
@@ -148,11 +154,17 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.cycles_per_step = step_cycles(step_time, self.STEP_TIME, self.machine.cycle_time)
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
-        self._faults = _injections(faults or {}, self.machine.drives, self.drives)
+        self._faults = injections(causes, self.machine.drives, self.drives)
         self.randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
         self._history = whole("history", history, 1, MAX_HISTORY)
         self._previous_action = bool(previous_action)
         self._configure()
+        self.line: EtherCatLine | None = None
+        if bus_faults:
+            from . import over_ethercat
+
+            parts = self.machine, self.drives, self.step_time
+            self.line = over_ethercat.EtherCatLine(*parts, bus_faults)
         self.join(self.batch(1), 0)
         width = self._batch.actions.shape[1]
         self.action_space = gym.spaces.Box(-1.0, 1.0, (width,), np.float32)
@@ -247,10 +259,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self._part = batch.part(row, row + 1)
         self.episode: Any = batch.episodes[row]
         batch.worlds[row] = self.machine.addresses[0]
-
-    def exchange_by(self, exchange: Callable[..., None]) -> None:
-        """Let images go another way than through memory: a function called as `loop.run` is."""
-        self._batch.exchange = exchange
+        if self.line is not None:
+            batch.lines[int(batch.worlds[row])] = self.line
 
     # -------------------------------------------------------------------- the episode
 
@@ -268,6 +278,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.parameters = self.randomisation.draw(self.np_random)
         self._injected = []
         self._steps = 0
+        if self.line is not None:
+            self.line.begin(self.np_random.spawn(1)[0])
         for array in (self._part.episodes, self._part.rpdos):
             array.view(np.ndarray).view(np.uint8)[:] = 0
         self._begin(dict(options or {}))
@@ -371,6 +383,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         info["state"] = STATE_NAME.get(words[0] & STATE_MASK, "INVALID")
         info["time"] = self.time
         info["parameters"] = dict(self.parameters)
+        if self.line is not None:
+            info["frames_lost"] = self.line.lost
         return info
 
     @property
@@ -410,12 +424,14 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
                 [array.tobytes() for array in self._part[1:-1]], self._batch.history(self._row),
                 list(self._injected), self._steps, copy.deepcopy(self._np_random),
                 copy.deepcopy((self.action_space, self.observation_space)),
+                None if self.line is None else self.line.state(),
             )  # fmt: skip
 
     def resume(self, kept: tuple[Any, ...]) -> None:
         """Go on where `kept` was taken, of an environment with the same arguments."""
         with self.machine.turn:
-            parameters, machine, rows, history, injected, self._steps, generator, spaces = kept
+            parameters, machine, rows, history, injected, self._steps, *others = kept
+            generator, spaces, line = others
             self.parameters, self._injected = dict(parameters), list(injected)
             self.machine.restore(machine)
             for array, row in zip(self._part[1:-1], rows, strict=True):
@@ -423,6 +439,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             self._batch.set_history(self._row, history)
             self._np_random = generator
             self.action_space, self.observation_space = spaces
+            if self.line is not None:
+                self.line.become(line)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """An image with an overlay, shape ``(540, 960, 3)`` uint8: `Picture`, `Overlay`."""
@@ -448,25 +466,3 @@ def _rebuild(task: type[ServoEnv], args: tuple, arguments: dict, kept: tuple) ->
     env = task(*args, **arguments)
     env.resume(kept)
     return env
-
-
-def _injections(
-    faults: Mapping[str, float], machine: Mapping[str, Drive], drives: Sequence[Drive]
-) -> list[tuple[str, Drive, str, float]]:
-    """What may be injected: the name it has in an info, drive, cause, probability a step."""
-    own = {name: drive for name, drive in machine.items() if drive in drives}
-    several = len(own) > 1
-    injections = []
-    for key, probability in faults.items():
-        named, dot, cause = key.rpartition(".")
-        if dot and named not in own:
-            raise ValueError(f"faults[{key!r}]: there is no drive {named!r}, only {[*own]}")
-        for name in [named] if dot else own:
-            known = own[name].injectable
-            if cause not in known:
-                raise ValueError(f"faults: unknown cause {cause!r}, choose of {', '.join(known)}")
-            told = f"{name}.{cause}" if several else cause
-            injections.append((told, own[name], cause, probability))
-        if not (isinstance(probability, Real) and 0.0 <= probability <= 1.0):
-            raise ValueError(f"faults[{key!r}] = {probability!r} is out of range 0..1")
-    return injections

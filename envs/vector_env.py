@@ -212,6 +212,8 @@ class ServoVectorEnv(gym.vector.VectorEnv):
                 name: np.array([env.parameters[name] for env in self.envs])
                 for name in self.envs[0].parameters
             }
+        if self.envs[0].line is not None:
+            infos["frames_lost"] = np.array([env.line.lost for env in self.envs if env.line])
         infos |= {f"_{name}": self._all.copy() for name in infos}
         faulty = (batch.words & FAULT != 0).any(axis=1)
         if faulty.any():

@@ -9,10 +9,12 @@ one period of physics between two frames, and what they cannot follow is counted
 wait for physics. Times are in ns; there is no clock in here.
 """
 
+import copy
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, ClassVar
 
 from ..machine import Machine
 from .controller.record import SyncMode
@@ -76,6 +78,8 @@ class Bus:
         clock: who makes time pass.
     """
 
+    KEPT: ClassVar[tuple[str, ...]] = ("time", "statistics", "extra")  # by `state`
+
     def __init__(
         self, segment: Segment, machines: Sequence[Machine] = (), clock: Clock | str = Clock.FRAME
     ):
@@ -131,6 +135,11 @@ class Bus:
             self._advance_by_frames(touched)
         else:
             self._follow(now, bool(touched))
+
+    def let_pass(self, span: int) -> None:
+        """Let `span` ns pass for the slaves alone: machines run elsewhere, and no frame comes."""
+        self._edges(self.time + span)
+        self.time += span
 
     def _advance_by_frames(self, touched: list[int]) -> None:
         ran, until = False, self.time
@@ -197,3 +206,19 @@ class Bus:
         if ran:
             self.segment.publish(now)
         self.time = max(self.time, now)
+
+    # ------------------------------------------------------------------ state
+
+    def state(self) -> dict[str, Any]:
+        """All it knows beside its segment and machines, which have snapshots of their own."""
+        plants = [(plant.time, plant.due, plant.edges) for plant in self._plants]
+        own = {name: getattr(self, name) for name in self.KEPT}
+        return copy.deepcopy({"plants": plants} | own)
+
+    def become(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was told, with the same segment and machines."""
+        kept = copy.deepcopy(dict(state))
+        for plant, row in zip(self._plants, kept.pop("plants"), strict=True):
+            plant.time, plant.due, plant.edges = row
+        for name, value in kept.items():
+            setattr(self, name, value)

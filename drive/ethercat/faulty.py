@@ -9,9 +9,9 @@ frames after all slaves are in OPERATIONAL for the first time (``op``); ``count`
 (once; 0 = again and again), ``rate`` with which probability at each opportunity.
 """
 
-import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -116,11 +116,15 @@ class FaultyBus(Bus):
         machines: with their drives.
         clock: who makes time pass.
         faults: lines, or `Fault`.
-        seed: of the rates.
+        seed: of the rates, or a generator.
 
     Raises:
         ValueError: a fault that is none, or of a slave or port that is not there.
     """
+
+    KEPT: ClassVar[tuple[str, ...]] = (
+        *Bus.KEPT, "happened", "_random", "_later", "_last", "_mailbox", "_seen",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -129,11 +133,11 @@ class FaultyBus(Bus):
         clock: Clock | str = Clock.FRAME,
         *,
         faults: Sequence[str | Fault] = (),
-        seed: int = 0,
+        seed: int | np.random.Generator = 0,
     ):
         super().__init__(segment, machines, clock)
         self._random = np.random.default_rng(seed)
-        self._later: list[tuple[int, Callable[[], None]]] = []  # number of the frame, what then
+        self._later: list[tuple[int, Fault, bytes]] = []  # from which frame on which one ends
         self._last = b""
         self._mailbox: dict[int, bytes] = {}
         self.order(faults)
@@ -147,6 +151,11 @@ class FaultyBus(Bus):
                     f"fault {fault.kind}: slave={fault.slave}, there are {len(self.segment)}, "
                     "counted from 0"
                 )
+            if fault.kind in ("break_link", "heal_link"):
+                try:
+                    self.segment.cable(max(fault.slave, 0), fault.port)
+                except ValueError as error:
+                    raise ValueError(f"fault {fault.kind}: {error}") from None
         self.happened = [0] * len(self.faults)
         self._seen = dict.fromkeys(MILESTONES, 0)
 
@@ -184,7 +193,7 @@ class FaultyBus(Bus):
             if fault.kind == "wrong_index":
                 self.segment.frame[17] ^= 0x55
             if fault.kind == "delay":
-                self._after(fault.frames, functools.partial(self.extra.append, reply))
+                self._end_later(fault, reply)
             if fault.kind == "truncate":
                 self.extra.append(reply[: max(len(reply) - fault.frames, 14)])
         if "duplicate" in kinds:
@@ -238,16 +247,22 @@ class FaultyBus(Bus):
             self.happened[n] += 1
             yield fault
 
-    def _after(self, frames: int, what: Callable[[], None]) -> None:
-        self._later.append((self._seen["frame"] + frames, what))
+    def _end_later(self, fault: Fault, reply: bytes = b"") -> None:
+        self._later.append((self._seen["frame"] + fault.frames, fault, reply))
 
     def _catch_up(self) -> None:
-        if not self._later:
-            return
-        due = [what for number, what in self._later if number <= self._seen["frame"]]
-        self._later = [row for row in self._later if row[0] > self._seen["frame"]]
-        for what in due:
-            what()
+        """End what has lasted its number of frames."""
+        due = [row for row in self._later if row[0] <= self._seen["frame"]]
+        for row in due:
+            self._later.remove(row)
+            _, fault, reply = row
+            slave = max(fault.slave, 0)
+            if fault.kind == "delay":
+                self.extra.append(reply)
+            elif fault.kind == "disconnect":
+                self.segment.heal_link(slave, 0)
+            else:
+                self.segment.power(slave, True, self.time)
 
     def _all_in_op(self) -> bool:
         status = self.segment.escs["memory"][:, R.AL_STATUS]
@@ -262,12 +277,12 @@ class FaultyBus(Bus):
             port = 0 if fault.kind == "disconnect" else fault.port
             segment.break_link(slave, port)
             if fault.kind == "disconnect" and fault.frames:
-                self._after(fault.frames, lambda: segment.heal_link(slave, port))
+                self._end_later(fault)
         elif fault.kind == "heal_link":
             segment.heal_link(slave, fault.port)
         elif fault.kind == "power_cycle":
             segment.power(slave, False)
-            self._after(fault.frames, lambda: segment.power(slave, True, self.time))
+            self._end_later(fault)
         elif fault.kind == "al_error":
             station = segment.stations[slave]
             station.fail(fault.code or AlStatusCode.UNSPECIFIED, station.state)

@@ -11,7 +11,7 @@ not answer raises TimeoutError, a state that is refused RuntimeError with the sl
 """
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Any, Protocol
 
 from ..objects.abort import SdoAbort
 from . import clocks, sii
@@ -317,6 +317,17 @@ class EtherCatMaster:
                 slave.inputs = replies[0].data[at : at + len(slave.inputs)]
                 at += len(slave.inputs)
         return right
+
+    def state(self) -> tuple[Any, ...]:
+        """What process data depend on, once mapped: `become` goes on with it."""
+        images = [(bytes(slave.outputs), slave.inputs) for slave in self.slaves]
+        return self._index, self.wrong, images
+
+    def become(self, state: tuple[Any, ...]) -> None:
+        """Go on where `state` was told, with the same slaves, mapped as they were."""
+        self._index, self.wrong, images = state
+        for slave, (outputs, inputs) in zip(self.slaves, images, strict=True):
+            slave.outputs, slave.inputs = bytearray(outputs), inputs
 
     def to_op(self) -> None:
         """From INIT, or wherever the slaves are on the way, to OPERATIONAL, with process data.

@@ -151,11 +151,7 @@ class Segment:
 
     def break_link(self, slave: int, port: int = 1) -> None:
         """Cut the cable at a port. Raises ValueError where there is none."""
-        here = End(slave, port)
-        there = self._peer.get(here)
-        if there is None:
-            raise ValueError(f"port {port} of slave {slave} has no cable")
-        for end in {here, there} - self._broken:
+        for end in self.cable(slave, port) - self._broken:
             if end.slave >= 0:
                 lost = self.escs["memory"][end.slave]
                 lost[R.LOST_LINKS + end.port] = min(int(lost[R.LOST_LINKS + end.port]) + 1, 0xFF)
@@ -163,10 +159,19 @@ class Segment:
         self._rewire()
 
     def heal_link(self, slave: int, port: int = 1) -> None:
-        """Mend the cable at a port."""
-        here = End(slave, port)
-        self._broken -= {here, self._peer[here]}
+        """Mend the cable at a port. Raises ValueError where there is none."""
+        self._broken -= self.cable(slave, port)
         self._rewire()
+
+    def cable(self, slave: int, port: int) -> set[End]:
+        """Both ends of the cable at a port. Raises ValueError where there is none."""
+        here = End(slave, port)
+        if here not in self._peer:
+            cables = [str(end.port) for end in sorted(self._peer) if end.slave == slave]
+            raise ValueError(
+                f"port {port} of slave {slave} has no cable, only port {' and '.join(cables)}"
+            )
+        return {here, self._peer[here]}
 
     def _linked(self, end: End) -> bool:
         peer = self._peer.get(end)
@@ -321,8 +326,11 @@ class Segment:
 
     # --------------------------------------------------------------- snapshot
 
-    def snapshot(self) -> bytes:
-        """Everything the segment is, as bytes; `restore` continues bit by bit the same."""
+    def snapshot(self, *, drives: bool = True) -> bytes:
+        """Everything the segment is, as bytes; `restore` continues bit by bit the same.
+
+        Without `drives` theirs is left out, for one who has it in the snapshot of a machine.
+        """
         wiring = f"{_text(self._broken)}\n{_text(self._held)}".encode()
         escs = self.escs.copy()
         for name in ADDRESSES:
@@ -330,7 +338,7 @@ class Segment:
         parts = [wiring, escs.tobytes()]
         for station in self.stations:
             parts.append(station.snapshot())
-            parts.append(station.drive.snapshot() if station.drive else b"")
+            parts.append(station.drive.snapshot() if drives and station.drive else b"")
         head = [VERSION, ESC.itemsize, len(self), *(len(part) for part in parts)]
         return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
 
@@ -356,7 +364,7 @@ class Segment:
         self.escs[:] = np.frombuffer(escs, ESC)
         for i, station in enumerate(self.stations):
             station.restore(stations[2 * i])
-            if station.drive:
+            if stations[2 * i + 1]:
                 station.drive.restore(stations[2 * i + 1])
             self.images[i].prepare()
         before = self.escs["memory"].copy()
