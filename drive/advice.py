@@ -23,18 +23,37 @@ OBEYED = {
     Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
 }
 
-# whatever the command: statusword mask, value, next step
+# whatever the command: statusword mask, value, quirk and what it has to be, next step
 HINDRANCES = (
-    (Statusword.REMOTE, 0, "remote (bit 9) is 0: the drive is under local control, release it"),
+    (
+        Statusword.REMOTE,
+        0,
+        ("remote_bit", 0),
+        "remote (bit 9) is 0: the drive is under local control, release it",
+    ),
+    (
+        Statusword.REMOTE,
+        0,
+        ("remote_bit", 1),
+        "remote (bit 9) is 0: the bus may not enable the drive, 6510h:10h = 2 allows it",
+    ),
     (
         Statusword.VOLTAGE_ENABLED,
         0,
+        ("voltage_bit", 0),
         "voltage_enabled (bit 4) is 0: switch on the power, allow torque (STO)",
     ),
     (
         Statusword.INTERNAL_LIMIT_ACTIVE,
         Statusword.INTERNAL_LIMIT_ACTIVE,
+        ("limit_bit_is_i2t", 0),
         "internal_limit_active (bit 11): look for a limit switch or a limit of 607Dh, 6072h, 607Fh",
+    ),
+    (
+        Statusword.INTERNAL_LIMIT_ACTIVE,
+        Statusword.INTERNAL_LIMIT_ACTIVE,
+        ("limit_bit_is_i2t", 1),
+        "internal_limit_active (bit 11): I²t limits the current, command less or wait",
     ),
 )
 
@@ -50,9 +69,13 @@ def situation(statusword: int, controlword: int, mode: int) -> str:
     return f"statusword {describe(statusword, mode)}; last controlword {controlword:04X}h {told}"
 
 
-def advice(statusword: int, controlword: int) -> str:
+def advice(model: DriveModel, statusword: int, controlword: int) -> str:
     """The next step where a drive does not do what the controlword says."""
-    hindrances = [text for mask, value, text in HINDRANCES if statusword & mask == value]
+    hindrances = [
+        text
+        for mask, value, (quirk, kind), text in HINDRANCES
+        if statusword & mask == value and model.quirk(quirk) == kind
+    ]
     command = command_of(controlword)
     needed = f"{command.name}: {OBEYED[command]}; else look for a missing enable input (60FDh)"
     return "; ".join(hindrances) or needed

@@ -65,6 +65,7 @@ class Drive:
         self.operational = False  # the bus exchanges process data, told by node or slave
         self.synchronisation: Any = None  # what a slave on EtherCAT measures, see hooks.ethercat
         self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
+        self.wanted_node_id: int | None = None  # the drive has reset itself to have it
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self.node_id = node_id

@@ -20,6 +20,7 @@ from canopen.objectdictionary import datatypes
 from ..kernel.process_data import DUMMY_BITS
 from ..kernel.record import OD
 from ..model.model import DriveModel, Object, load
+from ..objects.hooks.act import SINGLE
 from ..objects.mapping import described
 
 BITRATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # bit/s
@@ -40,13 +41,14 @@ ACCESS = {("rw", "rx"): "rww", ("rw", "tx"): "rwr"}
 
 
 def object_dictionary(
-    model: str | Path | DriveModel, node_id: int | None = None
+    model: str | Path | DriveModel, node_id: int | None = None, *, in_file: bool = False
 ) -> canopen.ObjectDictionary:
     """A drive model as the `canopen` library knows it.
 
     Args:
         model: name, folder or loaded model.
         node_id: 1..127; with it, every object has the value that the drive has after power-on.
+        in_file: only what a file can describe, see `rows`.
 
     Raises:
         ValueError: unknown model, node-id out of range, a text that CiA 306 cannot carry.
@@ -65,7 +67,7 @@ def object_dictionary(
         assert len(dummy) == bits
         od.add_object(dummy)
     objects: dict[int, list[Object]] = {}
-    for row in rows(model):
+    for row in rows(model, in_file):
         objects.setdefault(row.index, []).append(row)
     names = {members[0].name for members in objects.values() if _is_variable(members)}
     for index, members in objects.items():
@@ -82,25 +84,28 @@ def object_dictionary(
     return od
 
 
-def rows(model: DriveModel) -> list[Object]:
+def rows(model: DriveModel, in_file: bool = True) -> list[Object]:
     """What the data sheet describes: all objects of the model but two kinds.
 
     A sub-index 0 that is not the number of entries cannot stand in an EDS, where it is UNSIGNED8
-    (CiA 306): data set 0 of the Bonfiglioli ACT is left out, and of its parameters that exist once
-    (VAR) data set 5.
+    (CiA 306, dcfchk refuses another type): data set 0 of the Bonfiglioli ACT is there only if not
+    `in_file`. Of its parameters that exist once (VAR) data set 5 is left out.
     """
     found = described(model)
     single = {
         row.index
         for row in found
-        if (row.subindex, row.object_type, row.hook) == (0, "VAR", "single_set")
+        if (row.subindex, row.object_type) == (0, "VAR") and row.hook in SINGLE
     }
     groups = {row.index for row in found if row.subindex} - single
     return [
         row
         for row in found
         if (row.subindex and row.index in groups)
-        or (not row.subindex and (row.index not in groups or row.data_type == "UNSIGNED8"))
+        or (
+            not row.subindex
+            and (not in_file or row.index not in groups or row.data_type == "UNSIGNED8")
+        )
     ]
 
 
@@ -217,7 +222,7 @@ def write(model: str | Path | DriveModel, path: Path, node_id: int | None = None
     text = io.StringIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # datetime.utcnow in the library
-        dictionary.export_od(object_dictionary(model, node_id), text, suffix[1:])
+        dictionary.export_od(object_dictionary(model, node_id, in_file=True), text, suffix[1:])
     file = configparser.RawConfigParser()
     file.optionxform = str  # type: ignore[assignment,method-assign]
     file.read_string(text.getvalue())

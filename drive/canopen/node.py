@@ -141,6 +141,13 @@ class Node:
         self.drive.reset_communication()
         self._boot()
 
+    def _adopt(self) -> None:
+        """The drive has reset itself to have another node-id (parameter 387 of the ACT)."""
+        assert self.drive.wanted_node_id is not None
+        self.lss.stored_node_id, self.drive.wanted_node_id = self.drive.wanted_node_id, None
+        self.lss.power_on()
+        self._reset_communication()
+
     def _take_node_id(self) -> None:
         """The node-id that LSS has configured becomes the active one."""
         self.node_id = self.lss.active_node_id = self.lss.node_id
@@ -244,6 +251,8 @@ class Node:
 
     def poll(self, time: int) -> list[Frame]:
         """Frames to send at `time` (µs), in their order."""
+        if self.drive.wanted_node_id is not None:
+            self._adopt()
         if self._version != self.drive.communication_version:
             self._configure()
         if self.lss.bit_rate_switch is not None and self.lss.switching(time):

@@ -148,7 +148,7 @@ class RemoteObjects:
     def upload(self, name: str) -> int | float:
         """An object's value (drive units), by SDO."""
         row = self._row(name)
-        return _code(row).unpack(self.sdo.upload(row.index, row.subindex))[0]
+        return _code(row).unpack_from(self.sdo.upload(row.index, row.subindex))[0]
 
     def write(self, name: str, value: int | float) -> None:
         """Set an object (drive units), in the first RPDO that has it, else by SDO.

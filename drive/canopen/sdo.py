@@ -16,6 +16,7 @@ from ..objects.dictionary import ObjectDictionary
 TIME_OUT = 1_000_000  # µs between two frames of a transfer
 BLOCK_SIZE = 127  # segments a block
 LIMIT = 4096  # bytes a client may send for one object
+SIZELESS = range(0x2001, 0x3000)  # objects with the quirk `upload_without_size`
 _HEAD = struct.Struct("<BHB")
 _ANSWER = struct.Struct("<BHB4s")
 
@@ -27,6 +28,7 @@ class SdoServer:
 
     def __init__(self, objects: ObjectDictionary):
         self._objects = objects
+        self._sizeless = objects.drive.model.quirk("upload_without_size")
         self.reset()
 
     def reset(self) -> None:
@@ -144,7 +146,8 @@ class SdoServer:
         if abort:
             self._abort(abort)
         elif 1 <= length <= 4:
-            self.send(_ANSWER.pack(0x53 - 4 * length, index, subindex, value))
+            command = 0x42 if self._sizeless and index in SIZELESS else 0x53 - 4 * length
+            self.send(_ANSWER.pack(command, index, subindex, value))
         else:
             self._begin(self._upload_segment)
             self._data = value

@@ -223,7 +223,9 @@ class Drives:
                     self._check(axis, what, faulty, powered, homing)
                 if self.port.now() >= end:
                     shown = self._shown(*late)
-                    step = hint or advice.advice(shown[0].statusword, shown[0].controlword)
+                    step = hint or advice.advice(
+                        self.port.models[late[0]], shown[0].statusword, shown[0].controlword
+                    )
                     raise Timeout(what, f"not within {timeout:g} s", step, shown)
                 self.port.exchange()
         except ServoError as error:

@@ -79,6 +79,7 @@ class Device(Protocol):
     operational: bool
     synchronisation: Any  # what EtherCAT measures, by the names of hooks.ethercat; None without
     communication_version: int
+    wanted_node_id: int | None
     rpdos: np.ndarray
     tpdos: np.ndarray
 
@@ -93,6 +94,9 @@ class Device(Protocol):
     @property
     def energised(self) -> bool:
         """Whether the state feeds the motor."""
+
+    def reset(self) -> None:
+        """Power on."""
 
     def snapshot(self) -> bytes:
         """Everything it is."""

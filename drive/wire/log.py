@@ -3,7 +3,6 @@
 import gzip
 import logging
 import os
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +12,7 @@ import can
 from can.io.player import MESSAGE_READERS
 
 TEXT_LOGS = (".log", ".asc", ".trc", ".csv")  # a frame a line
-LONGEST = 1 << 16  # bytes of a line; the readers would hold any at once, unpacked ones too
+LONGEST = 1 << 16  # characters of a line; the readers would hold any at once, unpacked ones too
 
 
 def not_classical(message: can.Message) -> str:
@@ -24,7 +23,7 @@ def not_classical(message: can.Message) -> str:
 
 
 def messages(log: Path) -> Iterator[can.Message]:
-    """The messages of a log; whatever a reader stumbles over becomes a ValueError."""
+    """The messages of a log; what a reader stumbles over becomes a ValueError with the line."""
     suffixes = [suffix.lower() for suffix in log.suffixes]
     plain = suffixes[-2:-1] if suffixes[-1:] == [".gz"] else suffixes[-1:]
     if not plain or plain[0] not in MESSAGE_READERS:
@@ -32,44 +31,59 @@ def messages(log: Path) -> Iterator[can.Message]:
         raise ValueError(f"{log}: unknown suffix, use one of {known}, also with .gz behind it")
     with log.open("rb") as file:  # also because the reader of .db makes a file that is not there
         size = file.seek(0, os.SEEK_END)
-        file.seek(max(size - 1, 0))
-        ends = suffixes[-1] not in TEXT_LOGS or size == 0 or file.read() == b"\n"
-    if plain[0] in TEXT_LOGS:
-        _lines(log, packed=suffixes[-1] == ".gz")
+    lines = _Lines(log, suffixes[-1] == ".gz") if plain[0] in TEXT_LOGS else None
+    source: Any = lines or log
+    reads: Any = MESSAGE_READERS[plain[0]] if lines else can.LogReader
     library = logging.getLogger(MESSAGE_READERS[plain[0]].__module__)
     library.addFilter(_refuse)
     try:
-        with can.LogReader(log) as reader:
+        with reads(source) as reader:
             for message in reader:
                 if message.arbitration_id is None:  # of a damaged .db
                     raise ValueError("a frame without an identifier")
                 yield message
             if isinstance(reader, can.BLFReader) and size < reader.file_size:
                 raise ValueError(f"{size} bytes of {reader.file_size} are there")
-            if not ends:  # the readers take what is left of a frame for a short one
-                raise ValueError("its last line has no end and may be wrong")
+            if lines and lines.open_end:  # the readers take what is left of a frame for a short one
+                raise ValueError("it has no end and may be wrong")
+    except gzip.BadGzipFile as error:
+        raise ValueError(f"{log}: {error}") from None
     except OSError:
         raise
     except Exception as error:  # each reader has exceptions of its own, down to IndexError
         reason = " ".join(str(error).split())
+        where = f"{log}, line {lines.number}" if lines else f"{log}"
         raise ValueError(
-            f"{log}: damaged or cut off, no further frame can be read ({reason})"
+            f"{where}: damaged or cut off, no further frame can be read ({reason})"
         ) from None
     finally:
         library.removeFilter(_refuse)
 
 
-def _lines(log: Path, packed: bool) -> None:
-    """Raises ValueError for a line that is longer than any frame."""
-    with (
-        suppress(EOFError, gzip.BadGzipFile, zlib.error),  # the reader tells, after what is whole
-        gzip.open(log) if packed else log.open("rb") as file,
-    ):
-        number = 1
-        while line := file.readline(LONGEST + 1):
-            if len(line) > LONGEST:
-                raise ValueError(f"{log}: line {number} has more than {LONGEST} bytes")
-            number += 1
+class _Lines:
+    """The lines of a text log for a reader of python-can: counted, none longer than any frame."""
+
+    def __init__(self, log: Path, packed: bool):
+        self._file = gzip.open(log, "rt") if packed else log.open()  # noqa: SIM115
+        self.number = 0
+        self.open_end = False
+
+    def __iter__(self) -> "_Lines":
+        return self
+
+    def __next__(self) -> str:
+        line = self._file.readline(LONGEST + 1)
+        if not line:
+            raise StopIteration
+        self.number += 1
+        if len(line) > LONGEST:
+            raise ValueError(f"it has more than {LONGEST} characters")
+        self.open_end = not line.endswith("\n")
+        return line
+
+    def close(self) -> None:
+        """As a file."""
+        self._file.close()
 
 
 def _refuse(record: logging.LogRecord) -> bool:

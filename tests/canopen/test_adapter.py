@@ -173,6 +173,7 @@ def node(tmp_path):
         while "as node" not in line:
             assert line, process.communicate()
             line = process.stdout.readline()
+        assert "on --interface udp_multicast --channel 239.74.163.79 " in line, "as it was given"
         time.sleep(0.5)
         return process, log
 
@@ -211,6 +212,8 @@ def test_a_killed_node_leaves_a_readable_log(node):
         (["-i", "kvaser", "-c", "0"], "no bus on --interface kvaser"),
         (["-i", "slcan", "-c", "/dev/nothing"], "no bus on --interface slcan"),
         (["-i", "udp_multicast", "-c", "nowhere"], "no bus on --interface udp_multicast"),
+        (["-i", "udp_multicast", "--bus-kwargs", "prot=4"], "does not know it; did you mean port"),
+        (["-i", "virtual", "--bus-kwargs", "preserve_timestamp=1"], "mean preserve_timestamps"),
         (["--bus-config", "nothing"], "no bus on --bus-config nothing"),
         (["--drive", "kollmorgen_akd"], "use `servogym ethercat`"),
         (["--parameter-file", "/nowhere/p.json"], "there is no folder /nowhere; make it first"),
@@ -225,6 +228,16 @@ def test_a_mistake_is_one_line_and_status_2(capsys, monkeypatch, tmp_path, argum
     error = capsys.readouterr().err
     assert says in error
     assert error.count("\n") == 1
+
+
+def test_keywords_that_an_interface_takes_without_naming_them_are_known():
+    from can.interfaces.kvaser import KvaserBus
+    from can.interfaces.pcan import PcanBus
+
+    from servogym.training.cli.node import _keywords
+
+    assert {"f_clock_mhz", "nom_brp", "state"} <= _keywords(PcanBus.__init__)
+    assert {"accept_virtual", "tseg1"} <= _keywords(KvaserBus.__init__)
 
 
 def test_without_options_the_bus_needs_no_hardware_and_speaks_classical_can():

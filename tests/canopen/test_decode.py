@@ -1,6 +1,7 @@
 """Logs of our own node, told by meaning."""
 
 import binascii
+import gzip
 import random
 import struct
 
@@ -336,7 +337,10 @@ def test_a_log_that_is_cut_off_is_one_line_and_status_2(tmp_path, capsys, sessio
     path.write_bytes(path.read_bytes()[:-4])
     assert cli.main(["decode", str(path)]) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"servogym decode: {path}: damaged or cut off")
+    assert error.startswith(f"servogym decode: {path}")
+    assert ": damaged or cut off" in error
+    text = suffix.removesuffix(".gz") in (".log", ".asc", ".trc", ".csv")
+    assert (f"{path}, line " in error) == text
     assert error.count("\n") == 1
 
 
@@ -373,6 +377,23 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, capsys, name, content, say
     assert says in error
     assert error.count("\n") == 1
     assert path.exists() == (content is not None)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "lines"),
+    [
+        (".csv", ["timestamp,arbitration_id,extended,remote,error,dlc,data",
+                  "1.0,0x181,0,0,0,2,NwY=", "1.0,0x181,0,0,zero", "1.0,0x181,0,0,0,2,NwY="]),
+        (".log", ["(1.0) can0 181#3706", "(1.0) can0 181#3706", "(1.0) can0 181#37x6"]),
+        (".csv.gz", ["t,a,e,r,e,d,d", "1.0,0x181,0,0,0,2,NwY=", "1.0,0xXYZ,0,0,0,2,NwY="]),
+    ],
+)  # fmt: skip
+def test_a_damaged_line_is_named_with_its_file_and_number(tmp_path, capsys, suffix, lines):
+    path = tmp_path / f"run{suffix}"
+    with gzip.open(path, "wt") if suffix.endswith(".gz") else path.open("w") as file:
+        file.write("\n".join(lines) + "\n")
+    assert cli.main(["decode", str(path)]) == 2
+    assert f"{path}, line 3: damaged" in capsys.readouterr().err.replace("\n", "")
 
 
 def test_an_unknown_model_is_one_line_and_status_2(tmp_path, capsys):

@@ -98,6 +98,17 @@ def test_only_a_sub_index_0_that_is_no_number_of_entries_is_left_out(model):
     assert counts == ([16, 8] if model.name == "bonfiglioli_act" else [0, 0])
 
 
+def test_without_a_file_data_set_0_is_described_with_its_type():
+    model = load("bonfiglioli_act")
+    od = eds.object_dictionary(model)
+    sets = [row for row in model.objects.values() if (row.subindex, row.hook) == (0, "data_set")]
+    assert len(sets) == 16
+    for row in sets:
+        described = od[row.index][0]
+        assert described.data_type == getattr(eds.datatypes, row.data_type), row.name
+        assert (described.min, described.max) == (row.minimum, row.maximum)
+
+
 @pytest.mark.parametrize("model", model_names())
 def test_live_values_have_no_default(model):
     od = eds.object_dictionary(model)

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from servogym.drive import Drive, SdoAbort
+from servogym.drive.advice import advice
 from servogym.drive.kernel import record
+from servogym.drive.kernel.words import command_of
+from servogym.drive.model.model import load, model_names
 
 
 def test_a_drive_without_a_plant():
@@ -62,3 +65,26 @@ def test_reset_keeps_parameters_only_when_asked():
     assert drive.read("target_position") == 0
     drive.reset()
     assert drive.read("profile_velocity") != 5
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_the_advice_blames_no_bit_that_says_nothing_in_the_model(name):
+    """Ready and allowed, whatever the bits of the maker: only the command is missing."""
+    drive = Drive(name)
+    if name == "bonfiglioli_act":
+        drive.write(0x219C, 0, 1)  # 412: the controlword starts it
+    for word in (0, 6):
+        drive.write("controlword", word)
+        drive.cycle(0.0)
+        drive.cycle(0.0)
+        told = advice(drive.model, drive.read("statusword"), word)
+        assert command_of(word).name in told, told
+
+
+def test_the_advice_names_what_a_bit_means_in_the_model():
+    generic, festo, act = (load(n) for n in ("generic", "festo_cmmp_as", "bonfiglioli_act"))
+    assert "bit 4" in advice(generic, 0x0221, 15)
+    assert "bit 4" not in advice(act, 0x0221, 15)
+    assert "bit 4" not in advice(festo, 0x0221, 15)
+    assert "I²t" in advice(festo, 0x0A37, 15)
+    assert "limit switch" in advice(generic, 0x0A37, 15)

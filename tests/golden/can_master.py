@@ -77,9 +77,9 @@ class CanMaster(Master):
         return answer[0], answer[4:]
 
     def read(self, station, index, subindex):
-        """Expedited upload."""
+        """Expedited upload; an answer without the size has four bytes."""
         answer = self._ask(station, struct.pack("<BHB4x", 0x40, index, subindex))
-        assert answer[0] & 0xF3 == 0x43, f"{index:04X}h:{subindex:02X}h: {answer.hex()}"
+        assert answer[0] & 0xF2 == 0x42, f"{index:04X}h:{subindex:02X}h: {answer.hex()}"
         return answer[4 : 8 - (answer[0] >> 2 & 3)]
 
     def nmt(self, command, node_id=0):

@@ -132,7 +132,7 @@ def configure(master, station):
     for index, subindex, form, value in PARAMETERS:
         master.write(station, index, subindex, struct.pack(form, value))
     for data_set in (1, 2, 3, 4):
-        assert master.read(station, 0x2000 + SOURCE_OF_CONTROL, data_set) == b"\1\0"
+        assert master.read(station, 0x2000 + SOURCE_OF_CONTROL, data_set) == b"\1\0\0\0"
     master.write(station, 0x2000 + 420, 2, struct.pack("<i", 600))
     steep = struct.pack("<i", 700)
     master.refused(station, 0x2000 + 420, 0, steep, Abort.INTERNAL_INCOMPATIBLE)  # they differ

@@ -1,10 +1,15 @@
 """`servogym node`."""
 
 import argparse
+import inspect
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+
+from ...drive.model.near import near
 
 INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
 
@@ -50,15 +55,12 @@ def _open(options: argparse.Namespace):
         given["bitrate"] = BITRATE
     if given.get("interface", getattr(options, "interface", "")) == "udp_multicast":
         given["fd"] = False  # a node speaks classical CAN; its bus is FD by default
+    _check_keywords(options, given)
     try:
         return create_bus_from_namespace(options, **given)
     except Exception as error:
         reason = error.__cause__ or error  # python-can and its back-ends raise anything
-        where = " ".join(
-            f"--{name.replace('_', '-')} {getattr(options, name)}"
-            for name in ("bus_config", "interface", "channel", "bitrate", "bus_kwargs")
-            if getattr(options, name, None)
-        )
+        where = _where(options)
         kind = "" if isinstance(reason, (can.CanError, OSError)) else f"{type(reason).__name__}: "
         raise ValueError(
             f"no bus on {where or 'the default'}: {kind}{' '.join(str(reason).split())}; "
@@ -66,8 +68,61 @@ def _open(options: argparse.Namespace):
         ) from None
 
 
+def _where(options: argparse.Namespace) -> str:
+    """What the options say of the bus, as they were given."""
+    names = ("bus_config", "interface", "channel", "bitrate", "bus_kwargs")
+    given = {name: getattr(options, name, None) for name in names}
+    if isinstance(given["bus_kwargs"], dict):
+        given["bus_kwargs"] = " ".join(f"{k}={v}" for k, v in given["bus_kwargs"].items())
+    return " ".join(f"--{name.replace('_', '-')} {v}" for name, v in given.items() if v)
+
+
+def _keywords(constructor: Callable[..., Any]) -> set[str]:
+    """What a constructor takes by name: in its signature, its documentation, or asked of kwargs."""
+    parameters = inspect.signature(constructor).parameters.values()
+    documented = re.findall(r":param\b[^:]*?(\w+):", constructor.__doc__ or "")
+    code = getattr(constructor, "__code__", None)
+    asked = {text for text in getattr(code, "co_consts", ()) if isinstance(text, str)}
+    named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+    return (named | {*documented} | {text for text in asked if text.isidentifier()}) - {"self"}
+
+
+def _check_keywords(options: argparse.Namespace, given: dict[str, Any]) -> None:
+    """Raises ValueError for a keyword of --bus-kwargs that the interface does not know.
+
+    Many back-ends take any (**kwargs) and drop what they do not know, so the constructors of all
+    their classes are asked.
+    """
+    from can.interface import _get_class_for_interface
+    from can.util import load_config
+
+    keywords = getattr(options, "bus_kwargs", None)
+    if not keywords:
+        return
+    interface = getattr(options, "interface", given.get("interface"))
+    try:
+        interface = load_config(
+            config={"interface": interface} if interface else None,
+            context=given.get("config_context"),
+        )["interface"]
+        classes = _get_class_for_interface(interface).__mro__
+    except Exception:  # the bus itself tells it better
+        return
+    known: set[str] = set()
+    for cls in classes:
+        if "__init__" in vars(cls) and cls is not object:
+            known |= _keywords(vars(cls)["__init__"])
+    for keyword in keywords:
+        if keyword not in known:
+            raise ValueError(
+                f"--bus-kwargs {keyword}: -i {interface} does not know it; {near(keyword, known)}"
+            )
+
+
 def _node(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
+    import can
+
     from ...drive.wire.log import LogFile
     from ...drive.wire.server import Server
     from ...envs.plants.catalogue import machines_for
@@ -83,7 +138,10 @@ def _node(options: argparse.Namespace, console: Console) -> int:
     bus = _open(options)
     server = Server(bus, machines, log, reopen=lambda: _open(options), tell=tell)
     nodes = ", ".join(str(node.node_id) for node in server.nodes)
-    tell(f"{options.drive} as node {nodes} on {bus.channel_info}")
+    shown = bus.channel_info  # "unknown" of interfaces that do not tell it
+    if shown == can.BusABC.channel_info:
+        shown = _where(options) or f"--interface {INTERFACE} --channel {CHANNEL}"
+    tell(f"{options.drive} as node {nodes} on {shown}")
     try:
         server.run()
     except KeyboardInterrupt:

@@ -24,6 +24,7 @@ F_MIN, F_MAX, UP, DOWN = 418, 419, (420, 422), (421, 423)  # slopes: clockwise, 
 QUICK_STOP = (424, 425)
 CONNECTION = 388  # and 6007h
 SOURCE, INTERNAL, LINE = 412, 480, 282
+NO_NODE_ID = 255  # of CiA 305
 SOURCES = dict.fromkeys(range(45), Source.NOTHING) | {  # the factory's 44 too (9)
     0: Source.CONTACTS, 1: Source.CONTROLWORD_AND_CONTACTS, 2: Source.REMOTE_CONTACTS
 }  # fmt: skip
@@ -39,6 +40,7 @@ CHOICES: dict[int, tuple[tuple[str, ...], Mapping[int, int]]] = {
         {1: SetPointSource.INTERNAL, 2: SetPointSource.BUS, 3: SetPointSource.SUM},
     ),
 }
+SINGLE = ("single_set", "act_node_id")  # hooks of parameters that exist once
 # parameter -> field of the record, factor to its unit
 TIMES = {632: ("dc_brake_time", 100), 638: ("stop_hold_time", 100)}  # 0.1 s -> ms (632 inferred)
 
@@ -90,7 +92,7 @@ def power_on(drive: Device) -> None:
     """The RAM begins as a copy of the EEPROM; 6048h and 6049h show the slopes there (8.5.6)."""
     od = drive.objects
     for (index, subindex), slot in od.slots.items():
-        kept = (slot.row.hook, subindex) == ("single_set", 0)
+        kept = slot.row.hook in SINGLE and subindex == 0
         if kept or (slot.row.hook == "data_set" and subindex in SETS):
             od.slots[index, subindex + RAM].put(slot.get())  # type: ignore[arg-type]
     for index, (clockwise, _) in ((0x6048, UP), (0x6049, DOWN)):
@@ -133,6 +135,23 @@ def _single(od: Dictionary, row: Object, value: int) -> Abort:
     for place in (0, RAM) if row.subindex == 0 else (RAM,):
         od.slots[row.index, place].put(value)
     apply(od.drive)
+    return Abort.STORED
+
+
+def _node_id(od: Dictionary, row: Object, value: int) -> Abort:
+    """387: the inverter resets itself and adopts the address, 0 ends its communication (6).
+
+    Data set 5 is but the copy in the RAM (inferred).
+    """
+    _single(od, row, value)
+    if row.subindex == 0:
+        drive = od.drive
+        node_id = value or NO_NODE_ID
+        bit_rate = drive.parameters.lss[1] if drive.parameters.lss else None
+        if not (drive.parameters.save() and drive.parameters.keep_lss(node_id, bit_rate)):
+            return Abort.HARDWARE
+        drive.reset()
+        drive.wanted_node_id = node_id
     return Abort.STORED
 
 
@@ -246,6 +265,7 @@ def _string(od: Dictionary, row: Object) -> Abort:
 HOOKS = {
     "data_set": Hook(_data_set, _data_set_now, power_on=power_on),
     "single_set": Hook(_single),
+    "act_node_id": Hook(_node_id),
     "act_connection": Hook(_connection),
     "act_slope_up": Hook(_slope(UP, 3)),
     "act_slope_down": Hook(_slope(DOWN, 3)),
