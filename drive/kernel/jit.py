@@ -25,6 +25,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache,
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
+from .link import linking_once
 from .reach import reach
 
 try:
@@ -203,7 +204,8 @@ class Entry(CPUDispatcher):
                     about = max(round(SECONDS_A_FUNCTION * cache.functions), 1)
                     name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
                     _say(f"compiling {name} (once, about {about} s)")
-                return super().compile(sig)
+                with linking_once(context.codegen()):
+                    return super().compile(sig)
 
 
 def _plain(kind: types.Type) -> types.Type:
