@@ -27,6 +27,7 @@ SYNC_ACTIVATION = 0x0981
 SYNC_ACTIVE = 0x03  # 0981h: cyclic operation and SYNC0
 SYNC_UNIT = 0x07  # bits of 0981h that the operation modes name
 ERROR_LIMIT = (0x10F1, 2)  # sync error counter limit
+COPY_TIME = (0x1C32, 6)  # calculation and copy time (ns)
 
 
 class Synchronisation:
@@ -37,8 +38,6 @@ class Synchronisation:
         self._image = image
         self._drive = drive
         self.shift_ns = 0
-        self.cycle_exceeded = 0
-        self.shift_too_short = 0
 
     @property
     def sync_type(self) -> int:
@@ -63,9 +62,19 @@ class Synchronisation:
         return min(self._image.sync_errors, 0xFFFF)
 
     @property
+    def cycle_exceeded(self) -> int:
+        """Outputs that came before the cycle of those before was over."""
+        return self._image.cycle_exceeded
+
+    @property
+    def shift_too_short(self) -> int:
+        """Edges for which outputs had come too late to be copied."""
+        return self._image.shift_short
+
+    @property
     def sync_error(self) -> bool:
-        """Whether the drive was synchronised and has left for it."""
-        return self.events_missed > 0
+        """Whether the last edge of SYNC0 had no new outputs."""
+        return self._image.late
 
 
 def interpolation_ns(drive: Drive) -> int:
@@ -245,6 +254,7 @@ class Slave:
             active = self._pdi.get(SYNC_ACTIVATION, 1) & SYNC_ACTIVE == SYNC_ACTIVE
             self._image.sync_mode = SyncMode.SYNC0 if active else SyncMode.SM_EVENT
             self._image.late_limit = self._late_limit()
+            self._image.times(self.data.cycle_ns, self.drive.objects.value(*COPY_TIME))
         if (before in WITH_INPUTS) != (after in WITH_INPUTS):
             self._image.inputs(after in WITH_INPUTS)
         if AlState.OPERATIONAL in (before, after):

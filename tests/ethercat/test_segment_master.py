@@ -123,6 +123,33 @@ def test_35_delay_of_a_slave_with_its_cable_at_the_other_port():
     assert master.slaves[2].number(0x0110, 2) >> 8 & 3 == 1  # its port 0 is a loop
 
 
+def test_35_delays_where_a_slave_in_the_middle_is_the_wrong_way_round():
+    """Its cables are swapped: it processes a frame on the way back (data sheet, section I)."""
+    links = [((-1, 0), (0, 0)), ((0, 1), (1, 1)), ((1, 0), (2, 0)), ((2, 1), (3, 0))]
+    wire = bus(*[AKD] * 4, hop=500, links=links)
+    master = EtherCatMaster(wire)
+    master.scan()  # in the order of processing: 0, 2, 3, 1
+    assert places(wire.segment) == {0: 0, 2: 1000, 3: 1500, 1: 2500}
+    assert master.synchronise() == {0: 0, 1: 1000, 2: 1500, 3: 2500}
+    turned = master.slaves[3]
+    entrance, out = turned.number(0x0904, 4), turned.number(0x0900, 4)
+    assert out - entrance == 2000  # two slaves and back
+    assert turned.number(0x0918, 4) == out
+    assert master.slaves[3].read(0x0110, 2) == wire.segment.escs["memory"][1, 0x110:0x112].tobytes()
+
+
+def test_35_delays_of_a_branch_behind_a_slave_the_wrong_way_round():
+    links = [((-1, 0), (0, 0)), ((0, 1), (1, 1)), ((1, 2), (2, 0)), ((1, 0), (3, 0)),
+             ((1, 3), (4, 2)), ((0, 3), (5, 0))]  # fmt: skip
+    wire = bus(*[AKD] * 6, hop=700, links=links)
+    master = EtherCatMaster(wire)
+    master.scan()
+    order, _ = wire.segment._walks[0]
+    delays = master.synchronise()
+    assert {int(order[i]): delay for i, delay in delays.items()} == places(wire.segment)
+    assert len(set(delays.values())) == 6
+
+
 def test_36_a_clock_of_50_ppm_is_pulled_to_the_reference():
     segment = Segment(slaves(AKD, AKD, AKD), clocks=[0, 50_000, -50_000])
     master = EtherCatMaster(Clocked(segment))

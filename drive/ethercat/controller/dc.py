@@ -2,17 +2,19 @@
 
 Source: ESC data sheet, section I (distributed clocks) and registers 0900h-09CFh. The crystal runs
 `clock_ppb` off; the drift loop adds `drift_ppb`, so local and system time are pulled together. A
-proportional and an integral part stand for the speed counter of the hardware and its filter 0935h
-(inferred); the filter 0934h of the shown difference and the reset by 0930h are as documented.
+proportional and an integral part stand for the speed counter of the hardware (inferred). Documented
+are the filter 0934h of the difference shown, the deviation of the clocks shown in 0932h behind the
+filter 0935h, and the reset by 0930h.
 """
 
 from ...kernel.jit import block
-from .bits import get16, get32, get64, put32, put64
+from .bits import get16, get32, get64, put16, put32, put64
 from .process_image import OUTPUTS, take_outputs
 from .record import NEVER, PORTS, Event, SyncMode
 from .registers import R
 
 SECOND = 1_000_000_000  # ns
+TERA = 1_000_000_000_000
 STEEPEST = 500_000  # the drift loop's correction, at most (1e-9)
 PROPORTIONAL = 50  # correction (1e-9) by a difference of 1 ns (inferred)
 CYCLIC, SYNC0, SYNC1 = 1, 2, 4  # bits of 0981h
@@ -103,6 +105,25 @@ def steer(esc, now, received, wide):
     esc.clock_now = now
     correction = esc.drift_integral // 1000 - error * gain
     esc.drift_ppb = min(max(correction, -STEEPEST), STEEPEST)
+    depth = esc.memory[R.SPEED_FILTER] & 0x0F
+    esc.drift_mean += _rounded(esc.drift_integral - esc.drift_mean, depth)
+    put16(esc.memory, R.SPEED_COUNTER_DIFFERENCE, _speed_difference(esc))
+
+
+@block
+def _speed_difference(esc):
+    """0932h: with S = 0930h and D = this, the clock periods deviate by 5 D / ((S + 2)² - D²).
+
+    Positive where the local clock is slower than the reference (inferred).
+    """
+    start = get16(esc.memory, R.SPEED_COUNTER_START) & 0x7FFF
+    most = max(start - 0x7F, 0)
+    difference = 0
+    for _ in range(4):
+        square = (start + 2) * (start + 2) - difference * difference
+        difference = (esc.drift_mean * square + 5 * TERA // 2) // (5 * TERA)
+        difference = min(max(difference, -most), most)
+    return difference
 
 
 @block
@@ -121,6 +142,8 @@ def reset_drift(esc, now):
     esc.clock_now = now
     esc.drift_ppb = 0
     esc.drift_integral = 0
+    esc.drift_mean = 0
+    put16(esc.memory, R.SPEED_COUNTER_DIFFERENCE, 0)
     put32(esc.memory, R.SYSTEM_TIME_DIFFERENCE, 0)
 
 
@@ -154,8 +177,11 @@ def activate(esc, now):
 
 
 @block
-def edge(esc):
-    """One edge of SYNC0: outputs that have come are taken over, those that have not are late."""
+def edge(esc, now):
+    """An edge of SYNC0: outputs that have come are taken over, those that have not are late.
+
+    Such as came less than the copy time before it wait for the next edge (ETG.1020, 1C32h).
+    """
     memory = esc.memory
     memory[R.AL_EVENT] |= 1 << 2
     memory[R.SYNC0_STATUS] = 1
@@ -164,8 +190,11 @@ def edge(esc):
         memory[R.SYNC1_STATUS] = 1
     if esc.sync_mode == SyncMode.SYNC0:
         if esc.sm_fresh[OUTPUTS]:
-            take_outputs(esc)
             esc.outputs_late = 0
+            if now - esc.outputs_at >= esc.copy_ns:
+                take_outputs(esc)
+            else:
+                esc.shift_short = min(esc.shift_short + 1, 0xFFFF)
         elif esc.outputs_on:
             esc.outputs_late += 1
             esc.sync_errors = min(esc.sync_errors + 1, 0xFFFF)

@@ -401,7 +401,7 @@ def poll(escs, now):
                 break
             if esc.watchdog_at <= due:
                 sync_manager.bite(esc)
-            dc.edge(esc)
+            dc.edge(esc, due)
         if esc.watchdog_at <= now:
             sync_manager.bite(esc)
         if esc.pdi_watchdog_at <= now:

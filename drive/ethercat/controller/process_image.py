@@ -117,6 +117,7 @@ class ProcessImage:
         """Take outputs over from now on, or no longer; the watchdog runs with the next ones."""
         self._esc.outputs_on = on
         self._esc.outputs_late = 0
+        self._esc.outputs_at = -NEVER // 2
         if not on:
             self._esc.watchdog_at = NEVER
 
@@ -144,7 +145,26 @@ class ProcessImage:
     def late_limit(self, edges: int) -> None:
         self._esc.late_limit = edges
 
+    def times(self, cycle_ns: int, copy_ns: int) -> None:
+        """1C32h:05 and 1C32h:06, against which outputs are counted that come too early or late."""
+        self._esc.cycle_ns, self._esc.copy_ns = cycle_ns, copy_ns
+
+    @property
+    def late(self) -> bool:
+        """Whether the last edge of SYNC0 had no new outputs."""
+        return bool(self._esc.outputs_late)
+
     @property
     def sync_errors(self) -> int:
         """1C32h:0B, SYNC0 edges without new outputs."""
         return int(self._esc.sync_errors)
+
+    @property
+    def cycle_exceeded(self) -> int:
+        """1C32h:0C, outputs that came within the shortest cycle after those before."""
+        return int(self._esc.cycle_exceeded)
+
+    @property
+    def shift_short(self) -> int:
+        """1C32h:0D, SYNC0 edges that came before outputs were copied."""
+        return int(self._esc.shift_short)

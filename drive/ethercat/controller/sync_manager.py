@@ -8,7 +8,7 @@ from ...kernel.jit import block
 from . import dc
 from .bits import get16
 from .process_image import NONE_WRITTEN, OUTPUTS
-from .record import NEVER, REGISTERS, SYNC_MANAGERS, Event
+from .record import NEVER, REGISTERS, SYNC_MANAGERS, Event, SyncMode
 from .registers import R
 
 FULL = 0x08  # mailbox status of a sync manager (+5 bit 3)
@@ -114,6 +114,9 @@ def finish(esc, at, n, now):
             esc.memory[status] = esc.memory[status] & (0xFF ^ NONE_WRITTEN) | WRITTEN
             if k == OUTPUTS:
                 esc.events |= Event.PROCESS_DATA
+                if esc.sync_mode < SyncMode.SYNC0 and 0 < now - esc.outputs_at < esc.cycle_ns:
+                    esc.cycle_exceeded = min(esc.cycle_exceeded + esc.outputs_on, 0xFFFF)
+                esc.outputs_at = now
         else:
             esc.memory[status] |= READ
             esc.events |= Event.PROCESS_DATA

@@ -29,8 +29,9 @@ fn main() {
         for slave in group.iter(&master) {
             let identity = slave.identity();
             let name = slave.sdo_read::<heapless::String<64>>(0x1008, 0).await;
+            let delay = slave.register_read::<u32>(0x0928_u16).await.expect("0928h");
             found.push(format!(
-                "{{\"name\": \"{}\", \"device\": \"{}\", \"vendor\": {}, \"product\": {}, \"revision\": {}}}",
+                "{{\"name\": \"{}\", \"device\": \"{}\", \"vendor\": {}, \"product\": {}, \"revision\": {}, \"delay\": {delay}}}",
                 slave.name(),
                 name.map(|text| text.to_string()).unwrap_or_default(),
                 identity.vendor_id,
