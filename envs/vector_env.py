@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from .batch import shown
+from .checks import threads as granted
 from .checks import whole
 from .engine.guard import Turn
 from .engine.machine import Residence
@@ -32,7 +33,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         num_envs: how many.
         autoreset_mode: NEXT_STEP (the step after the end resets and ignores the action), SAME_STEP
             (``final_obs`` and ``final_info`` in the infos) or DISABLED; or their names.
-        threads: of the pool; one a core if not given.
+        threads: of the pool; if not given, ``SERVOGYM_THREADS``, or else one a core.
         max_episode_steps: steps until an episode is truncated; those of the task if not given.
         **arguments: of the task.
 
@@ -60,7 +61,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         if max_episode_steps is not None:
             max_episode_steps = whole("max_episode_steps", max_episode_steps, 1, MOST)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        workers = min(threads or os.cpu_count() or 1, self.num_envs)
+        workers = min(threads or granted(), self.num_envs)
         edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
         self.envs: list[ServoEnv] = []
         for begin, end in pairwise(edges):

@@ -4,6 +4,7 @@ Nothing in them depends on when or how fast it was computed.
 """
 
 import csv
+import io
 import json
 import os
 import platform
@@ -72,14 +73,21 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
 
 def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows with the same names; first, as comments, how it was made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(f"# {name}: {value}\n" for name, value in source.items())
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    file = io.StringIO(newline="")
+    file.writelines(f"# {name}: {value}\n" for name, value in source.items())
+    writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    _write(path, file.getvalue())
 
 
 def _write(path: Path, text: str) -> None:
+    """Completely or not at all: a full disk leaves what was there."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    scratch = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        scratch.write_text(text, encoding="utf-8", newline="")
+        scratch.replace(path)
+    except OSError as error:
+        scratch.unlink(missing_ok=True)
+        raise OSError(f"{path} cannot be written: {error.strerror or error}") from None

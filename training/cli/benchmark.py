@@ -5,6 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from . import arguments
+
 
 def add(commands) -> None:
     """Its row in the table of commands."""
@@ -13,6 +15,7 @@ def add(commands) -> None:
     benchmark.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     benchmark.add_argument("--quick", action="store_true", help="a small part of it")
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
+    arguments.add_work(benchmark)
     benchmark.set_defaults(run=_benchmark)
 
 
@@ -21,4 +24,4 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
         from ..evaluate.homing import run
     else:
         from ..evaluate.positioning import run
-    return run(options.drive, options.quick, options.out, console)
+    return run(options.drive, options.quick, options.out, console, arguments.work(options))

@@ -26,6 +26,7 @@ def add(commands) -> None:
         command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
         command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
         arguments.add(command)
+        arguments.add_work(command)
         command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
         command.set_defaults(run=_compare)
 
@@ -43,8 +44,10 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         return conditions.run(
             options.env, policies, options.drive, options.episodes, options.seed, options.out,
             console, dict(options.argument or ()), options.conditions,
+            arguments.work(options),
         )  # fmt: skip
     return compare.run(
         options.command, options.env, policies, options.drive, options.episodes, options.seed,
         options.out, console, dict(options.argument or ()), options.trace,
+        arguments.work(options),
     )  # fmt: skip

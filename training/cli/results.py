@@ -1,15 +1,23 @@
 """`servogym results`."""
 
 import argparse
+import json
+import shlex
 from pathlib import Path
 
 from rich.console import Console
+
+from . import arguments
 
 
 def add(commands) -> None:
     """Its row in the table of commands."""
     results = commands.add_parser("results", help="write the page of what was learned")
     results.add_argument("folder", nargs="?", type=Path, help="with a folder a task (ours)")
+    results.add_argument(
+        "--again", action="store_true", help="run the comparison of each folder anew before"
+    )
+    arguments.add_work(results)
     results.set_defaults(run=_results)
 
 
@@ -17,4 +25,25 @@ def _results(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import results
     from ..policies import SHIPPED
 
-    return results.run(options.folder or SHIPPED, console)
+    folder = options.folder or SHIPPED
+    if options.again:
+        _again(folder, options, console)
+    elif options.workers or options.ray is not None or options.resume:
+        raise ValueError("--workers, --ray and --resume are for what --again computes: add it")
+    return results.run(folder, console)
+
+
+def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:
+    """Each folder's comparison as its `compare.json` says it was made."""
+    from ..evaluate import compare, results
+    from .compare import add
+
+    parser = argparse.ArgumentParser(prog="servogym")
+    add(parser.add_subparsers(dest="command"))
+    for path in results.folders(folder):
+        data = json.loads(results.text(path, results.FILE, "servogym compare"))
+        then = parser.parse_args(shlex.split(data["command"])[1:])
+        compare.run(
+            then.command, then.env, then.policies.split(","), then.drive, then.episodes, then.seed,
+            path, console, dict(then.argument or ()), then.trace, arguments.work(options),
+        )  # fmt: skip

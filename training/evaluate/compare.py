@@ -17,10 +17,13 @@ from rich.table import Table
 from ...envs.about import Metric
 from ...envs.registry import task
 from ..pictures import episode as trace
-from ..policies import POLICIES, make, needed
+from ..policies import POLICIES, needed
 from ..report import GRID, INK, markdown, number, origin, write_json, write_page
-from .episodes import Evaluation, Evaluator
+from ..scale.job import Result
+from ..scale.work import ALONE, Work
+from .episodes import Evaluation, fixed
 from .metrics import METRICS, RESAMPLES, Difference, Summary, difference, iqm, summarise
+from .parts import Episodes, warm
 
 ZERO = "hold"
 SCORE = Metric("score", "high", "")
@@ -42,15 +45,13 @@ def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray
     return (returns - low) / span if span > 0.0 else np.full_like(returns, np.nan)
 
 
-def evaluate(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
-    arguments: Mapping[str, Any] | None = None, traced: int = 0,
-) -> list[Evaluation]:  # fmt: skip
-    """Each policy on the fixed episodes, with the metric `score` where the task has a reference.
+class Comparison:
+    """Policies on the fixed episodes: the jobs that play them, and the evaluations they give.
 
     Args:
         env: id of the environment.
-        policies: by name, each in an environment with the arguments it needs.
+        policies: by name, each in an environment with the arguments it needs; or classes and
+            functions (`policies.file.policy_of`).
         drive: drive model.
         episodes: how many, 1..1000.
         seed: of the episodes.
@@ -60,39 +61,53 @@ def evaluate(
     Raises:
         ValueError: an unknown environment, drive or policy, before the first episode.
     """
-    given = dict(arguments or {})
-    common = {name: value for name, value in given.items() if name not in COMMANDING}
-    kind = task(env)
-    ends = [ZERO, kind.REFERENCE] if kind.REFERENCE else []
-    played = [(policy, needed(policy) | given) for policy in dict.fromkeys(policies)]
-    bounds = [(policy, common | needed(policy)) for policy in ends]
-    evaluators: dict[str, Evaluator] = {}
-    done: dict[tuple[str, str], Evaluation] = {}
-    try:
-        for policy, own in (*played, *bounds):
-            if repr(own) not in evaluators:
-                try:
-                    evaluators[repr(own)] = Evaluator(
-                        env, drive=drive, episodes=episodes, seed=seed, traced=traced, **own
-                    )
-                except TypeError as error:
-                    raise ValueError(
-                        f"--argument: {error}: see the arguments of {kind.ID}"
-                    ) from None
-            make(policy, evaluators[repr(own)].env)
-        for policy, own in (*played, *bounds):
-            if (policy, repr(own)) not in done:
-                done[policy, repr(own)] = evaluators[repr(own)].run(policy)
-    finally:
-        for evaluator in evaluators.values():
-            evaluator.close()
-    results = [done[policy, repr(own)] for policy, own in played]
-    if ends:
-        zero, one = (done[policy, repr(own)].values["episode_return"] for policy, own in bounds)
-        values = [scores(result.values["episode_return"], zero, one) for result in results]
-        for result, score in zip(results, values, strict=True):
-            result.values["score"] = score
-    return results
+
+    def __init__(
+        self, env: str, policies: Sequence[Any], drive: str, episodes: int, seed: int,
+        arguments: Mapping[str, Any] | None = None, traced: int = 0,
+    ):  # fmt: skip
+        given = dict(arguments or {})
+        common = {name: value for name, value in given.items() if name not in COMMANDING}
+        kind = task(env)
+        ends = [ZERO, kind.REFERENCE] if kind.REFERENCE else []
+        seeds = fixed(seed, episodes)
+        if not 0 <= traced < episodes:
+            raise ValueError(
+                f"--trace = {traced} is out of range 0..{episodes - 1}: "
+                "choose one of the episodes, counted from 0"
+            )
+        self._played = [(policy, needed(policy) | given) for policy in dict.fromkeys(policies)]
+        self._bounds = [(policy, common | needed(policy)) for policy in ends]
+        self._episodes = {
+            (policy, repr(own)): Episodes(env, policy, drive, seeds, own, traced)
+            for policy, own in (*self._played, *self._bounds)
+        }
+        self.jobs = [job for episodes in self._episodes.values() for job in episodes.jobs]
+
+    def results(self, found: Sequence[Result]) -> list[Evaluation]:
+        """Of each policy, from the results of the jobs; `score` where the task has a reference."""
+        left, done = iter(found), {}
+        for key, episodes in self._episodes.items():
+            done[key] = episodes.evaluation([next(left) for _ in episodes.jobs])
+        results = [done[policy, repr(own)] for policy, own in self._played]
+        if self._bounds:
+            ends = [
+                done[policy, repr(own)].values["episode_return"] for policy, own in self._bounds
+            ]
+            for result, score in [
+                (result, scores(result.values["episode_return"], *ends)) for result in results
+            ]:
+                result.values["score"] = score
+        return results
+
+
+def evaluate(
+    env: str, policies: Sequence[Any], drive: str, episodes: int, seed: int,
+    arguments: Mapping[str, Any] | None = None, traced: int = 0, work: Work = ALONE,
+) -> list[Evaluation]:  # fmt: skip
+    """Each policy on the fixed episodes; what is given is that of `Comparison`, and who works."""
+    comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
+    return comparison.results(work.map(comparison.jobs, warm=[warm(env, drive)]))
 
 
 def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
@@ -234,12 +249,15 @@ def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
 def run(
     command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
     out: Path, console: Console, arguments: Mapping[str, Any] | None = None, traced: int = 0,
+    work: Work = ALONE,
 ) -> int:  # fmt: skip
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
     The second picture is of the episode `traced`.
     """
-    results = evaluate(env, policies, drive, episodes, seed, arguments, traced)
+    comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
+    found = work.map(comparison.jobs, folder=out, console=console, warm=[warm(env, drive)])
+    results = comparison.results(found)
     table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
     heading = ["metric", *(_label(result.policy) for result in results)]
     rows = [
@@ -300,13 +318,15 @@ def run(
     episode = f"episode {traced} of seed {seed}"
     trace.draw(out / f"{command}_trace.png", f"{title}, {episode}", _traces(results))
     console.print(f"{out / command}.md, .json, .png and _trace.png")
+    work.clear(comparison.jobs, out)
     return 0
 
 
 def _traces(results: Sequence[Evaluation]) -> list[trace.Recording]:
     """By their labels; idle policies only where there is no other."""
     moving = [result for result in results if result.policy not in IDLE] or results
-    return [result.trace._replace(policy=_label(result.policy)) for result in moving]
+    traces = [(result.trace, _label(result.policy)) for result in moving]
+    return [trace._replace(policy=name) for trace, name in traces if trace is not None]
 
 
 def _quoted(name: str, value: Any) -> str:

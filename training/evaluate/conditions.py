@@ -22,8 +22,10 @@ from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ..pictures import heat_map
 from ..report import GRID, markdown, number, origin, write_json, write_page
-from .compare import _label, ahead, best, evaluate, summaries
+from ..scale.work import ALONE, Work
+from .compare import Comparison, _label, ahead, best, summaries
 from .metrics import Summary, difference, metrics
+from .parts import warm
 
 VERSION = "v1"
 NONE: Mapping[str, float] = MappingProxyType({})
@@ -95,7 +97,7 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
 
 def run(
     env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, out: Path,
-    console: Console, arguments: Mapping[str, Any], names: str,
+    console: Console, arguments: Mapping[str, Any], names: str, work: Work = ALONE,
 ) -> int:  # fmt: skip
     """Evaluate, and write conditions.md, .json, .png and _curves.png; -> exit status."""
     kind = task(env)
@@ -107,11 +109,16 @@ def run(
     nominal_env.close()
     table: dict[str, list[Summary | None]] = {}
     apart, successes, against = {}, {}, ""
+    comparisons: list[Comparison] = []
     for row in rows:
         drawn = ranges | dict(row.randomise)
         drawn |= {name: share * ranges[name][1] for name, share in row.beyond.items()}
         given = plain | dict(row.arguments) | {"randomise": drawn}
-        results = evaluate(env, policies, row.drive or drive, episodes, seed, given)
+        comparisons.append(Comparison(env, policies, row.drive or drive, episodes, seed, given))
+    jobs = [job for comparison in comparisons for job in comparison.jobs]
+    left = iter(work.map(jobs, folder=out, console=console, warm=[warm(env, drive)]))
+    for row, comparison in zip(rows, comparisons, strict=True):
+        results = comparison.results([next(left) for _ in comparison.jobs])
         found = summaries(results)
         labels = [result.policy for result in results]
         against = against or best(found, labels, metric, row_of[metric].better)
@@ -181,6 +188,7 @@ def run(
     heat_map.draw(out / "conditions.png", title, list(table), shown, heading, failures)
     curves(out / "conditions_curves.png", title, rows, table, shown, row_of[metric].heading)
     console.print(f"{out / 'conditions'}.md, .json, .png and _curves.png")
+    work.clear(jobs, out)
     return 0
 
 

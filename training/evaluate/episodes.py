@@ -20,7 +20,7 @@ from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
 from ..pictures.episode import Recorder, Recording
-from ..policies import BuiltIn, make, trainings
+from ..policies import BuiltIn, label, make, trainings
 from .metrics import METRICS, metrics
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
@@ -38,7 +38,7 @@ class Evaluation:
     seeds: list[int]
     values: dict[str, np.ndarray]
     faults: list[str]  # code and meaning, empty without one
-    trace: Recording  # of one of the episodes; of several trainings the first
+    trace: Recording | None  # of one of the episodes; of several trainings the first
     trainings: int = 1  # of the same policy from as many seeds, each evaluated on all episodes
     metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)  # what values can be
 
@@ -51,7 +51,8 @@ class Evaluation:
 
 
 def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
-    """The evaluations of several trainings as one."""
+    """The evaluations of several trainings as one, all on the same episodes."""
+    trace = results[0].trace
     return Evaluation(
         policy,
         [seed for result in results for seed in result.seeds],
@@ -60,13 +61,13 @@ def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
             for metric in results[0].values
         },
         [fault for result in results for fault in result.faults],
-        results[0].trace._replace(policy=policy),
+        trace and trace._replace(policy=policy),
         len(results),
         results[0].metrics,
     )
 
 
-def seeds(seed: int, episodes: int) -> list[int]:
+def fixed(seed: int, episodes: int) -> list[int]:
     """Of the fixed episodes. Raises ValueError for numbers out of range."""
     if not 1 <= episodes <= SEEDS_APART:
         raise ValueError(f"--episodes = {episodes} is out of range 1..{SEEDS_APART}")
@@ -84,8 +85,9 @@ class Evaluator:
         drive: drive model.
         episodes: how many, 1..1000.
         seed: evaluation seed.
+        seeds: of the episodes, a part of the fixed ones; instead of `episodes` and `seed`.
         options: of the reset of each episode, shape ``(n,)``; none if not given.
-        traced: the episode that is recorded, 0..episodes - 1.
+        traced: the episode that is recorded, counted from 0; None: none is.
         **arguments: of the environment.
 
     Raises:
@@ -99,19 +101,21 @@ class Evaluator:
         drive: str | DriveModel = "generic",
         episodes: int = 50,
         seed: int = 0,
+        seeds: Sequence[int] | None = None,
         options: Sequence[dict[str, Any]] = (),
-        traced: int = 0,
+        traced: int | None = 0,
         **arguments: Any,
     ):
         self.task = task(name)
         self.metrics = metrics(self.task)
-        self.seeds = seeds(seed, episodes)
-        if not 0 <= traced < episodes:
+        self.seeds = fixed(seed, episodes) if seeds is None else list(seeds)
+        episodes = len(self.seeds)
+        if traced is not None and not 0 <= traced < episodes:
             raise ValueError(
                 f"--trace = {traced} is out of range 0..{episodes - 1}: "
                 "choose one of the episodes, counted from 0"
             )
-        self._traced = traced
+        self.traced = traced
         self._options = options
         self.vector = ServoVectorEnv(
             self.task, episodes, autoreset_mode=AutoresetMode.DISABLED, drive=drive, **arguments
@@ -127,7 +131,7 @@ class Evaluator:
         """Stop the threads."""
         self.vector.close()
 
-    def run(self, policy: str) -> Evaluation:
+    def run(self, policy: Any) -> Evaluation:
         """All episodes under the policy of that name, or under each of its trainings.
 
         Raises ValueError if it does not fit.
@@ -136,7 +140,7 @@ class Evaluator:
             return pooled(policy, [self._run(folder) for folder in folders])
         return self._run(policy)
 
-    def _run(self, policy: str) -> Evaluation:
+    def _run(self, policy: Any) -> Evaluation:
         first = make(policy, self.env, self.seeds[0])
         observations, infos = self._reset()
         if isinstance(first, BuiltIn):
@@ -152,16 +156,18 @@ class Evaluator:
         for i, one in enumerate(made):
             one.reset(observations[i], {k: infos[k][i] for k in PUBLIC if k in infos})
         actions = np.zeros((n, self._actions), np.float32)
-        recorder = Recorder(self.vector.envs[self._traced])
-        recorder.look(0.0)
+        traced = self.traced
+        recorder = None if traced is None else Recorder(self.vector.envs[traced])
+        if recorder:
+            recorder.look(0.0)
         while active.any():
             for i in np.flatnonzero(active).tolist():
                 actions[i] = made[i].act(observations[i])
             observations, rewards, ends, truncations, infos = self.vector.step(actions)
             returns += rewards
             steps += active
-            if active[self._traced]:
-                recorder.look(float(steps[self._traced]) * self.env.step_time)
+            if recorder and active[traced]:
+                recorder.look(float(steps[traced]) * self.env.step_time)
             if "sway" in infos and steps.max() > 0.75 * self.steps:
                 sway = np.maximum(sway, infos["sway"])
             failing = active & ~infos["is_success"]
@@ -182,11 +188,12 @@ class Evaluator:
         for i, env in enumerate(self.vector.envs):
             for name, value in self._measured(env, faults[i]).items():
                 values[name][i] = value
-        done = float(values["settling_time"][self._traced])
-        trace = recorder.trace(
-            policy, done if done < self.duration else math.nan, faults[self._traced]
-        )
-        return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
+        trace = None
+        if recorder and traced is not None:
+            done = float(values["settling_time"][traced])
+            done = done if done < self.duration else math.nan
+            trace = recorder.trace(label(policy), done, faults[traced])
+        return Evaluation(label(policy), self.seeds, values, faults, trace, metrics=self.metrics)
 
     def _reset(self) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin all episodes, and the measurement of each."""
@@ -236,14 +243,15 @@ class Evaluator:
     def _built_in(self, policy: str, chosen: BuiltIn) -> Evaluation:
         """What a homing method of the drive makes of the same starts."""
         values = self._empty()
-        recorder = Recorder(self.vector.envs[self._traced])
+        traced = self.traced
+        recorder = None if traced is None else Recorder(self.vector.envs[traced])
         for i, env in enumerate(self.vector.envs):
-            observer = recorder.look if i == self._traced else None
+            observer = recorder.look if recorder and i == traced else None
             judged: Any = env
             found = judged.judged(chosen.method, chosen.objects, observer=observer)
             for name, value in ({"settling_time": self.duration} | found).items():
                 values[name][i] = value
-        trace = recorder.trace(policy, math.nan)
+        trace = recorder.trace(policy, math.nan) if recorder else None
         faults = [""] * len(self.seeds)
         return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
 

@@ -4,12 +4,12 @@ Each method searches from several starts, with the switches answering elsewhere 
 the mechanics let them. Repeatability is three standard deviations of the errors over the starts.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 
 from ...drive.kernel.homing import HERE
 from ...drive.model.model import load
@@ -18,6 +18,8 @@ from ...envs.masters.homing_figures import built_in
 from ..pictures.heat_map import draw
 from ..pictures.homing_gallery import fit_home_switch, home_switch
 from ..report import markdown, number, origin, write_csv, write_page
+from ..scale.job import Job, Result
+from ..scale.work import ALONE, Work
 
 STARTS = (0.033, 0.127, 0.217, 0.364, 0.473)  # m, none on an index pulse, one on the home switch
 QUICK_STARTS = (0.033, 0.217)
@@ -31,8 +33,21 @@ SEED = 1  # of where the switches answer
 Row = dict[str, Any]
 
 
-def measure(drive: str, quick: bool, console: Console) -> list[Row]:
-    """A row for each run."""
+def searches(
+    drive: str, mechanics: str, method: int, starts: Sequence[float], seeds: Sequence[int]
+) -> Result:
+    """The job: one method on one axis, from every start."""
+    machine = linear_axis(load(drive), mechanics=mechanics)
+    fit_home_switch(machine, method, home_switch(machine))
+    rows = []
+    for start, seed in zip(starts, seeds, strict=True):
+        machine.mechanics["switch_seed"] = seed
+        rows.append({"mechanics": mechanics, **_run(machine, method, start)})
+    return {"rows": rows}
+
+
+def jobs(drive: str, quick: bool) -> list[Job]:
+    """One for each axis and method. Raises ValueError for a drive without such methods."""
     model = load(drive)
     methods = [method for method in model.homing_methods if method not in HERE]
     if quick:
@@ -40,16 +55,17 @@ def measure(drive: str, quick: bool, console: Console) -> list[Row]:
     if not methods:
         raise ValueError(f"drive {model.name!r} has no homing method that searches")
     generator = np.random.default_rng(SEED)
-    rows: list[Row] = []
-    for mechanics in track(QUICK_FAMILY if quick else FAMILY, "homing", console=console):
-        machine = linear_axis(model, mechanics=mechanics)
-        own = home_switch(machine)
-        for method in methods:
-            fit_home_switch(machine, method, own)
-            for start in QUICK_STARTS if quick else STARTS:
-                machine.mechanics["switch_seed"] = generator.integers(1, 2**63)
-                rows.append({"mechanics": mechanics, **_run(machine, method, start)})
-    return rows
+    starts = QUICK_STARTS if quick else STARTS
+    return [
+        Job(
+            f"method {method} on {mechanics}", searches,
+            {"drive": drive, "mechanics": mechanics, "method": method, "starts": starts,
+             "seeds": [int(generator.integers(1, 2**63)) for _ in starts]},
+            (drive,),
+        )
+        for mechanics in (QUICK_FAMILY if quick else FAMILY)
+        for method in methods
+    ]  # fmt: skip
 
 
 def _run(machine: Machine, method: int, start: float) -> Row:
@@ -82,9 +98,11 @@ def repeatability(errors: np.ndarray) -> float:
     return float(3.0 * errors.std(ddof=1)) if len(errors) > 1 else np.nan
 
 
-def run(drive: str, quick: bool, out: Path, console: Console) -> int:
+def run(drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE) -> int:
     """Measure, and write homing.csv, homing.md and homing.png to `out`; -> exit status."""
-    rows = measure(drive, quick, console)
+    todo = jobs(drive, quick)
+    results = work.map(todo, folder=out, console=console, warm=todo[:1])
+    rows: list[Row] = [row for result in results for row in result["rows"]]
     source = origin(f"servogym benchmark homing --drive {drive}{' --quick' if quick else ''}")
     methods = list(dict.fromkeys(row["method"] for row in rows))
     family = list(dict.fromkeys(row["mechanics"] for row in rows))
@@ -129,4 +147,5 @@ def run(drive: str, quick: bool, out: Path, console: Console) -> int:
     draw(out / "homing.png", f"homing methods, drive {drive}", methods, family, panels, failures)
     done = sum(row["attained"] for row in rows)
     console.print(f"{done} of {len(rows)} runs found a reference; {out / 'homing'}.csv, .md, .png")
+    work.clear(todo, out)
     return 0

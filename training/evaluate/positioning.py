@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 
 from ...envs import FAMILY, POINT_TO_POINT
 from ..pictures.heat_map import draw
 from ..report import markdown, number, origin, write_csv, write_page
+from ..scale.job import Job, Result
+from ..scale.work import ALONE, Work
 from .episodes import Evaluator
+from .parts import warm
 
 STRATEGIES = ("trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd")
 PAYLOADS = (1.0, 5.0, 20.0)  # kg
@@ -37,41 +39,55 @@ FIGURES = {  # name in the CSV: metric
 Row = dict[str, Any]
 
 
-def measure(drive: str, quick: bool, console: Console) -> list[Row]:
-    """A row for each move; a strategy that does not suit an axis has none there."""
-    moves = QUICK_MOVES if quick else MOVES
-    options = [{"start": start, "goal": goal} for start, goal in moves]
-    rows: list[Row] = []
-    for mechanics in track(QUICK_FAMILY if quick else FAMILY, "positioning", console=console):
-        for payload in QUICK_PAYLOADS if quick else PAYLOADS:
-            evaluator = Evaluator(
-                POINT_TO_POINT.ID, drive=drive, episodes=len(moves), options=options,
-                parameters=replace(FAMILY[mechanics], payload=payload), tolerance=TOLERANCE,
-            )  # fmt: skip
-            for strategy in STRATEGIES:
-                try:
-                    result = evaluator.run(strategy)
-                except ValueError:
-                    continue  # no spring to shape for, or not enough torque
-                for i, (start, goal) in enumerate(moves):
-                    rows.append(
-                        {
-                            "strategy": strategy, "mechanics": mechanics, "payload_kg": payload,
-                            "start_m": start, "goal_m": goal,
-                            "settled": int(result.values["settling_time"][i] < evaluator.duration),
-                            **{
-                                name: round(float(result.values[metric][i]), 6)
-                                for name, metric in FIGURES.items()
-                            },
-                        }
-                    )  # fmt: skip
-            evaluator.close()
-    return rows
+def moves(drive: str, mechanics: str, payload: float, strategy: str, ways: Any) -> Result:
+    """The job: one strategy on one axis; no rows where it does not suit."""
+    evaluator = Evaluator(
+        POINT_TO_POINT.ID, drive=drive, episodes=len(ways), traced=None,
+        options=[{"start": start, "goal": goal} for start, goal in ways],
+        parameters=replace(FAMILY[mechanics], payload=payload), tolerance=TOLERANCE,
+    )  # fmt: skip
+    try:
+        found = evaluator.run(strategy)
+    except ValueError:
+        return {"rows": []}  # no spring to shape for, or not enough torque
+    finally:
+        evaluator.close()
+    rows = [
+        {
+            "strategy": strategy, "mechanics": mechanics, "payload_kg": payload,
+            "start_m": start, "goal_m": goal,
+            "settled": int(found.values["settling_time"][i] < evaluator.duration),
+            **{
+                name: round(float(found.values[metric][i]), 6)
+                for name, metric in FIGURES.items()
+            },
+        }
+        for i, (start, goal) in enumerate(ways)
+    ]  # fmt: skip
+    return {"rows": rows}
 
 
-def run(drive: str, quick: bool, out: Path, console: Console) -> int:
+def jobs(drive: str, quick: bool) -> list[Job]:
+    """One for each axis and strategy. Raises ValueError as the environment does."""
+    POINT_TO_POINT(drive=drive).close()
+    return [
+        Job(
+            f"{strategy} on {mechanics}, {payload:g} kg", moves,
+            {"drive": drive, "mechanics": mechanics, "payload": payload, "strategy": strategy,
+             "ways": QUICK_MOVES if quick else MOVES},
+            (drive,),
+        )
+        for mechanics in (QUICK_FAMILY if quick else FAMILY)
+        for payload in (QUICK_PAYLOADS if quick else PAYLOADS)
+        for strategy in STRATEGIES
+    ]  # fmt: skip
+
+
+def run(drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE) -> int:
     """Measure, and write positioning.csv, .md and .png to `out`; -> exit status."""
-    rows = measure(drive, quick, console)
+    todo = jobs(drive, quick)
+    results = work.map(todo, folder=out, console=console, warm=[warm(POINT_TO_POINT.ID, drive)])
+    rows: list[Row] = [row for result in results for row in result["rows"]]
     source = origin(f"servogym benchmark positioning --drive {drive}{' --quick' if quick else ''}")
     plants = list(dict.fromkeys((row["mechanics"], row["payload_kg"]) for row in rows))
     columns = [f"{mechanics}, {payload:g} kg" for mechanics, payload in plants]
@@ -117,4 +133,5 @@ def run(drive: str, quick: bool, out: Path, console: Console) -> int:
     path = out / "positioning.png"
     draw(path, f"positioning strategies, drive {drive}", columns, STRATEGIES, panels, failures.T)
     console.print(f"{len(rows)} moves; {out / 'positioning'}.csv, .md, .png")
+    work.clear(todo, out)
     return 0

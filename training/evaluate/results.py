@@ -49,12 +49,9 @@ def page(folder: Path) -> str:
     Raises:
         ValueError: there are none, or one lacks a file, the policy `learned` or the paragraph.
     """
-    folders = sorted(path for path in folder.glob("*-v*") if path.is_dir())
-    if not folders:
-        raise ValueError(f"{folder} has no folder of a task, such as CompliantAxis-v0")
     rows, sections = [], []
-    for path in folders:
-        data = json.loads(_text(path, FILE, "servogym compare"))
+    for path in folders(folder):
+        data = json.loads(text(path, FILE, "servogym compare"))
         kind = task(data["env"])
         known = metrics(kind)
         own, baseline = _chosen(path, data, kind.METRIC, known)
@@ -63,10 +60,17 @@ def page(folder: Path) -> str:
     return HEAD + markdown(HEADING, rows) + "\n" + "".join(sections) + FOOT
 
 
+def folders(folder: Path) -> list[Path]:
+    """Those of tasks. Raises ValueError where there are none."""
+    found = sorted(path for path in folder.glob("*-v*") if path.is_dir())
+    if not found:
+        raise ValueError(f"{folder} has no folder of a task, such as CompliantAxis-v0")
+    return found
+
+
 def run(folder: Path, console: Console) -> int:
     """Write the page; -> exit status."""
-    text = page(folder)
-    (folder / PAGE).write_text(text, encoding="utf-8")
+    (folder / PAGE).write_text(page(folder), encoding="utf-8")
     console.print(f"{folder / PAGE}")
     return 0
 
@@ -142,7 +146,7 @@ def _section(
     path: Path, data: Mapping[str, Any], own: _Policy, baseline: _Policy,
     known: Mapping[str, Metric],
 ) -> str:  # fmt: skip
-    told = _text(path, PAGE, "a text editor")
+    told = text(path, PAGE, "a text editor")
     honest = re.search(rf"^{re.escape(HONEST)}.*?(?=\n\s*\n|\Z)", told, re.M | re.S)
     if honest is None:
         raise ValueError(
@@ -158,15 +162,16 @@ def _section(
     ]  # fmt: skip
     better = ", ".join(lost) or "nothing"
     intervals = f"By the intervals of the differences {baseline.name} is better in: {better}."
-    text = re.sub(r"\]\((?![a-z]+:|#|/)", f"]({path.name}/", honest.group().strip())
+    loses = re.sub(r"\]\((?![a-z]+:|#|/)", f"]({path.name}/", honest.group().strip())
     link = f"[{path.name}/{PAGE}]({path.name}/{PAGE})"
     return (
-        f"## {path.name}\n\n{pictures}\n{text}\n\n{intervals}\n\nHow it was trained: {link}\n\n"
+        f"## {path.name}\n\n{pictures}\n{loses}\n\n{intervals}\n\nHow it was trained: {link}\n\n"
         f"```sh\n{data['command']}\n```\n\n"
     )
 
 
-def _text(path: Path, name: str, maker: str) -> str:
+def text(path: Path, name: str, maker: str) -> str:
+    """Of a file of a folder. Raises ValueError naming what makes it where it is not there."""
     if not (path / name).is_file():
         raise ValueError(f"{path} has no {name}: write it there with {maker}")
     return (path / name).read_text(encoding="utf-8")

@@ -89,9 +89,9 @@ ENTRY_POINTS = "servogym.policies"  # of other packages: a name, and what makes 
 MODE = "csp"  # what policies command where they do not need another mode
 
 
-def needed(name: str) -> dict[str, Any]:
+def needed(name: Any) -> dict[str, Any]:
     """The arguments of the environment a policy needs; none for other names than of `POLICIES`."""
-    row = POLICIES.get(name.partition(":")[0])
+    row = POLICIES.get(label(name).partition(":")[0])
     return dict(row.arguments) if row else {}
 
 
@@ -106,7 +106,7 @@ LEARNED = "learned"  # what comes with the laboratory
 SHIPPED = Path(str(resources.files("servogym.assets"))) / "policies"
 
 
-def trainings(name: str, task: str) -> list[str]:
+def trainings(name: Any, task: str) -> list[str]:
     """The folders of the trainings `name` stands for: ``seed_*`` in it, or itself.
 
     Args:
@@ -116,6 +116,8 @@ def trainings(name: str, task: str) -> list[str]:
     Raises:
         ValueError: nothing learned comes for that task.
     """
+    if not isinstance(name, str):
+        return []
     folder = SHIPPED / task.rpartition("/")[2] if name == LEARNED else Path(name)
     if name in POLICIES or not folder.is_dir():
         if name != LEARNED:
@@ -128,14 +130,20 @@ def trainings(name: str, task: str) -> list[str]:
     return [str(path) for path in sorted(folder.glob("seed_*"))] or [str(folder)]
 
 
-def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
+def label(policy: Any) -> str:
+    """What a policy is called: its name, of a class or a function its own."""
+    return policy if isinstance(policy, str) else getattr(policy, "__name__", repr(policy))
+
+
+def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     """A policy for `env`.
 
     Args:
         name: of `POLICIES`, "learned", ``built_in:N`` with a homing method, a folder of
             `servogym train`; of several trainings ``seed_*`` in it the first is taken;
             ``FILE.py:name`` or an entry point ``servogym.policies`` of another package: a class
-            ``(datasheet, seed)`` with ``reset`` and ``act``, or a function ``act(observation)``.
+            ``(datasheet, seed)`` with ``reset`` and ``act``, or a function ``act(observation)``;
+            or such a class or function itself.
         env: whose constants it knows.
         seed: of what is random in it.
 
@@ -143,6 +151,8 @@ def make(name: str, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
         ValueError: an unknown name, one for other tasks, a machine it cannot serve.
     """
     task = env.ID
+    if not isinstance(name, str):
+        return policy_of(label(name), name, datasheet(env), seed)
     base, _, rest = name.partition(":")
     if base.endswith(SUFFIX):
         return policy_of(name, from_file(name), datasheet(env), seed)

@@ -1,0 +1,147 @@
+"""Episodes in parts: what one job plays, and the parts put together again."""
+
+import inspect
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...envs.registry import task
+from ...envs.servo_env import ServoEnv
+from ..pictures.episode import Recording
+from ..policies import label, make, trainings
+from ..policies.file import SUFFIX
+from ..scale.job import Job, Result
+from .episodes import Evaluation, Evaluator, fixed, pooled
+from .metrics import metrics
+
+PART = 10  # episodes of a job
+OURS = "servogym."
+
+_last: dict[str, Evaluator] = {}  # what a process played in; the next job may want the same
+
+
+def play(
+    env: str, drive: str, arguments: Mapping[str, Any], policy: Any, training: int | None,
+    seeds: Sequence[int], traced: int | None, options: Sequence[dict[str, Any]] = (),
+) -> Result:  # fmt: skip
+    """The job: some episodes under one policy, of several trainings under one."""
+    key = repr((env, drive, sorted(arguments.items()), len(seeds), options))
+    if key not in _last:
+        for evaluator in _last.values():
+            evaluator.close()
+        _last.clear()
+        _last[key] = Evaluator(env, drive=drive, seeds=seeds, options=options, **arguments)
+    evaluator = _last[key]
+    evaluator.seeds, evaluator.traced = list(seeds), traced
+    chosen = policy if training is None else trainings(policy, evaluator.task.ID)[training]
+    found = evaluator.run(chosen)
+    result: Result = {f"values/{name}": values for name, values in found.values.items()}
+    result["faults"] = found.faults
+    if (trace := found.trace) is not None:
+        result |= {"time": trace.time, "samples": trace.samples}
+        result |= {"done": trace.done, "ended": trace.ended}
+    return result
+
+
+class Episodes:
+    """The fixed episodes under one policy: the jobs that play them, and what they found.
+
+    Args:
+        env: id of the environment.
+        policy: by name, or a class or function (`policies.file.policy_of`).
+        drive: drive model.
+        seeds: of the episodes.
+        arguments: of the environment.
+        traced: the episode that is recorded, counted from 0.
+        options: of the reset of each episode; none if not given.
+
+    Raises:
+        ValueError: an unknown environment, drive or policy, before the first episode.
+    """
+
+    def __init__(
+        self, env: str, policy: Any, drive: str, seeds: Sequence[int],
+        arguments: Mapping[str, Any], traced: int = 0, options: Sequence[dict[str, Any]] = (),
+    ):  # fmt: skip
+        self._policy, self._seeds = policy, list(seeds)
+        self._kind = task(env)
+        try:
+            first = self._kind(drive=drive, **arguments)
+        except TypeError as error:
+            raise ValueError(f"--argument: {error}: see the arguments of {self._kind.ID}") from None
+        make(policy, first)
+        self._words, self._channels = first.DONE, first.channels()
+        self.duration = first.STEPS * first.step_time
+        first.close()
+        folders = trainings(policy, self._kind.ID)
+        parts = math.ceil(len(self._seeds) / PART)
+        edges = np.linspace(0, len(self._seeds), parts + 1).astype(int).tolist()
+        about = f"{label(policy)} on {self._kind.ID.rpartition('/')[2]}"
+        job = partial(Job, function=play, watched=watched(self._kind, drive, policy, folders))
+        self.jobs = [
+            job(
+                name=f"{about}, drive {drive}, episodes {begin} to {end - 1}",
+                arguments={
+                    "env": env, "drive": drive, "arguments": dict(arguments), "policy": policy,
+                    "training": training, "seeds": self._seeds[begin:end],
+                    "traced": traced - begin if begin <= traced < end else None,
+                    "options": list(options[begin:end]),
+                },
+            )
+            for training in (range(len(folders)) if folders else [None])
+            for begin, end in pairwise(edges)
+        ]  # fmt: skip
+        self._parts = parts
+
+    def evaluation(self, results: Sequence[Result]) -> Evaluation:
+        """Of the results of the jobs, in their order."""
+        each = [results[i : i + self._parts] for i in range(0, len(results), self._parts)]
+        return pooled(label(self._policy), [self._training(parts) for parts in each])
+
+    def _training(self, parts: Sequence[Result]) -> Evaluation:
+        names = [name for name in parts[0] if name.startswith("values/")]
+        (seen,) = (part for part in parts if "time" in part)
+        return Evaluation(
+            label(self._policy),
+            self._seeds,
+            {
+                name.removeprefix("values/"): np.concatenate([part[name] for part in parts])
+                for name in names
+            },
+            [fault for part in parts for fault in part["faults"]],
+            Recording(
+                label(self._policy), self._channels, self._words, seen["time"], seen["samples"],
+                seen["done"], seen["ended"],
+            ),
+            metrics=metrics(self._kind),
+        )  # fmt: skip
+
+
+def warm(env: str, drive: str) -> Job:
+    """A small job that needs all that is compiled for an environment."""
+    return Job(
+        f"compiling for {env}", play,
+        {"env": env, "drive": drive, "arguments": {}, "policy": "hold", "training": None,
+         "seeds": fixed(0, 1), "traced": None},
+    )  # fmt: skip
+
+
+def watched(
+    kind: type[ServoEnv], drive: str, policy: Any, folders: Sequence[str]
+) -> tuple[str, ...]:
+    """Files outside of the package that decide what a policy does."""
+    found = [*folders]
+    base, _, _ = policy.rpartition(":") if isinstance(policy, str) else ("", "", "")
+    if base.endswith(SUFFIX):
+        found.append(base)
+    if Path(drive).is_dir():
+        found.append(str(drive))
+    for own in (kind, policy):
+        if isinstance(own, type) and not own.__module__.startswith(OURS):
+            found.append(inspect.getfile(own))
+    return tuple(found)
