@@ -1,5 +1,6 @@
 """Plants, machines and Gymnasium environments; and what a task of your own is written with."""
 
+from .autotune.bode import bode
 from .batch import episode
 from .engine.machine import Machine
 from .faces import clip, faulted, limited
@@ -26,6 +27,7 @@ __all__ = [
     "RotaryParameters",
     "ServoEnv",
     "action",
+    "bode",
     "clip",
     "commission_joint",
     "episode",

@@ -13,6 +13,7 @@ from ...drive.objects.abort import SdoAbort
 from . import (
     bench,
     benchmark,
+    bode,
     compare,
     decode,
     demo,
@@ -28,8 +29,8 @@ from . import (
 )
 
 COMMANDS = (
-    demo, bench, drives, node, ethercat, eds, esi, decode, homing, watch, train, compare, results,
-    benchmark,
+    demo, bench, drives, node, ethercat, eds, esi, decode, bode, homing, watch, train, compare,
+    results, benchmark,
 )  # fmt: skip
 
 

@@ -1,0 +1,103 @@
+"""Bode diagrams with margins, of `Response`s."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .margins import LEAST_COHERENCE, Margins
+
+COLOURS = ("#4477aa", "#cc6633", "#228833", "#aa3377")
+DOTS_PER_INCH = 110
+
+
+def draw_bode(responses: Sequence[tuple[str, Any]], path: Path) -> None:
+    """Gain and phase of both loops with their margins, and the coherence, as a PNG.
+
+    Args:
+        responses: with their names.
+        path: of the picture.
+    """
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    grid = figure.subplots(3, 2, sharex=True, height_ratios=(3, 3, 1.2))
+    first = responses[0][1]
+    figure.suptitle(
+        f"{first.drive} ({first.model}): multisine, {first.amplitude * 100:.3g} % of rated torque, "
+        f"in motion at {first.speed:.3g} {first.unit}/s"
+    )
+    panels: list[list[Axes]] = [list(row) for row in grid]
+    loops(panels[0], panels[1], responses)
+    for axes in panels[2]:
+        for (name, response), colour in zip(responses, COLOURS, strict=False):
+            axes.semilogx(response.frequencies, response.coherence, color=colour, label=name)
+        axes.axhline(LEAST_COHERENCE, color="grey", lw=0.8, ls=":")
+        axes.set(ylim=(0, 1.05), xlabel="frequency (Hz)", ylabel="coherence")
+    finish(figure, [axes for row in panels for axes in row], path)
+
+
+def loops(
+    upper: Sequence[Axes], lower: Sequence[Axes], responses: Sequence[tuple[str, Any]]
+) -> None:
+    """Gain into the `upper` panels, phase into the `lower`: velocity loop, position loop."""
+    for (name, response), colour in zip(responses, COLOURS, strict=False):
+        kinds = (
+            (response.velocity_loop, response.velocity_margins),
+            (response.position_loop, response.position_margins),
+        )
+        for gain, phase, (loop, found) in zip(upper, lower, kinds, strict=True):
+            seen = response.coherence >= LEAST_COHERENCE
+            loop = np.where(seen, loop, np.nan)
+            degrees = _unwrapped(loop)
+            gain.semilogx(
+                response.frequencies, 20 * np.log10(abs(loop)), color=colour,
+                label=f"{name}: {found}",
+            )  # fmt: skip
+            phase.semilogx(response.frequencies, degrees, color=colour, label=name)
+            _mark(gain, phase, found, response.frequencies, loop, degrees, colour)
+    for axes, title in zip(upper, ("velocity loop", "position loop"), strict=True):
+        axes.axhline(0.0, color="grey", lw=1)
+        axes.set(title=title, ylabel="open loop (dB)", ylim=(-50, 50))
+    for axes in lower:
+        axes.axhline(-180.0, color="grey", lw=1)
+        axes.set(ylabel="phase (degree)", ylim=(-270, 90), yticks=range(-270, 91, 90))
+
+
+def _unwrapped(loop: np.ndarray) -> np.ndarray:
+    """Phase (degree) that begins between -270 and 90."""
+    degrees = np.full(len(loop), np.nan)
+    seen = np.isfinite(loop)
+    if seen.any():
+        turned = np.degrees(np.unwrap(np.angle(loop[seen])))
+        degrees[seen] = turned - 360 * np.ceil((turned[0] - 90) / 360)
+    return degrees
+
+
+def _mark(
+    gain: Axes, phase: Axes, found: Margins, frequencies: np.ndarray, loop: np.ndarray,
+    degrees: np.ndarray, colour: str,
+) -> None:  # fmt: skip
+    """Draw the margins where they are, if that is where it was measured."""
+    low, high = frequencies[0], frequencies[-1]
+    seen = np.isfinite(degrees)
+    if low <= found.crossover <= high:
+        at = float(np.interp(found.crossover, frequencies[seen], degrees[seen]))
+        phase.plot([found.crossover] * 2, [-180, at], color=colour, lw=3, alpha=0.6)
+    if low <= found.phase_crossover <= high:
+        level = 20 * np.log10(abs(loop[seen]))
+        at = float(np.interp(found.phase_crossover, frequencies[seen], level))
+        gain.plot([found.phase_crossover] * 2, [at, 0], color=colour, lw=3, alpha=0.6)
+
+
+def finish(figure: Figure, panels: Sequence[Any], path: Path) -> None:
+    """Grids, legends, and the file."""
+    for axes in panels:
+        axes.grid(alpha=0.3, which="both")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=DOTS_PER_INCH)

@@ -1,0 +1,114 @@
+"""Fit a plant of few numbers to a measured response."""
+
+import math
+
+import numpy as np
+
+from ...drive.drive import Drive
+from .margins import LEAST_COHERENCE
+from .needs import scipy
+from .plant import Plant, Resonance, lag_and_filter, mechanics
+from .response import TOO_HIGH, Response
+from .stand import Gains
+
+PROMINENCE = 5.0  # dB over a plant without resonances; smaller ones do not matter to a loop
+MOST = 3  # resonances
+DAMPING = 0.02  # to begin with
+SPREAD = 1.5  # of a frequency in the fit
+
+Pair = tuple[float, float, float, float]  # antiresonance (Hz), its damping, resonance, damping
+
+
+def identify(response: Response, drive: Drive, gains: Gains) -> Plant:
+    """Fit a plant to a response.
+
+    Args:
+        response: measured.
+        drive: whose it is.
+        gains: with which it was measured; where their loop is very high, little was left to see.
+
+    Raises:
+        RuntimeError: too little of it is coherent.
+        ImportError: without scipy.
+    """
+    loop = abs(response.with_gains(gains).velocity_loop)
+    good = (response.coherence >= LEAST_COHERENCE) & (loop < TOO_HIGH)
+    if good.sum() < 12:
+        raise RuntimeError(
+            f"only {good.sum()} of {len(good)} frequencies of drive {response.drive!r} are "
+            f"coherent: raise the amplitude ({response.amplitude:g} of the rated torque)"
+        )
+    frequencies = response.frequencies[good]
+    lag, share = _shares(drive, response)
+    measured = response.plant[good] / lag_and_filter(frequencies, response.cycle, lag, share)
+    weight = np.sqrt(np.gradient(np.log(frequencies)))  # as much a decade everywhere
+    weight = weight / np.sqrt(np.mean(weight**2))
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        values, pairs = _open(x)
+        ratio = measured / mechanics(frequencies, response.cycle, values, pairs)
+        parts = np.log(np.maximum(abs(ratio), 1e-12)), np.angle(ratio)
+        return np.concatenate([part * weight for part in parts])
+
+    solve = scipy("optimize").least_squares
+    inertia = _inertia(frequencies, measured)
+    best = None
+    for candidates in _candidates(frequencies, measured):
+        start = [math.log(inertia), 0.0, 0.0]
+        low, high = [start[0] - 3.0, -12.0, -0.5], [start[0] + 3.0, 12.0, 4.0]
+        start[1] = math.log(2 * math.pi * frequencies[0] * inertia * 0.05)
+        low[1], high[1] = start[1] - 12.0, start[1] + 6.0
+        for antiresonance, resonance in candidates:
+            middle = [math.log(antiresonance), math.log(DAMPING), math.log(resonance)]
+            start += [*middle, math.log(DAMPING)]
+            spread = math.log(SPREAD)
+            low += [middle[0] - spread, -9.0, middle[2] - spread, -9.0]
+            high += [middle[0] + spread, 0.5, middle[2] + spread, 0.5]
+        found = solve(residual, start, bounds=(low, high), loss="soft_l1", f_scale=0.2,
+                      max_nfev=80)  # fmt: skip
+        # a resonance more has to explain a good deal more
+        score = found.cost * 1.5 ** len(candidates)
+        if best is None or score < best[0]:
+            best = score, found.x
+    assert best is not None
+    (inertia, viscous, delay), pairs = _open(best[1])
+    decibel = 20 / math.log(10) * residual(best[1])[: len(frequencies)]
+    return Plant(
+        inertia=inertia, viscous=viscous, delay=delay, cycle=response.cycle, lag=lag, filter=share,
+        resonances=tuple(
+            Resonance(a, r, damping, antidamping) for a, antidamping, r, damping in sorted(pairs)
+        ),
+        error=float(np.sqrt(np.mean(decibel**2))),
+    )  # fmt: skip
+
+
+def _open(x: np.ndarray) -> tuple[tuple[float, float, float], list[Pair]]:
+    """Parameters of the fit -> inertia, viscous friction, delay, and pairs."""
+    inertia, viscous = np.exp(x[:2]).tolist()
+    rows = np.exp(x[3:]).reshape(-1, 4).tolist()
+    pairs = [(row[0], row[1], row[2], row[3]) for row in rows]
+    return (inertia, viscous, float(x[2]) * 1e-3), pairs
+
+
+def _shares(drive: Drive, response: Response) -> tuple[float, float]:
+    lag = -math.expm1(-response.cycle / max(drive.model.torque_time_constant, 1e-9))
+    return lag, response.velocity_filter
+
+
+def _inertia(frequencies: np.ndarray, measured: np.ndarray) -> float:
+    """Of the lowest frequencies, where friction does not count for much."""
+    low = frequencies <= 4 * frequencies[0]
+    return float(np.median(1 / (2 * np.pi * frequencies * abs(measured))[low]))
+
+
+def _candidates(frequencies: np.ndarray, measured: np.ndarray) -> list[list[tuple[float, float]]]:
+    """Pairs of antiresonance and resonance to try: none, the clearest one, two, …"""
+    level = 20 * np.log10(abs(measured) * frequencies)
+    peaks, seen = scipy("signal").find_peaks(level, prominence=PROMINENCE)
+    found = []
+    for n, (peak, prominence) in enumerate(zip(peaks, seen["prominences"], strict=True)):
+        begin = int(peaks[n - 1]) if n else 0
+        dip = begin + int(np.argmin(level[begin:peak]))  # the lowest place before it
+        found.append((prominence, float(frequencies[dip]), float(frequencies[peak])))
+    found.sort(reverse=True)
+    return [[(dip, peak) for _, dip, peak in found[:n]] for n in range(min(len(found), MOST) + 1)]

@@ -1,0 +1,54 @@
+"""Margins of an open loop that is known at some frequencies."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .needs import control
+
+LEAST_COHERENCE = 0.8  # of what counts as measured
+FARTHEST = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Of one loop. A margin is infinite where the loop does not come to it."""
+
+    gain: float  # dB
+    phase: float  # degree
+    crossover: float  # Hz
+    phase_crossover: float  # Hz
+    stable: bool
+
+    def __str__(self) -> str:
+        if not self.stable:
+            return "unstable"
+        return f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
+
+
+def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
+    """Margins of an open loop that is stable but for its integrators.
+
+    Args:
+        frequencies: Hz, shape ``(n,)``, from far below the crossover to far above it.
+        loop: complex, shape ``(n,)``.
+    """
+    omega = 2 * np.pi * frequencies
+    data = control().frd(loop, omega, smooth=True)
+    gains, phases, _, at_phase, at_gain, _ = control().stability_margins(data, returnall=True)
+    decibel = np.abs(20 * np.log10(np.maximum(gains, 1e-9)))
+    worst = int(np.argmin(decibel)) if len(decibel) else None
+    least = int(np.argmin(np.abs(phases))) if len(phases) else None
+    # Nyquist: from far away, at -90 degrees for each integrator, 1 + L comes home without a turn
+    turned = np.unwrap(np.angle(1 + loop))
+    begin = (turned[0] + FARTHEST) % (2 * math.pi) - FARTHEST
+    end = begin + turned[-1] - turned[0]
+    stable = abs(end) < math.pi / 2
+    return Margins(
+        gain=math.inf if worst is None else float(decibel[worst]),
+        phase=math.inf if least is None else float(abs(phases[least])),
+        crossover=float(max(at_gain, default=math.nan) / (2 * np.pi)),
+        phase_crossover=math.nan if worst is None else float(at_phase[worst] / (2 * np.pi)),
+        stable=bool(stable),
+    )

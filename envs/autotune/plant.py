@@ -1,0 +1,72 @@
+"""A plant in few numbers, fitted to a measured response: inertia, resonances, delay.
+
+    plant(z) = lag(z) filter(z) exp(-s delay) 1 / (J (z - 1) / T + b) product of
+               (s²/wa² + 2 da s/wa + 1) / (s²/wr² + 2 dr s/wr + 1),          s = 2 pi i f
+
+Lag of the current loop and filter of the velocity are those of the drive. An antiresonance wa is
+where a load swings on its spring against a motor that stands still; wr where both swing.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A pair of antiresonance and resonance."""
+
+    antiresonance: float  # Hz
+    resonance: float  # Hz
+    damping: float  # share of critical, of the resonance
+    antidamping: float
+
+    def __str__(self) -> str:
+        return f"{self.antiresonance:.3g}/{self.resonance:.3g} Hz"
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What a drive moves, seen from the motor shaft."""
+
+    inertia: float  # kg·m², all of it
+    viscous: float  # Nm·s/rad, of the fit; `Friction` has it measured
+    delay: float  # s, beyond what lag and filter explain
+    resonances: tuple[Resonance, ...]
+    cycle: float  # s
+    lag: float  # share of the new value, each velocity cycle
+    filter: float
+    error: float  # rms of the fit (dB)
+
+    def __call__(self, frequencies: np.ndarray) -> np.ndarray:
+        """Measured velocity (rad/s) over torque command (Nm) at `frequencies` (Hz)."""
+        values = self.inertia, self.viscous, self.delay
+        pairs = [(r.antiresonance, r.antidamping, r.resonance, r.damping) for r in self.resonances]
+        drive = lag_and_filter(frequencies, self.cycle, self.lag, self.filter)
+        return drive * mechanics(frequencies, self.cycle, values, pairs)
+
+    def __str__(self) -> str:
+        found = ", ".join(map(str, self.resonances)) or "none"
+        return f"inertia {self.inertia:.4g} kg·m², antiresonance/resonance {found}"
+
+
+def lag_and_filter(frequencies: np.ndarray, cycle: float, lag: float, share: float) -> np.ndarray:
+    """Of the drive: current loop, and filter of the velocity, as shares of a new value."""
+    z = np.exp(2j * np.pi * frequencies * cycle)
+    return lag / (1 - (1 - lag) / z) * share / (1 - (1 - share) / z)
+
+
+def mechanics(
+    frequencies: np.ndarray, cycle: float, values: tuple[float, float, float],
+    pairs: Iterable[tuple[float, float, float, float]],
+) -> np.ndarray:  # fmt: skip
+    """Of inertia, viscous friction and delay, and of pairs in Hz with their damping."""
+    inertia, viscous, delay = values
+    s = 2j * np.pi * frequencies
+    z = np.exp(s * cycle)
+    response: np.ndarray = np.exp(-s * delay) / (inertia * (z - 1) / cycle + viscous)
+    for antiresonance, antidamping, resonance, damping in pairs:
+        a, r = (1j * frequencies / f for f in (antiresonance, resonance))
+        response = response * (a * a + 2 * antidamping * a + 1) / (r * r + 2 * damping * r + 1)
+    return response

@@ -1,0 +1,170 @@
+"""Frequency responses of a drive's loops, and their margins.
+
+The loops are the measured plant behind the controllers as `kernel.cascade` computes them, with the
+drive's own gains:
+
+    velocity loop = kp (1 + T / Ti / (z - 1)) plant
+    position loop = kv hold kp (1 + T / Ti / (z - 1)) / (1 + velocity loop) plant of the position
+"""
+
+import csv
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .margins import LEAST_COHERENCE, Margins, margins
+from .plant import Plant
+from .stand import Gains
+
+CERTAIN = 3.0  # a loop above it needs nothing below to tell whether it is stable
+TOO_HIGH = 30.0  # above it too little of the excitation is left to tell the phase
+PADDING = 1.02  # step of the frequencies where the model goes on beyond what was measured
+
+
+@dataclass(frozen=True)
+class Response:
+    """What was measured of one drive, and what its loops are with some gains.
+
+    Arrays have shape ``(n,)``, one value a frequency.
+    """
+
+    drive: str
+    model: str
+    frequencies: np.ndarray  # Hz
+    plant: np.ndarray  # complex, velocity of the shaft as measured over torque command, rad/s/Nm
+    position_plant: np.ndarray  # complex, measured position over torque command, rad/Nm
+    coherence: np.ndarray  # 0..1 of velocity and excitation
+    gains: Gains
+    cycle: float  # s, velocity controller
+    cycles: int  # of it in one of the position controller
+    velocity_filter: float  # share of the new sample, per velocity cycle
+    amplitude: float  # rms of the excitation, share of the rated torque
+    speed: float  # of travel, m/s or rad/s of the joint
+    unit: str  # of the joint
+    note: str = ""
+    fitted: Plant | None = None
+
+    def with_gains(self, gains: Gains) -> "Response":
+        """The same plant behind other gains."""
+        return replace(self, gains=gains)
+
+    @cached_property
+    def wide(self) -> "Response":
+        """Measured where the coherence is good, elsewhere fitted, to the Nyquist frequency."""
+        if self.fitted is None:
+            return self
+        top = 0.98 / (2 * self.cycle)
+        low = np.geomspace(0.1, self.frequencies[0] / PADDING, 150)
+        count = max(2, math.ceil(math.log(top / self.frequencies[-1]) / math.log(PADDING)))
+        high = np.geomspace(self.frequencies[-1] * PADDING, top, count)
+        frequencies = np.concatenate([low, self.frequencies, high])
+        calculated = self.fitted(frequencies)
+        z = np.exp(2j * np.pi * frequencies * self.cycle)
+        ratio = self.position_plant / self.plant
+        measured = self.coherence >= LEAST_COHERENCE
+        plant, position = calculated.copy(), calculated * self._position_per_velocity(z)
+        middle = slice(len(low), len(low) + len(self.frequencies))
+        plant[middle][measured] = self.plant[measured]
+        position[middle][measured] = (self.plant * ratio)[measured]
+        one = np.ones(len(frequencies))
+        return replace(
+            self, frequencies=frequencies, plant=plant, position_plant=position, coherence=one,
+            fitted=None,
+        )  # fmt: skip
+
+    def _position_per_velocity(self, z: np.ndarray) -> np.ndarray:
+        """Of the motor's own encoder."""
+        return (
+            self.cycle / (1 - 1 / z) * (1 - (1 - self.velocity_filter) / z) / self.velocity_filter
+        )
+
+    @property
+    def _z(self) -> np.ndarray:
+        return np.exp(2j * np.pi * self.frequencies * self.cycle)
+
+    @property
+    def controller(self) -> np.ndarray:
+        """Torque command (Nm) over velocity error (rad/s)."""
+        gains, z = self.gains, self._z
+        if gains.integral_time <= 0.0:
+            return gains.velocity_gain * np.ones_like(z)
+        time = max(gains.integral_time, self.cycle)
+        return gains.velocity_gain * (1 + self.cycle / time / (z - 1))
+
+    @property
+    def velocity_loop(self) -> np.ndarray:
+        """Open loop of the velocity controller."""
+        return self.controller * self.plant
+
+    @property
+    def position_loop(self) -> np.ndarray:
+        """Open loop of the position controller, with the velocity loop closed."""
+        hold = sum(self._z**-k for k in range(self.cycles)) / self.cycles
+        closed = self.controller / (1 + self.velocity_loop) * self.position_plant
+        return self.gains.position_gain * hold * closed
+
+    @cached_property
+    def velocity_margins(self) -> Margins:
+        """Of the velocity loop."""
+        wide = self.wide
+        return self._margins(wide.frequencies, wide.velocity_loop)
+
+    @cached_property
+    def position_margins(self) -> Margins:
+        """Of the position loop; up to its own Nyquist frequency."""
+        wide = self.wide
+        below = wide.frequencies < 0.49 / (self.cycle * self.cycles)
+        found = self._margins(wide.frequencies[below], wide.position_loop[below])
+        return replace(found, stable=found.stable and self.velocity_margins.stable)
+
+    def _margins(self, frequencies: np.ndarray, loop: np.ndarray) -> Margins:
+        first = int(np.searchsorted(frequencies, self.frequencies[0]))
+        begin = 0
+        if abs(loop[first]) > CERTAIN:
+            begin = first + int(np.argmax(abs(loop[first:]) < TOO_HIGH))
+        return margins(frequencies[begin:], loop[begin:])
+
+    def __str__(self) -> str:
+        lines = [
+            f"drive {self.drive} ({self.model}): {self.gains}",
+            *([f"plant: {self.fitted}"] if self.fitted else []),
+            f"velocity loop: {self.velocity_margins}",
+            f"position loop: {self.position_margins}",
+        ]
+        return "\n".join([*lines, *([self.note] if self.note else [])])
+
+    def save(self, path: str | Path) -> None:
+        """Write the response; the suffix chooses: .csv for the numbers, .png for a picture.
+
+        Raises ValueError for another suffix.
+        """
+        path = Path(path)
+        if path.suffix == ".csv":
+            self._write(path)
+        elif path.suffix == ".png":
+            from .drawing import draw_bode
+
+            draw_bode([("in force", self)], path)
+        else:
+            raise ValueError(f"{path}: use the suffix .csv or .png")
+
+    def _write(self, path: Path) -> None:
+        columns: list[tuple[str, Any]] = [
+            ("frequency (Hz)", self.frequencies), ("coherence", self.coherence),
+        ]  # fmt: skip
+        for name, values in (
+            ("plant (rad/s/Nm)", self.plant), ("velocity loop", self.velocity_loop),
+            ("position loop", self.position_loop),
+        ):  # fmt: skip
+            columns += [
+                (f"{name} (dB)", 20 * np.log10(np.abs(values))),
+                (f"{name} (degree)", np.degrees(np.unwrap(np.angle(values)))),
+            ]
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([name for name, _ in columns])
+            writer.writerows(zip(*(np.asarray(x).tolist() for _, x in columns), strict=True))

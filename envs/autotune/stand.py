@@ -1,0 +1,201 @@
+"""The test stand: one drive of a machine that travels at a constant speed while it is excited.
+
+The excitation is the torque offset (60B2h; of a model without the object, the same field of its
+record, as the measuring function of a maker's own tool has it). It is added before the torque
+limit, so everything it does goes through the drive's own cascade and limits. While the axis
+travels, friction keeps its sign.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...drive.drive import Drive
+from ...drive.kernel.words import Limit, Mode, State
+from ...drive.master import Master
+from ..engine.machine import Machine
+from ..masters.port import MachinePort
+from ..plants.gantry import PAIR
+
+ROOM = 0.9  # share of the free way that a run may use
+CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
+# what is sampled after each position cycle
+OFFSET, TORQUE, VELOCITY, POSITION, LIMITED = range(5)
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the cascade in SI units."""
+
+    velocity_gain: float  # Nm·s/rad
+    integral_time: float  # s; 0: no integral action
+    position_gain: float  # 1/s
+
+    def __str__(self) -> str:
+        return (
+            f"velocity {self.velocity_gain:.4g} Nm·s/rad, {self.integral_time * 1e3:.3g} ms, "
+            f"position {self.position_gain:.4g} 1/s"
+        )
+
+
+OBJECTS = {  # of the gains, and how many of its units make one of SI
+    "velocity_control_gain": ("velocity_gain", lambda axis: 1 / axis.velocity_gain_unit),
+    "velocity_control_time": ("integral_time", lambda axis: 1e6),
+    "position_control_gain": ("position_gain", lambda axis: 1 / axis.position_gain_unit),
+}
+
+
+def gains_of(drive: Drive) -> Gains:
+    """The gains in force."""
+    axis = drive.axis
+    raw = {name: float(getattr(axis.od, name)) for name in OBJECTS}
+    return Gains(**{to: raw[name] / per(axis) for name, (to, per) in OBJECTS.items()})
+
+
+def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
+    """Gains in units of the drive by object, as near as it can have them."""
+    values = {}
+    for name, (of, per) in OBJECTS.items():
+        value = round(getattr(gains, of) * per(drive.axis))
+        row = drive.model.names.get(name)
+        if row is not None:
+            value = int(min(max(value, row.minimum), row.maximum))
+        values[name] = value
+    return values
+
+
+class Stand:
+    """Runs of one drive of a machine. The machine is as it was after `put_back`.
+
+    Args:
+        machine: powered on; the drive may be enabled or not.
+        name: of the drive; the first of the machine if not given.
+
+    Raises:
+        ValueError: no such drive, or one without a position and velocity controller.
+    """
+
+    def __init__(self, machine: Machine, name: str | None = None):
+        name = next(iter(machine.drives)) if name is None else name
+        if name not in machine.drives:
+            raise ValueError(f"drive: there is no drive {name!r}, only {[*machine.drives]}")
+        self.machine, self.name = machine, name
+        self.drive = machine.drives[name]
+        model = self.drive.model
+        if not model.positions or Mode.PROFILE_VELOCITY not in model.modes:
+            raise ValueError(
+                f"drive {name!r} ({model.name}) has no velocity and position controller to "
+                "tune: choose a servo drive, see `servogym drives`"
+            )
+        self.number = [*machine.drives].index(name)
+        self.gear, self.unit = machine.joint(name)
+        together = PAIR if name in PAIR and all(x in machine.drives for x in PAIR) else (name,)
+        self.movers = [x for x in together if machine.drives[x].model.positions]
+        self._kept = machine.snapshot()
+        servos = [x for x, drive in machine.drives.items() if drive.model.positions]
+        self.master = Master(MachinePort(machine), *servos)
+
+    def put_back(self) -> None:
+        """Let the machine be what it was when the stand was made."""
+        self.machine.restore(self._kept)
+
+    def start(self) -> None:
+        """Enable all drives; those that do not travel hold their position."""
+        self.master.reset_fault()
+        for name in self.master.axes:
+            moves = name in self.movers
+            self.master[name].set_mode(Mode.PROFILE_VELOCITY if moves else Mode.PROFILE_POSITION)
+            if moves:
+                self.master[name].write("target_velocity", 0)
+        self.master.enable()
+
+    @property
+    def period(self) -> float:
+        """Of a step of the machine (s)."""
+        return self.machine.cycle_time
+
+    @property
+    def place(self) -> float:
+        """Of the joint (m or rad)."""
+        return float(self.machine.data.qpos[self.machine.couplings[self.number].qpos])
+
+    @property
+    def room(self) -> tuple[float, float]:
+        """Free way to the left and to the right (m or rad), to the limits of drive and joint."""
+        here, coupling = self.place, self.machine.couplings[self.number]
+        low, high = (float(self.machine.mechanics[x][self.number]) for x in ("low", "high"))
+        for first, last in zip(coupling.switch_from[:2], coupling.switch_to[:2], strict=True):
+            if first <= last <= here:
+                low = max(low, float(last))
+            elif here <= first <= last:
+                high = min(high, float(first))
+        axis = self.drive.axis
+        if axis.homed:
+            ends = [
+                here + (float(limit) - float(axis.position)) / self.gear
+                for limit in (axis.position_limit_min, axis.position_limit_max)
+            ]
+            low, high = max(low, min(ends)), min(high, max(ends))
+        return here - low, high - here
+
+    def speed(self, duration: float) -> float:
+        """Of travel at the joint (m/s or rad/s): a tenth of 6081h, less where there is no room."""
+        wanted = 0.1 * float(self.drive.axis.profile_speed) / abs(self.gear)
+        free = max(self.room)
+        if free * ROOM < wanted * duration * 0.02:
+            raise ValueError(
+                f"drive {self.name!r} stands where only {free:.3g} {self.unit} are free: "
+                "move the axis to the middle of its range first"
+            )
+        return min(wanted, ROOM * free / duration)
+
+    def direction(self, way: float) -> float:
+        """Where there is room for `way` (m or rad), the wider side first; 1 or -1."""
+        left, right = self.room
+        return 1.0 if right >= max(left, way) or right >= way > left else -1.0
+
+    def travel(self, speed: float) -> None:
+        """Ask for a speed of the joint (m/s or rad/s)."""
+        for name in self.movers:
+            axis = self.machine.drives[name].axis
+            gear, _ = self.machine.joint(name)
+            value = round(speed * gear / float(axis.rad_s_per_velocity_unit))
+            self.master[name].write("target_velocity", value)
+
+    def settle(self, speed: float) -> None:
+        """Wait until the ramp to a speed has ended, and half as long again."""
+        axis = self.drive.axis
+        ramp = 2 * abs(speed * self.gear) / max(float(axis.acceleration), 1e-9)
+        self.run(np.zeros(CYCLES_OF_A_RAMP + math.ceil(1.5 * ramp / self.period)))
+
+    def run(self, offsets: np.ndarray) -> np.ndarray:
+        """Excite with torque offsets (Nm), one a step; -> samples of shape ``(n, 5)``.
+
+        Columns: torque offset (Nm), torque command (Nm), measured velocity (rad/s), position
+        (rad), whether the torque was limited.
+
+        Raises:
+            RuntimeError: a drive has left OPERATION_ENABLED, with its fault.
+        """
+        machine, axis = self.machine, self.drive.axis
+        od, per_mille = axis.od, float(axis.rated_torque) * 1e-3
+        samples = np.empty((len(offsets), 5))
+        for n, value in enumerate(np.rint(offsets / per_mille).astype(int)):
+            od.torque_offset = value
+            axis.parameters_changed = 1
+            machine.step()
+            samples[n] = (
+                axis.torque_offset, axis.torque_command, axis.velocity, axis.position,
+                bool(axis.limits & Limit.TORQUE),
+            )  # fmt: skip
+        for name in self.movers:
+            drive = machine.drives[name]
+            if drive.state != State.OPERATION_ENABLED:
+                why = drive.fault or drive.describe()
+                raise RuntimeError(f"drive {name!r} has left the measuring run: {why}")
+        return samples
+
+    def rates(self) -> tuple[float, int]:
+        """Velocity cycle (s), and how many make a position cycle."""
+        return float(self.drive.axis.velocity_period), int(self.drive.axis.velocity_cycles)

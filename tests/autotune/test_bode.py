@@ -1,0 +1,188 @@
+"""Measured loops against the mechanics of the model, and margins against what oscillates."""
+
+import math
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from servogym.drive.kernel.words import Mode
+from servogym.drive.master import Master
+from servogym.envs import Machine, bode, commission_joint, gantry, linear_axis, rotary_axis
+from servogym.envs.autotune import needs
+from servogym.envs.masters.port import MachinePort
+from servogym.training.cli import main
+
+control = pytest.importorskip("control")
+pytest.importorskip("scipy")
+SLOW = pytest.mark.slow
+
+
+def in_the_middle(make, *arguments, **values):
+    machine = make(*arguments, **values)
+    ends = [(float(m["low"]), float(m["high"])) for m in machine.mechanics]
+    machine.reset(
+        positions={
+            name: (low + high) / 2
+            for name, (low, high) in zip(machine.drives, ends, strict=True)
+            if high - low < 1e6
+        }
+    )
+    return machine
+
+
+def inertia_of(machine, number=0):
+    """Of the whole load at the shaft (kg·m²), from MuJoCo's own mass matrix."""
+    mass = np.zeros((machine.model.nv, machine.model.nv))
+    mujoco.mj_fullM(machine.model, machine.data, mass)
+    coupling = machine.couplings[number]
+    return mass[coupling.dof, coupling.dof] / float(coupling.gear) ** 2
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments"),
+    [
+        (linear_axis, {"drive": "metronix_ars2000", "mechanics": "linear_motor"}),
+        pytest.param(linear_axis, {"drive": "kollmorgen_akd", "mechanics": "vertical"}, marks=SLOW),
+        pytest.param(rotary_axis, {"drive": "festo_cmmp_as", "mechanics": "conveyor"}, marks=SLOW),
+    ],
+)
+def test_the_inertia_is_that_of_the_mechanics(make, arguments):
+    machine = in_the_middle(make, **arguments)
+    response = bode(machine)
+    assert response.fitted.inertia == pytest.approx(inertia_of(machine), rel=0.05)
+    assert np.mean(response.coherence > 0.9) > 0.9
+
+
+def test_antiresonance_and_resonance_are_those_of_two_masses_on_a_spring():
+    machine = in_the_middle(linear_axis, mechanics="toothed_belt")
+    gear = 2 * math.pi / 0.06
+    load, motor, stiffness = 6.5, (0.6e-4 + 0.1e-4) * gear**2, 4e5
+    expected = [
+        math.sqrt(stiffness / load) / (2 * math.pi),
+        math.sqrt(stiffness * (1 / load + 1 / motor)) / (2 * math.pi),
+    ]
+    (found,) = bode(machine).fitted.resonances
+    assert [found.antiresonance, found.resonance] == pytest.approx(expected, rel=0.03)
+
+
+def ripple(machine, gain):
+    """Standard deviation of the torque (Nm) at a constant speed with so much velocity gain."""
+    x = machine.drives["x"]
+    kept = machine.snapshot()
+    x.write("velocity_control_gain", round(x.read("velocity_control_gain") * gain))
+    master = Master(MachinePort(machine), "x")
+    master.set_mode(Mode.PROFILE_VELOCITY)
+    master.write("target_velocity", 50_000)
+    master.enable()
+    machine.step(400)
+    torques = []
+    for _ in range(200):
+        machine.step()
+        torques.append(float(x.axis.torque_command))
+    machine.restore(kept)
+    return np.std(torques)
+
+
+@pytest.mark.parametrize("mechanics", ["rigid", pytest.param("toothed_belt", marks=SLOW)])
+def test_the_loop_oscillates_where_its_gain_margin_says(mechanics):
+    machine = in_the_middle(linear_axis, mechanics=mechanics)
+    margin = bode(machine).velocity_margins
+    assert margin.stable
+    calm, wild = (ripple(machine, 10 ** ((margin.gain + x) / 20)) for x in (-3.0, 4.0))
+    assert calm < 1.0 < wild  # Nm
+
+
+def test_a_loop_that_oscillates_is_measured_with_less_gain_and_told():
+    machine = in_the_middle(linear_axis)
+    x = machine.drives["x"]
+    before = bode(machine)
+    x.write("velocity_control_gain", 100 * x.read("velocity_control_gain"))
+    response = bode(machine)
+    assert not response.velocity_margins.stable
+    assert not response.position_margins.stable
+    assert "oscillates" in response.note
+    assert response.fitted.inertia == pytest.approx(before.fitted.inertia, rel=0.05)
+
+
+def test_afterwards_the_machine_is_bit_by_bit_as_before():
+    machine = in_the_middle(linear_axis)
+    before = machine.snapshot()
+    bode(machine)
+    assert machine.snapshot() == before
+
+
+def test_each_drive_of_a_gantry_is_measured_while_the_others_hold():
+    machine = in_the_middle(gantry, x_drives=2)
+    places = machine.data.qpos.copy()
+    assert bode(machine, "x2").velocity_margins.stable
+    np.testing.assert_array_equal(machine.data.qpos, places)
+
+
+ARM = """<mujoco><worldbody><body>
+<joint name="elbow" type="hinge" axis="0 1 0" range="-2 2" limited="true"/>
+<geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0" mass="1.5"/></body></worldbody></mujoco>"""
+
+
+def test_a_joint_of_an_own_mjcf():
+    machine = Machine.from_mjcf(ARM, {"elbow": "generic"})
+    commission_joint(machine, "elbow")
+    response = bode(machine)
+    assert response.unit == "rad"
+    assert response.fitted.inertia == pytest.approx(inertia_of(machine), rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"drive": "y"}, "there is no drive 'y'"),
+        ({"amplitude": 2.0}, "amplitude = 2.0 is out of range"),
+        ({"highest": 5000.0}, "highest = 5000.0 is out of range"),
+        ({"lowest": 0.1}, "lowest = 0.1 is out of range"),
+        ({"speed": -1.0}, "speed = -1.0 is out of range"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(arguments, text):
+    with pytest.raises(ValueError, match=text):
+        bode(in_the_middle(linear_axis), **arguments)
+
+
+def test_an_inverter_has_nothing_to_tune():
+    with pytest.raises(ValueError, match="bonfiglioli_act"):
+        bode(linear_axis("bonfiglioli_act"))
+
+
+def test_the_command_writes_picture_and_numbers(tmp_path, capsys):
+    assert main(["bode", "ball_screw", "--set", "payload=2", "--out", str(tmp_path)]) == 0
+    assert "velocity loop: " in capsys.readouterr().out
+    rows = (tmp_path / "bode.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0].startswith("frequency (Hz),coherence,plant (rad/s/Nm) (dB)")
+    assert len(rows) > 80
+    assert (tmp_path / "bode.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["bode", "nix"], "machine 'nix' is unknown"),
+        (["bode", "--set", "payloud=3"], "payloud"),
+        (["bode", "--axis", "q"], "the machine has x"),
+        (["bode", "--parameter-file", "nowhere.json"], "there is no such file"),
+    ],
+)
+def test_a_wrong_command_is_one_line(arguments, text, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
+
+
+def test_without_the_extra_the_command_to_install_it_is_told(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "control", None)
+    needs._package.cache_clear()
+    try:
+        assert main(["bode"]) == 2
+    finally:
+        needs._package.cache_clear()
+    assert capsys.readouterr().err.endswith("pip install 'servogym[tune]'\n")

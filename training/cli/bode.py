@@ -1,0 +1,42 @@
+"""`servogym bode`."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from . import machines
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    bode = commands.add_parser("bode", help="measure a drive's loops: Bode, margins, inertia")
+    machines.add(bode)
+    bode.add_argument(
+        "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"
+    )
+    bode.add_argument("--speed", type=float, help="of travel, m/s or rad/s (a tenth of 6081h)")
+    bode.add_argument("--lowest", type=float, default=2.0, help="frequency in Hz (2)")
+    bode.add_argument("--highest", type=float, help="frequency in Hz")
+    bode.add_argument("--seed", type=int, default=0, help="of the excitation's phases (0)")
+    bode.add_argument("--out", type=Path, default=Path("out"), help="folder: bode.png, .csv (out)")
+    bode.set_defaults(run=_bode)
+
+
+def _bode(options: argparse.Namespace, console: Console) -> int:
+    from ...envs.autotune.bode import bode
+    from ...envs.autotune.needs import control
+
+    control()
+    machine, name = machines.made(options)
+    response = bode(
+        machine, name, amplitude=options.amplitude, speed=options.speed, lowest=options.lowest,
+        highest=options.highest, seed=options.seed,
+    )  # fmt: skip
+    print(response)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for suffix in (".png", ".csv"):
+        file = options.out / f"bode{suffix}"
+        response.save(file)
+        print(file)
+    return 0

@@ -1,0 +1,104 @@
+"""A machine by name or from a file, as several commands have it."""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ...envs import (
+    FAMILY,
+    ROTARY_FAMILY,
+    Machine,
+    commission_joint,
+    gantry,
+    linear_axis,
+    rotary_axis,
+)  # fmt: skip
+
+GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
+NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """The machine, its drive, and where it stands."""
+    parser.add_argument(
+        "machine", nargs="?", default="rigid",
+        help=f"{', '.join(NAMES)}, or an MJCF file (rigid)",
+    )  # fmt: skip
+    parser.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    parser.add_argument("--axis", help="drive of the machine (the first); joint of an MJCF")
+    parser.add_argument("--gear", type=float, help="of an MJCF: rad of motor per m or rad")
+    parser.add_argument("--at", type=float, help="where the axis stands, m or rad (the middle)")
+    parser.add_argument(
+        "--set", action="append", metavar="NAME=VALUE", default=[], type=_value,
+        help="parameter of the machine, as payload=10; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--parameter-file", type=Path, help="the drive's stored parameters, of `servogym tune`"
+    )
+
+
+def _value(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (name.isidentifier() and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+def made(options: argparse.Namespace) -> tuple[Machine, str]:
+    """The machine of the options at rest in its place, and the name of the drive that is meant.
+
+    Raises:
+        ValueError: an unknown machine, parameter or axis.
+    """
+    machine = _machine(options)
+    name = options.axis or next(iter(machine.drives))
+    if name not in machine.drives:
+        raise ValueError(f"--axis = {name!r}: the machine has {', '.join(machine.drives)}")
+    if options.parameter_file is not None:
+        if not options.parameter_file.is_file():
+            raise ValueError(f"--parameter-file = {options.parameter_file}: there is no such file")
+        machine.drives[name].use_parameter_file(options.parameter_file)
+    mjcf = options.machine not in NAMES
+    if options.at is not None:
+        machine.reset(positions={name: options.at})
+    elif not mjcf:
+        machine.reset(positions=_middles(machine))
+    return machine, name
+
+
+def _middles(machine: Machine) -> dict[str, float]:
+    places = {}
+    for n, name in enumerate(machine.drives):
+        low, high = (float(machine.mechanics[end][n]) for end in ("low", "high"))
+        if abs(low) < 1e6 and abs(high) < 1e6:
+            places[name] = (low + high) / 2
+    return places
+
+
+def _machine(options: argparse.Namespace) -> Machine:
+    name, values = options.machine, dict(options.set)
+    makers: dict[str, Callable[..., Machine]] = {
+        **dict.fromkeys(FAMILY, linear_axis), **dict.fromkeys(ROTARY_FAMILY, rotary_axis),
+        **dict.fromkeys(GANTRIES, gantry),
+    }  # fmt: skip
+    if name in makers:
+        given = GANTRIES.get(name, {"mechanics": name})
+        try:
+            return makers[name](options.drive, **given, **values)
+        except TypeError as error:
+            raise ValueError(f"--set: {error}") from None
+    if not Path(name).is_file():
+        raise ValueError(f"machine {name!r} is unknown: {', '.join(NAMES)}, or an MJCF file")
+    if values:
+        raise ValueError("--set is for the machines of the laboratory; edit the MJCF instead")
+    if not options.axis:
+        raise ValueError(f"{name}: name the joint that gets the drive with --axis")
+    gears = {} if options.gear is None else {options.axis: options.gear}
+    machine = Machine.from_mjcf(name, {options.axis: options.drive}, gears=gears)
+    commission_joint(machine, options.axis)
+    return machine
