@@ -195,7 +195,7 @@ class CompliantAxisEnv(ServoEnv):
 
     POLICIES = (
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ff", "lqr",
-        "adaptive_lqr",
+        "adaptive_lqr", "oracle",
         "proportional",
     )  # fmt: skip
     REFERENCE = "ruckig"

@@ -15,7 +15,7 @@ from ..engine.loop import coordinates, world_at
 from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
-from ..plants.gantry import gantry
+from ..plants.gantry import AXES, GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, UM, Channel, joint
@@ -233,7 +233,11 @@ steps × `feed` × step time |
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
+    datasheet: GantryParameters
 
+    POLICIES = ("full_feed",)
+    REFERENCE = "full_feed"
+    STROKE = tuple(AXES[name][0] for name in DRIVES)
     METRICS = {  # noqa: RUF012
         "contour_error": Metric("mean contour error (µm)", "low", "perpendicular to the contour"),
         "contour_worst": Metric("worst contour error (µm)", "low", "perpendicular to the contour"),
@@ -278,10 +282,11 @@ steps × `feed` × step time |
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
+        self.datasheet = GantryParameters()
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model)
+        machine = gantry(model, parameters=self.datasheet)
         for name in self.DRIVES:
             drive = machine.drives[name]
             drive.write("following_error_window", round(self._window * METRE))

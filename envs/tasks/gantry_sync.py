@@ -15,7 +15,7 @@ from ..engine.loop import coordinates, world_at
 from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
-from ..plants.gantry import MAX_SKEW, SPAN, gantry
+from ..plants.gantry import MAX_SKEW, SPAN, GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, UM, Channel, goal, joint, tolerance
@@ -198,7 +198,11 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
+    datasheet: GantryParameters
 
+    STROKE = (STROKE, STROKE)
+    POLICIES = ("squaring", "oracle")
+    REFERENCE = "squaring"
     METRIC = "settling_time"
     METRICS = {  # noqa: RUF012
         "rms_skew": Metric("rms skew (µm)", "low", "of the bridge, over the episode"),
@@ -238,11 +242,12 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         self.speed = in_range("speed", speed, 1e-3, 1.0, "m/s")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self._window = window
+        self.datasheet = GantryParameters(x_drives=2)
         randomise = RANDOMISED if randomise is None else randomise
         super().__init__(drive, randomise=randomise, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, x_drives=2)
+        machine = gantry(model, parameters=self.datasheet)
         for name in self.DRIVES:
             machine.drives[name].write("following_error_window", round(self._window * METRE))
         return machine

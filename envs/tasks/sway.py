@@ -233,6 +233,7 @@ class GantrySwayEnv(ServoEnv):
         "ruckig+zvd",
         "lqr",
         "adaptive_lqr",
+        "oracle",
     )
     REFERENCE = "ruckig+zvd"  # plain ruckig leaves the load swinging, as holding still does
     METRIC = "settling_time"

@@ -203,7 +203,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
-    POLICIES = ("feed_forward",)
+    POLICIES = ("feed_forward", "adaptive_feed_forward", "oracle")
     REFERENCE = "feed_forward"
     METRIC = "load_error"
     METRICS = {  # noqa: RUF012

@@ -18,13 +18,16 @@ from ...envs import TASKS
 from ...envs.faces import PDO, SETPOINT
 from ...envs.servo_env import ServoEnv
 from .adaptive import AdaptiveLqr
-from .datasheet import Datasheet, datasheet
+from .adaptive_feed_forward import AdaptiveFeedForward
+from .datasheet import datasheet
 from .feed_forward import FeedForward, RuckigFeedForward
 from .file import SUFFIX, from_file, policy_of
+from .gantry import FullFeed, Squaring
 from .homing import BuiltIn, search_policy
 from .idle import Chance, Hold
 from .learned import Learned
 from .lqr import Lqr
+from .oracle import oracle
 from .pd import ProportionalDifferential
 from .plc import plc_policy
 from .profiles import (
@@ -50,10 +53,11 @@ class Policy(Protocol):
 class Baseline(NamedTuple):
     """A row of the table. The tasks themselves say which of them they have, in ``POLICIES``."""
 
-    make: Callable[[Datasheet, int], Any]
+    make: Callable[..., Any]  # of a data sheet and a seed
     what: str
     arguments: Mapping[str, Any] = MappingProxyType({})  # that its environment has to have
     face: str = SETPOINT  # of the actions it gives
+    told: bool = False  # makes of the environment itself, of which it knows what was drawn
 
 
 POLICIES: dict[str, Baseline] = {
@@ -70,6 +74,9 @@ POLICIES: dict[str, Baseline] = {
     "proportional": Baseline(Proportional, "velocity from the distance"),
     "pd": Baseline(ProportionalDifferential, "torque from distance and velocity", {"mode": "cst"}),
     "feed_forward": Baseline(FeedForward, "inertia and friction of the datasheet"),
+    "adaptive_feed_forward": Baseline(
+        AdaptiveFeedForward, "the same with mass and friction identified, and an outer loop"
+    ),
     "search": Baseline(search_policy, "fast, back off, slow"),
     "built_in": Baseline(
         lambda datasheet, seed: BuiltIn(datasheet),
@@ -79,6 +86,9 @@ POLICIES: dict[str, Baseline] = {
         lambda datasheet, seed: BuiltIn(datasheet, fast=True),
         "the quickest method to it, at the task's limits; built_in_fast:N another one",
     ),
+    "squaring": Baseline(Squaring, "over the home switches slowly, square on the way to the goal"),
+    "full_feed": Baseline(FullFeed, "the path ahead of the drives' lag, slower at corners"),
+    "oracle": Baseline(oracle, "the best law, told what was drawn: an upper limit", told=True),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
 }
 ANYWHERE = ("hold", "random")  # want nothing of a task
@@ -187,6 +197,8 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
             f"policy {name!r}: task {type(env).__name__} lacks homing_method, that of the drive "
             "which looks for the same reference"
         )
+    if row.told:
+        return row.make(env, seed)
     data = datasheet(env)
     if not rest:
         return row.make(data, seed)

@@ -4,7 +4,9 @@ Nothing here comes from the physics or from an episode. What was drawn at random
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +15,7 @@ from ...drive.drive import Drive
 from ...envs import fields
 from ...envs.about import Sensor
 from ...envs.plants.axis_parameters import LinearAxisParameters
-from ...envs.plants.gantry import FEED_CONSTANT, GantryParameters
+from ...envs.plants.gantry import FEED_CONSTANT, PAIR, GantryParameters
 from ...envs.plants.linear_axis import GRAVITY
 from ...envs.randomisation import PAYLOAD
 from ...envs.servo_env import METRE, ServoEnv
@@ -53,6 +55,7 @@ class Axis:
     fastest: float  # maximum profile velocity 607Fh, 1 in an observation (m/s)
     profile: Bounds  # commissioned for profile position mode
     vibration: Vibration | None
+    lag: float  # of the position behind a set-point that moves, by the gains commissioned (s)
     sensor: Sensor | None  # None: nothing is seen of the load
 
     def mass(self, payload: float) -> float:
@@ -76,6 +79,11 @@ class Datasheet:
     reference: str = ""  # that a homing looks for
     homing_method: int | None = None  # of the drive, that looks for the same
     hold: tuple[tuple[str, float], ...] = ()  # actions that hold still where that is not 0
+    constants: tuple[tuple[str, float], ...] = ()  # of the task: what its arguments are
+
+    def constant(self, name: str) -> float:
+        """Of the task, by the name of the argument. Raises KeyError for one it does not have."""
+        return dict(self.constants)[name]
 
     @property
     def actions(self) -> int:
@@ -94,9 +102,12 @@ class Datasheet:
         return fields.seen(self.observation_record, observation)
 
     def seen_of_axes(self, observation: np.ndarray) -> Any:
-        """The same, axis by axis: ``axes`` of the record where it has them, else all of it."""
+        """The same, axis by axis: ``axes`` or ``sides`` of the record if it has them, else all."""
         seen = self.seen(observation)
-        return seen.axes if "axes" in (self.observation_record.names or ()) else [seen]
+        for name in ("axes", "sides"):
+            if name in (self.observation_record.names or ()):
+                return getattr(seen, name)
+        return [seen]
 
     @property
     def axis(self) -> Axis:
@@ -106,15 +117,42 @@ class Datasheet:
         return self.axes[0]
 
 
-def datasheet(env: ServoEnv) -> Datasheet:
-    """What a policy may know of `env`."""
+# Fields of a data sheet that hold what a knob of the randomisation turns: as it is, or as a share.
+VALUES = ("payload", "cable_length")
+SHARES = {
+    "friction": ("coulomb_friction", "static_friction", "viscous_friction"),
+    "stiffness": ("stiffness", "transmission_stiffness"),
+    "structural_damping": ("structural_damping", "transmission_damping"),
+}
+
+
+def _told(parameters: Any, truth: Mapping[str, float]) -> Any:
+    """The data sheet of the machine as it was drawn."""
+    values = {name: truth[name] for name in VALUES if name in truth and hasattr(parameters, name)}
+    for knob, names in SHARES.items():
+        for name in names:
+            if knob in truth and hasattr(parameters, name):
+                values[name] = truth[knob] * getattr(parameters, name)
+    return replace(parameters, **values)
+
+
+def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) -> Datasheet:
+    """What a policy may know of `env`.
+
+    Args:
+        env: the environment.
+        truth: what was drawn of the machine, for an oracle; a policy is not told.
+    """
     task = vars(env)
     parameters, reference = env.datasheet, task.get("reference")
+    if parameters is not None and truth:
+        parameters = _told(parameters, truth)
     axes: tuple[Axis, ...] = ()
     if isinstance(parameters, LinearAxisParameters):
-        axes = (_linear(env, parameters),)
+        axes = (_linear(env, parameters, _heaviest(env, parameters.payload, truth)),)
     elif isinstance(parameters, GantryParameters):
-        axes = tuple(_of_gantry(env, parameters, d) for d in range(len(env.drives)))
+        heaviest = _heaviest(env, parameters.payload, truth)
+        axes = tuple(_of_gantry(env, parameters, heaviest, d) for d in range(len(env.drives)))
     return Datasheet(
         task=env.ID,
         action_record=env.action_record,
@@ -128,14 +166,18 @@ def datasheet(env: ServoEnv) -> Datasheet:
         reference=reference if isinstance(reference, str) else "",
         homing_method=env.homing_method,
         hold=tuple(env.HOLD.items()),
+        constants=tuple(
+            (name, float(value))
+            for name, value in task.items()
+            if not name.startswith("_") and type(value) in (int, float)
+        ),
     )
 
 
-def _linear(env: ServoEnv, p: LinearAxisParameters) -> Axis:
+def _linear(env: ServoEnv, p: LinearAxisParameters, heaviest: float) -> Axis:
     task, drive = vars(env), env.drive
     gear = 2 * math.pi / p.feed_constant
     rotor = drive.model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
-    heaviest = _heaviest(env, p.payload)
     fastest = _object(drive, "max_profile_velocity") / METRE
     slope = math.radians(p.inclination)
     lost = (p.carriage_mass + heaviest) * GRAVITY * abs(math.sin(slope))
@@ -159,6 +201,7 @@ def _linear(env: ServoEnv, p: LinearAxisParameters) -> Axis:
         fastest=fastest,
         profile=Bounds(p.max_velocity, p.max_acceleration, p.max_jerk),
         vibration=_spring(p),
+        lag=_lag(drive),
         sensor=env.sensor(),
     )
 
@@ -174,7 +217,7 @@ def _spring(p: LinearAxisParameters) -> Vibration | None:
     return Vibration(math.sqrt(stiffness / mass), damping / (2.0 * math.sqrt(stiffness * mass)))
 
 
-def _of_gantry(env: ServoEnv, p: GantryParameters, d: int) -> Axis:
+def _of_gantry(env: ServoEnv, p: GantryParameters, heaviest: float, d: int) -> Axis:
     """Axis X or Y: all that hangs on it is carried."""
     task, drive = vars(env), env.drives[d]
     gear = 2 * math.pi / FEED_CONSTANT
@@ -188,10 +231,10 @@ def _of_gantry(env: ServoEnv, p: GantryParameters, d: int) -> Axis:
     acceleration = _object(drive, "profile_acceleration") / METRE
     jerk = _object(drive, "profile_jerk_1") / METRE
     return Axis(
-        carriage=_carried(env.machine.model, env.DRIVES[d]),
+        carriage=_moved(env.machine.model, env.DRIVES[d]),
         rotor=drive.model.rotor_inertia * gear**2,
         payload=p.payload,
-        heaviest=_heaviest(env, p.payload),
+        heaviest=heaviest,
         coulomb_friction=p.coulomb_friction,
         viscous_friction=p.viscous_friction,
         weight=0.0,
@@ -203,8 +246,14 @@ def _of_gantry(env: ServoEnv, p: GantryParameters, d: int) -> Axis:
         fastest=fastest,
         profile=Bounds(min(p.max_velocity, speed), acceleration, jerk),
         vibration=vibration,
+        lag=_lag(drive),
         sensor=env.sensor(),
     )
+
+
+def _moved(model: Any, joint: str) -> float:
+    """By the drive of a joint, without payload (kg): one of a pair also moves half the bridge."""
+    return _carried(model, joint) + (0.5 * _carried(model, "x") if joint in PAIR else 0.0)
 
 
 def _carried(model: Any, joint: str) -> float:
@@ -223,14 +272,22 @@ def _stroke(env: ServoEnv, d: int) -> float:
     return env.STROKE[d]
 
 
-def _heaviest(env: ServoEnv, payload: float) -> float:
-    return env.randomisation.ranges.get("payload", (payload, payload))[1]
+def _heaviest(env: ServoEnv, payload: float, truth: Mapping[str, float]) -> float:
+    """Payload declared (kg); the one there is, if it is known."""
+    return payload if truth else env.randomisation.ranges.get("payload", (payload, payload))[1]
 
 
 def _torque(drive: Drive) -> float:
     """Maximum torque 6072h (Nm)."""
     rated = _object(drive, "motor_rated_torque") * 1e-3
     return _object(drive, "max_torque") * 1e-3 * rated
+
+
+def _lag(drive: Drive) -> float:
+    """Of the position loop behind the share of the velocity that is not fed forward (s)."""
+    od = drive.axis.od
+    gain = float(od.position_control_gain) * float(drive.axis.position_gain_unit)
+    return (1.0 - 1e-3 * float(od.velocity_feed_forward)) / gain if gain > 0.0 else 0.0
 
 
 def _object(drive: Drive, name: str) -> int:

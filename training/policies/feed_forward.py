@@ -28,6 +28,12 @@ class Torque:
         self._axis, self._dt = datasheet.axis, datasheet.step_time
         self._slope = self._own = 0.0
 
+    def own(self, slope: float) -> float:
+        """Acceleration that the drive feeds forward in a step with that slope (m/s, m/s²)."""
+        self._own += SMOOTHING * ((slope - self._slope) / self._dt - self._own)
+        self._slope = slope
+        return self._own
+
     def __call__(self, slope: float, middle: float, rate: float) -> float:
         """For the step to come, in -1..1 of the torque offset.
 
@@ -37,9 +43,7 @@ class Torque:
             rate: acceleration there (m/s²).
         """
         axis = self._axis
-        self._own += SMOOTHING * ((slope - self._slope) / self._dt - self._own)
-        self._slope = slope
-        force = axis.mass(axis.payload) * (rate - self._own) + friction(axis, middle)
+        force = axis.mass(axis.payload) * (rate - self.own(slope)) + friction(axis, middle)
         return min(max(force / axis.offset, -1.0), 1.0)
 
 

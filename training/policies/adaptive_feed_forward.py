@@ -1,0 +1,86 @@
+"""Feed-forward that finds out mass and friction, and an outer loop on the tracking error.
+
+Recursive least squares fit the torque to acceleration and friction of the reference while the axis
+moves: two unknowns, the mass and a share of the friction of the data sheet (Slotine, Li 1991,
+chapter 8). The drive interpolates linearly between set-points, so the acceleration is largest at
+their beginning, and the torque told at their end lacks a part of the inertia: `UNSEEN` of the
+nominal mass, tuned with the gains. The outer loop moves the set-point by `GAIN` of the error,
+`INTEGRAL` of its fading sum and `DIFFERENCE` of its change.
+
+The eight numbers were tuned by the cross-entropy method: four generations of 16 laws, on
+64 episodes of evaluation seed 11, for the least interquartile mean of the error at the load.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .datasheet import Datasheet
+from .feed_forward import FeedForward
+
+GAIN, INTEGRAL, DIFFERENCE = 0.52, 0.014, 0.14
+FADING = 0.98  # of the sum, a step
+REVERSAL = 0.0143  # m/s, of tanh(v / REVERSAL)
+LEAD = 0.585  # of the step to come, where its velocity is taken
+UNSEEN = 0.655  # of the nominal mass
+DOUBT = (4.5, 0.25)  # variances of the first guess: kg², share²
+NOISE = 3.7  # N, of the force
+MOVING = 0.04  # m/s, below which friction tells nothing
+LEAST, MOST = 0.3, 3.0  # of the friction of the data sheet
+SPARE = 2.0  # kg, that a payload may lie beyond the heaviest declared
+
+
+class AdaptiveFeedForward(FeedForward):
+    """Along the reference that is observed."""
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(datasheet, seed)
+        axis = datasheet.axis
+        self._nominal = axis.mass(axis.payload)
+        self._range = datasheet.constant("correction")
+        self._bounds = np.array([[axis.mass(0.0), LEAST], [axis.mass(axis.heaviest + SPARE), MOST]])
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Begin at rest with the values of the data sheet."""
+        super().reset(observation, info)
+        self.found = np.array([self._nominal, 1.0])  # mass (kg), share of the friction
+        self._doubt = np.diag(DOUBT)
+        self._error = self._sum = 0.0
+
+    def friction(self, velocity: float) -> float:
+        """Of the data sheet (N)."""
+        axis = self._axis
+        steep = axis.coulomb_friction * math.tanh(velocity / REVERSAL)
+        return steep + axis.viscous_friction * velocity
+
+    def identify(self, acceleration: float, velocity: float, force: float) -> None:
+        """Take a step of the recursive least squares (m/s², m/s, N)."""
+        if abs(velocity) < MOVING:
+            return
+        known = np.array([acceleration, self.friction(velocity)])
+        seen = self.found - [UNSEEN * self._nominal, 0.0]
+        gain = self._doubt @ known / (NOISE**2 + known @ self._doubt @ known)
+        self.found = np.clip(self.found + gain * (force - known @ seen), *self._bounds)
+        self._doubt -= np.outer(gain, known) @ self._doubt
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Torque in the middle of the step to come, and the correction of the set-point."""
+        axis, dt = self._axis, self._known.step_time
+        seen = self._known.seen(observation)
+        velocity = float(seen.reference_velocity) * axis.fastest
+        acceleration = float(seen.reference_acceleration) * axis.profile.acceleration
+        self.identify(acceleration, velocity, float(seen.torque) * axis.force)
+        ahead = float(seen.preview[0]) * axis.fastest  # mean velocity of the next two steps
+        rate = (ahead - velocity) / dt
+        mass, share = self.found
+        force = mass * rate + share * self.friction(velocity + LEAD * rate * dt)
+        force -= self._nominal * self._torque.own(velocity + 0.5 * acceleration * dt)
+        error = float(seen.error) * self._range
+        self._sum = FADING * self._sum + INTEGRAL * error
+        correction = GAIN * error + self._sum + DIFFERENCE * (error - self._error)
+        self._error = error
+        return self._known.action(
+            torque=min(max(force / axis.offset, -1.0), 1.0),
+            correction=min(max(correction / self._range, -1.0), 1.0),
+        )
