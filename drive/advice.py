@@ -57,6 +57,37 @@ HINDRANCES = (
     ),
 )
 
+# what to do about a cause of faults (inferred from the causes; manuals say much the same)
+REMEDIES = {
+    Cause.ENCODER_LOSS: "check encoder, plug and cable; the position is lost, home again",
+    Cause.FOLLOWING_ERROR: "lower the acceleration 6083h or speed 6081h, look for friction or a "
+    "blocked axis, check the gains; the window is 6065h, its time 6066h",
+    Cause.OVERSPEED: "lower the speed, check the limit 6080h and the gains",
+    Cause.I2T: "lower the acceleration or the load: the motor needs peak torque for too long",
+    Cause.MOTOR_TEMPERATURE: "let the motor cool; lower the load, or choose a larger motor",
+    Cause.OVERVOLTAGE: "brake more gently, or fit a brake resistor: braking feeds the DC link",
+    Cause.UNDERVOLTAGE: "check the supply of the power stage",
+    Cause.SET_POINT_LOSS: "the master has stopped sending set-points: check its cycle and the bus",
+    Cause.CONNECTION: "check the bus and the master; 6007h says what a lost connection does",
+    Cause.SHORT_CIRCUIT: "check motor and motor cable",
+    Cause.DRIVE_TEMPERATURE: "let the drive cool; check its ventilation",
+    Cause.EXTERNAL: "look at what reports it; the code has the manufacturer's words",
+    Cause.RPDO_TIMEOUT: "the master has stopped sending PDOs: check its cycle and the bus",
+    Cause.POSITION_ERROR: "lower acceleration or speed, look for friction or a blocked axis",
+    Cause.HOMING_INTERRUPTED: "start homing again and let it end",
+    Cause.HOMING_SWITCH: "the home switch was not found: check its wiring and place",
+    Cause.HOMING_INDEX: "no index pulse came: check the encoder and its cable",
+    Cause.HOMING_TIMEOUT: "homing takes too long: check the switch, raise the speeds 6099h",
+    Cause.NEGATIVE_BLOCKED: "move in positive direction, off the limit switch",
+    Cause.POSITIVE_BLOCKED: "move in negative direction, off the limit switch",
+    Cause.SYNC_LOST: "SYNC stays away: check the master's cycle and 60C2h",
+    Cause.GUARDING: "the master's guarding stays away: check the master and the bus",
+    Cause.RPDO_TOO_SHORT: "an RPDO has too few bytes: compare its mapping with the master's",
+    Cause.SOFTWARE_LIMIT_MIN: "choose a target inside 607Dh, or other limits",
+    Cause.SOFTWARE_LIMIT_MAX: "choose a target inside 607Dh, or other limits",
+    Cause.INDEX_NEAR: "move the home switch, or turn the coupling, by half a revolution",
+}
+
 
 def describe(statusword: int, mode: int) -> str:
     """The statusword by name."""
@@ -104,3 +135,13 @@ def meaning(model: DriveModel, axis: Axis, cause: int) -> str:
         if fault.cause == cause or external:
             return f"{fault.code:04X}h {fault.meaning}"
     return ""
+
+
+def remedy(axis: Axis) -> str:
+    """What to do about the fault that has stopped the drive, and the next step."""
+    cause = Cause(int(axis.fault))
+    present = axis.faults_present & ~axis.warnings & 1 << int(axis.fault)
+    step = (
+        "the cause is still present, so a reset is refused" if present else "then reset the fault"
+    )
+    return f"{REMEDIES.get(cause, 'look it up in the manual of the drive')}; {step}"

@@ -266,7 +266,7 @@ class Drive:
         Raises ValueError for a name that is not mapped or a value that does not fit its type.
         """
         image = bytearray(self.rpdo_size)
-        layout = self._slots("rx")
+        layout = self.mapped("rx")
         unknown = values.keys() - {slot.row.name for slot, _ in layout}
         if unknown:
             raise ValueError(f"{', '.join(sorted(unknown))}: not mapped to an RPDO, see map_pdos")
@@ -283,10 +283,10 @@ class Drive:
         """Values by object name of a TPDO image."""
         if len(tpdo) != self.tpdo_size:
             raise ValueError(f"the TPDO image has {self.tpdo_size} bytes, {len(tpdo)} were given")
-        return {s.row.name: s.code.unpack_from(tpdo, at)[0] for s, at in self._slots("tx")}
+        return {s.row.name: s.code.unpack_from(tpdo, at)[0] for s, at in self.mapped("tx")}
 
-    def _slots(self, direction: str) -> list[tuple[Slot, int]]:
-        """Mapped objects and where they lie in the image of that direction."""
+    def mapped(self, direction: str) -> list[tuple[Slot, int]]:
+        """Mapped objects and where they lie in the image of that direction, rx or tx."""
         if direction not in self._layouts:
             pdos = self.rpdos if direction == "rx" else self.tpdos
             layout, at = [], 0

@@ -40,6 +40,27 @@ class Trigger:
     level: float = 0.0
 
 
+class Watch:
+    """Looks for the event of a trigger, sample by sample."""
+
+    def __init__(self, trigger: Trigger):
+        self._edge, self._level = trigger.edge, trigger.level
+        self._last: float | None = None
+
+    def event(self, value: float) -> bool:
+        """Whether the event comes with this sample."""
+        last, self._last = self._last, value
+        if self._edge == Edge.ABOVE:
+            return value >= self._level
+        if last is None:
+            return False
+        if self._edge == Edge.RISING:
+            return last < self._level <= value
+        if self._edge == Edge.FALLING:
+            return last > self._level >= value
+        return value != last
+
+
 class Trace:
     """Samples of channels of one drive. Raises ValueError for an unknown channel."""
 
@@ -53,10 +74,11 @@ class Trace:
         before: int = 0,
     ):
         self.channels = tuple(channels)
-        self._readers = [_reader(drive, name) for name in self.channels]
-        self.units = {"time": "s"} | {name: _unit(drive, name) for name in self.channels}
+        self._readers = [reader(drive, name) for name in self.channels]
+        self.units = {"time": "s"} | {name: unit_of(drive, name) for name in self.channels}
         self._trigger = trigger
-        self._watch = _reader(drive, trigger.channel) if trigger else None
+        self._watched = reader(drive, trigger.channel) if trigger else None
+        self._watch = Watch(trigger) if trigger else None
         if depth is not None and depth < 1:
             raise ValueError(f"depth = {depth} samples is out of range 1..")
         if trigger is not None and (depth is None or not 0 <= before < depth):
@@ -64,7 +86,6 @@ class Trace:
         self._depth = depth
         self._before = before
         self._rows: deque[tuple] = deque(maxlen=before if trigger else depth)
-        self._last: float | None = None
         self.triggered = trigger is None
         self.done = False
 
@@ -75,26 +96,13 @@ class Trace:
         """Take one sample at `time` (s)."""
         if self.done:
             return
-        if self._watch is not None and not self.triggered and self._event(self._watch()):
-            self.triggered = True
-            self._rows = deque(self._rows)
+        if self._watch is not None and self._watched is not None and not self.triggered:
+            self.triggered = self._watch.event(self._watched())
+            if self.triggered:
+                self._rows = deque(self._rows)
         self._rows.append((time, *[read() for read in self._readers]))
         if self._trigger is not None and self.triggered and len(self._rows) >= (self._depth or 0):
             self.done = True
-
-    def _event(self, value: float) -> bool:
-        assert self._trigger is not None
-        last, self._last = self._last, value
-        level = self._trigger.level
-        if self._trigger.edge == Edge.ABOVE:
-            return value >= level
-        if last is None:
-            return False
-        if self._trigger.edge == Edge.RISING:
-            return last < level <= value
-        if self._trigger.edge == Edge.FALLING:
-            return last > level >= value
-        return value != last
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Columns by name, ``time`` first, each of shape ``(samples,)``."""
@@ -117,7 +125,8 @@ class Trace:
         _WRITERS[path.suffix](path, self)
 
 
-def _reader(drive: Drive, name: str) -> Callable[[], float]:
+def reader(drive: Drive, name: str) -> Callable[[], float]:
+    """What gives the present value of a channel. Raises ValueError for an unknown one."""
     if name.startswith("axis."):
         field = name.removeprefix("axis.")
         fields: Any = drive.axes.dtype.fields
@@ -135,7 +144,8 @@ def _reader(drive: Drive, name: str) -> Callable[[], float]:
     )
 
 
-def _unit(drive: Drive, name: str) -> str:
+def unit_of(drive: Drive, name: str) -> str:
+    """The unit of a channel."""
     if name.startswith("axis."):
         return UNITS[name.removeprefix("axis.")]
     if name in drive.objects.names:

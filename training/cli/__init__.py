@@ -23,14 +23,15 @@ from . import (
     ethercat,
     homing,
     node,
+    panel,
     results,
     train,
     watch,
 )
 
 COMMANDS = (
-    demo, bench, drives, node, ethercat, eds, esi, decode, bode, homing, watch, train, compare,
-    results, benchmark,
+    demo, bench, drives, node, ethercat, eds, esi, decode, bode, homing, watch, panel, train,
+    compare, results, benchmark,
 )  # fmt: skip
 
 

@@ -1,0 +1,205 @@
+"""What is drawn of a drive: states and transitions, words bit by bit, paths of homing methods.
+
+Tables for those who show a drive to people and need nothing of its cycle.
+"""
+
+import math
+from typing import NamedTuple
+
+from .kernel.device_control import TRANSITIONS, Event
+from .kernel.encoder import Event as Edge
+from .kernel.homing import END, HERE, METHODS
+from .kernel.words import (
+    BIT_4,
+    ENABLED,
+    MODE_ABBREVIATION,
+    MODE_BITS,
+    SHUTDOWN,
+    SWITCHED_ON,
+    TO_ENABLED,
+    Controlword,
+    Limit,
+    Mode,
+    State,
+    Statusword,
+    state_of,
+)
+
+__all__ = [
+    "ENABLED", "MODE_ABBREVIATION", "TO_ENABLED", "Bit", "Controlword", "Limit", "Mode", "State",
+    "Statusword", "Transition", "controlword_bits", "homing_path", "limits", "state_of",
+    "statusword_bits", "transitions",
+]  # fmt: skip
+
+
+class Transition(NamedTuple):
+    """An arrow of the state diagram; `controlword` commands it, None: it comes by itself."""
+
+    number: int
+    source: State
+    target: State
+    command: str
+    controlword: int | None
+
+
+class Bit(NamedTuple):
+    """A bit of the controlword or statusword, with the name it has in a mode."""
+
+    mask: int
+    name: str
+    meaning: str
+
+
+COMMANDED = {
+    Event.SHUTDOWN: ("shutdown", SHUTDOWN),
+    Event.SWITCH_ON: ("switch on", SWITCHED_ON),
+    Event.ENABLE_OPERATION: ("enable operation", ENABLED),
+    Event.DISABLE_VOLTAGE: ("disable voltage", 0),
+    Event.QUICK_STOP: ("quick stop", int(Controlword.ENABLE_VOLTAGE)),
+    Event.FAULT_RESET: ("fault reset", int(Controlword.FAULT_RESET)),
+}
+OF_ITSELF = {
+    Event.SELF_TEST_PASSED: "self-test passed",
+    Event.FAULT: "fault",
+    Event.STOPPED: "stopped",
+}
+
+
+def transitions() -> tuple[Transition, ...]:
+    """All of CiA 402-2 but transition 0, power-on."""
+    found = []
+    for number, source, event, target in TRANSITIONS:
+        name, word = COMMANDED.get(event, (OF_ITSELF.get(event, ""), None))
+        if source is State.OPERATION_ENABLED and event is Event.SWITCH_ON:
+            name = "disable operation"
+        found.append(Transition(number, source, target, name, word))
+    return tuple(found)
+
+
+STATUS_MEANINGS = (
+    (Statusword.READY_TO_SWITCH_ON, "the drive may be switched on"),
+    (Statusword.SWITCHED_ON, "the power stage is ready"),
+    (Statusword.OPERATION_ENABLED, "set-points are obeyed"),
+    (Statusword.FAULT, "a fault has stopped the drive, or is stopping it"),
+    (Statusword.VOLTAGE_ENABLED, "high voltage is applied to the drive"),
+    (Statusword.QUICK_STOP, "0: a quick stop is active"),
+    (Statusword.SWITCH_ON_DISABLED, "the drive may not be switched on before a shutdown"),
+    (Statusword.WARNING, "a warning is present; operation goes on"),
+    (Statusword.MANUFACTURER_8, "of the manufacturer"),
+    (Statusword.REMOTE, "the controlword is obeyed"),
+    (Statusword.TARGET_REACHED, "of the mode"),
+    (Statusword.INTERNAL_LIMIT_ACTIVE, "a limit acts: switch, position, torque or speed"),
+    (Statusword.MODE_12, "of the mode"),
+    (Statusword.MODE_13, "of the mode"),
+    (Statusword.MANUFACTURER_14, "of the manufacturer"),
+    (Statusword.MANUFACTURER_15, "of the manufacturer"),
+)
+
+
+def statusword_bits(mode: int) -> tuple[Bit, ...]:
+    """The sixteen bits of 6041h in `mode` (6061h), bit 0 first."""
+    ten, twelve, thirteen = MODE_BITS.get(Mode(mode), ("", "", ""))
+    own = {
+        Statusword.TARGET_REACHED: ten, Statusword.MODE_12: twelve, Statusword.MODE_13: thirteen
+    }  # fmt: skip
+    return tuple(
+        Bit(int(mask), own.get(mask, mask.name.lower()) or f"bit {mask.bit_length() - 1}", meaning)
+        for mask, meaning in STATUS_MEANINGS
+    )
+
+
+def controlword_bits(mode: int) -> tuple[Bit, ...]:
+    """The sixteen bits of 6040h in `mode` (6060h), bit 0 first."""
+    pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
+    four = BIT_4.get(Mode(mode), "")
+    named = {
+        Controlword.SWITCH_ON: ("switch_on", "1: switch on"),
+        Controlword.ENABLE_VOLTAGE: ("enable_voltage", "0: the power goes off"),
+        Controlword.QUICK_STOP: ("quick_stop", "0: quick stop"),
+        Controlword.ENABLE_OPERATION: ("enable_operation", "1: obey set-points"),
+        Controlword.NEW_SET_POINT: (four, "a rising edge starts it" if four else ""),
+        Controlword.CHANGE_SET_IMMEDIATELY: (
+            "change_set_immediately" if pp else "unlock_ramp" if vl else "", ""
+        ),
+        Controlword.RELATIVE: ("relative" if pp else "reference_ramp" if vl else "", ""),
+        Controlword.FAULT_RESET: ("fault_reset", "a rising edge resets the fault"),
+        Controlword.HALT: ("halt", "1: stop and wait"),
+        Controlword.CHANGE_ON_SET_POINT: ("change_on_set_point" if pp else "", ""),
+    }  # fmt: skip
+    bits = []
+    for n in range(16):
+        name, meaning = named.get(1 << n, ("", ""))  # type: ignore[call-overload]
+        bits.append(Bit(1 << n, name or f"bit {n}", meaning))
+    return tuple(bits)
+
+
+def limits(active: int) -> list[str]:
+    """Names of the limits that act, of `AXIS.limits`."""
+    return [limit.name.lower().replace("_", " ") for limit in Limit if active & limit]
+
+
+# ---- homing: the axis of the diagram is 0..1, its ends are the mechanical stops
+
+NEGATIVE, POSITIVE, INDEX = 0.08, 0.92, 1 / 24  # limit switches begin; distance of index pulses
+HOME = (0.42, 0.58)
+TO_THE_END = {3: (0.5, 2.0), 4: (0.5, 2.0), 5: (-1.0, 0.5), 6: (-1.0, 0.5)}
+
+
+def home_switch(method: int) -> tuple[float, float]:
+    """Where the home switch of the diagram is on; of some methods it goes on to the end."""
+    return TO_THE_END.get(method if method < 17 else method - 16, HOME)
+
+
+def homing_path(method: int, start: float) -> list[float]:
+    """Turning points of a homing run from `start` (0..1), the last is home; empty: it fails.
+
+    Raises ValueError for a method that is not known.
+    """
+    if method in HERE:
+        return [start]
+    if method not in METHODS:
+        raise ValueError(f"homing method {method} is unknown")
+    first_off, first_on, legs = METHODS[method]
+    low, high = home_switch(method)
+    leg = first_on if low <= start <= high else first_off
+    path, at = [start], start
+    for _ in range(8):
+        direction, _, event, following, limit = legs[leg]
+        place = _place(event, direction, at, (low, high))
+        end = NEGATIVE if direction < 0 else POSITIVE
+        seeks_end = event in (Edge.STOP, Edge.NEGATIVE_LIMIT_ON, Edge.POSITIVE_LIMIT_ON)
+        if not seeks_end and (place is None or (place - end) * direction > 0):
+            if limit < 0:
+                return []
+            at, leg = end, limit
+        else:
+            assert place is not None
+            at, leg = place, following
+        path.append(at)
+        if leg == END:
+            return path
+    return []
+
+
+def _place(
+    event: int, direction: int, at: float, home: tuple[float, float]
+) -> float | None:  # fmt: skip
+    """Where an event comes, travelling from `at`; None: not on this way."""
+    if event == Edge.STOP:
+        return 0.0 if direction < 0 else 1.0
+    if event == Edge.INDEX:
+        turns = at / INDEX
+        whole = math.ceil(turns - 1) if direction < 0 else math.floor(turns + 1)
+        return whole * INDEX
+    if event in (Edge.NEGATIVE_LIMIT_ON, Edge.NEGATIVE_LIMIT_OFF):
+        return NEGATIVE
+    if event in (Edge.POSITIVE_LIMIT_ON, Edge.POSITIVE_LIMIT_OFF):
+        return POSITIVE
+    low, high = home
+    if event == Edge.HOME_ON:
+        if low <= at <= high:
+            return at
+        place = low if direction > 0 else high
+    else:
+        place = high if direction > 0 else low
+    return place if (place - at) * direction >= 0 and 0 <= place <= 1 else None

@@ -1,0 +1,183 @@
+"""Clock: a session against the wall clock, in a thread that alone touches it.
+
+Requests are served between two cycles; a motion goes on until it ends or the next one begins.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from .session import Interrupted, Session
+
+SLOWEST, FASTEST = 0.1, 10.0
+NAP = 0.004  # s, how long the thread sleeps at least when it is ahead of the wall clock
+DEBT = 0.1  # s behind the wall clock that are made up for; more are let go
+PICTURE = 0.04  # s between two snapshots
+MEASURED = 1.0  # s over which the speed is measured
+
+
+class Clock:
+    """Runs a session until `stop`.
+
+    Args:
+        session: is touched by nobody else from `start` on.
+    """
+
+    def __init__(self, session: Session):
+        self.session = session
+        self.speed, self.paused = 1.0, False
+        self.achieved = 1.0  # speed over the last second
+        self.shown: dict[str, Any] = session.shown()
+        self._requests: queue.SimpleQueue[tuple[Callable[[Session], Any], Future[Any]]] = (
+            queue.SimpleQueue()
+        )
+        self._motions: queue.SimpleQueue[tuple[Callable[[Session], Any], Future[Any]]] = (
+            queue.SimpleQueue()
+        )
+        self._single = 0
+        self._stopping = False
+        self._begin = self._begun = self._drawn = 0.0
+        self._mark: tuple[float, float] = (0.0, 0.0)
+        self._in_motion = False
+        self._thread = threading.Thread(target=self._run, name="panel clock", daemon=True)
+
+    def start(self) -> None:
+        """Begin to run."""
+        self._rebase()
+        self._mark = time.monotonic(), self.session.time
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, in the middle of a motion if there is one."""
+        self._stopping = True
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    # ----------------------------------------------- called from other threads
+
+    def ask(self, request: Callable[[Session], Any]) -> "Future[Any]":
+        """Carry out something that takes no time of the machine, between two cycles."""
+        future: Future[Any] = Future()
+        self._requests.put((request, future))
+        return future
+
+    def move(self, motion: Callable[[Session], Any]) -> "Future[Any]":
+        """Carry out a motion; one under way ends."""
+        future: Future[Any] = Future()
+        self._motions.put((motion, future))
+        return future
+
+    def set_speed(self, speed: float) -> None:
+        """Speed of time, 0.1..10. Raises ValueError."""
+        if not SLOWEST <= speed <= FASTEST:
+            raise ValueError(f"speed {speed:g} is out of range {SLOWEST:g}..{FASTEST:g}")
+        self.speed = float(speed)
+        self._begin = 0.0
+
+    def pause(self, paused: bool) -> None:
+        """Stop time, or let it go on."""
+        self.paused = paused
+        self._begin = 0.0
+
+    def single(self, cycles: int = 1) -> None:
+        """Stop time, and let so many position cycles pass."""
+        self.paused = True
+        self._single += cycles
+
+    # ------------------------------------------------------- in its own thread
+
+    def _run(self) -> None:
+        session = self.session
+        session.pace = self._pace
+        while not self._stopping:
+            try:
+                if not self._motions.empty():
+                    motion, future = self._motions.get()
+                    self._in_motion = True
+                    self._answer(motion, future)
+                elif session.agent is not None:
+                    session.agent.step()
+                else:
+                    session.exchange()
+            except Interrupted:
+                pass
+            except Exception as error:  # the machine stands; a reset or a snapshot helps
+                session.release()
+                session.tell("error", f"the simulation stopped: {error}")
+                self.paused = True
+                time.sleep(NAP)
+            finally:
+                self._in_motion = False
+        session.pace = lambda: None
+        for requests in (self._requests, self._motions):
+            while not requests.empty():
+                requests.get()[1].cancel()
+
+    def _answer(self, request: Callable[[Session], Any], future: "Future[Any]") -> None:
+        if not future.set_running_or_notify_cancel():
+            return
+        try:
+            future.set_result(request(self.session))
+        except Interrupted:
+            future.set_result("ended")
+            raise
+        except Exception as error:
+            future.set_exception(error)
+
+    def _pace(self) -> None:
+        """Wait until the next cycle is due, and look after requests."""
+        while True:
+            self._serve()
+            if self._stopping or (self._in_motion and not self._motions.empty()):
+                raise Interrupted
+            now = time.monotonic()
+            if now - self._drawn >= PICTURE:
+                self._show(now)
+            if self.paused:
+                if self._single:
+                    self._single -= 1
+                    self._rebase()
+                    return
+                if not self._motions.empty():
+                    self.paused = False  # who commands a motion wants to see it
+                    continue
+                self._rebase()
+                self._wait(NAP * 4)
+                continue
+            if not self._begin:
+                self._rebase()
+            ahead = (self.session.time - self._begun) - (now - self._begin) * self.speed
+            if ahead <= 0:
+                if -ahead / self.speed > DEBT:
+                    self._rebase()
+                return
+            self._wait(max(ahead / self.speed, NAP))
+
+    def _wait(self, seconds: float) -> None:
+        """Sleep, but not over a request."""
+        try:
+            request = self._requests.get(timeout=seconds)
+        except queue.Empty:
+            return
+        self._answer(*request)
+        self._show(time.monotonic())
+
+    def _serve(self) -> None:
+        if not self._requests.empty():
+            while not self._requests.empty():
+                self._answer(*self._requests.get())
+            self._show(time.monotonic())
+
+    def _show(self, now: float) -> None:
+        begun, at = self._mark
+        if now - begun >= MEASURED:
+            self.achieved = (self.session.time - at) / (now - begun)
+            self._mark = now, self.session.time
+        self._drawn = now
+        self.shown = self.session.shown()
+
+    def _rebase(self) -> None:
+        self._begin, self._begun = time.monotonic(), self.session.time

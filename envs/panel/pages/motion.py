@@ -1,0 +1,292 @@
+"""Motion: power, mode, jog, moves, homing, and the parameters that shape them."""
+
+from typing import Any
+
+from nicegui import ui
+
+from ....drive.diagrams import MODE_ABBREVIATION
+from .desk import Desk, refuse
+from .homing_diagram import homing_svg
+from .widgets import Entry, Readout, Tag, button, card, told
+
+# what shapes a motion, by kind; objects a model does not have are left out
+PARAMETERS = {
+    "Profile": (
+        "profile_velocity", "profile_acceleration", "profile_deceleration",
+        "quick_stop_deceleration", "motion_profile_type", "profile_jerk_1",
+    ),
+    "Limits": (
+        "max_profile_velocity", "max_torque", "min_position_limit", "max_position_limit",
+        "following_error_window", "following_error_time_out", "position_window",
+        "position_window_time",
+    ),
+    "Homing": (
+        "speed_during_search_for_switch", "speed_during_search_for_zero", "homing_acceleration",
+        "home_offset",
+    ),
+    "Gains": (
+        "position_control_gain", "velocity_control_gain", "velocity_control_time",
+        "velocity_filter_time", "velocity_feed_forward", "acceleration_feed_forward",
+    ),
+}  # fmt: skip
+
+
+class MotionPage:
+    """Makes the axis move."""
+
+    name, title, icon = "motion", "Motion", "open_with"
+
+    def __init__(self, desk: Desk):
+        self.desk = desk
+        machine, axis = desk.machine, desk.axis
+        self.drive = machine.drives[axis]
+        self.unit, self.scale = desk.clock.session.unit(axis)
+        with ui.element("div").classes("columns motion-columns"):
+            with ui.element("div").classes("stack"):
+                self._power()
+                self._move()
+                self._jog()
+            with ui.element("div").classes("stack"):
+                self._readouts()
+                self._homing()
+            with ui.element("div").classes("stack"):
+                self._parameters()
+
+    def _power(self) -> None:
+        with card("Power and mode"):
+            with ui.element("div").classes("cluster"):
+                button("Enable", self._enable, "enable", "main")
+                button("Disable", self._disable, "disable")
+                button("Reset fault", self._reset, "motion-reset")
+            modes = {
+                int(mode): f"{MODE_ABBREVIATION[mode]} · {mode.name.replace('_', ' ').lower()}"
+                for mode in self.drive.model.modes
+            }
+            present = self.desk.seen["mode"]
+            self.mode = (
+                ui.select(
+                    modes,
+                    label="Mode of operation 6060h",
+                    value=present if present in modes else None,
+                )
+                .props("dense outlined data-test=mode")
+                .classes("entry wide")
+            )
+            self.mode.on("update:model-value", self._mode)
+
+    def _move(self) -> None:
+        with card("Move"):
+            self.target = Entry("Target", self.unit, test="target", send=self._absolute)
+            with ui.element("div").classes("cluster"):
+                button("Move to", lambda: self.target.apply(), "move-to", "main")
+                button("Move by", self._relative, "move-by")
+                button("Stop", self._halt, "stop")
+
+    def _jog(self) -> None:
+        top = self.drive.objects.names.get("max_profile_velocity")
+        limit = float(top.get()) if top else 1e9
+        speed = limit * self.desk.clock.session.port.units(self.desk.axis).velocity * self.scale
+        with card("Jog"):
+            self.jog = Entry(
+                "Speed", f"{self.unit}/s", 0.001, max(speed, 0.001), round(speed * 0.05, 3),
+                test="jog-speed",
+            )  # fmt: skip
+            with ui.element("div").classes("cluster jog-row"):
+                for sign, text, name in ((-1, "◀  negative", "jog-negative"),
+                                         (1, "positive  ▶", "jog-positive")):  # fmt: skip
+                    made = button(text, lambda: None, name, "jog")
+                    made.on("pointerdown", lambda _, sign=sign: self.run(sign))
+                    for event in ("pointerup", "pointerleave", "pointercancel"):
+                        made.on(event, self.rest)
+            ui.label("Hold the button, or the arrow keys.").classes("prose quiet")
+
+    def _readouts(self) -> None:
+        with card("Now"):
+            with ui.element("div").classes("readouts"):
+                self.position = Readout("Position", self.unit, "position")
+                self.velocity = Readout("Velocity", f"{self.unit}/s")
+                self.torque = Readout("Torque", "% rated")
+                self.error = Readout("Following error", self.unit)
+            self.stroke = _Stroke(self.desk)
+
+    def _homing(self) -> None:
+        with card("Homing"):
+            methods = {
+                int(method): _method_name(int(method))
+                for method in sorted(self.drive.model.homing_methods)
+            }
+            present = self.desk.seen["homing_method"]
+            with ui.element("div").classes("cluster"):
+                self.method = (
+                    ui.select(
+                        methods,
+                        label="Method 6098h",
+                        value=present if present in methods else None,
+                        on_change=lambda: self._draw(),
+                    )
+                    .props("dense outlined data-test=homing-method")
+                    .classes("entry grow")
+                )
+                button("Home", self._home, "home", "main")
+            self.diagram = ui.html("", sanitize=False).classes("homing-box")
+            self.homed = ui.label("").classes("prose").props("data-test=homed")
+            self._draw()
+
+    def _parameters(self) -> None:
+        self.rows: list[_Parameter] = []
+        with card("Parameters", "parameters"), ui.element("div").classes("parameters"):
+            for kind, names in PARAMETERS.items():
+                known = [name for name in names if name in self.drive.objects.names]
+                if known:
+                    ui.label(kind).classes("group")
+                self.rows += [_Parameter(self.desk, name) for name in known]
+
+    def _draw(self) -> None:
+        method = self.method.value
+        self.diagram.set_content(homing_svg(int(method)) if method is not None else "")
+
+    async def _enable(self) -> None:
+        await self._go("enable")
+
+    async def _disable(self) -> None:
+        await self._go("disable")
+
+    async def _reset(self) -> None:
+        await self._go("reset_fault")
+
+    async def _halt(self) -> None:
+        await self._go("halt")
+
+    async def _home(self) -> None:
+        method = self.method.value
+        if method is None:
+            ui.notify("choose a homing method first", type="warning")
+            return
+        await self._go("home", int(method))
+
+    async def _mode(self) -> None:
+        mode = self.mode.value
+        if mode is not None and mode != self.desk.seen["mode"]:
+            await self._go("set_mode", int(mode))
+
+    async def _go(self, what: str, *arguments: Any) -> None:
+        axis = self.desk.axis
+        refuse(await self.desk.motion(lambda s: getattr(s, what)(axis, *arguments)))
+
+    async def _absolute(self, target: float) -> str:
+        axis = self.desk.axis
+        words = await self.desk.motion(lambda s: s.move(axis, target / self.scale))
+        return "" if words == "ended" else str(words or "")
+
+    async def _relative(self) -> None:
+        by, axis = self.target.number(), self.desk.axis
+        if by is not None:
+            words = await self.desk.motion(lambda s: s.move(axis, by / self.scale, relative=True))
+            if words and words != "ended":
+                self.target.refuse(str(words))
+
+    async def run(self, sign: int) -> None:
+        """Begin to jog."""
+        speed = self.jog.number()
+        if speed is None or not self.desk.in_control:
+            refuse("" if speed is None else await self.desk.command(lambda s: ""))
+            return
+        self.desk.jogging = True
+        await self._go("jog", sign * speed / self.scale)
+
+    async def rest(self) -> None:
+        """End jogging, if it does."""
+        if self.desk.jogging:
+            self.desk.jogging = False
+            await self._go("jog", 0.0)
+
+    def show(self) -> None:
+        """The present."""
+        seen = self.desk.seen
+        self.position.show(seen["position"])
+        self.velocity.show(seen["velocity"])
+        self.torque.show(told(seen["torque"], 1))
+        self.error.show(seen["following_error"])
+        self.homed.set_text("The axis is referenced." if seen["homed"] else "Not referenced yet.")
+        if self.mode.value != seen["mode"] and seen["mode"] in self.mode.options:
+            self.mode.set_value(seen["mode"])
+        self.stroke.show(seen)
+        for row in self.rows:
+            row.show()
+
+
+def _method_name(method: int) -> str:
+    if method in (35, 37):
+        return f"{method} · the present position"
+    if method in (33, 34):
+        return f"{method} · next index pulse, {'negative' if method == 33 else 'positive'}"
+    if method < 0:
+        way = "negative" if method in (-1, -17) else "positive"
+        return f"{method} · {way} end stop{' and index pulse' if method > -17 else ''}"
+    edge = method if method < 17 else method - 16
+    what = {1: "negative limit switch", 2: "positive limit switch"}.get(edge, "home switch")
+    return f"{method} · {what}{' and index pulse' if method < 17 else ''}"
+
+
+class _Parameter:
+    """An object of the drive: its live value, and a field for another one."""
+
+    def __init__(self, desk: Desk, name: str):
+        self.desk, self.name = desk, name
+        self.slot = desk.machine.drives[desk.axis].objects.names[name]
+        row = self.slot.row
+        with ui.element("div").classes("parameter"):
+            with ui.element("div").classes("parameter-name"):
+                ui.label(name.replace("_", " "))
+                ui.label(f"{row.index:04X}h:{row.subindex:02X} {row.unit}").classes("quiet")
+            self.value = ui.label("").classes("parameter-value").props(f"data-test=value-{name}")
+            self.entry = Entry(
+                "", "", row.minimum, row.maximum, send=self._send, whole=row.format != "f",
+                test=f"set-{name}",
+            )  # fmt: skip
+
+    async def _send(self, value: float) -> str:
+        axis, name = self.desk.axis, self.name
+        words = await self.desk.command(lambda session: session.write(axis, name, value))
+        if not words:
+            self.entry.field.value = ""
+            self.entry.field.error = None
+        return str(words or "")
+
+    def show(self) -> None:
+        """The value of now."""
+        self.value.set_text(f"{self.slot.get()}")
+
+
+class _Stroke:
+    """The axis as a ruler: position, target, software limits."""
+
+    def __init__(self, desk: Desk):
+        self.desk = desk
+        drive = desk.machine.drives[desk.axis]
+        units = desk.clock.session.port.units(desk.axis)
+        _, scale = desk.clock.session.unit(desk.axis)
+        ends = [drive.objects.names.get(f"{end}_position_limit") for end in ("min", "max")]
+        low, high = (float(end.get()) * units.position * scale if end else 0.0 for end in ends)
+        self.low, self.high = (low, high) if low < high else (-180.0, 180.0)
+        with ui.element("div").classes("stroke"):
+            with ui.element("div").classes("stroke-bar"):
+                self.target = ui.element("div").classes("stroke-target")
+                self.here = ui.element("div").classes("stroke-here")
+            with ui.element("div").classes("stroke-scale"):
+                for part in range(5):
+                    Tag("span", f"{self.low + (self.high - self.low) * part / 4:g}")
+        self._at: tuple[float, float] = (-1.0, -1.0)
+
+    def show(self, seen: dict[str, Any]) -> None:
+        """The place of now."""
+        wide = (self.high - self.low) * 1.12
+        places = [
+            min(max((seen[name] - self.low + wide * 0.0536) / wide * 100, 0.0), 100.0)
+            for name in ("position", "target")
+        ]
+        at = round(places[0], 1), round(places[1], 1)
+        if at != self._at:
+            self._at = at
+            self.here.style(f"left:{at[0]}%")
+            self.target.style(f"left:{at[1]}%")

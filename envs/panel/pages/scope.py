@@ -1,0 +1,210 @@
+"""Scope: channels by name, a trigger that sees every sample, zoom, cursors, export."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+from nicegui.element import Element
+
+from ....drive.trace import Edge
+from ..recorder import MOST_CHANNELS, Run, Window
+from ..session import Session
+from .desk import Desk, refuse
+from .widgets import Entry, button, card
+
+STATIC = Path(__file__).parents[1] / "static"
+COLOURS = (
+    "#3987e5", "#e0762b", "#2f9e5f", "#c2427a", "#8b6fd6", "#12a5a5", "#b08a1e", "#7a8291"
+)  # fmt: skip
+EDGES = {
+    int(Edge.RISING): "rising", int(Edge.FALLING): "falling", int(Edge.ABOVE): "above",
+    int(Edge.CHANGE): "any change",
+}  # fmt: skip
+RUNS = {int(Run.ROLL): "Roll", int(Run.NORMAL): "Normal", int(Run.SINGLE): "Single"}
+
+
+class Plot(
+    Element,
+    component=STATIC / "scope.js",
+    esm={"servogym-uplot": str(STATIC / "uplot")},
+):
+    """The picture of the scope."""
+
+    def configure(self, channels: list[dict[str, Any]]) -> None:
+        """Other channels."""
+        self.run_method("configure", channels)
+
+    def draw(self, window: Window, info: dict[str, Any]) -> None:
+        """A new picture."""
+        packed = np.concatenate((window.time[None], window.values)).astype("<f4")
+        text = base64.b64encode(packed.tobytes()).decode()
+        self.run_method("draw", text, info | {"points": len(window.time), "state": window.state})
+
+
+class ScopePage:
+    """Pictures of channels over time."""
+
+    name, title, icon = "scope", "Scope", "show_chart"
+
+    def __init__(self, desk: Desk):
+        self.desk = desk
+        self.channels: tuple[str, ...] = ()
+        self._last: tuple[int, str] = (-1, "")
+        self._plotted = False
+        objects = desk.machine.drives[desk.axis].objects
+        named = sorted(
+            name for name in objects.names if objects.names[name].row.pdo and
+            objects.names[name].row.format
+        )  # fmt: skip
+        fields = [f"axis.{name}" for name in ("torque", "position", "velocity", "following_error",
+                  "velocity_command", "torque_command", "dc_link", "state")]  # fmt: skip
+        scope = desk.clock.session.scope
+        with ui.element("div").classes("columns scope-columns"):
+            with card("Scope", "scope"):
+                with ui.element("div").classes("cluster scope-bar"):
+                    self.state = ui.label("").classes("chip").props("data-test=scope-state")
+                    self.freeze = button("Freeze", self._freeze, "freeze", "main")
+                    button("Zoom out", lambda: self.plot.run_method("unzoom"))
+                    button("Cursor A", lambda: self.plot.run_method("mark", "a"))
+                    button("Cursor B", lambda: self.plot.run_method("mark", "b"))
+                    button("No cursors", lambda: self.plot.run_method("unmark"))
+                    ui.space()
+                    button("CSV", self._csv, "csv")
+                    button("PNG", lambda: self.plot.run_method("png", self._headline()), "png")
+                self.plot = Plot()
+                self.plot.on("ready", self._ready, [])
+                ui.label(
+                    "Drag to zoom, double-click to zoom out; A and B set cursors at the pointer."
+                ).classes("prose quiet")
+            with ui.element("div").classes("stack"):
+                with card("Channels"):
+                    self.chosen = ui.select(
+                        named + fields, multiple=True, value=list(scope.channels),
+                        label="Objects, or fields of the record", with_input=True,
+                        on_change=self._choose,
+                    )  # fmt: skip
+                    self.chosen.props("dense outlined use-chips data-test=channels").classes(
+                        "entry wide"
+                    )
+                with card("Trigger"):
+                    self.run = ui.toggle(RUNS, value=int(scope.run), on_change=self._trigger)
+                    self.run.props("no-caps unelevated spread data-test=trigger-run")
+                    trigger = scope.trigger
+                    self.channel = ui.select(
+                        named + fields, label="Channel", with_input=True, on_change=self._trigger,
+                        value=trigger.channel if trigger else scope.channels[0],
+                    )  # fmt: skip
+                    self.channel.props("dense outlined data-test=trigger-channel")
+                    self.channel.classes("entry wide")
+                    with ui.element("div").classes("cluster"):
+                        self.edge = ui.select(
+                            EDGES, label="Edge", value=int(trigger.edge if trigger else 0),
+                            on_change=self._trigger,
+                        )  # fmt: skip
+                        self.edge.props("dense outlined data-test=trigger-edge")
+                        self.edge.classes("entry grow")
+                        self.level = Entry(
+                            "Level", "", -1e12, 1e12, trigger.level if trigger else 0,
+                            self._level, test="trigger-level",
+                        )  # fmt: skip
+                    button("Arm", self._trigger, "arm", "main")
+                with card("Time"), ui.element("div").classes("cluster"):
+                    longest = scope.depth * scope.period
+                    self.span = Entry("Window", "s", 10 * scope.period, longest, scope.span,
+                                      self._window, test="window")  # fmt: skip
+                    self.before = Entry("Pre-trigger", "%", 0, 95, scope.before * 100,
+                                        self._window, test="pre-trigger")  # fmt: skip
+                self.about = ui.label("").classes("prose quiet")
+        rate = 1 / scope.period
+        self.about.set_text(
+            f"Every position cycle is a sample, {rate:g} a second of the machine; the trigger "
+            f"looks at each. {longest:g} s are kept."
+        )
+
+    def _ready(self) -> None:
+        self._plotted, self.channels = True, ()
+
+    async def _choose(self) -> None:
+        names = list(self.chosen.value or [])
+        if tuple(names) == self.desk.clock.session.scope.channels:
+            return
+        if not 1 <= len(names) <= MOST_CHANNELS:
+            self.chosen.props(f'error error-message="choose 1..{MOST_CHANNELS} channels"')
+            return
+        self.chosen.props(remove="error error-message")
+        refuse(await self.desk.command(lambda session: session.scope.choose(names)))
+
+    async def _trigger(self) -> None:
+        level = self.level.number()
+        if level is None:
+            return
+        await self._level(level)
+
+    async def _level(self, level: float) -> str:
+        run, channel, edge = Run(self.run.value), str(self.channel.value), Edge(self.edge.value)
+
+        def set_trigger(session: Session) -> None:
+            session.scope.set_trigger(run, channel, edge, level)
+
+        return str(await self.desk.command(set_trigger) or "")
+
+    async def _window(self, _: float) -> str:
+        span, before = self.span.number(), self.before.number()
+        if span is None or before is None:
+            return ""
+        return str(await self.desk.command(lambda s: s.scope.set_window(span, before / 100)) or "")
+
+    async def _freeze(self) -> None:
+        refuse(await self.desk.command(lambda s: s.scope.freeze(not s.scope.frozen)))
+
+    async def _csv(self) -> None:
+        text = await self.desk.ask(lambda session: session.scope.csv())
+        ui.download.content(text.encode(), "scope.csv", "text/csv")
+
+    def _headline(self) -> str:
+        return f"{self.desk.clock.session.title} · {self.desk.clock.session.scope_axis}"
+
+    async def show(self) -> None:
+        """The present picture."""
+        scope = self.desk.clock.session.scope
+        self.state.set_text(scope.state)
+        self.freeze.set_text("Go on" if scope.frozen else "Freeze")
+        if not self._plotted:
+            return
+        if self.channels != scope.channels:
+            self.channels = scope.channels
+            self._last = (-1, "")
+            self.plot.configure(
+                [
+                    {
+                        "name": name,
+                        "unit": scope.units[name],
+                        "axis": name if "following_error" in name else scope.units[name],
+                        "colour": COLOURS[i],
+                        "grain": 1e-3 if name.startswith("axis.") else 1,
+                    }
+                    for i, name in enumerate(self.channels)
+                ]
+            )
+            if list(self.chosen.value or []) != list(self.channels):
+                self.chosen.set_value(list(self.channels))
+        await self._draw()
+
+    async def _draw(self) -> None:
+        def look(session: Session) -> tuple[Window, dict[str, Any]]:
+            scope = session.scope
+            ahead = scope.before if scope.trigger else 1.0
+            info: dict[str, Any] = {
+                "from": -ahead * scope.span, "to": (1 - ahead) * scope.span, "trigger": None
+            }  # fmt: skip
+            if scope.trigger:
+                info["trigger"] = {"channel": scope.trigger.channel, "level": scope.trigger.level}
+            return scope.view(), info
+
+        window, info = await self.desk.ask(look)
+        if (window.number, window.state) == self._last or len(window.values) != len(self.channels):
+            return
+        self._last = window.number, window.state
+        self.plot.draw(window, info)

@@ -1,0 +1,270 @@
+"""The frame around the pages: who commands, what the drive does, time, the way to each page."""
+
+import inspect
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from nicegui import app, ui
+
+from ....drive.diagrams import MODE_ABBREVIATION, Mode, State
+from ..clock import Clock
+from .desk import Desk, refuse
+from .motion import MotionPage
+from .scope import ScopePage
+from .state import StatePage
+from .widgets import Readout, Tag, button, told
+
+PICTURES = 25  # a second
+STYLE = Path(__file__).parents[1] / "static" / "panel.css"
+UPLOT = Path(__file__).parents[1] / "static" / "uplot" / "uPlot.min.css"
+SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
+SLOWEST = 20.0  # s that a browser may take for a picture
+PAGES: Sequence[type[Any]] = (StatePage, MotionPage, ScopePage)
+
+
+class Shell:
+    """One tab of the browser.
+
+    Args:
+        clock: that runs the session.
+        tab: the tab's own text.
+        kept: what the tab keeps over a reload.
+        pages: what there is to see, in this order.
+    """
+
+    def __init__(self, clock: Clock, tab: str, kept: dict[str, Any], pages: Sequence[type[Any]]):
+        self.clock, self.kept = clock, kept
+        self.desk = Desk(clock, tab)
+        axis = kept.get("axis")
+        self.desk.axis = axis if axis in clock.session.axes else self.desk.axis
+        ui.add_css(STYLE.read_text(encoding="utf-8") + UPLOT.read_text(encoding="utf-8"))
+        self.dark = ui.dark_mode(kept.get("dark", False))
+        self._header()
+        with ui.element("main").classes("frame"):
+            self._rail(pages)
+            self.places = {}
+            self.pages: dict[str, Any] = {}
+            with ui.element("div").classes("content"):
+                for page in pages:
+                    place = ui.element("div").classes("page").props(f"data-test=page-{page.name}")
+                    self.places[page.name] = place
+        self._kinds = {page.name: page for page in pages}
+        self.go(kept.get("page", pages[0].name))
+        ui.keyboard(self._key)
+        ui.timer(1 / PICTURES, self.show)
+
+    def _header(self) -> None:
+        session = self.clock.session
+        with ui.element("header").classes("top"):
+            with ui.element("div").classes("brand"):
+                Tag("b", "servogym")
+                models = {drive.model.name for drive in session.machine.drives.values()}
+                Tag("span", f"{session.title} · {', '.join(sorted(models))}")
+            if len(session.axes) > 1:
+                ui.toggle(
+                    list(session.axes), value=self.desk.axis,
+                    on_change=lambda event: self._axis(event.value),
+                ).props("no-caps unelevated dense data-test=axis")  # fmt: skip
+            self.state = ui.label("").classes("state-chip").props("data-test=state")
+            self.mode = ui.label("").classes("chip").props("data-test=mode-shown")
+            self.position = Readout("Position", test="header-position")
+            self.doing = ui.label("").classes("doing").props("data-test=doing")
+            ui.space()
+            with ui.element("div").classes("time cluster"):
+                self.pause = button("", self._pause, "pause", "icon")
+                self.pause.props("icon=pause aria-label=Pause")
+                button("", self._single, "single", "icon").props(
+                    "icon=skip_next aria-label='One cycle' title='One position cycle'"
+                )
+                self.speed = ui.select(
+                    {speed: f"{speed:g}×" for speed in SPEEDS}, value=self.clock.speed,
+                    on_change=self._speed,
+                )  # fmt: skip
+                self.speed.props("dense borderless data-test=speed aria-label=Speed")
+                self.speed.classes("speed")
+                self.measured = ui.label("").classes("quiet mono").props("data-test=measured")
+            self.seat = button("Take control", self._seat, "control", "seat")
+            button("", self._theme, "theme", "icon").props(
+                "icon=contrast aria-label='Dark or light'"
+            )
+            button("QUICK STOP", self._quick_stop, "quick-stop", "stop").props("title='Esc'")
+        with (
+            ui.element("div").classes("watching-banner").props("data-test=watching") as self.banner
+        ):
+            self.banner_text = ui.label("")
+        with ui.element("div").classes("agent-banner").props("data-test=agent") as self.agent:
+            self.agent_text = ui.label("")
+            button("Take back", self._take_back, "take-back", "main")
+
+    def _rail(self, pages: Sequence[type[Any]]) -> None:
+        self.links = {}
+        with ui.element("nav").classes("rail"):
+            for number, page in enumerate(pages, 1):
+                link = Tag(
+                    "button", type="button", title=f"key {number}", data_test=f"go-{page.name}"
+                )
+                link.classes("link").on("click", lambda _, name=page.name: self.go(name))
+                with link:
+                    ui.icon(page.icon)
+                    Tag("span", page.title)
+                self.links[page.name] = link
+
+    def go(self, name: str) -> None:
+        """Show a page; it is made when it is first seen."""
+        if name not in self._kinds:
+            name = next(iter(self._kinds))
+        self.present = self.kept["page"] = name
+        if name not in self.pages:
+            with self.places[name]:
+                self.pages[name] = self._kinds[name](self.desk)
+        for other, place in self.places.items():
+            place.classes(**({"add": "open"} if other == name else {"remove": "open"}))
+            self.links[other].lit("now", other == name)
+
+    def _axis(self, axis: str) -> None:
+        self.desk.axis = self.kept["axis"] = axis
+        self.pages.clear()
+        for place in self.places.values():
+            place.clear()
+        self.go(self.present)
+
+    def _theme(self) -> None:
+        self.kept["dark"] = not self.dark.value
+        self.dark.set_value(self.kept["dark"])
+
+    def _pause(self) -> None:
+        if self._may():
+            self.clock.pause(not self.clock.paused)
+
+    def _single(self) -> None:
+        if self._may():
+            self.clock.single()
+
+    def _speed(self) -> None:
+        if self.speed.value != self.clock.speed and self._may():
+            self.clock.set_speed(self.speed.value)
+
+    def _may(self) -> bool:
+        if self.desk.in_control:
+            return True
+        ui.notify("another window has control: press Take control first", type="warning",
+                  position="bottom-left")  # fmt: skip
+        return False
+
+    async def _seat(self) -> None:
+        tab = self.desk.tab
+        if self.desk.in_control:
+            await self.desk.ask(lambda session: session.control.leave(tab))
+        else:
+            await self.desk.ask(lambda session: session.control.take(tab))
+
+    async def _quick_stop(self) -> None:
+        refuse(await self.desk.motion(lambda session: session.quick_stop()))
+
+    async def _take_back(self) -> None:
+        refuse(await self.desk.command(lambda session: session.release()))
+
+    async def _key(self, event: Any) -> None:
+        if event.action.repeat:
+            return
+        motion = self.pages.get("motion") if self.present == "motion" else None
+        sign = 1 if event.key.arrow_right else -1 if event.key.arrow_left else 0
+        if motion and sign:
+            await (motion.run(sign) if event.action.keydown else motion.rest())
+        if not event.action.keydown:
+            return
+        names = list(self._kinds)
+        if event.key.escape:
+            await self._quick_stop()
+        elif event.key.number is not None and 1 <= event.key.number <= len(names):
+            self.go(names[event.key.number - 1])
+        elif str(event.key) == "p":
+            self._pause()
+        elif str(event.key) == ".":
+            self._single()
+
+    # ----------------------------------------------------------------- present
+
+    async def show(self) -> None:
+        """A new picture."""
+        shown, seen, clock = self.desk.shown, self.desk.seen, self.clock
+        state = State(seen["state"])
+        self.state.set_text(state.name.replace("_", " ").lower())
+        kind = {State.OPERATION_ENABLED: "good", State.FAULT: "bad",
+                State.FAULT_REACTION_ACTIVE: "bad"}.get(state, "calm")  # fmt: skip
+        for name in ("good", "bad", "calm"):
+            self.state.classes(**({"add": name} if name == kind else {"remove": name}))
+        self.mode.set_text(MODE_ABBREVIATION.get(Mode(seen["mode"]), "–"))
+        unit, _ = clock.session.unit(self.desk.axis)
+        self.position.show(seen["position"], unit)
+        self.doing.set_text(seen["fault"] or shown["doing"])
+        holds, holder = self.desk.in_control, shown["holder"]
+        self.seat.set_text("In control" if holds else "Take control")
+        self.seat.classes(**({"add": "held"} if holds else {"remove": "held"}))
+        self.banner.set_visibility(not holds)
+        self.banner_text.set_text(
+            "Another window has control; this one watches." if holder
+            else "Nobody has control; this window watches."
+        )  # fmt: skip
+        self.agent.set_visibility(bool(shown["agent"]))
+        self.agent_text.set_text(f"{shown['agent']} has the machine.")
+        self.pause.props(f"icon={'play_arrow' if clock.paused else 'pause'}")
+        if self.speed.value != clock.speed:
+            self.speed.set_value(clock.speed)
+        self.measured.set_text(
+            "paused" if clock.paused else f"{told(clock.achieved, 2)}× real time"
+        )
+        self._messages(shown["messages"])
+        result = self.pages[self.present].show()
+        if inspect.isawaitable(result):
+            await result
+        with suppress(TimeoutError):  # a slow browser gets fewer pictures, not older ones
+            await ui.run_javascript("return 1", timeout=SLOWEST)
+
+    def _messages(self, messages: list[tuple[int, str, str]]) -> None:
+        for number, kind, text in messages:
+            if number > self.desk.told:
+                self.desk.told = number
+                if kind == "info":
+                    ui.notify(text, position="bottom-left")
+
+    # ------------------------------------------------------------ coming, going
+
+    async def arrive(self) -> None:
+        """Sit down where nobody commands."""
+        tab = self.desk.tab
+
+        def sit(session: Any) -> None:
+            if session.control.holder is None:
+                session.control.take(tab)
+
+        await self.desk.ask(sit)
+
+    def lose(self) -> None:
+        """The browser is gone: an axis that was jogged comes to rest."""
+        if self.desk.jogging:
+            self.desk.jogging = False
+            axis = self.desk.axis
+            self.clock.move(lambda session: session.jog(axis, 0.0))
+
+    def leave(self) -> None:
+        """The tab is closed for good."""
+        self.lose()
+        tab = self.desk.tab
+        open_still = any(
+            client.tab_id == tab for client in type(ui.context.client).instances.values()
+        )
+        if not open_still:
+            self.clock.ask(lambda session: session.control.leave(tab))
+
+
+async def build(clock: Clock, pages: Sequence[type[Any]] = PAGES) -> None:
+    """The page of a tab that has just come."""
+    client = ui.context.client
+    await client.connected()
+    shell = Shell(clock, str(client.tab_id), app.storage.tab, pages)
+    await shell.arrive()
+    client.on_disconnect(shell.lose)
+    client.on_delete(shell.leave)

@@ -1,0 +1,187 @@
+"""Small parts of the pages: cards, readouts, entries that refuse in words, bits."""
+
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+from nicegui import ui
+from nicegui.element import Element
+
+from ....drive.diagrams import Bit
+from .. import entry
+
+
+def card(title: str, name: str = "") -> ui.column:
+    """A framed part of a page with its title."""
+    with ui.element("section").classes("card") as frame:
+        if name:
+            frame.props(f"data-test={name}")
+        ui.label(title).classes("card-title")
+        return ui.column().classes("card-body")
+
+
+class Tag(Element):
+    """Any HTML or SVG tag with attributes and text."""
+
+    def __init__(self, tag: str, text: str = "", **attributes: Any):
+        super().__init__(tag)
+        for name, value in attributes.items():
+            self._props[name.rstrip("_").replace("_", "-")] = value
+        if text:
+            self._text = text
+
+    def say(self, text: str) -> None:
+        """Another text."""
+        if text != self._text:
+            self._text = text
+            self.update()
+
+    def lit(self, name: str, on: bool) -> None:
+        """Have a class, or not."""
+        if (name in self._classes) != on:
+            self.classes(name) if on else self.classes(remove=name)
+
+
+class Readout:
+    """A name, a live number, a unit."""
+
+    def __init__(self, name: str, unit: str = "", test: str = ""):
+        with ui.element("div").classes("readout"):
+            ui.label(name).classes("readout-name")
+            with ui.element("div").classes("readout-line"):
+                self._value = ui.label("–").classes("readout-value")
+                if test:
+                    self._value.props(f"data-test={test}")
+                self._unit = ui.label(unit).classes("readout-unit")
+
+    def show(self, value: float | str, unit: str | None = None) -> None:
+        """The value of now."""
+        self._value.set_text(value if isinstance(value, str) else told(value))
+        if unit is not None:
+            self._unit.set_text(unit)
+
+
+def told(value: float, digits: int = 3) -> str:
+    """A number of steady width."""
+    if not math.isfinite(value):
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "−") if float(text) else text.lstrip("-")
+
+
+class Entry:
+    """A field for a number. What it cannot be is said beside it, and nothing is sent.
+
+    Args:
+        name: what the number is.
+        unit: of the number.
+        low, high: range.
+        value: at first.
+        send: called with the number on Enter; gives words where it is refused.
+        whole: whether it has to be a whole number.
+        test: its name in tests.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        unit: str = "",
+        low: float = -math.inf,
+        high: float = math.inf,
+        value: float | None = None,
+        send: Callable[[float], Awaitable[Any]] | None = None,
+        *,
+        whole: bool = False,
+        test: str = "",
+    ):
+        self.unit, self.low, self.high, self.whole = unit, low, high, whole
+        self._send = send
+        self.field = (
+            ui.input(name, value="" if value is None else f"{value:g}", validation=self._wrong)
+            .props("dense outlined hide-bottom-space autocomplete=off")
+            .classes("entry")
+        )
+        self.field.without_auto_validation()
+        if unit:
+            self.field.props(f'suffix="{unit}"')
+        if test:
+            self.field.props(f"data-test={test}")
+        self.field.on("keydown.enter", self.apply)
+        self.field.on_value_change(lambda: self.field.validate())
+
+    def _wrong(self, text: str) -> str | None:
+        try:
+            entry.number(text, self.low, self.high, self.unit, whole=self.whole)
+        except ValueError as error:
+            return str(error)
+        return None
+
+    def number(self) -> float | None:
+        """The number; None where it is none, which is then said beside the field."""
+        if not self.field.validate():
+            return None
+        return entry.number(self.field.value, self.low, self.high, self.unit, whole=self.whole)
+
+    def refuse(self, words: str) -> None:
+        """Say why the number was refused."""
+        self.field.error = words
+
+    async def apply(self) -> None:
+        """Send the number."""
+        value = self.number()
+        if value is None or self._send is None:
+            return
+        words = await self._send(value)
+        if words:
+            self.refuse(str(words))
+
+
+class Bits:
+    """The sixteen bits of a word by name, one a row; `click` gets the mask of a bit."""
+
+    def __init__(self, name: str, click: Callable[[int], Any], test: str):
+        self._names: tuple[str, ...] = ()
+        with ui.element("div").classes("bits").props(f"data-test={test}"):
+            with ui.element("div").classes("bits-head"):
+                ui.label(name).classes("bits-name")
+                self._word = ui.label("0000h").classes("bits-word").props(f"data-test={test}-word")
+            self._rows = []
+            for n in reversed(range(16)):
+                row = Tag("button", type="button", data_bit=n, data_test=f"{test}-{n}")
+                row.classes("bit").on("click", lambda _, mask=1 << n: click(mask))
+                with row:
+                    Tag("span", f"{n}").classes("bit-number")
+                    lamp = Tag("span", "0").classes("bit-lamp")
+                    label = Tag("span", "").classes("bit-name")
+                self._rows.append((n, row, lamp, label))
+        self._shown = -1
+
+    def show(self, word: int, bits: Sequence[Bit]) -> None:
+        """The word of now, with the names of its bits."""
+        names = tuple(bit.name for bit in bits)
+        if word == self._shown and names == self._names:
+            return
+        changed = word ^ self._shown if self._shown >= 0 else 0xFFFF
+        for n, row, lamp, label in self._rows:
+            if changed >> n & 1:
+                on = bool(word >> n & 1)
+                row.lit("on", on)
+                row._props["aria-pressed"] = str(on).lower()
+                lamp.say(str(int(on)))
+                row.update()
+            if names != self._names:
+                label.say(bits[n].name.replace("_", " "))
+                row.lit("quiet", bits[n].name.startswith(("bit ", "manufacturer")))
+                if bits[n].meaning:
+                    row._props["title"] = bits[n].meaning
+        self._word.set_text(f"{word:04X}h")
+        self._shown, self._names = word, names
+
+
+def button(text: str, click: Callable[..., Any], test: str = "", kind: str = "") -> ui.button:
+    """A button of the panel; `kind` is main, stop or quiet."""
+    made = ui.button(text, on_click=click, color=None).props("no-caps unelevated")
+    made.classes(f"btn {kind}")
+    if test:
+        made.props(f"data-test={test}")
+    return made

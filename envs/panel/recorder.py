@@ -1,0 +1,226 @@
+"""The scope's memory: every sample of some channels, a trigger that looks at each of them.
+
+The ring holds the last samples at the full rate. A page gets a window of them, at most so many
+points: of each stretch the smallest and the largest value, so that no peak is lost.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from ...drive.drive import Drive
+from ...drive.trace import Edge, Trigger, Watch, reader, unit_of
+
+MOST_CHANNELS = 8
+DEPTH = 120_000  # samples: two minutes at 1 kHz, 7.7 MB with all channels
+POINTS = 900  # in a picture
+
+
+class Run(IntEnum):
+    """What the scope does when its trigger event has come and the window is full."""
+
+    ROLL = 0  # there is no trigger, the newest sample is at the right
+    NORMAL = 1  # show it, wait for the next one
+    SINGLE = 2  # show it and stop
+
+
+class Window(NamedTuple):
+    """What a picture shows."""
+
+    number: int  # of the sample behind the last one shown
+    time: np.ndarray  # s, of each point, 0 at the trigger event or at the newest sample
+    values: np.ndarray  # (channels, points)
+    state: str  # rolling, waiting, filling, triggered, stopped
+
+
+class Recorder:
+    """Samples channels of one drive, one each position cycle.
+
+    Args:
+        drive: whose channels.
+        period: between two samples (s).
+        channels: names of objects, or ``axis.`` and a field of the record; 1..8.
+        depth: samples that are kept.
+
+    Raises:
+        ValueError: an unknown channel, none, or too many.
+    """
+
+    def __init__(
+        self, drive: Drive, period: float, channels: Sequence[str], depth: int = DEPTH
+    ) -> None:  # fmt: skip
+        self.drive, self.period, self.depth = drive, period, depth
+        self.run = Run.ROLL
+        self.trigger: Trigger | None = None
+        self.span, self.before = 2.0, 0.25  # s; share of it ahead of the event
+        self.frozen = False
+        self.choose(channels)
+
+    def choose(self, channels: Sequence[str]) -> None:
+        """Other channels; the memory begins anew. Raises ValueError, nothing has changed then."""
+        names = tuple(dict.fromkeys(channels))
+        if not 1 <= len(names) <= MOST_CHANNELS:
+            raise ValueError(f"{len(names)} channels: choose 1..{MOST_CHANNELS}")
+        self._readers = [reader(self.drive, name) for name in names]
+        self.channels = names
+        self.units = {name: unit_of(self.drive, name) for name in names}
+        self._ring = np.zeros((len(names), self.depth))
+        self._times = np.zeros(self.depth)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the samples."""
+        self.count = 0
+        self.arm()
+
+    def arm(self) -> None:
+        """Wait for the event of the trigger from now on."""
+        self._watch = Watch(self.trigger) if self.trigger else None
+        self._watched = reader(self.drive, self.trigger.channel) if self.trigger else None
+        self._event: int | None = None  # sample of the event that is being filled
+        self._armed = self.count
+        self._shown: tuple[int, int, int] | None = None  # begin, event, end of the captured window
+        self._captured: tuple[np.ndarray, np.ndarray] | None = None
+        self.captures = 0
+        self.frozen = False
+
+    def set_trigger(
+        self, run: Run, channel: str = "", edge: Edge = Edge.RISING, level: float = 0.0
+    ) -> None:  # fmt: skip
+        """Wait for an event, or roll. Raises ValueError for an unknown channel or level."""
+        if run is not Run.ROLL:
+            reader(self.drive, channel)
+            if not abs(level) < 1e12:
+                raise ValueError(f"level {level} is out of range -1e12..1e12")
+        self.run = run
+        self.trigger = Trigger(channel, edge, level) if run is not Run.ROLL else None
+        self.arm()
+
+    def set_window(self, span: float, before: float) -> None:
+        """Length of a picture (s), and the share of it ahead of the trigger event.
+
+        Raises ValueError: longer than the memory, shorter than ten samples, no share.
+        """
+        longest = self.depth * self.period
+        if not 10 * self.period <= span <= longest:
+            raise ValueError(f"window {span:g} s is out of range {10 * self.period:g}..{longest:g}")
+        if not 0.0 <= before <= 0.95:
+            raise ValueError(f"pre-trigger {before * 100:g} % is out of range 0..95")
+        self.span, self.before = span, before
+        if self.trigger:
+            self.arm()
+
+    # ------------------------------------------------------------------ samples
+
+    def sample(self, time: float) -> None:
+        """Take one sample at `time` (s)."""
+        at = self.count % self.depth
+        self._times[at] = time
+        for row, read in enumerate(self._readers):
+            self._ring[row, at] = read()
+        number, self.count = self.count, self.count + 1
+        if self._watch is None or self._watched is None or self.frozen:
+            return
+        event = self._watch.event(self._watched())
+        if self._event is None:
+            enough = number - self._armed >= self._samples_before
+            if event and enough and not (self.run is Run.SINGLE and self.captures):
+                self._event = number
+        elif number - self._event >= self._samples - self._samples_before - 1:
+            self._capture()
+
+    @property
+    def _samples(self) -> int:
+        return max(min(round(self.span / self.period), self.depth), 2)
+
+    @property
+    def _samples_before(self) -> int:
+        return min(round(self.span * self.before / self.period), self._samples - 1)
+
+    def _capture(self) -> None:
+        assert self._event is not None
+        begin = self._event - self._samples_before
+        places = np.arange(begin, begin + self._samples) % self.depth
+        self._captured = self._times[places], self._ring[:, places]
+        self._shown = begin, self._event, begin + self._samples
+        self._event, self._armed = None, self.count
+        self.captures += 1
+        if self.run is Run.SINGLE:
+            self.frozen = True
+
+    def freeze(self, frozen: bool) -> None:
+        """Keep the picture as it is, samples go on; or let it go on."""
+        if frozen and self._captured is None:
+            number = min(self._samples, self.count, self.depth)
+            places = np.arange(self.count - number, self.count) % self.depth
+            self._captured = self._times[places], self._ring[:, places]
+            self._shown = self.count - number, self.count - 1, self.count
+        if not frozen:
+            self.arm()
+        self.frozen = frozen
+
+    # ----------------------------------------------------------------- pictures
+
+    @property
+    def state(self) -> str:
+        """In a word."""
+        if self.frozen:
+            return "stopped"
+        if self.trigger is None:
+            return "rolling"
+        if self._event is not None:
+            return "filling"
+        return "triggered" if self.captures else "waiting"
+
+    def view(self, points: int = POINTS) -> Window:
+        """The picture of now, at most `points` of each channel."""
+        if self._captured is not None and self._shown is not None:
+            begin, event, end = self._shown
+            times, values = self._captured
+            return self._window(times, values, times[event - begin], begin, end, points)
+        number = min(self._samples, self.count, self.depth)
+        if number < 2:
+            return Window(self.count, np.zeros(0), np.zeros((len(self.channels), 0)), self.state)
+        places = np.arange(self.count - number, self.count) % self.depth
+        times = self._times[places]
+        return self._window(
+            times, self._ring[:, places], times[-1], self.count - number, self.count, points
+        )
+
+    def _window(
+        self, times: np.ndarray, values: np.ndarray, zero: float, begin: int, end: int, points: int
+    ) -> Window:
+        stretch = -(-self._samples // max(points // 2, 1))
+        if (
+            stretch > 2
+        ):  # stretches count from the first sample of all, so that pictures stand still
+            cut = -begin % stretch
+            usable = (values.shape[1] - cut) // stretch * stretch
+            if usable:
+                whole = values[:, cut : cut + usable].reshape(len(values), -1, stretch)
+                low, high = whole.min(axis=2), whole.max(axis=2)
+                values = np.stack((low, high), axis=2).reshape(len(values), -1)
+                firsts = times[cut : cut + usable : stretch]
+                halfs = times[cut + stretch // 2 : cut + usable : stretch]
+                times = np.stack((firsts, halfs), axis=1).ravel()
+        return Window(end, times - zero, values, self.state)
+
+    def csv(self) -> str:
+        """The samples of the picture, all of them, as a table."""
+        if self._captured is not None:
+            times, values = self._captured
+        else:
+            number = min(self._samples, self.count, self.depth)
+            places = np.arange(self.count - number, self.count) % self.depth
+            times, values = self._times[places], self._ring[:, places]
+        text = io.StringIO()
+        writer = csv.writer(text)
+        units = (f"{n} ({u})" if u else n for n, u in self.units.items())
+        writer.writerow(["time (s)", *units])
+        for time, column in zip(times.tolist(), values.T.tolist(), strict=True):
+            writer.writerow([f"{time:.6f}", *(f"{value:.9g}" for value in column)])
+        return text.getvalue()

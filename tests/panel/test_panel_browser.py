@@ -1,0 +1,236 @@
+"""The panel in a real browser, by clicks: Debian's Chromium, driven by Playwright."""
+
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui", reason="the panel needs servogym[panel]")
+sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright here")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+expect = sync_api.expect
+expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
+
+ARGUMENTS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+
+
+class Server:
+    """`servogym panel` in a process of its own."""
+
+    def __init__(self, *arguments):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.arguments = arguments
+        self.url = f"http://localhost:{self.port}/"
+        self.start()
+
+    def start(self):
+        command = [sys.executable, "-m", "servogym.training.cli", "panel", "--no-browser"]
+        # nicegui looks whether pytest runs it
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
+        self.process = subprocess.Popen(
+            [*command, "--port", str(self.port), *self.arguments], stdout=subprocess.PIPE,
+            env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
+        )  # fmt: skip
+        for line in self.process.stdout:
+            if self.url[:-1] in line:
+                return
+        self.process.stdout.close()
+        raise AssertionError(f"the server ended with {self.process.wait()}")
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = Server()
+    yield server
+    server.kill()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(server, browser):
+    page = tab(browser, server)
+    yield page
+    page.context.close()
+
+
+def tab(browser, server, width=1280, height=800):
+    context = browser.new_context(viewport={"width": width, "height": height})
+    context.set_default_timeout(60_000)
+    page = context.new_page()
+    page.goto(server.url)
+    expect(at(page, "state")).to_be_visible()
+    if at(page, "control").inner_text() != "In control":
+        at(page, "control").click()
+    expect(at(page, "control")).to_have_text("In control")
+    return page
+
+
+def at(page, name):
+    return page.locator(f"[data-test={name}]")
+
+
+def shows(page, name, text):
+    expect(at(page, name)).to_have_text(text)
+
+
+def open_page(page, name):
+    at(page, f"go-{name}").click()
+    expect(at(page, f"page-{name}")).to_be_visible()
+
+
+def ready(page):
+    """Enabled and referenced, by clicks, from wherever the last test has left the axis."""
+    open_page(page, "motion")
+    at(page, "motion-reset").click()
+    at(page, "enable").click()
+    shows(page, "state", "operation enabled")
+    if at(page, "homed").inner_text() != "The axis is referenced.":
+        at(page, "home").click()
+    shows(page, "homed", "The axis is referenced.")
+    shows(page, "doing", "")
+
+
+def near(position):
+    """A readout within the position window 6067h, 20 µm."""
+    return re.compile(rf"^({position - 1}\.9[89]|{position}\.0[012])\d$")
+
+
+def move(page, target):
+    at(page, "target").fill(target)
+    at(page, "move-to").click()
+
+
+def test_enable_home_move_by_clicks(page):
+    open_page(page, "state")
+    for number, state in ((2, "ready to switch on"), (3, "switched on"), (4, "operation enabled")):
+        at(page, f"command-{number}").click()
+        shows(page, "state", state)
+    shows(page, "controlword-word", "000Fh")
+    open_page(page, "motion")
+    at(page, "home").click()
+    shows(page, "homed", "The axis is referenced.")
+    move(page, "250")
+    expect(at(page, "position")).to_have_text(near(250))
+
+
+def test_a_bit_of_the_controlword_is_toggled_and_a_refusal_is_told(page):
+    ready(page)
+    at(page, "disable").click()
+    shows(page, "state", "switch on disabled")
+    open_page(page, "state")
+    for bit in (3, 0, 1, 2):  # to 000Fh, enable operation: too early
+        at(page, f"controlword-{bit}").click()
+        expect(at(page, f"controlword-{bit}")).to_have_attribute("aria-pressed", "true")
+    shows(page, "controlword-word", "000Fh")
+    expect(at(page, "refused")).to_contain_text(
+        "ENABLE_OPERATION was refused in SWITCH_ON_DISABLED"
+    )
+
+
+def test_what_is_no_target_is_refused_beside_the_field_and_nothing_moves(page):
+    ready(page)
+    before = at(page, "position").inner_text()
+    beside = page.locator(".q-field", has=at(page, "target")).locator(".q-field__messages")
+    for typed, words in (("", "enter a number"), ("12;drop", "“12;drop” is not a number"),
+                         ("nan", "not a finite number"), ("900", "beyond the stroke")):  # fmt: skip
+        move(page, typed)
+        expect(beside).to_contain_text(words)
+    assert at(page, "position").inner_text() == before
+
+
+def test_the_scope_waits_for_its_trigger_and_shows_what_came_before(page):
+    ready(page)
+    move(page, "100")
+    expect(at(page, "position")).to_have_text(near(100))
+    open_page(page, "scope")
+    plot = at(page, "scope-plot")
+    at(page, "window").fill("0.5")
+    at(page, "window").press("Enter")
+    at(page, "trigger-level").fill("150000")
+    at(page, "trigger-run").get_by_text("Single").click()
+    shows(page, "scope-state", "waiting")
+    open_page(page, "motion")
+    expect(at(page, "scope-state")).to_have_text("waiting")  # for the axis stands
+    move(page, "200")
+    open_page(page, "scope")
+    shows(page, "scope-state", "stopped")
+    expect(plot).to_have_attribute("data-state", "stopped")
+    with page.expect_download() as download:
+        at(page, "csv").click()
+    rows = Path(download.value.path()).read_text().splitlines()
+    assert rows[0].startswith("time (s),position_actual_value (position unit)")
+    assert len(rows) == 1 + 0.5 * 2000
+
+
+def test_two_tabs_one_commands_and_taking_over_is_seen(page, browser, server):
+    ready(page)
+    other = tab(browser, server)  # takes over
+    shows(page, "control", "Take control")
+    expect(at(page, "watching")).to_be_visible()
+    at(page, "disable").click()  # refused in words
+    expect(page.get_by_text("another window has control: press")).to_be_visible()
+    shows(other, "state", "operation enabled")
+    at(page, "control").click()
+    shows(other, "control", "Take control")
+    at(page, "disable").click()
+    shows(other, "state", "switch on disabled")
+    other.context.close()
+
+
+def test_a_reload_in_the_middle_of_a_move_keeps_control_page_and_motion(page):
+    ready(page)
+    move(page, "20")
+    shows(page, "doing", "")
+    at(page, "set-profile_velocity").fill("100000")
+    at(page, "set-profile_velocity").press("Enter")
+    shows(page, "value-profile_velocity", "100000")
+    move(page, "220")
+    shows(page, "doing", "x: move to 220 mm")
+    page.reload()
+    shows(page, "control", "In control")
+    expect(at(page, "page-motion")).to_be_visible()
+    expect(at(page, "position")).to_have_text(near(220))
+
+
+def test_the_page_comes_back_when_the_server_was_killed_and_started_again(page, server):
+    ready(page)
+    server.kill()
+    server.start()
+    expect(at(page, "state")).to_have_text(re.compile("switch on"))  # a new machine
+    shows(page, "control", "In control")  # where nobody has it, who comes first has it
+    ready(page)
+
+
+@pytest.mark.parametrize("header", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}])
+def test_strangers_are_refused(server, header):
+    import http.client
+
+    for path in ("/", "/_nicegui_ws/socket.io/?EIO=4&transport=polling"):
+        connection = http.client.HTTPConnection("localhost", server.port, timeout=60)
+        connection.request("GET", path, headers=header)
+        answer = connection.getresponse()
+        assert answer.status == 403
+        assert b"servogym panel" in answer.read()
+        connection.close()
