@@ -2,6 +2,7 @@
 
 import random
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 from bare_segment import bare, send
 from test_controller import broken_frames
 
+from servogym.drive.drive import Drive
 from servogym.drive.ethercat.al import AlState
 from servogym.drive.ethercat.bus import Bus
 from servogym.drive.ethercat.faulty import Fault, FaultyBus
@@ -20,6 +22,7 @@ from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
 from servogym.drive.kernel.words import State
 from servogym.drive.model.model import load
+from servogym.drive.objects.abort import SdoAbort
 from servogym.envs.engine import loop
 from servogym.envs.plants.linear_axis import linear_axis
 
@@ -248,6 +251,25 @@ def test_a_fault_that_is_none_is_refused_with_the_choices(line_of_fault):
         return
     with pytest.raises(ValueError, match="fault"):
         Fault.parse(line_of_fault)
+
+
+def test_39_a_wrong_toggle_bit_ends_the_transfer_of_a_name_and_the_next_is_whole(tmp_path):
+    folder = tmp_path / "short_mailboxes"
+    shutil.copytree(load("generic").folder, folder)
+    path = folder / "ethercat.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("0x1000, 256, 0x1400, 256", "0x1000, 34, 0x1400, 34"), "utf-8")
+    bus = FaultyBus(Segment([Slave(Drive(folder, bus="ethercat"))]))
+    master = EtherCatMaster(bus)
+    master.scan()
+    master.to_preop()
+    bus.order(["mailbox_toggle at=mailbox:2"])  # the first answer is no segment
+    mailbox = master.slaves[0].mailbox
+    with pytest.raises(SdoAbort) as refused:
+        mailbox.upload(0x1008)
+    assert refused.value.code == 0x05030000
+    assert mailbox.upload(0x1008) == b"servogym generic CiA 402 drive"
+    assert bus.happened == [1]
 
 
 def test_faults_with_a_rate_are_the_same_for_one_seed():

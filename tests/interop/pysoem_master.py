@@ -17,6 +17,12 @@ def opened(second=False):
     return master
 
 
+def scan_of(master):
+    """Find the slaves; SOEM finds none where an answer takes longer than its 2 ms."""
+    if master.config_init() < 1:
+        raise RuntimeError("the scan did not go on in time")
+
+
 def cycle(master, times=1):
     """Process data; -> working counters that were wrong."""
     wrong = 0
@@ -28,7 +34,7 @@ def cycle(master, times=1):
 
 def to_op(master):
     """INIT to OP as the examples of pysoem have it; -> the state."""
-    master.config_init()
+    scan_of(master)
     master.config_map()
     assert master.state_check(pysoem.SAFEOP_STATE, 5_000_000) == pysoem.SAFEOP_STATE, [
         pysoem.al_status_code_to_string(s.al_status) for s in master.slaves
@@ -45,7 +51,7 @@ def to_op(master):
 
 def scan():
     master = opened()
-    master.config_init()
+    scan_of(master)
     master.config_map()
     result = [
         {"name": s.name, "vendor": s.man, "product": s.id, "revision": s.rev,
@@ -186,7 +192,7 @@ def home_and_move(distance=100_000, method=1, cycles=1000):
             slave.sdo_write(manager, 1, struct.pack("<H", pdo))
             slave.sdo_write(manager, 0, b"\1")
 
-    master.config_init()
+    scan_of(master)
     slave = master.slaves[0]
     slave.config_func = assign
     master.config_map()
@@ -236,16 +242,24 @@ def home_and_move(distance=100_000, method=1, cycles=1000):
 
 
 def fixed_pdos(pairs):
-    """Every PDO of a list assigned and exchanged: sizes, state, whether the drive moves."""
+    """Every PDO of a list assigned and exchanged: sizes, state, how far the drive moves.
+
+    A pair is the PDOs of both directions, and the mapping of those that are flexible.
+    """
     found = []
-    for output, given in pairs:
+    for output, given, *mapped in pairs:
         master = opened()
-        master.config_init()
+        scan_of(master)
         slave = master.slaves[0]
 
-        def assign(_, slave=slave, pair=(output, given)):
+        def assign(_, slave=slave, pair=(output, given), mapped=mapped):
             for manager, pdos in zip((0x1C12, 0x1C13), pair, strict=True):
                 slave.sdo_write(manager, 0, b"\0")
+                for pdo, entry in mapped:
+                    if pdo in pdos:
+                        slave.sdo_write(pdo, 0, b"\0")
+                        slave.sdo_write(pdo, 1, struct.pack("<I", entry))
+                        slave.sdo_write(pdo, 0, b"\1")
                 for n, pdo in enumerate(pdos, 1):
                     slave.sdo_write(manager, n, struct.pack("<H", pdo))
                 slave.sdo_write(manager, 0, bytes([len(pdos)]))
@@ -265,12 +279,11 @@ def fixed_pdos(pairs):
         master.write_state()
         while master.state_check(pysoem.OP_STATE, 1000) != pysoem.OP_STATE:
             cycle(master)
-        word = mapping[0].index(0x60400010) if 0x60400010 in mapping[0] else -1
-        before, after = enabled_by_image(master, slave, mapping, word)
+        before, after, moved = moved_by_image(master, slave, mapping[0])
         found.append({
             "pdos": [output, given], "safe": safe, "sizes": [len(slave.output), len(slave.input)],
             "managers": [register(slave, 0x0812, 2), register(slave, 0x081A, 2)],
-            "mapping": mapping, "status": [before, after],
+            "mapping": mapping, "status": [before, after], "moved": moved,
         })  # fmt: skip
         master.state = pysoem.INIT_STATE
         master.write_state()
@@ -278,20 +291,54 @@ def fixed_pdos(pairs):
     return found
 
 
-def enabled_by_image(master, slave, mapping, word):
-    """Statusword before and after shutdown, switch on, enable operation through the image."""
-    at = sum((entry & 0xFF) // 8 for entry in mapping[0][:word])
-    image = bytearray(len(slave.output))
+# entry with a set-point -> mode of operation, controlword that starts the motion
+MOTIONS = {0x60C10120: (7, 0x1F), 0x607A0020: (8, 0x0F), 0x60FF0020: (9, 0x0F)}
+CONTROLWORD, MAX_TORQUE = 0x60400010, 0x60720010
+STEP, SPEED = 50, 20_000  # µm a cycle, µm/s
+
+
+def moved_by_image(master, slave, entries, cycles=200):
+    """Enable through the image and move; -> statusword before and after, and the way (µm).
+
+    Without a set-point in the image there is no way.
+    """
+    image = dict.fromkeys(entries, 0)
+    if MAX_TORQUE in image:
+        image[MAX_TORQUE] = 1000
+    point = next((entry for entry in entries if entry in MOTIONS), None)
+    mode, start = MOTIONS.get(point, (1, 0x0F))
+    slave.sdo_write(0x6060, 0, bytes([mode]))
+
+    def send(times=1):
+        slave.output = b"".join(
+            value.to_bytes((entry & 0xFF) // 8, "little", signed=True)
+            for entry, value in image.items()
+        )
+        assert not cycle(master, times)
+
+    def value(index, size):
+        return int.from_bytes(slave.sdo_read(index, 0)[:size], "little", signed=size == 4)
+
+    begin = value(0x6064, 4)
+    if point is not None and mode != 9:
+        image[point] = begin
     shown = []
     for command in (0, 6, 7, 15):
-        image[at : at + 2] = struct.pack("<H", command)
-        slave.output = bytes(image)
-        cycle(master, 20)
-        shown.append(struct.unpack("<H", slave.sdo_read(0x6041, 0))[0] & 0x6F)
-    image[at : at + 2] = b"\0\0"
-    slave.output = bytes(image)
-    cycle(master, 5)
-    return shown[0], shown[-1]
+        image[CONTROLWORD] = command
+        send(20)
+        shown.append(value(0x6041, 2) & 0x6F)
+    image[CONTROLWORD] = start
+    moved = None
+    if point is not None:
+        begin = value(0x6064, 4)
+        for _ in range(cycles):
+            image[point] = SPEED if mode == 9 else image[point] + STEP
+            send()
+        send(50)
+        moved = value(0x6064, 4) - begin
+    image[CONTROLWORD] = 0
+    send(5)
+    return shown[0], shown[-1], moved
 
 
 def register(slave, address, size):
@@ -301,7 +348,7 @@ def register(slave, address, size):
 def delays():
     """0928h of all slaves after SOEM's own configuration of the clocks."""
     master = opened()
-    master.config_init()
+    scan_of(master)
     master.config_map()
     master.config_dc()
     found = [register(slave, 0x0928, 4) for slave in master.slaves]
@@ -336,7 +383,7 @@ def redundancy(cycles=150):
 def kilohertz(server, seconds=5.0):
     """A kilohertz of cycles with SYNC0 on the clock dc; -> errors, and the server's memory."""
     master = opened()
-    master.config_init()
+    scan_of(master)
     master.config_map()
     master.config_dc()
     for slave in master.slaves:

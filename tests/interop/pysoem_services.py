@@ -3,7 +3,7 @@
 import struct
 
 import pysoem
-from pysoem_master import opened
+from pysoem_master import opened, scan_of
 
 
 def refused(action, *arguments, **options):
@@ -18,7 +18,7 @@ def refused(action, *arguments, **options):
 def sdo():
     """What is read and refused in PRE_OP."""
     master = opened()
-    master.config_init()
+    scan_of(master)
     drive = master.slaves[0]
     result = {
         "name": drive.sdo_read(0x1008, 0, size=4096).decode(),
@@ -49,7 +49,7 @@ def _entries(o):
 def dictionary():
     """SDO information: index, name and entries."""
     master = opened()
-    master.config_init()
+    scan_of(master)
     try:
         objects = master.slaves[0].od
         found = [[o.index, o.name.decode(), _entries(o)] for o in objects]
@@ -62,7 +62,7 @@ def dictionary():
 def files():
     """The parameter file, read and written back with another value."""
     master = opened()
-    master.config_init()
+    scan_of(master)
     drive = master.slaves[0]
     content = drive.foe_read("parameters", 0, 65536)
     drive.foe_write("parameters", 0, content)
@@ -73,7 +73,7 @@ def files():
 def eeprom():
     """Vendor, product and revision from the EEPROM, and a word that is written."""
     master = opened()
-    master.config_init()
+    scan_of(master)
     drive = master.slaves[0]
     words = [drive.eeprom_read(address).hex() for address in (0x08, 0x0A, 0x0C)]
     before = drive.eeprom_read(0x04)
@@ -89,7 +89,7 @@ def lossy(line, times=60):
 
     with wire.forked(["kollmorgen_akd"], [line]):
         master = opened()
-        master.config_init()
+        scan_of(master)
         drive = master.slaves[0]
         read, failed = [], []
         for _ in range(times):

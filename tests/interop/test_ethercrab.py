@@ -52,3 +52,11 @@ def test_31_ethercrab_scans_and_reaches_op_and_every_working_counter_is_right(
             assert (slave["vendor"], slave["product"], slave["revision"]) == (0x6A, 0x414B44, 2)
     assert result["sizes"] == [sizes, sizes]
     assert (result["cycles"], result["wrong"], result["wkc"]) == (CYCLES, 0, 6)
+
+
+@pytest.mark.slow
+def test_35_ethercrab_finds_the_delays_of_a_line_of_eight(program):
+    options = ("--drive", "kollmorgen_akd", "--axis", "none", "--slaves", "8")
+    result = on_the_wire("ethercrab_master", "reach_op", *options, program=program, cycles=100)
+    assert [slave["delay"] for slave in result["slaves"]] == [600 * k for k in range(8)]
+    assert (result["wrong"], result["wkc"]) == (0, 24)

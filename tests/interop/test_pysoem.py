@@ -1,7 +1,12 @@
 """pysoem, as it comes from PyPI, against `servogym ethercat` on a veth pair."""
 
+import shutil
+
 import pytest
 from wire import on_the_wire
+
+from servogym.drive.ethercat import sii
+from servogym.drive.model.model import load
 
 AKD = ("--drive", "kollmorgen_akd")
 OP = 8
@@ -48,7 +53,6 @@ CYCLES = {
 }  # fmt: skip
 MAILBOX = {
     "mailbox_abort at=op:1 code=0x08000021": "SdoError 08000021",
-    "mailbox_toggle at=op:1 count=0": "",  # SOEM does not look at toggle bits
     "mailbox_silence at=op:1": "WkcError",
     "mailbox_stale at=op:1": "PacketError",
 }
@@ -79,20 +83,46 @@ def test_39_a_bad_mailbox_is_seen_and_the_next_sdo_works(suffered, line):
     assert result["back"] == [8, 8]
 
 
+def test_39_soem_does_not_look_at_toggle_bits(tmp_path):
+    """Its mailboxes are so short that 1008h comes in segments; each has a wrong toggle bit."""
+    folder = tmp_path / "short_mailboxes"
+    shutil.copytree(load("generic").folder, folder)
+    path = folder / "ethercat.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("0x1000, 256, 0x1400, 256", "0x1000, 34, 0x1400, 34"), "utf-8")
+    line, models = "mailbox_toggle at=op:1 count=0", [str(folder)]
+    result = on_the_wire("pysoem_master", "faults", "forked", lines=[line], models=models)[line]
+    assert result["refused"] == ""
+    assert result["seen"] == ["servogym generic CiA 402 drive"] * 4
+    assert result["back"] == [8]
+
+
 FIXED = [
     *([[o], [0x1B01]] for o in (0x1701, 0x1702, 0x1720, 0x1721, 0x1722, 0x1723, 0x1724, 0x1725)),
     *([[0x1701], [i]] for i in (0x1B20, 0x1B21, 0x1B22, 0x1B23, 0x1B24, 0x1B25, 0x1B26)),
     [[0x1600], [0x1A00]],
 ]  # fmt: skip
+WAY = 10_000  # µm; what the scenario commands, by position
+FLEXIBLE = [[0x1600, 0x1601], [0x1A00, 0x1A01], [0x1601, 0x607A0020], [0x1A01, 0x60640020]]
 
 
-def test_34_every_pdo_has_the_size_of_the_sii_and_enables_the_drive():
-    from servogym.drive.ethercat import sii
-    from servogym.drive.model.model import load
+def test_34_flexible_pdos_have_the_size_of_their_mapping_and_move_the_drive():
+    (row,) = on_the_wire("pysoem_master", "fixed_pdos", *AKD, pairs=[FLEXIBLE])
+    assert row["sizes"] == row["managers"] == [6, 6]
+    assert row["mapping"] == [[0x60400010, 0x607A0020], [0x60410010, 0x60640020]]
+    assert row["status"] == [0x40, 0x27]
+    assert row["moved"] == pytest.approx(WAY, abs=100)
 
+
+def test_34_every_fixed_pdo_has_the_size_of_the_sii_and_moves_the_drive():
     known = sii.unpack(sii.of_model(load("kollmorgen_akd", "ethercat")))
     bits = {pdo.index: pdo.bits for pdo in known.rpdos + known.tpdos}
-    for row in on_the_wire("pysoem_master", "fixed_pdos", *AKD, pairs=FIXED):
+    rows = on_the_wire("pysoem_master", "fixed_pdos", *AKD, pairs=FIXED)
+    moved = {row["pdos"][0][0]: row["moved"] for row in rows}
+    assert moved.pop(0x1600) is None  # a controlword alone
+    assert moved.pop(0x1702) > 1000
+    assert moved == {pdo: pytest.approx(WAY, abs=100) for pdo in moved}
+    for row in rows:
         outputs, inputs = (sum(bits[pdo] for pdo in pdos) // 8 for pdos in row["pdos"])
         assert row["safe"] == 4
         assert row["sizes"] == row["managers"] == [outputs, inputs]
