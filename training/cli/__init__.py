@@ -25,13 +25,14 @@ from . import (
     node,
     panel,
     results,
+    sweep,
     train,
     watch,
 )
 
 COMMANDS = (
     demo, bench, drives, node, ethercat, eds, esi, decode, bode, homing, watch, panel, train,
-    compare, results, benchmark,
+    compare, results, benchmark, sweep,
 )  # fmt: skip
 
 

@@ -95,25 +95,32 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
     return picked
 
 
+def setting(
+    kind: type[ServoEnv], drive: str, arguments: Mapping[str, Any], row: Condition
+) -> dict[str, Any]:
+    """The arguments of the environment in a condition."""
+    nominal = kind(drive=drive, **arguments)
+    ranges: dict[str, Any] = dict(nominal.randomisation.ranges)
+    nominal.close()
+    drawn = ranges | dict(row.randomise)
+    drawn |= {name: share * ranges[name][1] for name, share in row.beyond.items()}
+    plain = {name: value for name, value in arguments.items() if name != "randomise"}
+    return plain | dict(row.arguments) | {"randomise": drawn}
+
+
 def run(
     env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, out: Path,
     console: Console, arguments: Mapping[str, Any], names: str, work: Work = ALONE,
 ) -> int:  # fmt: skip
     """Evaluate, and write conditions.md, .json, .png and _curves.png; -> exit status."""
     kind = task(env)
-    plain = {name: value for name, value in arguments.items() if name != "randomise"}
     rows = chosen(list(suiting(kind, drive, arguments)), names)
     metric, row_of = kind.METRIC, metrics(kind)
-    nominal_env = kind(drive=drive, **arguments)
-    ranges = dict(nominal_env.randomisation.ranges)
-    nominal_env.close()
     table: dict[str, list[Summary | None]] = {}
     apart, successes, against = {}, {}, ""
     comparisons: list[Comparison] = []
     for row in rows:
-        drawn = ranges | dict(row.randomise)
-        drawn |= {name: share * ranges[name][1] for name, share in row.beyond.items()}
-        given = plain | dict(row.arguments) | {"randomise": drawn}
+        given = setting(kind, drive, arguments, row)
         comparisons.append(Comparison(env, policies, row.drive or drive, episodes, seed, given))
     jobs = [job for comparison in comparisons for job in comparison.jobs]
     left = iter(work.map(jobs, folder=out, console=console, warm=[warm(env, drive)]))

@@ -1,0 +1,97 @@
+"""`servogym sweep`."""
+
+import argparse
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from . import arguments
+
+RANGE = re.compile(r"([^.,]+(?:\.[^.,]+)?)\.\.(.+?)(:log)?$")  # LOW..HIGH, LOW..HIGH:log
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    sweep = commands.add_parser("sweep", help="tasks × drives × conditions × seeds × values")
+    sweep.add_argument("envs", help="environments, separated by commas")
+    sweep.add_argument("--policies", default="", help="that play in each cell")
+    sweep.add_argument("--train", default="", choices=("PPO", "SAC"), type=str.upper,
+                       help="train one in each cell instead")  # fmt: skip
+    sweep.add_argument("--steps", type=int, default=100_000, help="of each training (100000)")
+    sweep.add_argument("--drives", default="generic", help="models, separated by commas")
+    sweep.add_argument("--conditions", default="", help="as those of `servogym compare`")
+    sweep.add_argument("--seeds", default="0", help="of the episodes, or of the trainings: 0,1,2")
+    sweep.add_argument(
+        "--vary", action="append", default=[], metavar="NAME=VALUES", type=_varied,
+        help="of the environment or hyper-parameter: 1,2,5; with --trials LOW..HIGH[:log] too",
+    )  # fmt: skip
+    sweep.add_argument("--trials", type=int, help="of an Optuna study instead of the grid")
+    sweep.add_argument("--episodes", type=int, default=50, help="of each cell, 1..1000 (50)")
+    arguments.add(sweep)
+    arguments.add_work(sweep)
+    sweep.add_argument("--out", type=Path, default=Path("out/sweep"), help="folder (out/sweep)")
+    sweep.set_defaults(run=_sweep)
+
+
+def _varied(text: str) -> tuple[str, Any]:
+    """``"a=1,2"`` -> ``("a", [1, 2])``; ``"a=1e-4..1e-2:log"`` -> a range."""
+    name, equals, values = text.partition("=")
+    if not (name.isidentifier() and equals and values):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUES")
+    if found := RANGE.match(values):
+        from ..evaluate.sweep import Range
+
+        low, high = _value(found[1]), _value(found[2])
+        numbers = isinstance(low, int | float) and isinstance(high, int | float)
+        if numbers and low < high and (low > 0 or not found[3]):
+            return name, Range(low, high, bool(found[3]))
+        raise argparse.ArgumentTypeError(f"{text!r}: a range is LOW..HIGH; of :log above 0")
+    return name, [_value(value) for value in values.split(",")]
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _seeds(text: str) -> list[int]:
+    if not re.fullmatch(r"\d+(,\d+)*", text):
+        raise ValueError(f"--seeds = {text!r} are no whole numbers, separated by commas")
+    return [int(seed) for seed in text.split(",")]
+
+
+def _sweep(options: argparse.Namespace, console: Console) -> int:
+    from ..evaluate import sweep
+
+    whole = sweep.Sweep(
+        [env for env in options.envs.split(",") if env],
+        [policy for policy in options.policies.split(",") if policy],
+        options.drives.split(","), options.conditions, _seeds(options.seeds), dict(options.vary),
+        dict(options.argument or ()), options.episodes, options.train, options.steps,
+    )  # fmt: skip
+    if options.trials is not None and options.trials < 1:
+        raise ValueError(f"--trials = {options.trials} is out of range 1..")
+    given = {"--policies": options.policies, "--train": options.train, "--drives": options.drives,
+             "--conditions": options.conditions, "--seeds": options.seeds,
+             "--episodes": str(options.episodes), "--trials": str(options.trials or ""),
+             "--steps": str(options.steps) if options.train else ""}  # fmt: skip
+    words = ["servogym", "sweep", options.envs]
+    words += [word for name, value in given.items() if value for word in (name, value)]
+    for name, values in options.vary:
+        if isinstance(values, sweep.Range):
+            text = f"{values.low}..{values.high}{':log' if values.log else ''}"
+        else:
+            text = ",".join(v if isinstance(v, str) else json.dumps(v) for v in values)
+        words += ["--vary", f"{name}={text}"]
+    for name, value in options.argument or ():
+        text = value if isinstance(value, str) else json.dumps(value)
+        words += ["--argument", f"{name}={text}"]
+    command = shlex.join(words)
+    work = arguments.work(options)
+    return sweep.run(whole, options.trials, command, options.out, console, work)

@@ -1,0 +1,318 @@
+"""`servogym sweep`: policies or trainings over tasks, drives, conditions, seeds and values.
+
+A cell is one of each; all cells are one list of jobs. Values are those of a grid, or what an Optuna
+study asks for, a fixed number at a time, so that who does the jobs does not change what it asks.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ...envs.registry import short, task
+from ..report import markdown, number, origin, write_csv, write_json, write_page
+from ..scale.job import Job, Result
+from ..scale.work import Work
+from . import conditions
+from .compare import SCORE, Comparison, _label, summaries
+from .metrics import metrics
+from .parts import warm
+
+AT_A_TIME = 8  # trials of a study that are asked for before the first of them is judged
+SAMPLER_SEED = 0
+EVALUATIONS = 8  # of a training, the best of which is kept
+TRAINED, POLICY = "trained", "best"  # folder of the policies in --out; of one in its training
+FIXED = ("task", "drive", "condition", "seed")
+
+Row = dict[str, Any]
+
+
+class Range(NamedTuple):
+    """Of a value that a study looks for."""
+
+    low: float
+    high: float
+    log: bool
+
+    def suggested(self, trial: Any, name: str) -> float:
+        """What a study asks for; a whole number where both ends are."""
+        ints = isinstance(self.low, int) and isinstance(self.high, int)
+        suggest = trial.suggest_int if ints else trial.suggest_float
+        return suggest(name, self.low, self.high, log=self.log)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What is gone through.
+
+    Args:
+        tasks: ids.
+        policies: by name; none where each cell trains its own.
+        drives: models.
+        conditions: names of the table of conditions, separated by commas; empty: nominal.
+        seeds: of the episodes, or of the trainings.
+        vary: values or a range by name: arguments of the environment, or hyper-parameters.
+        arguments: of every environment.
+        episodes: of each cell.
+        algorithm: that trains; empty: none does.
+        steps: of each training.
+    """
+
+    tasks: Sequence[str]
+    policies: Sequence[str]
+    drives: Sequence[str]
+    conditions: str
+    seeds: Sequence[int]
+    vary: Mapping[str, Any]
+    arguments: Mapping[str, Any]
+    episodes: int
+    algorithm: str = ""
+    steps: int = 0
+
+    def __post_init__(self):
+        if bool(self.policies) == bool(self.algorithm):
+            raise ValueError("give either --policies, to play, or --train, to train and play")
+
+    def grid(self) -> Iterator[dict[str, Any]]:
+        """Each combination of the values. Raises ValueError for a range, which a study wants."""
+        for name, values in self.vary.items():
+            if isinstance(values, Range):
+                raise ValueError(f"--vary {name} is a range: give values, or --trials for a study")
+        for each in itertools.product(*self.vary.values()):
+            yield dict(zip(self.vary, each, strict=True))
+
+
+class _Cell(NamedTuple):
+    task: str
+    drive: str
+    condition: str
+    seed: int
+    values: dict[str, Any]
+    playing: str  # the drive of the condition
+    arguments: dict[str, Any]  # of the environment
+    settings: dict[str, Any]  # hyper-parameters
+
+    @property
+    def name(self) -> str:
+        parts = [self.task.rpartition("/")[2], Path(self.drive).name, self.condition]
+        parts += [str(self.seed), *(f"{name}={value}" for name, value in self.values.items())]
+        return "-".join(parts).replace("/", "_")
+
+
+def _cells(sweep: Sweep, values: Mapping[str, Any], left_out: list[str]) -> Iterator[_Cell]:
+    for env, drive in itertools.product(sweep.tasks, sweep.drives):
+        kind, arguments = task(env), dict(sweep.arguments)
+        settings: dict[str, Any] = {}
+        hyper: Mapping[str, Any] = {}
+        if sweep.algorithm:
+            from ..learn import hyperparameters
+
+            hyper = hyperparameters.of(kind, sweep.algorithm)
+        for name, value in values.items():
+            (settings if name in hyper else arguments)[name] = value
+        try:
+            rows = list(conditions.suiting(kind, drive, arguments))
+            rows = conditions.chosen(rows, sweep.conditions or "nominal")
+            for row in rows:
+                with_row = conditions.setting(kind, drive, arguments, row)
+                given = with_row if sweep.conditions else arguments
+                for seed in sweep.seeds:
+                    yield _Cell(
+                        short(kind.ID), drive, row.name, seed, dict(values), row.drive or drive,
+                        given, settings,
+                    )  # fmt: skip
+        except TypeError as error:
+            raise ValueError(f"--vary, --argument: {error}: see the arguments of {env}") from None
+        except ValueError as error:
+            left_out.append(f"{env}, drive {drive}: {error}")
+
+
+def trained(
+    env: str, drive: str, arguments: Mapping[str, Any], algorithm: str,
+    settings: Mapping[str, Any], seed: int, steps: int,
+) -> Result:  # fmt: skip
+    """The job: a training; the files of its best policy, each as an array of bytes."""
+    from tempfile import TemporaryDirectory
+
+    from ..learn.train import train
+
+    with TemporaryDirectory() as folder:
+        train(env, steps=steps, out=Path(folder, "run"), drive=drive, algorithm=algorithm,
+              seed=seed, arguments=arguments, settings=settings,
+              evaluate_every=max(steps // EVALUATIONS, 1))  # fmt: skip
+        files = sorted(Path(folder, "run", POLICY).iterdir())
+        return {path.name: np.frombuffer(path.read_bytes(), np.uint8) for path in files}
+
+
+def measure(
+    sweep: Sweep, several: Sequence[Mapping[str, Any]], out: Path, console: Console, work: Work,
+    left_out: list[str],
+) -> tuple[list[list[Row]], list[Job]]:  # fmt: skip
+    """Rows for each set of values, and the jobs that were done for them."""
+    each = [list(_cells(sweep, values, left_out)) for values in several]
+    cells = [cell for those in each for cell in those]
+    ready = [warm(*pair) for pair in dict.fromkeys((cell.task, cell.playing) for cell in cells)]
+    names: dict[str, list[str]] = {cell.name: list(sweep.policies) for cell in cells}
+    done: list[Job] = []
+    if sweep.algorithm:
+        training = [
+            Job(f"training {cell.name}", trained, {
+                "env": cell.task, "drive": cell.playing, "arguments": cell.arguments,
+                "algorithm": sweep.algorithm, "settings": cell.settings, "seed": cell.seed,
+                "steps": sweep.steps,
+            })
+            for cell in cells
+        ]  # fmt: skip
+        done += training
+        found = work.map(training, folder=out, console=console, warm=ready)
+        for cell, files in zip(cells, found, strict=True):
+            folder = out / TRAINED / cell.name
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, data in files.items():
+                (folder / name).write_bytes(data.tobytes())
+            names[cell.name] = [str(folder)]
+        work = replace(work, ray=None)  # nodes elsewhere have no such folders
+    played: list[tuple[_Cell, Comparison]] = []
+    for cell in cells:
+        episodes_of = 0 if sweep.algorithm else cell.seed
+        try:
+            comparison = Comparison(
+                cell.task, names[cell.name], cell.playing, sweep.episodes, episodes_of,
+                cell.arguments,
+            )  # fmt: skip
+            played.append((cell, comparison))
+        except ValueError as error:
+            left_out.append(f"{cell.name}: {error}")
+    if not played:
+        raise ValueError(left_out[0])
+    jobs = [job for _, comparison in played for job in comparison.jobs]
+    left = iter(work.map(jobs, folder=out, console=console, warm=ready))
+    rows: dict[int, list[Row]] = {id(those): [] for those in each}
+    of = {id(cell): id(those) for those in each for cell in those}
+    for cell, comparison in played:
+        results = comparison.results([next(left) for _ in comparison.jobs])
+        rows[of[id(cell)]] += _rows(cell, results)
+    return [rows[id(those)] for those in each], done + jobs
+
+
+def _rows(cell: _Cell, results: Any) -> Iterator[Row]:
+    kind, table = task(cell.task), summaries(results)
+    known = metrics(kind)
+    for i, result in enumerate(results):
+        row: Row = {"task": cell.task, "drive": Path(cell.drive).name}
+        row |= {"condition": cell.condition, "seed": cell.seed, **cell.values}
+        row |= {"policy": _label(result.policy), "metric": kind.METRIC}
+        row["better"] = known[kind.METRIC].better
+        for name, metric in (("", kind.METRIC), ("score", "score"), ("success", "success")):
+            summary = table.get(metric, [None] * len(results))[i]
+            value = None if summary is None else summary.mean if name == "success" else summary.iqm
+            row |= {name or "value": value}
+            if not name:
+                row |= {end: summary and getattr(summary, end) for end in ("low", "high")}
+        yield row
+
+
+def worth(rows: Sequence[Row]) -> tuple[float, str]:
+    """Of one set of values, and which is better: its metric, of several tasks the score."""
+    name = "value" if len({row["task"] for row in rows}) == 1 else "score"
+    values = [row[name] for row in rows]
+    better = rows[0]["better"] if name == "value" and rows else SCORE.better
+    finite = bool(values) and all(value is not None and np.isfinite(value) for value in values)
+    return float(np.mean(values)) if finite else np.nan, better
+
+
+def study(
+    sweep: Sweep, trials: int, out: Path, console: Console, work: Work, left_out: list[str]
+) -> tuple[list[Row], list[Job]]:
+    """Rows of the trials of an Optuna study. Raises ImportError where it is not installed."""
+    try:
+        import optuna
+    except ImportError as error:
+        raise ImportError(f"{error}: --trials needs pip install 'servogym[sweep]'") from None
+    if not sweep.vary:
+        raise ValueError("--trials has nothing to look for: give --vary NAME=LOW..HIGH")
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    one = task(sweep.tasks[0])
+    better = metrics(one)[one.METRIC].better if len(sweep.tasks) == 1 else SCORE.better
+    directions = optuna.study.StudyDirection
+    found = optuna.create_study(
+        direction=directions.MAXIMIZE if better == "high" else directions.MINIMIZE,
+        sampler=optuna.samplers.TPESampler(seed=SAMPLER_SEED),
+    )
+    rows: list[Row] = []
+    jobs: list[Job] = []
+    for begin in range(0, trials, AT_A_TIME):
+        asked = [found.ask() for _ in range(min(AT_A_TIME, trials - begin))]
+        several = [
+            {
+                name: values.suggested(trial, name) if isinstance(values, Range)
+                else trial.suggest_categorical(name, values)
+                for name, values in sweep.vary.items()
+            }
+            for trial in asked
+        ]  # fmt: skip
+        measured, done = measure(sweep, several, out, console, work, left_out)
+        jobs += done
+        for trial, its in zip(asked, measured, strict=True):
+            value, _ = worth(its)
+            if np.isfinite(value):
+                found.tell(trial, value)
+            else:
+                found.tell(trial, state=optuna.trial.TrialState.FAIL)
+            rows += [{"trial": trial.number, **row} for row in its]
+    return rows, jobs
+
+
+def run(
+    sweep: Sweep, trials: int | None, command: str, out: Path, console: Console, work: Work
+) -> int:
+    """Go through it, and write sweep.csv, .json and .md to `out`; -> exit status."""
+    left_out: list[str] = []
+    if trials is None:
+        measured, jobs = measure(sweep, list(sweep.grid()), out, console, work, left_out)
+        rows = [row for its in measured for row in its]
+    else:
+        rows, jobs = study(sweep, trials, out, console, work, left_out)
+    sets: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        key = (row.get("trial"), *(repr(row[name]) for name in sweep.vary), row["policy"])
+        key = key[:-1] if sweep.algorithm else key
+        sets.setdefault(key, []).append(row)
+    known = [(value, its) for its in sets.values() for value, _ in [worth(its)]]
+    finite = [(value, its) for value, its in known if np.isfinite(value)]
+    sign = -1.0 if rows and worth(rows)[1] == "high" else 1.0
+    first = min(finite, key=lambda found: sign * found[0], default=None)
+    trial = ["trial"] if trials is not None else []
+    heading = [*trial, *FIXED, *sweep.vary, "policy", "metric", "value", "score", "success"]
+    cells = [[_shown(row[name]) for name in heading] for row in rows]
+    source = origin(command)
+    notes = f"Interquartile mean of the metric over {sweep.episodes} episodes a cell, and score. "
+    if first:
+        value, its = first
+        which = ", ".join(f"{name} = {_shown(its[0][name])}" for name in (*sweep.vary, "policy"))
+        of = its[0]["metric"] if worth(its)[1] == its[0]["better"] else "score"
+        notes += f"Best in the mean over its cells: {which}, {of} {number(value)}."
+    notes += "".join(f"\n\nLeft out: {reason}" for reason in dict.fromkeys(left_out))
+    differ = [i for i, name in enumerate(heading)
+              if name in ("policy", "value") or len({line[i] for line in cells}) > 1]  # fmt: skip
+    shown = Table(*(heading[i] for i in differ), title="sweep")
+    for line in cells[:40]:
+        shown.add_row(*(line[i] for i in differ))
+    console.print(shown)
+    if len(cells) > 40:
+        console.print(f"and {len(cells) - 40} more rows in {out / 'sweep.csv'}", highlight=False)
+    write_csv(out / "sweep.csv", source, rows)
+    write_json(out / "sweep.json", source | {"rows": rows, "left_out": [*dict.fromkeys(left_out)]})
+    write_page(out / "sweep.md", "Sweep", markdown(heading, cells), source, notes)
+    console.print(f"{out / 'sweep'}.csv, .json, .md", highlight=False)
+    work.clear(jobs, out)
+    return 0
+
+
+def _shown(value: Any) -> str:
+    return "–" if value is None else number(value) if isinstance(value, float) else str(value)
