@@ -41,7 +41,7 @@ def outcome(slave, source, target):
 
 @pytest.mark.parametrize("source", AlState)
 @pytest.mark.parametrize("target", range(16))
-def test_every_state_request_has_the_state_and_code_of_the_table(slave, source, target):
+def test_15_every_state_request_has_the_state_and_code_of_the_table(slave, source, target):
     if source == B and not slave.data.al.bootstrap:
         pytest.skip("the model has no bootstrap")
     slave.request(I, 0x10)
@@ -52,7 +52,7 @@ def test_every_state_request_has_the_state_and_code_of_the_table(slave, source, 
 
 
 @pytest.mark.parametrize("source", [P, S, O])
-def test_an_error_stays_until_it_is_acknowledged(slave, source):
+def test_16_an_error_stays_until_it_is_acknowledged(slave, source):
     slave.request(I, 0x10)
     slave.request(I)
     slave.to(*PATH[source])
@@ -73,7 +73,7 @@ def test_init_acknowledges_without_bit_4_as_the_model_says(slave):
     assert slave.request(I) == ((I, 0) if acknowledges else (P | 0x10, 0x0012))
 
 
-def test_akd_acknowledges_by_the_rising_edge_of_bit_4():
+def test_16_akd_acknowledges_by_the_rising_edge_of_bit_4():
     slave = Wired("kollmorgen_akd").to(P)
     slave.request(P, 0x10)
     assert slave.request(0x0F, 0x10) == (P | 0x10, 0x0012)
@@ -82,7 +82,7 @@ def test_akd_acknowledges_by_the_rising_edge_of_bit_4():
     assert slave.request(P, 0x10) == (P, 0)
 
 
-def test_the_level_of_bit_4_acknowledges_elsewhere():
+def test_16_the_level_of_bit_4_acknowledges_elsewhere():
     slave = Wired("generic").to(P)
     slave.request(P, 0x10)
     assert slave.request(0x0F, 0x10) == (P | 0x10, 0x0012)
@@ -95,7 +95,7 @@ MAILBOX = {"generic": 0x0016, "festo_cmmp_as": 0x0016, "kollmorgen_akd": 0x0017}
 
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("change", [(2, 0, 0), (0, 1, 0), (0, 0, -1)])
-def test_a_wrong_mailbox_is_refused_with_the_code_of_the_model(slave, number, change):
+def test_17_a_wrong_mailbox_is_refused_with_the_code_of_the_model(slave, number, change):
     slave.request(I, 0x10)
     slave.request(I)
     slave.configure()
@@ -111,7 +111,7 @@ def test_a_wrong_mailbox_is_refused_with_the_code_of_the_model(slave, number, ch
 
 @pytest.mark.parametrize(("number", "code"), [(2, 0x001D), (3, 0x001E)])
 @pytest.mark.parametrize("change", [(2, 0), (0, 1), (0, -1)])
-def test_wrong_process_data_are_refused(slave, number, code, change):
+def test_17_wrong_process_data_are_refused(slave, number, code, change):
     slave.request(I, 0x10)
     slave.request(I)
     slave.to(P)
@@ -131,14 +131,14 @@ def test_akd_refuses_17_bytes_on_both_sync_managers_as_a_real_one_did():
     assert slave.request(S) == (P | 0x10, 0x001D)
 
 
-def test_a_shorter_mailbox_is_taken_where_the_model_allows_it():
+def test_17_a_shorter_mailbox_is_taken_where_the_model_allows_it():
     Wired("generic", mailbox=(64, 64)).to(P)
     slave = Wired("generic", mailbox=(32, 64))
     slave.configure()
     assert slave.request(P) == (I | 0x10, 0x0016)
 
 
-def test_explicit_device_identification_shows_the_alias_and_clears_it():
+def test_20_explicit_device_identification_shows_the_alias_and_clears_it():
     slave = Wired("generic")
     slave.drive.parameters.keep_alias(0x1234)
     from servogym.drive.ethercat.segment import Segment
@@ -156,7 +156,7 @@ def test_explicit_device_identification_shows_the_alias_and_clears_it():
     assert slave.request(0x0F, 0x20) == (P | 0x10, 0x0012), "an error goes first"
 
 
-def test_in_bootstrap_only_foe_is_answered():
+def test_21_in_bootstrap_only_foe_is_answered():
     slave = Wired("kollmorgen_akd").to(B)
     read = struct.pack("<BxI", 1, 0) + b"parameters"
     assert slave.ask(4, read)[1][0] == 3, "data"
@@ -196,7 +196,7 @@ def come_to_rest(slave, cycles=4000):
 
 @pytest.mark.parametrize("model", ["generic", "kollmorgen_akd"])
 @pytest.mark.parametrize("target", [S, P, I])
-def test_a_drive_that_leaves_operational_reacts_within_8_periods(model, target):
+def test_19_a_drive_that_leaves_operational_reacts_within_8_periods(model, target):
     slave = enabled(model)
     assert slave.request(target) == (target, 0)
     slave.shaft.step(9 * slave.period)
@@ -204,7 +204,7 @@ def test_a_drive_that_leaves_operational_reacts_within_8_periods(model, target):
     come_to_rest(slave)
 
 
-def test_outputs_that_stay_away_are_a_watchdog_error_and_the_way_back_is_open():
+def test_18_outputs_that_stay_away_are_a_watchdog_error_and_the_way_back_is_open():
     slave = enabled("generic")
     assert slave.register(0x0440) & 1 == 1
     counted = slave.register(0x0442, 1)
@@ -284,7 +284,7 @@ def test_the_drive_itself_may_retreat():
         ("festo_cmmp_as", 3, 2_000_000, 0x0035),  # not that of 60C2h, 4.12
     ],
 )
-def test_a_sync0_cycle_the_model_does_not_do_is_refused(model, activation, cycle, code):
+def test_38_a_sync0_cycle_the_model_does_not_do_is_refused(model, activation, cycle, code):
     slave = wired(model).to(P)
     slave.configure()
     slave.write(0x09A0, struct.pack("<I", cycle))

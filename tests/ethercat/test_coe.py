@@ -54,7 +54,7 @@ def test_a_sdo_request_has_the_bytes_of_the_standard(slave, request_, answer):
     assert got == (Kind.COE, bytes.fromhex(answer))
 
 
-def test_a_name_is_read_in_a_normal_transfer(akd):
+def test_23_a_name_is_read_in_a_normal_transfer(akd):
     assert akd.upload(0x1008) == b"AKD-P00606-NBCC-E000"
     reply, data = akd.sdo(0x40, 0x1008)
     assert (reply, data[:4]) == (0x41, struct.pack("<I", 20)), "the complete size, and the text"
@@ -75,12 +75,12 @@ NAME = "".join(chr(ord("a") + n % 26) for n in range(2000))
 
 
 @pytest.mark.parametrize("size", [34, 35, 64, 256])
-def test_an_object_of_2_kb_comes_in_segments_that_fill_the_mailbox(long_model, size):
+def test_23_an_object_of_2_kb_comes_in_segments_that_fill_the_mailbox(long_model, size):
     slave = Wired(long_model, mailbox=(size, size)).to(P)
     assert slave.upload(0x1008) == NAME.encode()
 
 
-def test_a_toggle_error_ends_the_transfer(long_model):
+def test_23_a_toggle_error_ends_the_transfer(long_model):
     slave = Wired(long_model, mailbox=(64, 64)).to(P)
     slave.sdo(0x40, 0x1008)
     assert slave.segment_request(0x60)[0] & 0xF0 == 0x00
@@ -98,7 +98,7 @@ def test_an_abort_of_the_master_ends_the_transfer_without_an_answer(long_model):
     assert slave.ask(Kind.COE, bytes.fromhex("0020 60 0000 00 00000000"))[1][2] == 0x80
 
 
-def test_a_segmented_download_arrives_whole():
+def test_24_a_segmented_download_arrives_whole():
     slave = Wired("generic", mailbox=(34, 34)).to(P)
     entries = struct.pack("<BxII", 2, 0x60400010, 0x607A0020)
     whole = entries + bytes(4 * 14)
@@ -109,7 +109,7 @@ def test_a_segmented_download_arrives_whole():
 
 
 @pytest.mark.parametrize(("size", "code"), [(0, 0x06070013), (3, 0x06070013), (5, 0x06070012)])
-def test_a_download_of_a_wrong_size_says_so(slave, size, code):
+def test_24_a_download_of_a_wrong_size_says_so(slave, size, code):
     before = slave.upload(0x6065)
     assert slave.download(0x6065, 0, bytes(size), normal=True) == code
     assert slave.upload(0x6065) == before
@@ -126,7 +126,7 @@ def test_a_segmented_download_of_another_size_than_announced_is_refused():
     assert (reply, rest[3:7]) == (0x80, struct.pack("<I", 0x06070012))
 
 
-def test_a_download_too_long_for_any_object_is_refused_at_once(slave):
+def test_24_a_download_too_long_for_any_object_is_refused_at_once(slave):
     assert slave.sdo(0x21, 0x6065, 0, struct.pack("<I", 1 << 20))[0] == 0x80
     assert slave.sdo(0x21, 0x6041, 0, struct.pack("<I", 300))[0] == 0x80, "read only"
 
@@ -134,13 +134,13 @@ def test_a_download_too_long_for_any_object_is_refused_at_once(slave):
 # ------------------------------------------------------------------ complete access
 
 
-def test_complete_access_reads_sub_index_0_in_16_bits(slave):
+def test_25_complete_access_reads_sub_index_0_in_16_bits(slave):
     assert slave.upload(0x1018, complete=True) == struct.pack("<BxIIII", 4, 0, 0x402, 0x10000, 1)
     assert slave.upload(0x1018, 1, complete=True) == struct.pack("<IIII", 0, 0x402, 0x10000, 1)
     assert slave.upload(0x1C12, complete=True) == struct.pack("<BxH", 1, 0x1600)
 
 
-def test_complete_access_writes_an_assignment_as_a_whole(slave):
+def test_25_complete_access_writes_an_assignment_as_a_whole(slave):
     assert slave.download(0x1C12, 0, struct.pack("<BxHH", 2, 0x1600, 0x1601), complete=True) == 0
     assert slave.upload(0x1C12, complete=True) == struct.pack("<BxHH", 2, 0x1600, 0x1601)
     assert slave.drive.rpdo_size == 14
@@ -178,7 +178,7 @@ def test_complete_access_passes_over_what_is_read_only(slave):
 
 
 @pytest.mark.parametrize("model", ["kollmorgen_akd", "festo_cmmp_as"])
-def test_complete_access_is_refused_where_the_model_has_none(model):
+def test_25_complete_access_is_refused_where_the_model_has_none(model):
     slave = Wired(model).to(P)
     for index in (0x1C12, 0x1018):
         assert slave.upload(index, complete=True) == 0x06010000
@@ -189,7 +189,7 @@ def test_complete_access_is_refused_where_the_model_has_none(model):
 
 
 @pytest.mark.parametrize("model", ["generic", "kollmorgen_akd"])
-def test_1c00h_tells_what_the_sync_managers_are_for(model):
+def test_26_1c00h_tells_what_the_sync_managers_are_for(model):
     slave = Wired(model).to(P)
     assert [slave.upload(0x1C00, n) for n in range(5)] == [b"\4", b"\1", b"\2", b"\3", b"\4"]
 
@@ -201,7 +201,7 @@ def test_1c00h_of_the_cmmp_as_is_as_printed():
 
 @pytest.mark.parametrize(("model", "minimum"), [("generic", 500_000), ("kollmorgen_akd", 250_000)])
 @pytest.mark.parametrize("index", [0x1C32, 0x1C33])
-def test_1c32h_and_1c33h_show_the_synchronisation(model, minimum, index):
+def test_26_1c32h_and_1c33h_show_the_synchronisation(model, minimum, index):
     slave = Wired(model).to(P)
 
     def value(subindex):
@@ -219,7 +219,7 @@ def test_1c32h_and_1c33h_show_the_synchronisation(model, minimum, index):
     assert (value(1), value(2), value(0x0A)) == (2, 1_000_000, 1_000_000), "with SYNC0"
 
 
-def test_10f1h_is_there_where_the_model_has_it(slave, akd):
+def test_26_10f1h_is_there_where_the_model_has_it(slave, akd):
     assert slave.upload(0x10F1, 2) == struct.pack("<H", 7)
     assert slave.write16(0x10F1, 2, 3) == 0
     assert akd.upload(0x10F1, 2) == 0x06020000
@@ -259,7 +259,7 @@ def test_every_object_is_read_in_the_mailbox_with_its_size(model):
 
 
 @pytest.mark.parametrize("model", ["generic", "kollmorgen_akd"])
-def test_a_fault_sends_one_emergency_and_a_pending_sdo_its_answer_in_order(model):
+def test_28_a_fault_sends_one_emergency_and_a_pending_sdo_its_answer_in_order(model):
     slave = Wired(model).to(P)
     assert slave.send(Kind.COE, bytes.fromhex("0020 40 1810 02 00000000")) == 1
     slave.drive.inject("overvoltage")
@@ -306,7 +306,7 @@ def test_a_master_that_reads_no_mailbox_does_not_fill_the_memory(slave):
 # ------------------------------------------------------------- never silence
 
 
-def test_repeat_request_gives_the_same_mailbox_again(slave):
+def test_29_repeat_request_gives_the_same_mailbox_again(slave):
     assert slave.send(Kind.COE, bytes.fromhex("0020 40 1810 02 00000000")) == 1
     first = slave.read(slave.in_, slave.lengths[1])
     assert first.wkc == 1
@@ -330,7 +330,7 @@ def test_repeat_request_gives_the_same_mailbox_again(slave):
         ("00f0" + "00" * 8, 4),
     ],
 )
-def test_an_unknown_service_gets_a_mailbox_error(slave, body, detail):
+def test_30_an_unknown_service_gets_a_mailbox_error(slave, body, detail):
     answer = slave.ask(Kind.COE, bytes.fromhex(body))
     assert answer == (Kind.ERROR, struct.pack("<HH", 1, detail))
 
@@ -347,7 +347,7 @@ def test_there_is_no_mailbox_in_init():
 
 
 @pytest.mark.parametrize("model", ["generic", "festo_cmmp_as", "kollmorgen_akd"])
-def test_random_telegrams_are_answered_and_never_raise(model):
+def test_30_random_telegrams_are_answered_and_never_raise(model):
     slave = Wired(model).to(P)
     generator = random.Random(model)
     indices = [row.index for row in described(slave.drive.model)]

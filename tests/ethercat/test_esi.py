@@ -20,14 +20,14 @@ def model(request):
     return load(request.param, "ethercat")
 
 
-def test_a_file_is_parsed_back_row_by_row(model):
+def test_11_a_file_is_parsed_back_row_by_row(model):
     wanted = esi.of_model(model)
     found = esi.parse(esi.write(wanted))
     device = dataclasses.replace(wanted.device, serial_number=0, vendor_strings=())
     assert found == dataclasses.replace(wanted, device=device)
 
 
-def test_the_file_the_eeprom_and_the_dictionary_say_the_same(model):
+def test_14_the_file_the_eeprom_and_the_dictionary_say_the_same(model):
     file = esi.parse(esi.write(esi.of_model(model)))
     image = sii.unpack(sii.of_model(model))
     only_in_one = {"serial_number": 0, "vendor_strings": (), "alias": 0, "version": 1}
@@ -94,7 +94,7 @@ def test_random_damage_is_parsed_or_refused():
             continue
 
 
-def test_the_command_writes_file_or_eeprom(tmp_path, capsys):
+def test_14_the_command_writes_file_or_eeprom(tmp_path, capsys):
     path = tmp_path / "akd.xml"
     assert cli.main(["esi", "kollmorgen_akd", "-o", str(path)]) == 0
     found = esi.parse(path.read_bytes())

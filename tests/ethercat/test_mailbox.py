@@ -55,7 +55,7 @@ def test_counters_of_answers_go_from_1_to_7_and_begin_anew(mailbox):
         (b"\1\2\3", MailboxError.INVALID_SIZE),
     ],
 )
-def test_what_nobody_can_serve_gets_a_mailbox_error(mailbox, buffer, detail):
+def test_30_what_nobody_can_serve_gets_a_mailbox_error(mailbox, buffer, detail):
     mailbox.receive(buffer)
     # length 4 | address | channel | type error 0, counter 1 | command 1 | detail
     answer = taken(mailbox)
@@ -122,7 +122,7 @@ def test_a_mailbox_goes_on_where_its_state_was_taken(mailbox):
     assert [taken(other) for _ in range(2)] == [taken(mailbox) for _ in range(2)]
 
 
-def test_noise_is_always_answered(mailbox):
+def test_30_noise_is_always_answered(mailbox):
     generator = random.Random(3)
     for _ in range(20_000):
         mailbox.reset()

@@ -35,7 +35,7 @@ def words(content):
     return [word for (word,) in struct.iter_unpack("<H", content)]
 
 
-def test_the_lists_name_the_objects_that_belong_to_them(slave):
+def test_27_the_lists_name_the_objects_that_belong_to_them(slave):
     rows = described(slave.drive.model)
     wanted = {
         1: {row.index for row in rows},
@@ -83,7 +83,7 @@ ACCESS = {"ro": 0x0007, "const": 0x0007, "rw": 0x003F, "wo": 0x0038}
 MAPPABLE = {"": 0, "rx": 0x0040, "tx": 0x0080, "rxtx": 0x00C0}
 
 
-def test_every_entry_tells_the_type_bits_access_and_name_of_its_row(slave):
+def test_27_every_entry_tells_the_type_bits_access_and_name_of_its_row(slave):
     for row in described(slave.drive.model):
         opcode, content = information(slave, 5, struct.pack("<HBB", row.index, row.subindex, 0))
         assert opcode == 6
@@ -121,7 +121,7 @@ def test_what_is_not_there_is_an_information_error(slave, opcode, data, code):
 
 
 @pytest.mark.parametrize("model", ["kollmorgen_akd", "festo_cmmp_as"])
-def test_models_whose_coe_details_do_not_offer_it_refuse_it(model):
+def test_27_models_whose_coe_details_do_not_offer_it_refuse_it(model):
     slave = Wired(model).to(P)
     assert not slave.data.coe_details & 0x02
     request = struct.pack("<HBxHH", 0x8000, 1, 0, 1)

@@ -292,7 +292,7 @@ def test_nothing_of_ethercat_is_loaded_by_those_who_do_not_use_it():
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
-def test_a_thousand_random_frames_never_move_a_drive_without_a_legal_path():
+def test_09_a_thousand_random_frames_never_move_a_drive_without_a_legal_path():
     for model in (AKD, "festo_cmmp_as", "generic"):
         bus = line(model)
         drive = bus.segment.stations[0].drive
@@ -304,7 +304,7 @@ def test_a_thousand_random_frames_never_move_a_drive_without_a_legal_path():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [AKD, "festo_cmmp_as", "generic"])
-def test_random_frames_on_a_drive_in_op_never_raise_and_never_lose_it(model):
+def test_09_random_frames_on_a_drive_in_op_never_raise_and_never_lose_it(model):
     """A third of a million each: mutated frames of a master that drives the axis."""
     bus = line(model)
     master = EtherCatMaster(bus)

@@ -38,12 +38,12 @@ def crc(data):
     return register
 
 
-def test_an_image_says_what_the_model_is(model):
+def test_11_an_image_says_what_the_model_is(model):
     image = sii.of_model(model, alias=7)
     assert sii.unpack(image) == describe(model, alias=7)
 
 
-def test_an_image_has_its_size_checksum_and_end(model):
+def test_11_an_image_has_its_size_checksum_and_end(model):
     image = sii.of_model(model, alias=0x1234)
     assert len(image) == (word(image, 0x3E) + 1) * 128
     assert word(image, 7) == crc(image[:14])
@@ -124,7 +124,7 @@ def test_sizes_of_the_image_are_those_of_the_drive(model):
 
 
 @pytest.mark.parametrize("name", ["generic", "kollmorgen_akd"])
-def test_every_pdo_that_may_be_assigned_has_the_size_of_the_image_and_reaches_safe_op(name):
+def test_34_every_pdo_that_may_be_assigned_has_the_size_of_the_image_and_reaches_safe_op(name):
     device = sii.unpack(sii.of_model(load(name, "ethercat")))
     slave = Wired(name)
     for rpdo, tpdo in zip(device.rpdos, device.tpdos[: len(device.rpdos)], strict=True):
@@ -152,7 +152,7 @@ def write_alias(slave, alias, *, checksum=True):
         slave.write(0x0502, struct.pack("<HI", 0x0201, number))
 
 
-def test_an_alias_that_a_master_has_written_lasts(tmp_path):
+def test_13_an_alias_that_a_master_has_written_lasts(tmp_path):
     path = tmp_path / "drive.json"
     slave = Wired("generic", parameter_file=path)
     assert slave.register(0x0012) == 0

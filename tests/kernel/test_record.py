@@ -5,11 +5,12 @@ import re
 import tokenize
 from pathlib import Path
 
+import numpy as np
 import pytest
 import record_stub
 
 from servogym.drive import kernel
-from servogym.drive.kernel.record import AXIS, FIELDS, OBJECTS, OD
+from servogym.drive.kernel.record import AXIS, FIELDS, OBJECTS, OD, accessible, make
 from servogym.drive.model.model import load, model_names
 
 SOURCES = sorted(Path(kernel.__file__).parent.rglob("*.py"))
@@ -50,3 +51,10 @@ def test_no_name_in_the_kernel_is_a_makers(path):
         for token in tokenize.tokenize(file.readline):
             if token.type == tokenize.NAME:
                 assert not set(token.string.lower().split("_")) & makers(), token
+
+
+def test_equal_dtypes_are_accessible_as_the_same_object():
+    """Compiled functions look arrays up by it; with another they compare all fields a call."""
+    fields = [("a", "<i4"), ("b", "<f8")]
+    assert accessible(np.dtype(fields)) is accessible(np.dtype(fields))
+    assert make(2).dtype is make(1).dtype

@@ -17,6 +17,8 @@ everything else
 is a copy of the bytes, many drives are an array, and two drives cannot share hidden state.
 """
 
+import functools
+
 import numpy as np
 
 from .fields import FIELDS, IP_RECORDS, KINDS, OWN_STORED, SEGMENTS, SET_POINTS, STORED
@@ -42,8 +44,13 @@ UNITS = {f"od.{name}": unit for name, _, unit, _ in OBJECTS} | {
 }
 
 
+@functools.cache
 def accessible(dtype: np.dtype) -> np.dtype:
-    """The same dtype, whose elements have their fields as attributes, as the kernel needs them."""
+    """The same dtype, whose elements have their fields as attributes, as the kernel needs them.
+
+    Always the same object: compiled functions take arrays of another one, though it is equal, only
+    after a comparison of all fields, which takes 2 µs a call.
+    """
     return np.dtype((np.record, dtype))
 
 
