@@ -20,7 +20,7 @@ from .sync import Sync
 
 @entry
 def _latch(all_bytes, index, pdos, number, image):
-    process_data.latch_one(all_bytes[index], pdos[number], image, 0)
+    process_data.move(image, all_bytes[index], pdos[number], 0, True)
 
 
 class _Receive:

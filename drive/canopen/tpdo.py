@@ -23,7 +23,7 @@ FIRST_MASK = 0x2014  # transmit masks of the first TPDO, in models that have the
 
 @entry
 def _collect(all_bytes, index, pdos, number, image):
-    process_data.collect_one(all_bytes[index], pdos[number], image, 0)
+    process_data.move(all_bytes[index], image, pdos[number], 0, False)
 
 
 class _Transmit:

@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numba
 from numba import types
 from numba.core import config, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
@@ -217,7 +216,7 @@ def _plain(kind: types.Type) -> types.Type:
 class Block(CPUDispatcher):
     """What compiled code calls: without the wrapper for Python, a fifth of the compile time.
 
-    Called from Python, as a test does, it is compiled on its own.
+    Called from Python, as a test does, it is an entry of its own.
     """
 
     def get_call_template(self, args, kws):
@@ -227,7 +226,7 @@ class Block(CPUDispatcher):
 
     @functools.cached_property
     def _alone(self):
-        return numba.njit(**_OPTIONS)(self.py_func)
+        return entry(self.py_func)
 
     def __call__(self, *args, **kws):
         """From Python."""

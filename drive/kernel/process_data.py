@@ -88,22 +88,10 @@ def latch(bytes_of_axis, axis, rpdos, image, at):
     """
     for i in range(len(rpdos)):
         if rpdos[i].valid:
-            at = latch_one(bytes_of_axis, rpdos[i], image, at)
+            at = move(image, bytes_of_axis, rpdos[i], at, True)
     axis.parameters_changed = 1
     axis.sync = 1
     axis.sync_pulse = 1
-    return at
-
-
-@block
-def latch_one(bytes_of_axis, pdo, image, at):
-    """Write one RPDO from position `at` of `image`; -> position behind it, if it were that long."""
-    for e in range(min(pdo.count, ENTRIES)):
-        offset, length = pdo.offset[e], max(pdo.length[e], 0)
-        if 0 <= offset <= len(bytes_of_axis) - length and at + length <= len(image):
-            for b in range(length):
-                bytes_of_axis[offset + b] = image[at + b]
-        at += length
     return at
 
 
@@ -112,18 +100,24 @@ def collect(bytes_of_axis, tpdos, image, at):
     """Copy the mapped objects of one axis into a TPDO image from `at` on; -> position behind it."""
     for i in range(len(tpdos)):
         if tpdos[i].valid:
-            at = collect_one(bytes_of_axis, tpdos[i], image, at)
+            at = move(bytes_of_axis, image, tpdos[i], at, False)
     return at
 
 
 @block
-def collect_one(bytes_of_axis, pdo, image, at):
-    """Copy one TPDO to position `at` of `image`; -> position behind it, if it were that long."""
+def move(source, target, pdo, at, latching):
+    """Copy one PDO between the objects of an axis and its place `at` in an image.
+
+    When `latching`, from the image to the objects, else the other way.
+    -> place behind it, if the image were that long.
+    """
+    objects, image = (len(target), len(source)) if latching else (len(source), len(target))
     for e in range(min(pdo.count, ENTRIES)):
         offset, length = pdo.offset[e], max(pdo.length[e], 0)
-        if 0 <= offset <= len(bytes_of_axis) - length and at + length <= len(image):
+        if 0 <= offset <= objects - length and at + length <= image:
+            begin, end = (at, offset) if latching else (offset, at)
             for b in range(length):
-                image[at + b] = bytes_of_axis[offset + b]
+                target[end + b] = source[begin + b]
         at += length
     return at
 

@@ -42,6 +42,16 @@ def lab(tmp_path, monkeypatch):
     sys.modules.pop("mylab", None)
 
 
+def figures(page, metric):
+    """The row of a metric in the table that judges the policies, the first one: by policy."""
+    table = re.search(r"^\|.*(\n\|.*)*", page, re.M)[0]
+    heading, _, *rows = (
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in table.split("\n")
+    )
+    (row,) = (row for row in rows if row[0] == metric)
+    return dict(zip(heading[1:], row[1:], strict=True))
+
+
 def test_a_task_of_ones_own_has_at_most_40_lines(lab):
     assert len((lab / "mylab.py").read_text(encoding="utf-8").splitlines()) <= 40
 
@@ -56,9 +66,10 @@ def test_a_task_of_ones_own_is_trained_judged_compared_and_watched(lab, capsys):
     assert cli.main(["compare", NAME, "--policies", policies, "--episodes", "3"]) == 0
     assert (lab / "out" / "compare_trace.png").is_file()
     page = (lab / "out" / "compare.md").read_text(encoding="utf-8")
-    shares = re.findall(r"^\| success \|(.*)\|$", page, re.M)[0]
-    last = shares.split("|")[-1].strip()
-    assert last.startswith("100 % ["), "the policy of the page steers to the goal"
+    success = figures(page, "success")
+    assert [*success] == ["hold", "random", "run", "steering.py:Steering"]
+    assert success["steering.py:Steering"].startswith("100 % ["), "it steers to the goal"
+    assert success["hold"].startswith("0 % ["), "it stays where it is"
     watch = ["watch", NAME, "--policy", "steering.py:Steering", "--record", "out/run.gif"]
     assert cli.main(watch) == 0
     assert "success" in capsys.readouterr().out

@@ -11,6 +11,7 @@ import tempfile
 import textwrap
 import threading
 
+import numba
 import pytest
 
 from servogym.drive.kernel import jit
@@ -249,7 +250,7 @@ def is_free(folder):
 
 
 def test_a_compile_that_fails_releases_the_lock(load, cache):
-    with pytest.raises(jit.numba.TypingError):
+    with pytest.raises(numba.TypingError):
         load()("text")
     assert is_free(cache)
     assert load()(1.0)

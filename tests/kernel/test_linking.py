@@ -109,3 +109,12 @@ def test_a_compile_that_fails_leaves_numba_as_it_was():
         run("text")
     assert codegen._library_class is before
     assert run(4.0) == expected(4.0)
+
+
+def test_a_block_called_from_python_is_kept_like_an_entry(tmp_path):
+    root, twice, _ = make()
+    assert twice(4.0) == expected(4.0)
+    again = make()[1]
+    assert again(4.0) == expected(4.0)
+    assert sum(again._alone.stats.cache_misses.values()) == 0
+    assert not library(root)._finalized

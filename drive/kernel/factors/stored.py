@@ -8,6 +8,8 @@ each value as it was written, with the unit of then, so that rounding for the ey
 import math
 from enum import IntEnum
 
+import numpy as np
+
 from ..jit import block
 from ..record import KINDS, OWN_STORED, Axis
 from .units import EXACT, Kind, product
@@ -56,6 +58,7 @@ class Stored(IntEnum):
 
 
 _S, _K = Stored, Kind
+_I = np.int64  # one type for all numbers: what takes them is compiled once
 
 
 @block
@@ -119,14 +122,14 @@ def _show_all(axis: Axis, new):
     od.limit_switch_deceleration = number
     number = od.following_error_window
     od.following_error_window = _shown(
-        axis, _S.FOLLOWING_ERROR_WINDOW, int(number), _K.WIDTH, new, 0, OFF - 1
+        axis, _S.FOLLOWING_ERROR_WINDOW, _I(number), _K.WIDTH, new, 0, OFF - 1
     )
     number = od.position_window
-    od.position_window = _shown(axis, _S.POSITION_WINDOW, int(number), _K.WIDTH, new, 0, OFF - 1)
+    od.position_window = _shown(axis, _S.POSITION_WINDOW, _I(number), _K.WIDTH, new, 0, OFF - 1)
     number = od.velocity_window
-    od.velocity_window = _shown(axis, _S.VELOCITY_WINDOW, int(number), _K.SPEED, new, 0, 0xFFFF)
+    od.velocity_window = _shown(axis, _S.VELOCITY_WINDOW, _I(number), _K.SPEED, new, 0, 0xFFFF)
     number = od.velocity_threshold
-    number = _shown(axis, _S.VELOCITY_THRESHOLD, int(number), _K.SPEED, new, 0, 0xFFFF)
+    number = _shown(axis, _S.VELOCITY_THRESHOLD, _I(number), _K.SPEED, new, 0, 0xFFFF)
     od.velocity_threshold = number
     number = od.position_error_limit
     od.position_error_limit = _unsigned(axis, _S.POSITION_ERROR_LIMIT, number, _K.WIDTH, new)
@@ -175,19 +178,19 @@ def _show_own(axis: Axis, new):
         if axis.own_size[j] < 0:
             number = (number ^ sign) - sign
             low, high = -sign, sign - 1
-        number = _shown(axis, _S.OWN + j, number, int(axis.own_kind[j]), new, low, high)
+        number = _shown(axis, _S.OWN + j, number, _I(axis.own_kind[j]), new, low, high)
         for k in range(size):
             axis.od.vendor[at + k] = number >> 8 * k & 0xFF
 
 
 @block
 def _signed(axis: Axis, n, number, kind, new):
-    return _shown(axis, n, int(number), kind, new, -0x80000000, 0x7FFFFFFF)
+    return _shown(axis, n, _I(number), kind, new, -0x80000000, 0x7FFFFFFF)
 
 
 @block
 def _unsigned(axis: Axis, n, number, kind, new):
-    return _shown(axis, n, int(number), kind, new, 0, 0xFFFFFFFF)
+    return _shown(axis, n, _I(number), kind, new, 0, 0xFFFFFFFF)
 
 
 @block
