@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from .over_ethercat import EtherCatLine
 
 PDO_BYTES = 8
-TICKS_A_CALL = 20_000  # physics steps, some 40 ms: how long Ctrl-C waits
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
 REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO image
 # what every task keeps of an episode
@@ -158,21 +157,18 @@ class Batch:
             self.task.act(part.worlds, part.episodes, part.commands, part.rpdos)
             if len(self.modes):
                 control(part.worlds, part.controls, self.modes, part.rpdos)
-            rows = max(TICKS_A_CALL // self.ticks, 1)
-            for i in range(0, len(part.worlds), rows):
-                if self.stopped:
-                    raise RuntimeError("the step was interrupted")
-                now = slice(i, i + rows)
-                images = part.received[now], part.transmitted[now]
-                self._exchange(part.worlds[now], *images)
+            self._exchange(part)
             self._judge(part)
 
-    def _exchange(self, worlds: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+    def _exchange(self, part: Part) -> None:
         """Images against a step of the machines."""
+        worlds, rpdos, tpdos = part.worlds, part.received, part.transmitted
         if not self.lines:
-            loop.run(worlds, self.ticks, rpdos, tpdos)
+            loop.run(worlds, self.ticks, rpdos, tpdos, lambda: self.stopped)
             return
         for i in np.flatnonzero(worlds).tolist():
+            if self.stopped:
+                raise RuntimeError(loop.INTERRUPTED)
             self.lines[int(worlds[i])].run(worlds[i : i + 1], self.ticks, rpdos[i], tpdos[i])
 
     def _judge(self, part: Part) -> None:

@@ -28,6 +28,7 @@ from .injection import Faults, injections, sort
 from .masters.port import MachinePort
 from .plants.axis_parameters import LinearAxisParameters
 from .plants.gantry import GantryParameters
+from .plants.rotary import RotaryParameters
 from .randomisation import Randomisation
 from .view import channels
 from .view.picture import Picture
@@ -112,9 +113,11 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     STROKE: ClassVar[tuple[float, ...]] = ()  # of each axis (m)
     SENSOR: ClassVar[str] = ""  # the argument that gives `sensor`
 
-    datasheet: LinearAxisParameters | GantryParameters | None = None  # what policies may know
+    # what policies may know
+    datasheet: LinearAxisParameters | GantryParameters | RotaryParameters | None = None
     homing_method: int | None = None  # of the drive, that looks for what the agent looks for
     machine: Machine
+    units: float = METRE  # position units per m or rad, set before `ServoEnv.__init__`
     _window: float  # of the following error (m), of tasks that `normalise` by it
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -301,7 +304,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         master = Master(MachinePort(self.machine), *positions)
         for name, position in (dict(positions) | dict(believed or {})).items():
             drive = self.machine.drives[name]
-            drive.write("home_offset", -round(position * METRE))
+            drive.write("home_offset", -round(position * self.units))
             drive.write("homing_method", drive.model.homes_here)
         master.enable()
         master.home()
@@ -315,7 +318,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def normalise(self) -> None:
         """Keep what observations are normalised by: limits of the first drive, and the window."""
-        self.episode._speed = self.drive.read("max_profile_velocity") / METRE
+        self.episode._speed = self.drive.read("max_profile_velocity") / self.units
         self.episode._max_torque = self.drive.read("max_torque")
         self.episode._window = self._window
 

@@ -19,23 +19,48 @@ from . import (
     sync,
     thermal,
 )
+from .factors.units import FRACTION_LIMIT
 from .jit import block, entry
-from .record import Axis
-from .words import Mode
+from .record import FAULT_CAUSES, IP_RECORDS, SEGMENTS, SET_POINTS, Axis
+from .words import Mode, State
+
+LAST_STATE = len(State) - 1
+LAST_LEG = len(homing.UNTIL) - 1
+LAST_ERROR = len(homing.CAUSE) - 1
+MOST_CYCLES = 1 << 16  # velocity cycles in a position cycle
 
 
 @block
 def velocity_cycle(axis: Axis):
     """One velocity-controller cycle: `shaft_angle` and switches in, `torque` out."""
-    if axis.velocity_cycle == 0 and axis.parameters_changed:
-        factors.receive(axis)
+    if axis.velocity_cycle == 0:
+        _bring_in(axis)
+        if axis.parameters_changed:
+            factors.receive(axis)
     encoder.sample(axis)
     if axis.velocity_cycle == 0:
         position_cycle(axis)
     cascade.velocity_loop(axis)
     axis.velocity_cycle += 1
-    if axis.velocity_cycle == axis.velocity_cycles:
+    if not 0 < axis.velocity_cycle < axis.velocity_cycles:
         axis.velocity_cycle = 0
+
+
+@block
+def _bring_in(axis: Axis):
+    """Bring what is an index or a divisor into its range, whatever a program wrote there."""
+    axis.state = min(max(axis.state, 0), LAST_STATE)
+    axis.fault_raised = min(max(axis.fault_raised, 0), FAULT_CAUSES - 1)
+    axis.homing_leg = min(max(axis.homing_leg, 0), LAST_LEG)
+    axis.homing_error = min(max(axis.homing_error, 0), LAST_ERROR)
+    axis.segments = min(max(axis.segments, 0), SEGMENTS)
+    axis.segment = min(max(axis.segment, 0), axis.segments)
+    axis.set_points = min(max(axis.set_points, 0), SET_POINTS)
+    axis.ip_first = min(max(axis.ip_first, 0), IP_RECORDS - 1)
+    axis.ip_records = min(max(axis.ip_records, 0), IP_RECORDS)
+    axis.interpolation_cycles = max(axis.interpolation_cycles, 1)
+    axis.position_numerator = min(max(axis.position_numerator, 1), FRACTION_LIMIT)
+    axis.position_denominator = min(max(axis.position_denominator, 1), FRACTION_LIMIT)
 
 
 @block
@@ -69,7 +94,7 @@ def run(axes, index, angle, speed):
     The shaft keeps its speed within the cycle. Returns the torque (Nm) of the last velocity cycle.
     """
     axis = axes[index]
-    for _ in range(axis.velocity_cycles):
+    for _ in range(min(axis.velocity_cycles, MOST_CYCLES)):
         axis.shaft_angle = axis.load_angle = angle
         velocity_cycle(axis)
         angle += speed * axis.velocity_period

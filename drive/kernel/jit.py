@@ -185,6 +185,14 @@ def _only_one(folder: str) -> Iterator[None]:
             _locked -= 1
 
 
+if hasattr(os, "register_at_fork"):  # a fork waits until no other thread compiles, or the child
+    os.register_at_fork(  # would wait for a thread that it does not have
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )
+
+
 class Entry(CPUDispatcher):
     """What Python calls: kept in the cache, and compiled by one process at a time."""
 

@@ -3,18 +3,25 @@
 Software limits count from the axis zero, so they act once the axis is homed (inferred; CiA 402-2
 relates them to the zero position and leaves the unreferenced axis open). Homing ignores both: it
 needs the switches. A direction that a limit stopped stays locked until the master asks for another.
+
+607Dh bounds the demand and the actual position (CiA 402-2), so the drive brakes before it in every
+mode, on the quick stop ramp where the mode has no ramp of its own (inferred). With
+`limit_at_set_point` it bounds the position set-points only, where they reach it.
 """
 
 import math
 
+from . import stop
+from .cascade import Control
 from .encoder import Switch
 from .faults import Cause, raise_fault
 from .jit import block
-from .ramps import stopping_distance
+from .ramps import NO_JERK_LIMIT, stopping_distance
 from .record import Axis
-from .words import Limit
+from .words import Limit, Mode
 
 COUNTS = 2.0**32  # of an INTEGER32
+BY_SWITCH, BY_SOFTWARE = 1, 2  # of `blocked`, signed by the direction
 
 
 @block
@@ -83,14 +90,54 @@ def nearest_count(axis: Axis, target):
 
 
 @block
+def meant(axis: Axis, target):
+    """The place (rad) that an absolute `target` of a move means.
+
+    Between software limits there is one. Where nothing bounds the travel it counts on over the ends
+    of INTEGER32, as the difference of two of them does in 32 bits (inferred).
+    """
+    if axis.range > 0.0 or (axis.homed and axis.position_limit_max < math.inf):
+        return nearest_turn(axis, target, axis.turn_option)
+    return nearest_count(axis, target)
+
+
+@block
 def show_clamped(axis: Axis):
     """Say which software limit holds the present target back, as long as it does."""
     if axis.homed and axis.target_wanted > axis.position_limit_max:
+        _show(axis, 1)
+    elif axis.homed and axis.target_wanted < axis.position_limit_min:
+        _show(axis, -1)
+
+
+@block
+def _show(axis: Axis, direction):
+    """Say that the software limit ahead in `direction` acts."""
+    if direction > 0:
         axis.limits |= Limit.SOFTWARE_POSITION_MAX
         raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
-    elif axis.homed and axis.target_wanted < axis.position_limit_min:
+    else:
         axis.limits |= Limit.SOFTWARE_POSITION_MIN
         raise_fault(axis, Cause.SOFTWARE_LIMIT_MIN)
+
+
+@block
+def before_limit(axis: Axis, start, target, period):
+    """How far towards `target` (rad) one `period` (s) of constant speed may go from `start`.
+
+    As far as the quick stop ramp 6085h, in steps of such periods, still ends at the limit ahead.
+    """
+    way = target - start
+    space = max(room(axis, start, way), 0.0)
+    if axis.limit_at_set_point or space == math.inf:
+        return target
+    step = axis.quick_stop_deceleration * period * period
+    steps = math.floor((math.sqrt(1.0 + 8.0 * space / step) - 1.0) / 2.0)  # of the ramp
+    farthest = space / (steps + 1) + step * steps / 2
+    if abs(way) <= farthest:
+        return target
+    _show(axis, way)
+    return start + math.copysign(farthest, way)
 
 
 @block
@@ -117,9 +164,47 @@ def locked(axis: Axis, goal, deceleration, jerk):
     if goal * axis.blocked <= 0.0:
         axis.blocked = 0
     way = goal if goal != 0.0 else axis.velocity_demand
-    if at_switch(axis, way) or _before_software_limit(axis, way, deceleration, jerk):
-        axis.blocked = 1 if way > 0 else -1
+    sign = 1 if way > 0 else -1
+    if at_switch(axis, way):
+        axis.blocked = sign * BY_SWITCH
+    elif _before_software_limit(axis, way, deceleration, jerk):
+        axis.blocked = sign * BY_SOFTWARE
+    if abs(axis.blocked) == BY_SOFTWARE:
+        _show(axis, axis.blocked)
+    elif axis.blocked != 0:
+        positive, negative = Limit.POSITIVE_LIMIT_SWITCH, Limit.NEGATIVE_LIMIT_SWITCH
+        axis.limits |= positive if axis.blocked > 0 else negative
     return axis.blocked != 0
+
+
+@block
+def brakes(axis: Axis, torque):
+    """Brake instead of giving `torque` (Nm), where the axis moves or is pushed to a limit.
+
+    A torque mode brakes on the quick stop ramp, at a switch on that of the switch, and then stands,
+    until the torque asked for turns away (inferred: CiA 402-2 bounds the actual position and leaves
+    torque modes open).
+    """
+    if axis.control == Control.TORQUE:
+        axis.acceleration_demand = (axis.velocity - axis.velocity_demand) / axis.position_period
+        axis.velocity_demand = axis.velocity
+    rate, way = axis.quick_stop_deceleration, axis.velocity_demand
+    ahead = locked(axis, torque, rate, NO_JERK_LIMIT)
+    if torque * way >= 0.0 or abs(way) > axis.velocity_threshold:
+        ahead = ahead or at_switch(axis, way)
+        ahead = ahead or (way != 0.0 and _before_software_limit(axis, way, rate, NO_JERK_LIMIT))
+    if not ahead:
+        axis.control = Control.TORQUE
+        return False
+    if axis.control == Control.TORQUE:
+        axis.velocity_integral = 0.0
+    axis.control = Control.VELOCITY
+    if at_switch(axis, way):
+        rate = stop.limit_switch_rate(axis)
+    step = rate * axis.position_period
+    axis.velocity_demand -= min(max(way, -step), step)
+    axis.acceleration_demand = 0.0
+    return True
 
 
 @block
@@ -128,7 +213,7 @@ def _before_software_limit(axis: Axis, direction, deceleration, jerk):
 
     Two cycles pass until it does, in which the acceleration may still grow.
     """
-    if not axis.homed:
+    if not axis.homed or (axis.limit_at_set_point and axis.mode == Mode.PROFILE_TORQUE):
         return False
     sign = 1.0 if direction > 0 else -1.0
     delay = 2 * axis.position_period
@@ -137,10 +222,5 @@ def _before_software_limit(axis: Axis, direction, deceleration, jerk):
     path = speed * delay + stopping_distance(axis, speed, acceleration, deceleration, jerk)
     if path < room(axis, axis.position, direction):
         return False
-    if direction > 0:
-        axis.limits |= Limit.SOFTWARE_POSITION_MAX
-        raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
-    else:
-        axis.limits |= Limit.SOFTWARE_POSITION_MIN
-        raise_fault(axis, Cause.SOFTWARE_LIMIT_MIN)
+    _show(axis, direction)
     return True

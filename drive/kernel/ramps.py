@@ -131,7 +131,7 @@ def _ramp(axis: Axis, n, x, v, a, goal, limits):
 
 @block
 def _begin(axis: Axis, n, end_velocity):
-    axis.segments = n
+    axis.segments = min(n, SEGMENTS)
     axis.segment = 0
     axis.segment_time = 0.0
     axis.segment_position = axis.position_demand

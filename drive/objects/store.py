@@ -21,6 +21,7 @@ Values = dict[str, int | float]
 Ranges = dict[str, list[int]]
 VERSION = 2  # of the form of the file
 SUFFIX = ".tmp"
+LARGEST = 16 * 2**20  # characters of a file; that of a drive has a thousandth
 LEFT_OVER = 60.0  # s; an older file of a save is one that was killed
 
 
@@ -90,7 +91,11 @@ def clean(path: Path, now: float) -> None:
 def load(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
     """The values of a parameter file, empty if there is none or it cannot be trusted."""
     try:
-        return decode(path.read_text(encoding="utf-8"), model, check)
+        with path.open(encoding="utf-8") as file:
+            text = file.read(LARGEST + 1)
+        if len(text) > LARGEST:
+            raise ValueError(f"it has more than {LARGEST} characters")
+        return decode(text, model, check)
     except FileNotFoundError:
         return {}
     except (ValueError, OSError) as error:

@@ -1,8 +1,12 @@
 """Logs of a CAN bus: read and written in the formats of python-can."""
 
+import contextlib
 import gzip
 import logging
 import os
+import re
+import sqlite3
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +17,14 @@ from can.io.player import MESSAGE_READERS
 
 TEXT_LOGS = (".log", ".asc", ".trc", ".csv")  # a frame a line
 LONGEST = 1 << 16  # characters of a line; the readers would hold any at once, unpacked ones too
+LARGEST_BLOCK = 1 << 24  # bytes of a block of a .blf, unpacked, and of what has no frame in it
+BLOCK_TYPE = 12  # place of an object's type in its header of 16 bytes (Vector BLF)
+CONTAINER, PACKED = 10, 2  # type of an object, and its method
+CONTAINER_HEADER = 16  # bytes in front of what is packed
+LARGEST_VALUE = 1 << 20  # bytes of a value of a .db
+HELD_WHOLE = (".mf4",)  # python-can's readers hold all of them in memory
+# no generated columns, no virtual tables
+_PLAIN_TABLE = re.compile(r"(?is)create\s+table\s(?!.*\b(generated|as)\b).*")
 
 
 def not_classical(message: can.Message) -> str:
@@ -25,24 +37,32 @@ def not_classical(message: can.Message) -> str:
 def messages(log: Path) -> Iterator[can.Message]:
     """The messages of a log; what a reader stumbles over becomes a ValueError with the line."""
     suffixes = [suffix.lower() for suffix in log.suffixes]
-    plain = suffixes[-2:-1] if suffixes[-1:] == [".gz"] else suffixes[-1:]
-    if not plain or plain[0] not in MESSAGE_READERS:
-        known = " ".join(sorted(MESSAGE_READERS))
+    packed = suffixes[-1:] == [".gz"]
+    plain = suffixes[-2:-1] if packed else suffixes[-1:]
+    if not plain or plain[0] not in MESSAGE_READERS or plain[0] in HELD_WHOLE:
+        known = " ".join(sorted({*MESSAGE_READERS} - {*HELD_WHOLE}))
         raise ValueError(f"{log}: unknown suffix, use one of {known}, also with .gz behind it")
     with log.open("rb") as file:  # also because the reader of .db makes a file that is not there
         size = file.seek(0, os.SEEK_END)
-    lines = _Lines(log, suffixes[-1] == ".gz") if plain[0] in TEXT_LOGS else None
-    source: Any = lines or log
-    reads: Any = MESSAGE_READERS[plain[0]] if lines else can.LogReader
+    lines = _Lines(log, packed) if plain[0] in TEXT_LOGS else None
+    blocks = _Blocks(log, packed) if plain[0] == ".blf" else None
+    source: Any = lines or blocks or log
+    reads: Any = MESSAGE_READERS[plain[0]]
     library = logging.getLogger(MESSAGE_READERS[plain[0]].__module__)
     library.addFilter(_refuse)
     try:
+        if plain[0] == ".db":
+            if packed:
+                raise ValueError("a packed .db is not read: unpack it first")
+            _look_through(log)
         with reads(source) as reader:
             for message in reader:
+                if blocks:
+                    blocks.held = 0
                 if message.arbitration_id is None:  # of a damaged .db
                     raise ValueError("a frame without an identifier")
                 yield message
-            if isinstance(reader, can.BLFReader) and size < reader.file_size:
+            if blocks and not packed and size < reader.file_size:
                 raise ValueError(f"{size} bytes of {reader.file_size} are there")
             if lines and lines.open_end:  # the readers take what is left of a frame for a short one
                 raise ValueError("it has no end and may be wrong")
@@ -84,6 +104,52 @@ class _Lines:
     def close(self) -> None:
         """As a file."""
         self._file.close()
+
+
+class _Blocks:
+    """A .blf for the reader of python-can, which would hold whatever a block claims to be."""
+
+    def __init__(self, log: Path, packed: bool):
+        self._file: Any = gzip.open(log) if packed else log.open("rb")  # noqa: SIM115
+        self._container = False
+        self.held = 0  # bytes since the last frame
+
+    def read(self, size: int) -> bytes:
+        """As of a file, no more than a block at once."""
+        if not 0 <= size <= LARGEST_BLOCK:
+            raise ValueError(f"a block of {size} bytes, it has 0 to at most {LARGEST_BLOCK}")
+        data = self._file.read(size)
+        if self._container:
+            packed = int.from_bytes(data[:2], "little") == PACKED
+            self.held += _unpacked(data[CONTAINER_HEADER:]) if packed else len(data)
+            if self.held > LARGEST_BLOCK:
+                raise ValueError(f"more than {LARGEST_BLOCK} bytes without a frame")
+        head = size == CONTAINER_HEADER and data[:4] == b"LOBJ"
+        self._container = head and int.from_bytes(data[BLOCK_TYPE:], "little") == CONTAINER
+        return data
+
+    def close(self) -> None:
+        """As a file."""
+        self._file.close()
+
+
+def _unpacked(data: bytes) -> int:
+    """How many bytes something packed becomes, counted up to a block and one more."""
+    return len(zlib.decompressobj().decompress(data, LARGEST_BLOCK + 1))
+
+
+def _look_through(log: Path) -> None:
+    """Refuse a .db whose table of frames is made while it is read, or has values without end."""
+    with contextlib.closing(sqlite3.connect(f"{log.absolute().as_uri()}?mode=ro", uri=True)) as db:
+        db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+        made = db.execute("SELECT type, sql FROM sqlite_master WHERE name = 'messages'").fetchall()
+        if [kind for kind, _ in made] != ["table"] or not _PLAIN_TABLE.fullmatch(made[0][1]):
+            raise ValueError("it has no plain table 'messages'")
+        columns = [row[1] for row in db.execute("PRAGMA table_xinfo(messages)")]
+        for column in columns:
+            longest = f'SELECT max(length("{column}")) FROM messages'
+            if (db.execute(longest).fetchone()[0] or 0) > LONGEST:
+                raise ValueError(f"a value of {column} has more than {LONGEST} bytes")
 
 
 def _refuse(record: logging.LogRecord) -> bool:

@@ -32,6 +32,9 @@ JOB = np.dtype(
         ("tpdo_bytes", "i8"),
         ("refused", "i8"),  # address of its WORLD; 0: none has
         ("status", "i8"),  # why, `loop.Status`
+        ("row", "i8"),  # machine and physics step at which the next piece begins
+        ("tick", "i8"),
+        ("paced", "i8"),  # address of the WORLD whose pace holds
     ]
 )
 

@@ -7,6 +7,8 @@ longer finite the physics stops, and the drive's encoder fault says so.
 """
 
 import math
+import time
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Any
 
@@ -27,84 +29,13 @@ from .guard import JOB, guarded
 from .mechanics import MECHANICS
 from .physics import STATE, mj_get_state, mj_reset, mj_set_state, mj_step1, mj_step2
 from .probe import begin_step, notice, observe, probes_at
+from .world import COUPLING, FIELD, PDOS, WORLD
 
 AXIS_SIZE = AXIS.itemsize
+BREATH = 0.02  # s, after which a long step lets Python see to Ctrl-C
+FIRST_PACE = 64  # physics steps, before it is known how long they take
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
 NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
-
-# How a drive is coupled to the physics, and its PDOs. One record a drive.
-COUPLING = np.dtype(
-    [
-        ("qpos", "i8"),  # address of the joint coordinate
-        ("dof", "i8"),  # address of the joint's degree of freedom
-        ("ctrl", "i8"),  # number of the actuator
-        ("velocity_steps", "i8"),  # physics steps per velocity cycle
-        ("gear", "f8"),  # rad of motor shaft per m (slide) or rad (hinge) of the joint
-        ("friction", "f8"),  # Coulomb friction of the joint with the brake released (N or Nm)
-        ("brake_friction", "f8"),  # added by the engaged brake; 0 = there is none
-        ("switch_from", "f8", (3,)),  # (m or rad); from > to: there is no such switch
-        ("switch_to", "f8", (3,)),
-        ("switch_hysteresis", "f8", (3,)),
-        ("switch_active", "u1", (3,)),
-        ("noise", "f8"),  # standard deviation of the measured position (m or rad); 0 = none
-        ("noise_state", "u8"),  # of its generator
-        ("torque_peak", "f8"),  # of the step, with its sign (Nm)
-        ("error_peak", "f8"),  # the following error's (position units)
-    ],
-    align=True,
-)
-
-# A machine as the loop sees it: where its things lie in memory. One record a machine.
-WORLD = np.dtype(
-    [
-        ("mj_model", "i8"),  # address of MjModel
-        ("mj_data", "i8"),  # address of MjData (a record has a `data` of its own)
-        ("qpos", "i8"),  # addresses of the coordinates as the last run left them, for the tasks
-        ("qvel", "i8"),
-        ("mj_qpos", "i8"),  # addresses of arrays of MjData
-        ("mj_qvel", "i8"),
-        ("ctrl", "i8"),
-        ("inertia", "i8"),  # M
-        ("passive", "i8"),  # qfrc_passive
-        ("acceleration", "i8"),  # qacc
-        ("smooth_acceleration", "i8"),  # qacc_smooth
-        ("stiffness", "i8"),  # MjModel.jnt_stiffness
-        ("damping", "i8"),  # MjModel.dof_damping
-        ("directions", "i8"),  # of the frictions, two rows a drive over the degrees of freedom
-        ("responses", "i8"),  # accelerations they give, the same shape
-        ("nq", "i8"),  # their lengths
-        ("nv", "i8"),
-        ("nu", "i8"),
-        ("inertias", "i8"),
-        ("guides", "i8"),
-        ("joints", "i8"),
-        ("status", "i8"),  # `Status`
-        ("axes", "i8"),  # addresses of the records of its drives, and how many they are
-        ("couplings", "i8"),
-        ("mechanics", "i8"),
-        ("pdos", "i8"),
-        ("drives", "i8"),
-        ("tick", "i8"),  # physics steps since the reset
-        ("delay", "i8"),  # physics steps an RPDO image is late
-        ("probes", "i8"),  # address of the records that measure the drives; 0: there are none
-        ("timestep", "f8"),  # s
-        ("step_ticks", "i8"),  # physics steps since the last RPDO image came
-        ("limited_ticks", "i8"),  # of these with an internal limit active in one of the drives
-        # of a machine that shares MjModel and MjData with others, addresses of
-        ("state", "i8"),  # its state while others live there; 0: it lives alone
-        ("kept", "i8"),  # its values of the fields of MjModel
-        ("fields", "i8"),  # where these fields are
-        ("field_count", "i8"),
-        ("resident", "i8"),  # the number that is the address of who lives there now
-    ],
-    align=True,
-)
-
-# Where the PDOs of a drive lie, and how many they are.
-PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_count", "i8")])
-
-# A field of MjModel that differs between machines that share it.
-FIELD = np.dtype([("address", "i8"), ("length", "i8")])
 
 
 class Status(IntEnum):
@@ -118,6 +49,7 @@ class Status(IntEnum):
 
 
 SOUND, RUNNING, FAILED, MISFIT, MAPPING = map(int, Status)
+INTERRUPTED = "the step was interrupted"
 RESET = "the machine stands in the middle of a step, reset() it or restore() a snapshot"
 REFUSALS: dict[int, tuple[type[Exception], str]] = {
     FAILED: (RuntimeError, f"an earlier step failed: {RESET}"),
@@ -326,8 +258,8 @@ def _fits(world, couplings, joints):
 
 
 @block
-def _advance(address, ticks, rpdo, tpdo):
-    """Advance one machine; -> its `Status`."""
+def _advance(address, begin, end, ticks, rpdo, tpdo):
+    """Advance one machine from `begin` to `end` of a step of `ticks`; -> its `Status`."""
     world = world_at(address, 1)[0]
     couplings = couplings_at(world.couplings, world.drives)
     joints = mechanics_at(world.mechanics, world.drives)
@@ -341,17 +273,17 @@ def _advance(address, ticks, rpdo, tpdo):
     qpos = floats_at(world.mj_qpos, world.nq)
     qvel = floats_at(world.mj_qvel, world.nv)
     ctrl = floats_at(world.ctrl, world.nu)
-    if len(rpdo):
+    if len(rpdo) and begin == 0:
         begin_step(world, axes, couplings)
     latched_at = min(max(world.delay, 0), ticks) if len(rpdo) else -1
     latched, collected = len(rpdo), len(tpdo)
-    for now in range(ticks):
+    for now in range(begin, end):
         if now == latched_at:
             latched = _latch(world, axes, rpdo)
         _tick(world, axes, couplings, joints, qpos, qvel, ctrl)
-    if latched_at == ticks:
+    if latched_at == ticks == end:
         latched = _latch(world, axes, rpdo)
-    if len(tpdo):
+    if len(tpdo) and end == ticks:
         collected = _collect(world, tpdo)
     _copy(qpos, coordinates(world))  # an assignment of slices takes Numba two seconds
     _copy(qvel, speeds(world))
@@ -360,20 +292,45 @@ def _advance(address, ticks, rpdo, tpdo):
 
 
 REFUSED_AT = int(JOB.fields["refused"][1])  # type: ignore[index]
+DONE, FAULTY, MORE = range(3)  # what became of a piece
 EXCEPTION = -1  # instead of an address: an index out of a table of the drive
 
 
+@block
+def _present(worlds, row):
+    """The first row from `row` on that is not left out."""
+    while row < len(worlds) and worlds[row] == 0:
+        row += 1
+    return row
+
+
 def _all(job_address):
-    """What a JOB says, machine after machine."""
+    """What a JOB says, machine after machine, until a pace of physics steps is done."""
     job = job_at(job_address, 1)[0]
     worlds = integers_at(job.worlds, job.count)
-    for w in range(job.count):
-        if worlds[w] != 0:
-            rpdo = bytes_at(job.rpdos + w * job.rpdo_bytes, job.rpdo_bytes)
-            tpdo = bytes_at(job.tpdos + w * job.tpdo_bytes, job.tpdo_bytes)
-            status = _advance(worlds[w], job.ticks, rpdo, tpdo)
-            if status != SOUND and job.refused == 0:
+    job.row = _present(worlds, job.row)
+    if job.row == job.count:
+        return
+    if job.paced == 0:
+        job.paced = worlds[job.row]
+    first = world_at(job.paced, 1)[0]
+    if first.pace < 1:
+        first.pace = FIRST_PACE
+    left = first.pace
+    while job.row < job.count and left > 0:
+        w, begin = job.row, job.tick
+        end = min(begin + left, job.ticks)
+        rpdo = bytes_at(job.rpdos + w * job.rpdo_bytes, job.rpdo_bytes)
+        tpdo = bytes_at(job.tpdos + w * job.tpdo_bytes, job.tpdo_bytes)
+        status = _advance(worlds[w], begin, end, job.ticks, rpdo, tpdo)
+        left -= end - begin
+        if status != SOUND:
+            end = job.ticks
+            if job.refused == 0:
                 job.refused, job.status = worlds[w], status
+        job.tick = end
+        if end == job.ticks:
+            job.row, job.tick = _present(worlds, w + 1), 0
 
 
 @intrinsic
@@ -399,33 +356,44 @@ def _protected(context, batch, job):
 
 
 @entry
-def _run(batch, job, worlds, ticks, rpdos, tpdos):
-    """Fill a JOB and do it; -> 1 if MuJoCo failed in it."""
+def _run(batch, job, worlds, ticks, rpdos, tpdos, further):
+    """Fill a JOB and do a piece of it, the first or a further one; -> DONE, MORE or FAULTY."""
+    if not further:
+        job[0].row, job[0].tick, job[0].paced, job[0].refused = 0, 0, 0, 0
     job[0].worlds, job[0].count, job[0].ticks = worlds.ctypes.data, len(worlds), ticks
     job[0].rpdos, job[0].rpdo_bytes = rpdos.ctypes.data, rpdos.shape[1]
     job[0].tpdos, job[0].tpdo_bytes = tpdos.ctypes.data, tpdos.shape[1]
-    job[0].refused = 0
-    return _protected(batch, job.ctypes.data)
+    if _protected(batch, job.ctypes.data):
+        return FAULTY
+    return MORE if job[0].row < len(worlds) else DONE
 
 
-def _run_in_python(batch, job, worlds, ticks, rpdos, tpdos):
+def _run_in_python(batch, job, worlds, ticks, rpdos, tpdos, further):
     row = job[0]
+    if not further:
+        row.row = row.tick = row.paced = row.refused = 0
     row.worlds, row.count, row.ticks = address(worlds), len(worlds), ticks
     row.rpdos, row.rpdo_bytes = address(rpdos), rpdos.shape[1]
     row.tpdos, row.tpdo_bytes = address(tpdos), tpdos.shape[1]
-    row.refused = 0
     _all(address(job))
-    return 0
+    return MORE if row.row < len(worlds) else DONE
 
 
 if DISABLED:
     _run = _run_in_python
 
 
-def run(worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+def run(
+    worlds: np.ndarray,
+    ticks: int,
+    rpdos: np.ndarray,
+    tpdos: np.ndarray,
+    stopped: Callable[[], bool] | None = None,
+) -> None:
     """Advance machines by `ticks` physics steps, exchanging the process images of their drives.
 
-    The caller has the turn of the machines and keeps them alive.
+    The caller has the turn of the machines and keeps them alive. Python comes in every 20 ms or so,
+    and sees to Ctrl-C; the machines then stand between two physics steps.
 
     Args:
         worlds: addresses of WORLD records, shape ``(n,)``; one that is 0 is left out.
@@ -433,18 +401,48 @@ def run(worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) ->
         rpdos: RPDO images, latched after the delay of their machine, shape ``(n, bytes)``; with
             no bytes none is.
         tpdos: takes the TPDO images at the end, shape ``(n, bytes)``; with no bytes none is.
+        stopped: is asked whether another thread wants this one to give up.
 
     Raises:
         mujoco.FatalError: MuJoCo reports an error; that machine has to be reset.
         Exception: what a callback of MuJoCo raised; that machine has to be reset.
         RuntimeError: a machine has failed before, or its PDO mapping is no longer that of the
-            images; the others have been advanced.
+            images; the others have been advanced. Or `stopped`.
         ValueError: an index in the couplings or mechanics is none.
     """
     job = guarded.job
+    more = False
+    while True:
+        begin = time.perf_counter()
+        more = _piece(job, worlds, ticks, rpdos, tpdos, more)
+        if not more:
+            break
+        _settle_pace(int(job["paced"][0]), time.perf_counter() - begin)
+        if stopped and stopped():
+            raise RuntimeError(INTERRUPTED)
+    if job["refused"][0] == EXCEPTION:
+        _stop(worlds)
+        raise RuntimeError(f"the record of a drive holds what no drive can be in: {RESET}")
+    if job["refused"][0]:
+        row = int(np.flatnonzero(worlds == job["refused"][0])[0])
+        kind, remedy = REFUSALS[int(job["status"][0])]
+        raise kind(f"{f'machine {row}: ' if len(worlds) > 1 else ''}{remedy}")
+
+
+def _settle_pace(place: int, passed: float) -> None:
+    """Fit the pace of the WORLD at an address to the time (s) that it took."""
+    world: Any = peek(WORLD, place, 1)[0]
+    if passed > BREATH:
+        world.pace = max(world.pace // 2, 1)
+    elif passed < BREATH / 4:
+        world.pace *= 2
+
+
+def _piece(job, worlds: np.ndarray, ticks: int, rpdos, tpdos, further: bool) -> bool:
+    """Do as much as a pace allows; -> whether there is more."""
     guarded.running = True
     try:
-        failed = _run(guarded.address, job, worlds, ticks, rpdos, tpdos)
+        done = _run(guarded.address, job, worlds, ticks, rpdos, tpdos, further)
     except SystemError as error:  # so Python reports what a callback left behind
         _stop(worlds)
         raise (error.__cause__ or error) from None
@@ -453,17 +451,11 @@ def run(worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) ->
         raise
     finally:
         guarded.running = False
-    if failed:
+    if done == FAULTY:
         message = guarded.batch.error() if guarded.batch else ""
         _stop(worlds)
         raise mujoco.FatalError(f"{message}: {RESET}")
-    if job["refused"][0] == EXCEPTION:
-        _stop(worlds)
-        raise RuntimeError(f"the record of a drive holds what no drive can be in: {RESET}")
-    if job["refused"][0]:
-        row = int(np.flatnonzero(worlds == job["refused"][0])[0])
-        kind, remedy = REFUSALS[int(job["status"][0])]
-        raise kind(f"{f'machine {row}: ' if len(worlds) > 1 else ''}{remedy}")
+    return done == MORE
 
 
 def _stop(worlds: np.ndarray) -> None:

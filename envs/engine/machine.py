@@ -2,7 +2,6 @@
 
 import copy
 import math
-import time
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,8 +25,6 @@ from .probe import PROBE
 from .rates import rates, whole_ratio
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
-BREATH = 0.05  # s, after which a long step lets Python see to Ctrl-C
-FIRST_STRIDE = 64  # physics steps, before it is known how long they take
 MOST = 10**12  # cycles of a step
 # of MjModel, what may differ between machines that share one
 VARIABLE = (
@@ -114,7 +111,6 @@ class Machine:
                 self._directory[f"{name}s"][i] = address(pdos)
                 self._directory[f"{name}_count"][i] = len(pdos)
         self._residence: Residence | None = None
-        self._stride = FIRST_STRIDE
         # what lies where the loop looks lives as long as the machine, whatever becomes of its names
         self._alive = [
             self.axes, self.couplings, self.mechanics, self.world, self._coordinates,
@@ -254,16 +250,13 @@ class Machine:
         """
         ticks = whole("cycles", cycles, 0, MOST) * self.physics_steps
         with self.turn:
-            while ticks > self._stride:
-                begin = time.perf_counter()
-                loop.run(self.addresses, self._stride, NO_IMAGES, NO_IMAGES)
-                ticks -= self._stride
-                passed = time.perf_counter() - begin
-                if passed > BREATH:
-                    self._stride = max(self._stride // 2, 1)
-                elif passed < BREATH / 4:
-                    self._stride *= 2
-            loop.run(self.addresses, ticks, NO_IMAGES, NO_IMAGES)
+            try:
+                loop.run(self.addresses, ticks, NO_IMAGES, NO_IMAGES)
+            except KeyboardInterrupt:
+                left = -int(self.world["tick"][0]) % self.physics_steps
+                if self.world["status"][0] == loop.SOUND:
+                    loop.run(self.addresses, left, NO_IMAGES, NO_IMAGES)
+                raise
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
         """Power off and on again, at rest, the joints of the named drives at `positions`.

@@ -41,6 +41,25 @@ GEARS = {
 _IDENTITY = ("name", "target", "trntype", "group", "userdata", "info", "id", "signature")
 _OBJECTS = ("classname", "compiler", "plugin")
 LARGEST = 64 * 2**20  # bytes of a file of MJCF
+LARGEST_ASSET = 512 * 2**20  # bytes of a file of a mesh, a picture or a height field
+MOST_COPIES = 20_000  # elements that counts make of a few lines
+MOST_BYTES = 2**30  # that numbers of the text ask for
+# attributes that ask for memory: how many bytes for each; of more than one the product counts
+_ASKS = {
+    "size": {name: 1 for name in ("memory", "nstack")} | {
+        name: 1000 for name in ("njmax", "nconmax", "nuserdata", "nkey", "nuser_body", "nuser_jnt",
+            "nuser_geom", "nuser_site", "nuser_cam", "nuser_tendon", "nuser_actuator",
+            "nuser_sensor")},
+    "numeric": {"size": 8},
+    "user": {"dim": 8},
+    "texture": {"width height": 18},
+    "hfield": {"nrow ncol": 32},
+}  # fmt: skip
+_COPIES = ("replicate", "composite", "flexcomp", "attach")
+_UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
+_SILENT = re.compile(r"(?s)<!--.*?-->|<!\[CDATA\[.*?\]\]>")
+_TAG = re.compile(r"""<(/?)([a-z]+)((?:[^"'>]|"[^"]*"|'[^']*')*)>""")
+_ATTRIBUTE = re.compile(r"""([a-z_]+)\s*=\s*("[^"]*"|'[^']*')""")
 # elements whose files MuJoCo opens while it parses, and where files of meshes are looked for
 _OPENS = re.compile(r"""<(?:include|model|flexcomp)\b(?:[^"'>]|"[^"]*"|'[^']*')*""")
 _FILE = re.compile(r"""\b(file|meshdir|assetdir)\s*=\s*("[^"]*"|'[^']*')""")
@@ -55,8 +74,8 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
             folder of the file, of a text the working directory.
 
     Raises:
-        ValueError: there is no such file, a file of it lies elsewhere, it declares entities, or
-            MuJoCo cannot read it.
+        ValueError: there is no such file, a file of it lies elsewhere or is too large, it declares
+            entities, asks for more elements or memory than it may, or MuJoCo cannot read it.
     """
     text, base, seen = str(mjcf), Path(), set[Path]()
     if not text.lstrip().startswith("<"):
@@ -66,11 +85,77 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
         base, text = file.parent, _text(file)
         seen.add(file.resolve())
     root = Path(base if folder is None else folder).resolve()
-    _opened(text, base, root, seen)
+    _opened(text, base, root, seen, _Asked(), 1.0)
     spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
     for place, name in _assets(spec):
-        _inside(base / place / name, root)
+        _asset(_inside(base / place / name, root))
     return spec
+
+
+def _asset(file: Path) -> None:
+    """Refuse what becomes large when MuJoCo opens it."""
+    if not file.is_file():
+        return  # MuJoCo says so
+    asked = file.stat().st_size
+    if file.suffix.lower() == ".png":
+        with file.open("rb") as picture:
+            head = picture.read(24)
+        width, height = (int.from_bytes(head[at : at + 4]) for at in (16, 20))
+        asked = max(asked, 4 * width * height)
+    if asked > LARGEST_ASSET:
+        raise ValueError(f"{file} takes {asked} bytes, a file of a model at most {LARGEST_ASSET}")
+
+
+class _Asked:
+    """What the counts and sizes of a text ask for, its includes in their places."""
+
+    def __init__(self) -> None:
+        self.copies = self.bytes = 0.0
+
+    def text(self, text: str, times: float) -> Iterator[tuple[str, float]]:
+        """Count it, `times` as often; -> the files it includes, and how often each."""
+        around = [times]
+        for closes, element, rest in _TAG.findall(_SILENT.sub("", text)):
+            values = {name: html.unescape(value[1:-1]) for name, value in _ATTRIBUTE.findall(rest)}
+            if closes:
+                around = around[: -1 if element == "replicate" and len(around) > 1 else None]
+                continue
+            times = around[-1]
+            if element in _COPIES:
+                times *= _product(values.get("count", "1"))
+                self._add(element, times, 0.0)
+            for names, each in _ASKS.get(element, {}).items():
+                amounts = [_product(values.get(name, "0")) for name in names.split()]
+                self._add(element, 0.0, each * math.prod(amounts) * around[-1])
+            if element == "replicate" and not rest.endswith("/"):
+                around.append(times)
+            if element == "include" and "file" in values:
+                yield values["file"], times
+
+    def _add(self, element: str, copies: float, size: float) -> None:
+        self.copies += copies if copies > 1 else 0.0
+        self.bytes += size
+        if self.copies > MOST_COPIES:
+            raise ValueError(
+                f"<{element}>: its counts make {self.copies:.3g} elements, {MOST_COPIES} at most"
+            )
+        if self.bytes > MOST_BYTES:
+            raise ValueError(
+                f"<{element}>: its sizes ask for {self.bytes:.3g} bytes, {MOST_BYTES} at most"
+            )
+
+
+def _product(text: str) -> float:
+    """Of the numbers of an attribute, with the units of memory; what is none counts 1."""
+    product = 1.0
+    for word in text.split():
+        unit = _UNITS.get(word[-1:].upper(), 1)
+        try:
+            number = float(word[:-1] if unit > 1 else word)
+        except ValueError:
+            number = 1.0
+        product *= max(number, 1.0 if number > 0 else 0.0) * unit
+    return product
 
 
 def _text(file: Path) -> str:
@@ -79,21 +164,25 @@ def _text(file: Path) -> str:
     return file.read_text(encoding="utf-8", errors="replace")
 
 
-def _opened(text: str, base: Path, root: Path, seen: set[Path]) -> None:
+def _opened(
+    text: str, base: Path, root: Path, seen: set[Path], asked: _Asked, times: float
+) -> None:
     """Look through what MuJoCo opens while it parses, one in the other."""
     if "<!ENTITY" in text:
         raise ValueError("it declares entities (<!ENTITY ...>), which MJCF has none of: write out "
                          "what they stand for")  # fmt: skip
     attributes = [(name, html.unescape(value[1:-1])) for name, value in _FILE.findall(text)]
     places = ["", *(value for name, value in attributes if name != "file")]
+    often = dict(asked.text(text, times))  # an include is one of a kind
     for element in _OPENS.findall(text):
         for name, value in _FILE.findall(element):
             for place in places if element.startswith("<flexcomp") else [""]:
-                file = _inside(base / place / html.unescape(value[1:-1]), root)
+                given = html.unescape(value[1:-1])
+                file = _inside(base / place / given, root)
                 if name == "file" and not element.startswith("<flexcomp") and file not in seen:
                     seen.add(file)
                     if file.is_file():
-                        _opened(_text(file), base, root, seen)
+                        _opened(_text(file), base, root, seen, asked, often.get(given, times))
 
 
 def _inside(file: Path, root: Path) -> Path:

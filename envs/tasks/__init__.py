@@ -6,12 +6,14 @@ from .contour import GantryContourEnv
 from .gantry_sync import GantrySyncEnv
 from .homing import HomingEnv
 from .positioning import LinearAxisEnv
+from .rotary import RotaryAxisEnv
 from .sway import GantrySwayEnv
 from .tracking import LinearAxisTrackingEnv
 
 TASKS = (
     LinearAxisEnv,
     LinearAxisTrackingEnv,
+    RotaryAxisEnv,
     CompliantAxisEnv,
     HomingEnv,
     CommissioningEnv,

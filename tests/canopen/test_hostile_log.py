@@ -1,9 +1,12 @@
 """Logs and captures from strangers: what they claim is not what memory is held for."""
 
 import gzip
+import sqlite3
 import struct
 import tracemalloc
+import zlib
 
+import can
 import pytest
 
 from servogym.drive.wire import log, pcapng
@@ -65,3 +68,112 @@ def test_a_capture_that_claims_more_than_it_may_is_refused_and_not_held(tmp_path
     peak, says = consumed(pcapng.read(file))
     assert f"at most {pcapng.LONGEST} at once" in says
     assert peak < 2**20
+
+
+def blf(tmp_path, *objects):
+    """A .blf of python-can with one frame, its objects then replaced."""
+    file = tmp_path / "bus.blf"
+    with can.BLFWriter(file) as writer:
+        writer(can.Message(arbitration_id=0x181, data=[1, 2], is_extended_id=False, timestamp=1.0))
+    data = file.read_bytes()
+    file.write_bytes(data[: data.index(b"LOBJ")] + b"".join(objects) if objects else data)
+    return file
+
+
+def container(payload, size=None, method=2):
+    """A LOG_CONTAINER (type 10) with what it claims to be its size."""
+    body = struct.pack("<H6xL4x", method, 0) + payload
+    claimed = 16 + len(body) if size is None else size
+    padding = bytes(claimed % 4)  # as python-can reads it
+    return struct.pack("<4sHHLL", b"LOBJ", 16, 1, claimed, 10) + body + padding
+
+
+def packed(megabytes):
+    """Zeros, a thousandth of their size."""
+    squeeze = zlib.compressobj(9)
+    zeros = bytes(2**20)
+    return b"".join(squeeze.compress(zeros) for _ in range(megabytes)) + squeeze.flush()
+
+
+ENDLESS = struct.pack("<4sHHLL", b"LOBJ", 32, 1, 0xFFFFFFF0, 1)  # an object longer than any
+HOSTILE = {
+    "a container that unpacks to four times a block": lambda: [container(packed(64))],
+    "one that claims 4 GiB": lambda: [container(b"", size=0xFFFFFFF0)],
+    "one shorter than its head": lambda: [container(bytes(100), size=3)],
+    "an object without end over many containers": lambda: [
+        container(zlib.compress(ENDLESS)),
+        *[container(packed(8)) for _ in range(4)],
+    ],
+}
+
+
+@pytest.mark.parametrize("suffix", ["", ".gz"])
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_blf_is_refused_and_not_held(tmp_path, kind, suffix):
+    file = blf(tmp_path, *HOSTILE[kind]())
+    if suffix:
+        data, file = file.read_bytes(), file.with_suffix(".blf.gz")
+        file.write_bytes(gzip.compress(data))
+    peak, says = consumed(log.messages(file))
+    assert says.startswith(f"{file}: damaged or cut off")
+    assert "\n" not in says
+    assert peak < 8 * log.LARGEST_BLOCK
+
+
+@pytest.mark.parametrize("suffix", ["", ".gz"])
+def test_a_whole_blf_is_read(tmp_path, suffix):
+    file = blf(tmp_path)
+    if suffix:
+        data, file = file.read_bytes(), file.with_suffix(".blf.gz")
+        file.write_bytes(gzip.compress(data))
+    assert [message.arbitration_id for message in log.messages(file)] == [0x181]
+
+
+COLUMNS = "ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER, " \
+    "dlc INTEGER, data BLOB"  # fmt: skip
+TABLES = {
+    "a view without end": [
+        "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+        "SELECT i AS ts, 1, 0, 0, 0, 8, zeroblob(1000000000) FROM n"
+    ],
+    "a column that is made": [
+        "CREATE TABLE messages (ts REAL, a INTEGER, b INTEGER, c INTEGER, d INTEGER, e INTEGER, "
+        "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)))",
+        "INSERT INTO messages VALUES (1, 1, 0, 0, 0, 8)",
+    ],
+    "a value that is long": [
+        f"CREATE TABLE messages ({COLUMNS})",
+        "INSERT INTO messages VALUES (1, 1, 0, 0, 0, 8, zeroblob(50000000))",
+    ],
+    "no table": ["CREATE TABLE other (a)"],
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_a_db_is_refused_and_not_held(tmp_path, kind):
+    file = tmp_path / "bus.db"
+    with sqlite3.connect(file) as db:
+        for statement in TABLES[kind]:
+            db.execute(statement)
+    db.close()
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="damaged or cut off") as refusal:
+            list(log.messages(file))
+        assert tracemalloc.get_traced_memory()[1] < 8 * 2**20
+    finally:
+        tracemalloc.stop()
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_whole_db_is_read(tmp_path):
+    file = tmp_path / "bus.db"
+    with can.SqliteWriter(file) as writer:
+        writer(can.Message(arbitration_id=0x181, data=[1, 2], is_extended_id=False, timestamp=1.0))
+    assert [message.arbitration_id for message in log.messages(file)] == [0x181]
+
+
+def test_a_log_that_its_reader_holds_whole_is_not_read(tmp_path):
+    (tmp_path / "bus.mf4").write_bytes(b"MDF     4.10")
+    with pytest.raises(ValueError, match=r"unknown suffix, use one of \.asc"):
+        list(log.messages(tmp_path / "bus.mf4"))

@@ -116,6 +116,77 @@ def test_a_file_too_large_is_not_read(tmp_path):
         mjcf.read(tmp_path / "robot.xml")
 
 
+REPLICATE = "<replicate count='{}' offset='1 0 0'>{}</replicate>"
+BOX = "<geom size='.1'/>"
+HUGE = {
+    "replicate": ("", REPLICATE.format(10**9, BOX)),
+    "nested replicate": ("", REPLICATE.format(200, REPLICATE.format(200, BOX))),
+    "nested replicate and frames": (
+        "",
+        REPLICATE.format(999, f"<frame pos='0 0 1'>{REPLICATE.format(999, BOX)}</frame>"),
+    ),
+    "replicate behind a comment that seems to end one": (
+        "",
+        REPLICATE.format(999, "<!-- </replicate> -->" + REPLICATE.format(999, BOX)),
+    ),
+    "composite": ("", "<composite type='cable' count='1000000000 1 1' size='1'/>"),
+    "flexcomp": ("", "<flexcomp name='f' type='grid' count='1000 1000 1000' mass='1'/>"),
+    "memory": ('<size memory="1E"/>', ""),
+    "memory in numbers": ('<size memory="&#49;T"/>', ""),
+    "constraints": ('<size njmax="2000000000"/>', ""),
+    "user data": ('<size nuserdata="2000000000"/>', ""),
+    "numeric": ('<custom><numeric name="n" size="2000000000"/></custom>', ""),
+    "texture": (
+        '<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/></asset>',
+        ""),
+    "height field": ('<asset><hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/></asset>',
+        ""),
+    "sensor": ('<sensor><user name="s" dim="2000000000"/></sensor>', ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", HUGE)
+def test_counts_and_sizes_without_end_are_refused_before_mujoco_sees_them(kind, monkeypatch):
+    monkeypatch.setattr(mujoco.MjSpec, "from_string", None)  # nothing comes that far
+    with pytest.raises(ValueError, match=r": <[a-z]+>: its (counts|sizes) .* at most$") as refusal:
+        Machine.from_mjcf(AXIS.replace("\n", "").format(*HUGE[kind]), {"x": "generic"})
+    assert "\n" not in str(refusal.value)
+
+
+def test_an_include_counts_as_often_as_what_is_around_it(place):
+    robot = place / "robot" / "robot.xml"
+    inner = f"<mujoco><worldbody>{REPLICATE.format(500, BOX)}</worldbody></mujoco>"
+    (place / "robot" / "inner.xml").write_text(inner)
+    for times, refused in ((20, False), (200, True)):
+        robot.write_text(AXIS.format("", REPLICATE.format(times, '<include file="inner.xml"/>')))
+        asked = mjcf._Asked()
+        base = robot.parent
+        call = (robot.read_text(), base, base.resolve(), {robot.resolve()}, asked, 1.0)
+        if refused:
+            with pytest.raises(ValueError, match="elements, 20000 at most"):
+                mjcf._opened(*call)
+        else:
+            mjcf._opened(*call)
+            assert asked.copies == 20 + 20 * 500
+
+
+def test_counts_that_a_robot_has_are_taken():
+    text = AXIS.format('<size memory="10M"/>', REPLICATE.format(50, REPLICATE.format(3, BOX)))
+    machine = Machine.from_mjcf(text, {"x": "generic"})
+    assert machine.model.ngeom == 151
+
+
+def test_a_picture_that_claims_to_be_huge_is_not_opened(place):
+    robot = place / "robot" / "robot.xml"
+    data = bytearray(picture())
+    data[16:24] = struct.pack(">II", 65535, 65535)
+    (place / "robot" / "pixel.png").write_bytes(data)
+    texture = '<asset><texture type="2d" name="t" file="pixel.png"/></asset>'
+    robot.write_text(AXIS.format(texture, ""))
+    with pytest.raises(ValueError, match=f"a file of a model at most {mjcf.LARGEST_ASSET}"):
+        mjcf.read(robot)
+
+
 def test_nesting_without_end_is_refused():
     with pytest.raises(ValueError, match="nesting is too deep"):
         mjcf.read("<mujoco><worldbody>" + "<body>" * 20_000)

@@ -334,6 +334,54 @@ def test_ip_fifo_refuses_and_ring_overwrites_when_full(free, ring, kept):
     assert seen[-1] == kept[-1]
 
 
+def records(free, positions, enabled=True):
+    """Records 60C1h in process data, one a period of 4 cycles; None: a lost frame -> demands."""
+    demands = []
+    for position in positions:
+        if position is not None:
+            word = 0x1F if enabled else 0x0F
+            free.drive.latch(free.drive.pack(controlword=word, interpolation_data=position))
+        for _ in range(4):
+            free.step()
+            demands.append(free.read("position_demand_value"))
+    return demands
+
+
+@pytest.fixture
+def buffered(free):
+    free.write(interpolation_time_period_value=2, interpolation_time_index=-3, buffer_clear=1)
+    free.write(set_point_loss_limit=7, reaction_to_set_point_loss=1)
+    free.drive.map_pdos([["controlword", "interpolation_data"]])
+    return free.enable(7)
+
+
+@pytest.mark.parametrize("ahead", [1, 3])
+def test_ip_records_in_the_buffer_bridge_as_many_lost_frames(buffered, ahead):
+    path = [400 * n for n in range(1, 16)]
+    records(buffered, path[:ahead], enabled=False)
+    lost = path[ahead:]
+    lost[2 : 2 + ahead] = [None] * ahead
+    demands = records(buffered, lost)
+    assert demands[: 4 * (2 + ahead)] == [100 * n for n in range(1, 4 * (2 + ahead) + 1)]
+
+
+def test_ip_without_a_record_holds_the_last_one_and_does_not_extrapolate(buffered):
+    """Outside sub mode -2 an empty buffer holds, whatever 2019h says; the next record goes on."""
+    demands = records(buffered, [400, 800, None, None, 1200])
+    assert demands[:8] == [100 * n for n in range(1, 9)]
+    assert demands[8:16] == [800] * 8
+    assert demands[16:] == [900, 1000, 1100, 1200]
+    assert buffered.read("velocity_demand_value") != 0
+    buffered.step()
+    assert buffered.read("velocity_demand_value") == 0
+
+
+def test_ip_sub_mode_minus_2_extrapolates_as_many_lost_frames_as_2019h_lets_be_missing(buffered):
+    buffered.write(set_point_loss_limit=2, interpolation_sub_mode_select=-2)
+    demands = records(buffered, [0, 400, 800, None, None, None])
+    assert demands[4:] == [*range(100, 1601, 100), *[1600] * 4]
+
+
 def test_ip_sub_mode_minus_2_takes_the_newest_record_at_once(free):
     free.write(interpolation_sub_mode_select=-2, buffer_clear=1)
     free.write(interpolation_time_period_value=10, interpolation_time_index=-3)

@@ -7,7 +7,6 @@ from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load, model_names
 from servogym.envs import TASKS, task
 from servogym.envs.engine import probe
-from servogym.envs.over_ethercat import OverEtherCat
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.view.channels import drives
 from servogym.training.policies import make
@@ -49,12 +48,12 @@ def test_peaks_of_the_steps_are_those_of_the_physics_and_pictures_show_them():
 
 
 def test_the_way_of_the_images_does_not_matter():
-    def costs(make_env):
-        env = make_env(LinearAxisEnv(drive="kollmorgen_akd", payload=20.0))
+    def costs(**faults):
+        env = LinearAxisEnv(drive="kollmorgen_akd", payload=20.0, **faults)
         env.reset(seed=1)
         return [env.step(np.array([(-1.0) ** (i // 7)]))[-1]["cost"] for i in range(40)]
 
-    assert costs(lambda env: env) == costs(OverEtherCat)
+    assert costs() == costs(faults={"drop": 0.0})  # on EtherCAT, where no frame is lost
 
 
 @pytest.mark.parametrize("name", model_names())

@@ -17,6 +17,7 @@ from ...envs.about import Sensor
 from ...envs.plants.axis_parameters import LinearAxisParameters
 from ...envs.plants.gantry import FEED_CONSTANT, PAIR, GantryParameters
 from ...envs.plants.linear_axis import GRAVITY
+from ...envs.plants.rotary import RotaryParameters
 from ...envs.randomisation import PAYLOAD
 from ...envs.servo_env import METRE, ServoEnv
 
@@ -150,6 +151,8 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) 
     axes: tuple[Axis, ...] = ()
     if isinstance(parameters, LinearAxisParameters):
         axes = (_linear(env, parameters, _heaviest(env, parameters.payload, truth)),)
+    elif isinstance(parameters, RotaryParameters):
+        axes = (_rotary(env, parameters),)
     elif isinstance(parameters, GantryParameters):
         heaviest = _heaviest(env, parameters.payload, truth)
         axes = tuple(_of_gantry(env, parameters, heaviest, d) for d in range(len(env.drives)))
@@ -203,6 +206,32 @@ def _linear(env: ServoEnv, p: LinearAxisParameters, heaviest: float) -> Axis:
         vibration=_spring(p),
         lag=_lag(drive),
         sensor=env.sensor(),
+    )
+
+
+def _rotary(env: ServoEnv, p: RotaryParameters) -> Axis:
+    """An axis without ends: rad for m, Nm for N, kg·m² for kg; half its range is the farthest."""
+    drive, units = env.drive, env.units
+    fastest = _object(drive, "max_profile_velocity") / units
+    rotor = drive.model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+    return Axis(
+        carriage=p.inertia,
+        rotor=rotor * p.gear_ratio**2,
+        payload=0.0,
+        heaviest=0.0,
+        coulomb_friction=p.coulomb_friction,
+        viscous_friction=p.viscous_friction,
+        weight=0.0,
+        lost=p.coulomb_friction + p.viscous_friction * fastest,
+        force=_torque(drive) * p.gear_ratio * p.efficiency,
+        offset=0.0,
+        stroke=p.period / 2,
+        speed=fastest,
+        fastest=fastest,
+        profile=Bounds(p.max_velocity, p.max_acceleration, math.inf),
+        vibration=None,
+        lag=_lag(drive),
+        sensor=None,
     )
 
 

@@ -168,7 +168,9 @@ def _show_own(axis: Axis, new):
     """The same for objects of the model that only stand in its bytes."""
     for j in range(OWN_STORED):
         size = abs(int(axis.own_size[j]))
-        if size == 0:
+        if not 0 < size <= 8 or axis.own_kind[j] >= KINDS:
+            return
+        if axis.own_place[j] > len(axis.od.vendor) - size:
             return
         at, sign, number = int(axis.own_place[j]), 1 << (8 * size - 1), 0
         for k in range(size):

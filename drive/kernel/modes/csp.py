@@ -6,8 +6,9 @@ demand velocity is the slope of the master's own trajectory. Position and veloci
 60B1h are added; the torque offset 60B2h acts in the cascade.
 
 A target that is too far for one period is approached at the maximum speed, period by period, and
-the limit shows as long as it holds. Where set-points came one period apart and one is missing, the
-drive goes on with the last slope, for as many periods as 2019h lets them be missing (inferred).
+before a software limit on the quick stop ramp; the limit shows as long as it holds. Where
+set-points came one period apart and one is missing, the drive goes on with the last slope, for as
+many periods as 2019h lets them be missing (inferred).
 """
 
 from .. import limits
@@ -63,9 +64,7 @@ def _begin_period(axis: Axis):
     if limits.at_switch(axis, target - start_at):
         target = start_at
     period = axis.interpolation_cycles * axis.position_period
-    farthest = axis.max_speed * period
-    if abs(target - start_at) > farthest:
-        target = min(max(target, start_at - farthest), start_at + farthest)
+    target = _within_reach(axis, start_at, target, period)
     velocity = (target - start_at) / period
     acceleration = (velocity - axis.interpolation_velocity) / period
     axis.acceleration_demand += SMOOTHING * (acceleration - axis.acceleration_demand)
@@ -73,6 +72,16 @@ def _begin_period(axis: Axis):
     axis.interpolation_start = start_at
     axis.interpolation_target = target
     axis.interpolation_cycle = 0
+
+
+@block
+def _within_reach(axis: Axis, start_at, target, period):
+    """How far towards `target` (rad) the limits let it in one `period` (s); shows which do not."""
+    farthest = axis.max_speed * period
+    if abs(target - start_at) > farthest:
+        axis.limits |= Limit.SPEED
+        target = min(max(target, start_at - farthest), start_at + farthest)
+    return limits.before_limit(axis, start_at, target, period)
 
 
 @block
@@ -84,15 +93,22 @@ def travel(axis: Axis, offset):
         _begin_period(axis)
         short = axis.interpolation_wanted != axis.interpolation_target
     if short and not limits.at_switch(axis, axis.interpolation_wanted - axis.position_demand):
-        axis.limits |= Limit.SPEED
+        period = axis.interpolation_cycles * axis.position_period
+        _within_reach(axis, axis.interpolation_start, axis.interpolation_wanted, period)
     axis.interpolation_cycle += 1
     late = axis.interpolation_cycle - axis.interpolation_cycles
     if late <= 0 or _bridged(axis, late):
         way = axis.interpolation_target - axis.interpolation_start
         share = axis.interpolation_cycle / axis.interpolation_cycles
         place = axis.interpolation_start + way * share
-        axis.position_demand = limits.clamp(axis, place) if late > 0 else place
         axis.velocity_demand = axis.interpolation_velocity + offset
+        if late > 0:
+            period = axis.position_period
+            place = limits.before_limit(
+                axis, axis.position_demand, limits.clamp(axis, place), period
+            )
+            axis.velocity_demand = (place - axis.position_demand) / period + offset
+        axis.position_demand = place
     else:
         if not axis.set_points_in_time:
             axis.position_demand = axis.interpolation_target

@@ -10,19 +10,21 @@ from ..stop import Stop
 def start(axis):
     """Let the torque command through."""
     axis.control = Control.TORQUE
+    axis.blocked = 0
 
 
 @block
 def demand(axis):
     """The target torque (Nm); the offset 60B2h is added by the cascade."""
-    axis.torque_demand = 0.0 if limits.at_switch(axis, axis.target_torque) else axis.target_torque
     axis.position_demand = axis.position
-    axis.velocity_demand = axis.velocity
+    braking = limits.brakes(axis, axis.target_torque)
+    axis.torque_demand = axis.torque_command if braking else axis.target_torque
 
 
 @block
 def status(axis):
     """Bits 10 and 13 are reserved; drive_follows_command."""
     axis.mode_bit10 = 0
-    axis.mode_bit12 = energised(axis) and axis.stop == Stop.NONE
+    follows = axis.stop == Stop.NONE and axis.control == Control.TORQUE
+    axis.mode_bit12 = energised(axis) and follows
     axis.mode_bit13 = 0

@@ -94,7 +94,7 @@ def _begin(axis: Axis):
     if axis.set_point_relative[0]:
         target += _origin(axis)
     else:
-        target = limits.nearest_turn(axis, target, axis.turn_option)
+        target = limits.meant(axis, target)
     axis.set_point_relative[0] = 0
     axis.set_point_position[0] = target
     axis.set_point_started = 1

@@ -11,18 +11,19 @@ def start(axis):
     if axis.control != Control.TORQUE:
         axis.torque_demand = axis.torque_command
     axis.control = Control.TORQUE
+    axis.blocked = 0
 
 
 @block
 def demand(axis):
     """Ramp the torque demand (Nm); the offset 60B2h is added behind the ramp by the cascade."""
-    goal = axis.target_torque
-    if axis.halted or limits.at_switch(axis, goal):  # halted here: a model that uses the slope
-        goal = 0.0
+    goal = 0.0 if axis.halted else axis.target_torque  # halted here: a model that uses the slope
+    axis.position_demand = axis.position
+    if limits.brakes(axis, goal):
+        axis.torque_demand = axis.torque_command
+        return
     step = axis.torque_slope * axis.position_period
     axis.torque_demand += min(max(goal - axis.torque_demand, -step), step)
-    axis.position_demand = axis.position
-    axis.velocity_demand = axis.velocity
 
 
 @block

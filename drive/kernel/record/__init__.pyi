@@ -416,6 +416,8 @@ class Axis:
     """1: a halted set-point is dropped, a halted homing has failed"""
     torque_mode_coasts: int
     """1: without controller enable the power goes off at once"""
+    limit_at_set_point: int
+    """1: 607Dh ends position set-points where they reach it"""
     old_homing_numbers: int
     """1: 32-34 mean 33-35 until compatibility_control says so"""
     switch_types: int
@@ -787,7 +789,7 @@ class Axis:
     target_wanted: float
     """rad; the same before the software limits"""
     blocked: int
-    """direction locked by a limit until it is left: -1, 0, +1"""
+    """direction locked until it is left: ±1 by a switch, ±2 by 607Dh"""
     interpolation_cycle: int
     """position cycle; since the last set-point"""
     synchronised: int

@@ -44,6 +44,7 @@ FIELDS = (
     ),
     ("halt_ends_job", "u1", "", "1: a halted set-point is dropped, a halted homing has failed"),
     ("torque_mode_coasts", "u1", "", "1: without controller enable the power goes off at once"),
+    ("limit_at_set_point", "u1", "", "1: 607Dh ends position set-points where they reach it"),
     ("old_homing_numbers", "u1", "", "1: 32-34 mean 33-35 until compatibility_control says so"),
     ("switch_types", "u1", "", "1: polarity objects per kind of switch instead of 2016h"),
     ("single_brake_delay", "u1", "", "1: the release time is the engage time too"),
@@ -240,7 +241,7 @@ FIELDS = (
     ("set_point_jerk", ("f8", (SET_POINTS, 4)), "rad/s³", ""),
     ("target", "f8", "rad", "of the running or last set-point"),
     ("target_wanted", "f8", "rad", "the same before the software limits"),
-    ("blocked", "i8", "", "direction locked by a limit until it is left: -1, 0, +1"),
+    ("blocked", "i8", "", "direction locked until it is left: ±1 by a switch, ±2 by 607Dh"),
     # cyclic synchronous
     ("interpolation_cycle", "i8", "position cycle", "since the last set-point"),
     ("synchronised", "u1", "", "set-points come with process data"),

@@ -1,0 +1,78 @@
+"""What the loop knows of a machine: records that say where its things lie in memory."""
+
+import numpy as np
+
+# How a drive is coupled to the physics, and its PDOs. One record a drive.
+COUPLING = np.dtype(
+    [
+        ("qpos", "i8"),  # address of the joint coordinate
+        ("dof", "i8"),  # address of the joint's degree of freedom
+        ("ctrl", "i8"),  # number of the actuator
+        ("velocity_steps", "i8"),  # physics steps per velocity cycle
+        ("gear", "f8"),  # rad of motor shaft per m (slide) or rad (hinge) of the joint
+        ("friction", "f8"),  # Coulomb friction of the joint with the brake released (N or Nm)
+        ("brake_friction", "f8"),  # added by the engaged brake; 0 = there is none
+        ("switch_from", "f8", (3,)),  # (m or rad); from > to: there is no such switch
+        ("switch_to", "f8", (3,)),
+        ("switch_hysteresis", "f8", (3,)),
+        ("switch_active", "u1", (3,)),
+        ("noise", "f8"),  # standard deviation of the measured position (m or rad); 0 = none
+        ("noise_state", "u8"),  # of its generator
+        ("torque_peak", "f8"),  # of the step, with its sign (Nm)
+        ("error_peak", "f8"),  # the following error's (position units)
+    ],
+    align=True,
+)
+
+# A machine as the loop sees it: where its things lie in memory. One record a machine.
+WORLD = np.dtype(
+    [
+        ("mj_model", "i8"),  # address of MjModel
+        ("mj_data", "i8"),  # address of MjData (a record has a `data` of its own)
+        ("qpos", "i8"),  # addresses of the coordinates as the last run left them, for the tasks
+        ("qvel", "i8"),
+        ("mj_qpos", "i8"),  # addresses of arrays of MjData
+        ("mj_qvel", "i8"),
+        ("ctrl", "i8"),
+        ("inertia", "i8"),  # M
+        ("passive", "i8"),  # qfrc_passive
+        ("acceleration", "i8"),  # qacc
+        ("smooth_acceleration", "i8"),  # qacc_smooth
+        ("stiffness", "i8"),  # MjModel.jnt_stiffness
+        ("damping", "i8"),  # MjModel.dof_damping
+        ("directions", "i8"),  # of the frictions, two rows a drive over the degrees of freedom
+        ("responses", "i8"),  # accelerations they give, the same shape
+        ("nq", "i8"),  # their lengths
+        ("nv", "i8"),
+        ("nu", "i8"),
+        ("inertias", "i8"),
+        ("guides", "i8"),
+        ("joints", "i8"),
+        ("status", "i8"),  # `Status`
+        ("axes", "i8"),  # addresses of the records of its drives, and how many they are
+        ("couplings", "i8"),
+        ("mechanics", "i8"),
+        ("pdos", "i8"),
+        ("drives", "i8"),
+        ("tick", "i8"),  # physics steps since the reset
+        ("delay", "i8"),  # physics steps an RPDO image is late
+        ("pace", "i8"),  # physics steps between two looks at the clock; 0: not yet known
+        ("probes", "i8"),  # address of the records that measure the drives; 0: there are none
+        ("timestep", "f8"),  # s
+        ("step_ticks", "i8"),  # physics steps since the last RPDO image came
+        ("limited_ticks", "i8"),  # of these with an internal limit active in one of the drives
+        # of a machine that shares MjModel and MjData with others, addresses of
+        ("state", "i8"),  # its state while others live there; 0: it lives alone
+        ("kept", "i8"),  # its values of the fields of MjModel
+        ("fields", "i8"),  # where these fields are
+        ("field_count", "i8"),
+        ("resident", "i8"),  # the number that is the address of who lives there now
+    ],
+    align=True,
+)
+
+# Where the PDOs of a drive lie, and how many they are.
+PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_count", "i8")])
+
+# A field of MjModel that differs between machines that share it.
+FIELD = np.dtype([("address", "i8"), ("length", "i8")])
