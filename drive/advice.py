@@ -145,3 +145,13 @@ def remedy(axis: Axis) -> str:
         "the cause is still present, so a reset is refused" if present else "then reset the fault"
     )
     return f"{REMEDIES.get(cause, 'look it up in the manual of the drive')}; {step}"
+
+
+def cause_of(axis: Axis) -> str:
+    """The cause of the fault that has stopped the drive, as `Drive.inject` takes it; or nothing."""
+    return Cause(int(axis.fault)).name.lower() if axis.fault else ""
+
+
+def refused(axis: Axis) -> str:
+    """The command that was refused last; or nothing."""
+    return Command(int(axis.refused_command)).name if axis.refused_command else ""

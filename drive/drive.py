@@ -140,6 +140,16 @@ class Drive:
         self._powered_on = (0, b""), np.empty(0)
         self._compile_pdos()
 
+    def use_parameters(self, content: bytes) -> str:
+        """Store the content of a parameter file and put it in force; -> why it is refused."""
+        if wrong := self.parameters.take(content):
+            return wrong
+        self.parameters.restore(self.parameters.stored())
+        self.axis.parameters_changed = 1
+        self._powered_on = (0, b""), np.empty(0)
+        self._compile_pdos()
+        return ""
+
     def _compile_pdos(self) -> None:
         for pdos, receive in ((self.rpdos, True), (self.tpdos, False)):
             for pdo in pdos:

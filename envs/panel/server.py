@@ -26,7 +26,7 @@ def free(host: str, port: int) -> None:
 
 def serve(
     session: Session, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
-    tell: Callable[[str], object] = print,
+    pictures: int = 25, tell: Callable[[str], object] = print,
 ) -> None:  # fmt: skip
     """Serve until the process is told to end.
 
@@ -35,6 +35,7 @@ def serve(
         host: address to listen on; beyond the loopback a token is needed, which is printed.
         port: TCP port.
         browser: whether to open one.
+        pictures: a second, at most; a browser that is slower gets fewer.
         tell: is told where the page is.
 
     Raises:
@@ -52,7 +53,7 @@ def serve(
     clock = Clock(session)
 
     async def root() -> None:
-        await build(clock)
+        await build(clock, pictures)
 
     def begin() -> None:
         clock.start()

@@ -5,6 +5,7 @@ can. A motion runs to its end inside its call, cycle by cycle through `exchange`
 that looks after other requests meanwhile and may end the motion with `Interrupted`.
 """
 
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
@@ -44,6 +45,21 @@ class Agent(Protocol):
         """Give the machine back."""
 
 
+class Laboratory(Protocol):
+    """What knows policies; `training` has one."""
+
+    names: tuple[str, ...]
+
+    def prepare(self, machine: Machine, name: str, goal: float) -> None:
+        """Do on a copy what takes long. Raises what is wrong with the policy or the goal (m)."""
+
+    def agent(self, session: "Session", name: str, goal: float) -> Agent:
+        """A policy that brings the axis to a goal (m)."""
+
+    def compare(self, machine: Machine, names: list[str], goal: float) -> list[Any]:
+        """How each policy does it, on copies of a machine."""
+
+
 class Session:
     """A machine, its masters, a scope, and who commands it.
 
@@ -64,25 +80,27 @@ class Session:
         self.scope_axis = self.axes[0]
         self.time = 0.0  # s that have passed, over resets and snapshots
         self.pace: Callable[[], None] = lambda: None
-        self.watchers: list[Callable[[], None]] = []  # called after each cycle
         self.doing = ""  # the motion under way
         self.messages: list[tuple[int, str, str]] = []  # number, kind, text
         self._number = 0
         self.agent: Agent | None = None
+        self.pupil: Any = None  # `lessons.Pupil`: the lesson that is being done
+        self.lessons: tuple[Any, ...] = ()  # `lessons.Lesson`: that are offered
+        self.laboratory: Laboratory | None = None  # given by who serves
+        self.delay = 0.0  # s by which commands come late
         self.kept: dict[str, bytes] = {}  # snapshots of the machine by name
-        self.cycles = 0
 
     # ------------------------------------------------------------------- time
 
     def exchange(self) -> None:
         """One position cycle: paced, stepped, recorded, watched."""
         self.pace()
+        self.port.deliver()
         self.machine.step()
         self.time += self.machine.cycle_time
-        self.cycles += 1
         self.scope.sample(self.time)
-        for watch in self.watchers:
-            watch()
+        if self.pupil is not None:
+            self.pupil.look()
 
     def advance(self, time: float) -> None:
         """Let so much time pass (s)."""
@@ -196,7 +214,7 @@ class Session:
         """Write an object as a master does; -> why it is refused, if it is."""
         try:
             self.machine.drives[axis].write(name, *arguments)
-        except (SdoAbort, TypeError) as error:
+        except (SdoAbort, TypeError, ValueError) as error:
             return str(error)
         return ""
 
@@ -229,9 +247,24 @@ class Session:
         self.tell("done", f"back at {name!r}")
         return ""
 
+    def save_parameters(self, axis: str) -> bytes:
+        """The parameter file as the drive would store it now."""
+        return self.machine.drives[axis].parameters.export()
+
+    def load_parameters(self, axis: str, content: bytes) -> str:
+        """Store a parameter file and put it in force; -> why it is refused."""
+        drive = self.machine.drives[axis]
+        if drive.energised:
+            return "the drive has power: disable it before its parameters change as a whole"
+        wrong = drive.use_parameters(content)
+        if not wrong:
+            self.tell("done", f"{axis}: parameters loaded")
+        return wrong
+
     def reset(self) -> None:
         """Power off and on again, the joints where they are."""
         self.release()
+        self.port.forget()
         positions = {}
         for name, coupling in zip(self.axes, self.machine.couplings, strict=True):
             positions[name] = float(self.machine.data.qpos[coupling.qpos])
@@ -266,6 +299,7 @@ class Session:
             "messages": self.messages,
             "kept": [*self.kept],
             "scope": self.scope.state,
+            "lesson": self.pupil.present if self.pupil else None,
             "axes": {name: self._axis(name) for name in self.axes},
         }
 
@@ -301,12 +335,38 @@ class Session:
 
 
 class _Port(MachinePort):
-    """The machine; time passes through the session."""
+    """The machine; time passes through the session, and commands may come late."""
 
     def __init__(self, machine: Machine, session: Session):
         super().__init__(machine)
         self._session = session
+        self._late: deque[tuple[float, str, str, float]] = deque()
+
+    @property
+    def latency(self) -> float:  # type: ignore[override]
+        """The delay of commands (s)."""
+        return self._session.delay
+
+    def write(self, axis: str, name: str, value: float) -> None:
+        """Set an object, after the delay."""
+        if self._session.delay or self._late:
+            self._late.append((self._session.time + self._session.delay, axis, name, value))
+        else:
+            super().write(axis, name, value)
 
     def exchange(self) -> None:
         """One cycle of the session."""
         self._session.exchange()
+
+    def deliver(self) -> None:
+        """Hand over what is due."""
+        while self._late and self._late[0][0] <= self._session.time:
+            _, axis, name, value = self._late.popleft()
+            try:
+                super().write(axis, name, value)
+            except (SdoAbort, TypeError) as error:
+                self._session.tell("error", f"{axis}: {error}")
+
+    def forget(self) -> None:
+        """Nothing is under way any more."""
+        self._late.clear()

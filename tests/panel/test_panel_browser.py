@@ -1,5 +1,6 @@
 """The panel in a real browser, by clicks: Debian's Chromium, driven by Playwright."""
 
+import io
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 pytest.importorskip("nicegui", reason="the panel needs servogym[panel]")
 sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright here")
@@ -34,7 +36,15 @@ class Server:
         self.start()
 
     def start(self):
-        command = [sys.executable, "-m", "servogym.training.cli", "panel", "--no-browser"]
+        command = [
+            sys.executable,
+            "-m",
+            "servogym.training.cli",
+            "panel",
+            "--no-browser",
+            "--pictures",
+            "8",
+        ]
         # nicegui looks whether pytest runs it
         environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
         self.process = subprocess.Popen(
@@ -112,6 +122,15 @@ def ready(page):
     shows(page, "doing", "")
 
 
+def picture(page, name):
+    """Of a part, for the documentation where SERVOGYM_PICTURES names a folder for it."""
+    image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    assert len(image.getcolors(1 << 24)) > 50
+    if folder := os.environ.get("SERVOGYM_PICTURES"):
+        small = image.quantize(96, dither=Image.Dither.NONE)
+        small.save(Path(folder) / f"panel_{name}.png", optimize=True)
+
+
 def near(position):
     """A readout within the position window 6067h, 20 µm."""
     return re.compile(rf"^({position - 1}\.9[89]|{position}\.0[012])\d$")
@@ -132,6 +151,7 @@ def test_enable_home_move_by_clicks(page):
     at(page, "home").click()
     shows(page, "homed", "The axis is referenced.")
     move(page, "250")
+    picture(page, "motion")
     expect(at(page, "position")).to_have_text(near(250))
 
 
@@ -177,11 +197,85 @@ def test_the_scope_waits_for_its_trigger_and_shows_what_came_before(page):
     open_page(page, "scope")
     shows(page, "scope-state", "stopped")
     expect(plot).to_have_attribute("data-state", "stopped")
+    picture(page, "scope")
     with page.expect_download() as download:
         at(page, "csv").click()
     rows = Path(download.value.path()).read_text().splitlines()
     assert rows[0].startswith("time (s),position_actual_value (position unit)")
     assert len(rows) == 1 + 0.5 * 2000
+
+
+def test_a_fault_is_injected_told_with_its_remedy_and_reset_by_clicks(page):
+    ready(page)
+    open_page(page, "experiments")
+    at(page, "inject-overvoltage").click()
+    shows(page, "state", "fault")
+    open_page(page, "state")
+    expect(at(page, "fault")).to_have_text("3210h DC link over-voltage")
+    expect(at(page, "remedy")).to_contain_text("brake resistor")
+    picture(page, "state")
+    at(page, "reset-fault").click()
+    expect(page.get_by_text("still present").first).to_be_visible()
+    open_page(page, "experiments")
+    at(page, "clear-injected").click()
+    shows(page, "injected", "Nothing is injected.")
+    picture(page, "experiments")
+    open_page(page, "state")
+    at(page, "reset-fault").click()
+    shows(page, "state", "switch on disabled")
+
+
+def test_the_machine_is_seen_in_3d_where_the_axis_is(page):
+    ready(page)
+    move(page, "350")
+    expect(at(page, "position")).to_have_text(near(350))
+    open_page(page, "machine")
+    expect(at(page, "scene")).to_have_attribute("data-at", re.compile(r"^0\.3(5|4999)\d* "))
+    picture(page, "machine")
+
+
+def test_an_object_is_searched_written_and_refused_in_words(page):
+    ready(page)
+    open_page(page, "objects")
+    at(page, "search").fill("max torque")
+    at(page, "objects").get_by_role("cell", name="6072h:00").click()
+    shows(page, "live", "3000 rated torque/1000")
+    beside = page.locator(".q-field", has=at(page, "object-value")).locator(".q-field__messages")
+    at(page, "object-value").fill("70000")
+    at(page, "write").click()
+    expect(beside).to_contain_text("out of range 0..65535")
+    at(page, "object-value").fill("0B54h")
+    at(page, "write").click()
+    shows(page, "live", "2900 rated torque/1000")
+    picture(page, "objects")
+    with page.expect_download() as download:
+        at(page, "save-parameters").click()
+    at(page, "object-value").fill("3000")
+    at(page, "write").click()
+    shows(page, "live", "3000 rated torque/1000")
+    open_page(page, "motion")
+    at(page, "disable").click()
+    shows(page, "state", "switch on disabled")
+    open_page(page, "objects")
+    page.set_input_files("[data-test=load-parameters] input", download.value.path())
+    expect(at(page, "loaded")).to_contain_text("is in force")
+    shows(page, "live", "2900 rated torque/1000")
+
+
+def test_an_exercise_is_begun_and_its_first_step_done(page):
+    open_page(page, "lessons")
+    at(page, "lesson-2").click()
+    expect(at(page, "step-0")).to_have_text("Enable the drive.")
+    open_page(page, "motion")
+    at(page, "enable").click()
+    open_page(page, "lessons")
+    expect(at(page, "step-0")).to_contain_text("done after")
+    at(page, "hint").click()
+    expect(at(page, "step-1")).to_contain_text("Read what is still present.")
+    picture(page, "lessons")
+    at(page, "leave").click()
+    open_page(page, "experiments")
+    at(page, "clear-injected").click()
 
 
 def test_two_tabs_one_commands_and_taking_over_is_seen(page, browser, server):

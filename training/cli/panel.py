@@ -22,11 +22,15 @@ def add(commands) -> None:
         "--joint", action="append", metavar="NAME", help="of --mjcf that gets a drive; repeatable"
     )
     panel.add_argument("--parameter-file", type=Path, help="where 1010h stores, one axis only")
+    panel.add_argument(
+        "--lessons", type=Path, help="folder with exercises of your own, .toml files"
+    )
     panel.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
     panel.add_argument(
         "--host", default="127.0.0.1",
         help="listen on this address instead of the loopback; needs a token, which is printed",
     )  # fmt: skip
+    panel.add_argument("--pictures", type=int, default=25, help="a second, 1..60 (25)")
     panel.add_argument("--no-browser", action="store_true", help="do not open a browser")
     panel.set_defaults(run=_panel)
 
@@ -60,18 +64,26 @@ def _machine(options: argparse.Namespace):
 def _panel(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
     from ...envs.panel import server
+    from ...envs.panel.lessons import load_all
     from ...envs.panel.session import Session
+    from ..policies.takeover import Laboratory
 
     if not 1 <= options.port <= 65535:
         raise ValueError(f"--port = {options.port} is out of range 1..65535")
+    if not 1 <= options.pictures <= 60:
+        raise ValueError(f"--pictures = {options.pictures} is out of range 1..60")
     server.free(options.host, options.port)
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         machine = _machine(options)
         machine.step()
     title = options.mjcf.stem if options.mjcf else options.axis.replace("-", " ") + " axis"
+    session = Session(machine, title)
+    session.lessons = tuple(load_all(options.lessons) if options.lessons else load_all())
+    if len(machine.drives) == 1 and machine.joint(session.axes[0])[1] == "m":
+        session.laboratory = Laboratory()
     server.serve(
-        Session(machine, title), host=options.host, port=options.port,
-        browser=not options.no_browser,
+        session, host=options.host, port=options.port,
+        browser=not options.no_browser, pictures=options.pictures,
         tell=lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
     )  # fmt: skip
     return 0

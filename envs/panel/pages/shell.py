@@ -11,17 +11,24 @@ from nicegui import app, ui
 from ....drive.diagrams import MODE_ABBREVIATION, Mode, State
 from ..clock import Clock
 from .desk import Desk, refuse
+from .experiments import ExperimentsPage
+from .lesson import LessonPage
+from .loops import LoopsPage
+from .machine import MachinePage
 from .motion import MotionPage
+from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
 from .widgets import Readout, Tag, button, told
 
-PICTURES = 25  # a second
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 UPLOT = Path(__file__).parents[1] / "static" / "uplot" / "uPlot.min.css"
 SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
 SLOWEST = 20.0  # s that a browser may take for a picture
-PAGES: Sequence[type[Any]] = (StatePage, MotionPage, ScopePage)
+PAGES: Sequence[type[Any]] = (
+    StatePage, MotionPage, ScopePage, MachinePage, LoopsPage, ExperimentsPage, ObjectsPage,
+    LessonPage,
+)  # fmt: skip
 
 
 class Shell:
@@ -31,10 +38,14 @@ class Shell:
         clock: that runs the session.
         tab: the tab's own text.
         kept: what the tab keeps over a reload.
+        pictures: a second, at most.
         pages: what there is to see, in this order.
     """
 
-    def __init__(self, clock: Clock, tab: str, kept: dict[str, Any], pages: Sequence[type[Any]]):
+    def __init__(
+        self, clock: Clock, tab: str, kept: dict[str, Any], pictures: float,
+        pages: Sequence[type[Any]],
+    ):  # fmt: skip
         self.clock, self.kept = clock, kept
         self.desk = Desk(clock, tab)
         axis = kept.get("axis")
@@ -53,7 +64,7 @@ class Shell:
         self._kinds = {page.name: page for page in pages}
         self.go(kept.get("page", pages[0].name))
         ui.keyboard(self._key)
-        ui.timer(1 / PICTURES, self.show)
+        ui.timer(1 / pictures, self.show)
 
     def _header(self) -> None:
         session = self.clock.session
@@ -97,6 +108,9 @@ class Shell:
         with ui.element("div").classes("agent-banner").props("data-test=agent") as self.agent:
             self.agent_text = ui.label("")
             button("Take back", self._take_back, "take-back", "main")
+
+        with ui.element("div").classes("lesson-banner").props("data-test=lesson-now") as self.task:
+            self.task_text = ui.label("")
 
     def _rail(self, pages: Sequence[type[Any]]) -> None:
         self.links = {}
@@ -210,6 +224,11 @@ class Shell:
         )  # fmt: skip
         self.agent.set_visibility(bool(shown["agent"]))
         self.agent_text.set_text(f"{shown['agent']} has the machine.")
+        lesson = shown["lesson"]
+        self.task.set_visibility(lesson is not None)
+        if lesson is not None:
+            title, number, text = lesson
+            self.task_text.set_text(f"{title} · {f'{number + 1}. {text}' if text else 'done'}")
         self.pause.props(f"icon={'play_arrow' if clock.paused else 'pause'}")
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)
@@ -260,11 +279,11 @@ class Shell:
             self.clock.ask(lambda session: session.control.leave(tab))
 
 
-async def build(clock: Clock, pages: Sequence[type[Any]] = PAGES) -> None:
+async def build(clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGES) -> None:
     """The page of a tab that has just come."""
     client = ui.context.client
     await client.connected()
-    shell = Shell(clock, str(client.tab_id), app.storage.tab, pages)
+    shell = Shell(clock, str(client.tab_id), app.storage.tab, pictures, pages)
     await shell.arrive()
     client.on_disconnect(shell.lose)
     client.on_delete(shell.leave)

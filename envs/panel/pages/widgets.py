@@ -126,6 +126,10 @@ class Entry:
         """Say why the number was refused."""
         self.field.error = words
 
+    def send_to(self, send: Callable[[float], Awaitable[Any]]) -> None:
+        """What is called with the number on Enter."""
+        self._send = send
+
     async def apply(self) -> None:
         """Send the number."""
         value = self.number()

@@ -1,0 +1,239 @@
+"""Experiments: snapshots, faults, disturbances; policies that take over, and side by side."""
+
+import copy
+from typing import Any
+
+import numpy as np
+from nicegui import run, ui
+
+from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
+from ..session import Session
+from .desk import Desk, refuse
+from .widgets import Entry, Tag, button, card
+
+CAUSES = (  # offered first, where a model has them
+    "encoder_loss", "overvoltage", "undervoltage", "following_error", "motor_temperature",
+    "drive_temperature", "i2t", "short_circuit", "index_missing", "external",
+)  # fmt: skip
+COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
+MOST = 4  # policies side by side
+
+
+class ExperimentsPage:
+    """What happens if."""
+
+    name, title, icon = "experiments", "Experiments", "science"
+
+    def __init__(self, desk: Desk):
+        self.desk = desk
+        self.laboratory: Any = desk.clock.session.laboratory
+        with ui.element("div").classes("columns experiment-columns"):
+            with ui.element("div").classes("stack"):
+                self._faults()
+                self._disturbances()
+                self._snapshots()
+            with ui.element("div").classes("stack"):
+                self._policies()
+
+    # ------------------------------------------------------------- what is there
+
+    def _faults(self) -> None:
+        drive = self.desk.machine.drives[self.desk.axis]
+        known = drive.injectable
+        first = [cause for cause in CAUSES if cause in known]
+        with card("Faults"):
+            with ui.element("div").classes("cluster"):
+                for cause in first:
+                    button(
+                        cause.replace("_", " "), lambda _, cause=cause: self._inject(cause),
+                        f"inject-{cause}",
+                    )  # fmt: skip
+            with ui.element("div").classes("cluster"):
+                self.other = ui.select(
+                    [cause for cause in known if cause not in first], label="Another cause",
+                    with_input=True,
+                ).props("dense outlined").classes("entry grow")  # fmt: skip
+                button("Inject", lambda: self._inject(str(self.other.value or "")))
+                button("Take all away", self._clear, "clear-injected", "main")
+            self.injected = ui.label("").classes("prose quiet").props("data-test=injected")
+
+    def _disturbances(self) -> None:
+        session = self.desk.clock.session
+        place = session.axes.index(self.desk.axis)
+        self.rows: list[tuple[Disturbance, ui.label, int]] = []
+        with card("Disturbances"), ui.element("div").classes("parameters"):
+            for row in DISTURBANCES:
+                unit = unit_at(session, row, self.desk.axis)
+                with ui.element("div").classes("parameter"):
+                    ui.label(f"{row.name}, {unit}")
+                    value = ui.label("").classes("parameter-value")
+                    entry = Entry("", "", 0.0, row.most, test=f"disturb-{row.name.split()[0]}")
+                    entry.unit = unit
+                    entry.send_to(self._sender(row, entry))
+                self.rows.append((row, value, place))
+
+    def _sender(self, row: Disturbance, entry: Entry) -> Any:
+        async def send(value: float) -> str:
+            axis = self.desk.axis
+            words = await self.desk.command(lambda s: disturb(s, axis, row, value))
+            if not words:
+                entry.field.value, entry.field.error = "", None
+            return str(words or "")
+
+        return send
+
+    def _snapshots(self) -> None:
+        with card("Snapshots"):
+            with ui.element("div").classes("cluster"):
+                self.label = ui.input("Name", value="A").props(
+                    "dense outlined maxlength=24 data-test=snapshot-name"
+                ).classes("entry grow")  # fmt: skip
+                button("Keep", self._keep, "keep", "main")
+            self.kept = ui.element("div").classes("cluster")
+            self._names: list[str] | None = None
+            ui.label(
+                "A snapshot is everything: the machine, the drives, what they remember."
+            ).classes("prose quiet")
+
+    def _policies(self) -> None:
+        with card("Policy takes over", "policy"):
+            if self.laboratory is None:
+                ui.label("This machine has no policies: serve a linear axis.").classes("prose")
+                return
+            with ui.element("div").classes("cluster"):
+                self.policy = ui.input(
+                    "Policy", value="ruckig", autocomplete=list(self.laboratory.names)
+                ).props("dense outlined data-test=policy").classes("entry grow")  # fmt: skip
+                self.goal = Entry("Goal", "mm", 0, 500, 300, test="goal")
+                self.take = button("Hand over", self._hand_over, "hand-over", "main")
+            ui.label(
+                f"{', '.join(self.laboratory.names)}; FILE.py:name, or the folder of a training."
+            ).classes("prose quiet")
+            self.wrong = ui.label("").classes("bad").props("data-test=policy-wrong")
+        with card("Side by side", "compare"):
+            with ui.element("div").classes("cluster"):
+                self.others = ui.select(
+                    list(self.laboratory.names), multiple=True, value=["ruckig", "proportional"],
+                    label="Policies, on copies of this machine, to the same goal",
+                ).props("dense outlined use-chips").classes("entry grow")  # fmt: skip
+                self.compare = button("Compare", self._compare, "run-compare", "main")
+            self.chart = ui.echart(_chart([])).classes("chart")
+            self.table = ui.element("div").classes("results").props("data-test=courses")
+
+    # ----------------------------------------------------------------- what is done
+
+    async def _inject(self, cause: str) -> None:
+        axis = self.desk.axis
+        refuse(await self.desk.command(lambda session: inject(session, axis, cause)))
+
+    async def _clear(self) -> None:
+        axis = self.desk.axis
+        refuse(await self.desk.command(lambda session: clear(session, axis)))
+
+    async def _keep(self) -> None:
+        name = str(self.label.value or "").strip()[:24]
+        if not name:
+            refuse("give the snapshot a name")
+            return
+        refuse(await self.desk.command(lambda session: session.keep(name)))
+
+    async def _back(self, name: str) -> None:
+        refuse(await self.desk.motion(lambda session: session.back(name)))
+
+    async def _hand_over(self) -> None:
+        goal, name = self.goal.number(), str(self.policy.value or "").strip()
+        if goal is None:
+            return
+        self.wrong.set_text("")
+        if not self.desk.in_control:
+            refuse(await self.desk.command(lambda s: ""))
+            return
+        self.take.props("loading")
+        try:
+            twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
+            await run.io_bound(self.laboratory.prepare, twin, name, goal / 1e3)
+            words = await self.desk.motion(
+                lambda s: s.hand_over(self.laboratory.agent(s, name, goal / 1e3))
+            )
+        except Exception as error:  # a policy is a stranger's code
+            words = str(error)
+        finally:
+            self.take.props(remove="loading")
+        self.wrong.set_text(str(words or ""))
+
+    async def _compare(self) -> None:
+        names, goal = list(self.others.value or [])[:MOST], self.goal.number()
+        if goal is None or not names:
+            self.wrong.set_text("" if names else "choose at least one policy")
+            return
+        self.wrong.set_text("")
+        self.compare.props("loading")
+        try:
+            twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
+            courses = await run.io_bound(self.laboratory.compare, twin, names, goal / 1e3)
+        except Exception as error:
+            self.wrong.set_text(str(error))
+            return
+        finally:
+            self.compare.props(remove="loading")
+        self.chart.options.clear()
+        self.chart.options.update(_chart(courses))
+        self.chart.update()
+        self.table.clear()
+        with self.table:
+            for text in ("policy", "settled within 50 µm", "overshoot", "peak torque", "fault"):
+                Tag("b", text)
+            for course in courses:
+                settled = course.settling_time
+                Tag("span", course.policy)
+                Tag("span", "–" if np.isnan(settled) else f"{settled * 1e3:.0f} ms")
+                Tag("span", f"{course.overshoot * 1e6:.0f} µm")
+                Tag("span", f"{np.abs(course.torque).max():.0f} %")
+                Tag("span", course.fault or "none")
+
+    def show(self) -> None:
+        """The present."""
+        session: Session = self.desk.clock.session
+        for row, value, place in self.rows:
+            value.set_text(f"{row.read(session, place) / row.scale:.4g}")
+        injected = self.desk.seen["injected"]
+        self.injected.set_text(
+            "Injected and still present." if injected else "Nothing is injected."
+        )
+        names = self.desk.shown["kept"]
+        if names != self._names:
+            self._names = names
+            self.kept.clear()
+            with self.kept:
+                for name in names:
+                    button(f"Back to {name}", lambda _, name=name: self._back(name),
+                           f"back-{name}")  # fmt: skip
+
+
+def _chart(courses: list[Any]) -> dict[str, Any]:
+    """Position and torque over time, one colour a policy."""
+    quiet = "#8a94a3"
+    series = []
+    for number, course in enumerate(courses):
+        stride = max(len(course.time) // 600, 1)
+        for grid, values in ((0, course.position * 1e3), (1, course.torque)):
+            points = np.stack((course.time, values), axis=1)[::stride].round(4).tolist()
+            series.append(
+                {
+                    "name": course.policy, "type": "line", "showSymbol": False, "data": points,
+                    "xAxisIndex": grid, "yAxisIndex": grid, "color": COLOURS[number],
+                    "lineStyle": {"width": 2}, "animation": False,
+                }
+            )  # fmt: skip
+    axis = {"type": "value", "axisLabel": {"color": quiet}, "nameTextStyle": {"color": quiet},
+            "splitLine": {"lineStyle": {"color": "#8a94a333"}}}  # fmt: skip
+    return {
+        "grid": [{"left": 60, "right": 16, "top": 40, "height": "38%"},
+                 {"left": 60, "right": 16, "bottom": 40, "height": "30%"}],
+        "legend": {"top": 0, "textStyle": {"color": quiet}},
+        "tooltip": {"trigger": "axis"},
+        "xAxis": [axis | {"gridIndex": 0}, axis | {"gridIndex": 1, "name": "s"}],
+        "yAxis": [axis | {"gridIndex": 0, "name": "position (mm)", "scale": True},
+                  axis | {"gridIndex": 1, "name": "torque (% rated)"}],
+        "series": series,
+    }  # fmt: skip

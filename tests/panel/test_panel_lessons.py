@@ -1,0 +1,241 @@
+"""Lessons, disturbances, policies that take over, and what is drawn: without a browser."""
+
+import json
+
+import numpy as np
+import pytest
+
+from servogym.drive.diagrams import HOME, NEGATIVE, POSITIVE, homing_path, transitions
+from servogym.drive.kernel.homing import HERE, NUMBERS
+from servogym.drive.kernel.words import State
+from servogym.envs import gantry, rotary_axis
+from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
+from servogym.envs.panel.geometry import Poses, scene
+from servogym.envs.panel.lessons import SHIPPED, Pupil, load, load_all
+from servogym.envs.panel.pages.homing_diagram import homing_svg
+from servogym.envs.panel.session import Session
+from servogym.envs.plants.linear_axis import linear_axis
+from servogym.training.policies.takeover import Laboratory, TakeOver
+
+
+@pytest.fixture
+def session():
+    machine = linear_axis()
+    machine.reset(positions={"x": 0.12})
+    machine.step(4)
+    return Session(machine, "test")
+
+
+@pytest.fixture
+def homed(session):
+    assert session.enable("x") == ""
+    assert session.home("x") == ""
+    assert session.move("x", 0.1) == ""
+    return session
+
+
+def words(session, *given):
+    for word in given:
+        assert session.control_word("x", word) == ""
+        session.advance(0.02)
+
+
+# what a pupil does, by the file of the lesson: one entry a step
+SOLUTIONS = {
+    "1_power": [
+        lambda s: words(s, 0x08, 0x09, 0x0B, 0x0F),
+        lambda s: words(s, 0x06),
+        lambda s: words(s, 0x07, 0x0F),
+        lambda s: s.quick_stop("x"),
+        lambda s: s.enable("x"),
+    ],
+    "2_home_and_trip": [
+        lambda s: (s.enable("x"), s.home("x", 17)),
+        lambda s: s.move("x", 0.4),
+        lambda s: (s.write("x", "max_torque", 3000), s.reset_fault("x"), s.enable("x"),
+                   s.move("x", 0.4)),
+    ],
+    "3_overvoltage": [
+        lambda s: s.enable("x"),
+        lambda s: s.reset_fault("x"),
+        lambda s: (s.machine.drives["x"].clear_injected(), s.reset_fault("x"), s.enable("x")),
+    ],
+    "4_gentle": [
+        lambda s: (s.enable("x"), s.home("x", 35)),
+        lambda s: (s.write("x", "profile_acceleration", 2_000_000),
+                   s.write("x", "profile_deceleration", 2_000_000)),
+        lambda s: (s.write("x", "motion_profile_type", 3), s.move("x", 0.42)),
+        lambda s: (s.jog("x", -0.1), s.advance(2.98), s.jog("x", 0.0)),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOLUTIONS)
+def test_a_lesson_is_done_step_by_step_and_not_before(session, name):
+    lesson = load(SHIPPED / f"{name}.toml")
+    pupil = session.pupil = Pupil(session, "x", lesson)
+    session.advance(0.05)
+    for number, solve in enumerate(SOLUTIONS[name]):
+        assert pupil.step == number
+        solve(session)
+        session.advance(0.2)
+    assert pupil.done
+    assert len(pupil.times) == len(lesson.steps)
+
+
+def test_all_lessons_have_a_solution_here():
+    assert [path.stem for path in sorted(SHIPPED.glob("*.toml"))] == [*SOLUTIONS]
+    assert len(load_all()) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "'title' is missing|'step' is missing"),
+        ("title=1\nstep=[]", "no step"),
+        ("title='a'\n[[step]]\ntext='b'", "'check' is missing"),
+        ("title='a'\n[[step]]\ntext='b'\ncheck={}", "checks nothing"),
+        ("title='a'\n[[step]]\ntext='b'\ncheck={state='ON'}", "OPERATION_ENABLED"),
+        ("title='a'\n[[step]]\ntext='b'\ncheck={speed=1}", "speed is unknown, use state"),
+        ("title='a'\n[[step]]\ntext='b'\ncheck={position=[2,1]}", "no range"),
+        ("title = ", "lesson"),
+    ],
+)
+def test_a_lesson_that_cannot_be_right_is_refused_with_its_file(tmp_path, text, said):
+    file = tmp_path / "wrong.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=said) as error:
+        load(file)
+    assert str(file) in str(error.value)
+
+
+# ------------------------------------------------------- disturbances, policies
+
+
+def test_disturbances_act_and_out_of_range_they_are_refused(homed):
+    for row in DISTURBANCES:
+        assert "out of range" in disturb(homed, "x", row, row.most * 2)
+        assert disturb(homed, "x", row, 3.0) == ""
+        assert row.read(homed, 0) == pytest.approx(3.0 * row.scale)
+    homed.advance(0.2)
+    homed.scope.set_window(0.2, 0.0)
+    homed.advance(0.2)
+    assert homed.scope.view().values[0].std() > 0  # encoder noise is seen
+    assert "unknown cause" in inject(homed, "x", "nonsense")
+
+
+def test_commands_come_late_by_their_delay_and_motions_still_end(homed):
+    homed.delay = 0.02
+    begin = homed.time
+    homed.masters["x"].port.write("x", "target_torque", 7)
+    homed.advance(0.018)
+    assert homed.machine.drives["x"].read("target_torque") == 0
+    homed.advance(0.004)
+    assert homed.machine.drives["x"].read("target_torque") == 7
+    assert homed.move("x", 0.2) == ""
+    assert homed.time - begin > 0.04
+    assert homed.shown()["axes"]["x"]["position"] == pytest.approx(200, abs=0.03)
+
+
+def test_a_policy_takes_over_brings_the_axis_to_the_goal_and_gives_back(homed):
+    before = len(homed.shown()["axes"]["x"]["rpdo"])
+    homed.hand_over(Laboratory().agent(homed, "ruckig", 0.3))
+    assert "has the machine" in homed.move("x", 0.2)
+    samples = homed.scope.count
+    homed.advance(1.0)
+    assert homed.scope.count - samples == pytest.approx(1.0 / homed.scope.period, abs=12)
+    assert homed.shown()["axes"]["x"]["position"] == pytest.approx(300, abs=0.05)
+    homed.release()
+    assert len(homed.shown()["axes"]["x"]["rpdo"]) == before
+    assert homed.move("x", 0.2) == ""
+
+
+def test_quick_stop_outranks_a_policy(homed):
+    homed.hand_over(Laboratory().agent(homed, "ruckig", 0.4))
+    homed.advance(0.05)
+    assert homed.quick_stop() == ""
+    assert homed.agent is None
+    assert homed.machine.drives["x"].state is State.SWITCH_ON_DISABLED
+
+
+def test_side_by_side_leaves_the_machine_alone_and_judges_alike(homed):
+    before = homed.machine.snapshot()
+    ruckig, proportional = Laboratory().compare(homed.machine, ["ruckig", "proportional"], 0.4)
+    assert homed.machine.snapshot() == before
+    assert ruckig.settling_time < proportional.settling_time
+    assert ruckig.position[0] == pytest.approx(0.1, abs=1e-3)
+    assert ruckig.position[-1] == pytest.approx(0.4, abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("policy", "goal", "said"),
+    [("nonsense", 0.3, "unknown"), ("built_in", 0.3, "LinearAxis|is for"), ("ruckig", 9.0, "goal")],
+)
+def test_a_policy_that_does_not_fit_is_refused_in_words(homed, policy, goal, said):
+    with pytest.raises(ValueError, match=said):
+        TakeOver(homed.machine, policy, goal)
+
+
+def test_an_axis_without_reference_is_not_handed_over(session):
+    with pytest.raises(ValueError, match="home it first"):
+        TakeOver(session.machine, "ruckig", 0.3)
+
+
+# ---------------------------------------------------------------- parameters
+
+
+def test_a_saved_parameter_set_brings_its_values_back(session):
+    content = session.save_parameters("x")
+    session.write("x", "max_torque", 1234)
+    assert session.load_parameters("x", content) == ""
+    assert session.machine.drives["x"].read("max_torque") == 3000
+
+
+def test_a_parameter_set_that_cannot_be_trusted_is_refused_and_nothing_changes(session):
+    content = session.save_parameters("x")
+    session.write("x", "max_torque", 1234)
+    altered = content.replace(b"3000", b"2999")
+    other = json.dumps(json.loads(content) | {"model": "kollmorgen_akd"}).encode()
+    for wrong in (altered, other, b"", b"{", b"\xff", content[:100]):
+        assert session.load_parameters("x", wrong)
+        assert session.machine.drives["x"].read("max_torque") == 1234
+    session.enable("x")
+    assert "disable" in session.load_parameters("x", content)
+
+
+# ------------------------------------------------------------------ pictures
+
+
+@pytest.mark.parametrize("make", [linear_axis, gantry, rotary_axis])
+def test_the_scene_has_every_moving_body_and_its_poses(make):
+    machine = make()
+    session = Session(machine)
+    session.advance(0.01)
+    told = scene(machine)
+    poses = Poses(machine).now()
+    assert len(poses["now"]) == 7 * len(told["bodies"])
+    assert np.isfinite(poses["now"]).all()
+    assert {shape["body"] for shape in told["shapes"]} & set(told["bodies"])
+    json.dumps([told, poses])
+    for name in session.axes:
+        assert session.shown()["axes"][name]["state"] == State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("method", NUMBERS)
+def test_the_diagram_of_a_homing_method_ends_where_its_edge_is(method):
+    edges = {0.0, 1.0, NEGATIVE, POSITIVE, 0.5, *HOME}
+    for start in (0.25, 0.5, 0.75):
+        path = homing_path(method, start)
+        assert path[0] == start
+        place = path[-1]
+        on_index = abs(place * 24 - round(place * 24)) < 1e-9
+        assert method in HERE or place in edges or on_index
+    assert homing_svg(method).startswith("<svg")
+
+
+def test_the_state_diagram_has_an_arrow_for_each_transition():
+    pytest.importorskip("nicegui")
+    from servogym.envs.panel.pages.state_diagram import ARROWS, PLACES
+
+    assert set(ARROWS) == {row.number for row in transitions()}
+    assert set(PLACES) == set(State)
