@@ -34,7 +34,7 @@ from ...drive.diagrams import Mode, State
 from .disturbances import DISTURBANCES, clear, disturb, inject
 from .session import Session
 
-SHIPPED = Path(__file__).parent / "lessons"
+SHIPPED = Path(__file__).parent / "exercises"
 CHECKED = ("state", "fault", "homed", "refused", "mode", "position", "standstill", "objects")
 BEGUN = ("positions", "write", "inject", "disturb", "clear")
 EVERY = 8  # cycles between two looks

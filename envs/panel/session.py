@@ -6,7 +6,7 @@ that looks after other requests meanwhile and may end the motion with `Interrupt
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 
@@ -48,7 +48,9 @@ class Agent(Protocol):
 class Laboratory(Protocol):
     """What knows policies; `training` has one."""
 
-    names: tuple[str, ...]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """That are offered."""
 
     def prepare(self, machine: Machine, name: str, goal: float) -> None:
         """Do on a copy what takes long. Raises what is wrong with the policy or the goal (m)."""
@@ -56,7 +58,7 @@ class Laboratory(Protocol):
     def agent(self, session: "Session", name: str, goal: float) -> Agent:
         """A policy that brings the axis to a goal (m)."""
 
-    def compare(self, machine: Machine, names: list[str], goal: float) -> list[Any]:
+    def compare(self, machine: Machine, names: list[str], goal: float) -> Sequence[Any]:
         """How each policy does it, on copies of a machine."""
 
 

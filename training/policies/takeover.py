@@ -77,9 +77,9 @@ class TakeOver:
         if not drive.axis.homed:
             raise ValueError("the axis is not referenced: home it first")
         self.name, self.machine, self.drive = policy, machine, drive
-        cycle = cycle or machine.step
+        passing: Callable[[], None] = cycle or machine.step
         self._before = drive.rpdos.copy(), drive.tpdos.copy()
-        kind, line = task(ENV), _Line(machine, cycle, late)
+        kind, line = task(ENV), _Line(machine, passing, late)
 
         class Here(kind):  # type: ignore[misc,valid-type]
             """The task on the machine that is there."""
@@ -95,7 +95,7 @@ class TakeOver:
             def place(self, positions: Any, believed: Any = None) -> None:
                 """The machine stays where it is; the drive is enabled in the mode of the task."""
                 port = MachinePort(machine)
-                port.exchange = cycle  # type: ignore[method-assign]
+                port.exchange = passing  # type: ignore[method-assign]
                 master = Master(port, axis)
                 master.enable()
                 position = drive.read("position_actual_value")

@@ -1,10 +1,12 @@
 """Experiments: snapshots, faults, disturbances; policies that take over, and side by side."""
 
+import asyncio
 import copy
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from nicegui import run, ui
+from nicegui import ui
 
 from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
 from ..session import Session
@@ -151,7 +153,7 @@ class ExperimentsPage:
         self.take.props("loading")
         try:
             twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
-            await run.io_bound(self.laboratory.prepare, twin, name, goal / 1e3)
+            await asyncio.to_thread(self.laboratory.prepare, twin, name, goal / 1e3)
             words = await self.desk.motion(
                 lambda s: s.hand_over(self.laboratory.agent(s, name, goal / 1e3))
             )
@@ -170,7 +172,7 @@ class ExperimentsPage:
         self.compare.props("loading")
         try:
             twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
-            courses = await run.io_bound(self.laboratory.compare, twin, names, goal / 1e3)
+            courses = await asyncio.to_thread(self.laboratory.compare, twin, names, goal / 1e3)
         except Exception as error:
             self.wrong.set_text(str(error))
             return
@@ -210,7 +212,7 @@ class ExperimentsPage:
                            f"back-{name}")  # fmt: skip
 
 
-def _chart(courses: list[Any]) -> dict[str, Any]:
+def _chart(courses: Sequence[Any]) -> dict[str, Any]:
     """Position and torque over time, one colour a policy."""
     quiet = "#8a94a3"
     series = []

@@ -1,10 +1,11 @@
 """Loops: the Bode plot of a drive's loops, measured on a copy of the machine, with margins."""
 
+import asyncio
 import copy
 from typing import Any
 
 import numpy as np
-from nicegui import run, ui
+from nicegui import ui
 
 from ...autotune.bode import bode
 from ...autotune.response import Response
@@ -46,7 +47,7 @@ class LoopsPage:
         self.measure.props("loading")
         try:
             twin = await self.desk.ask(lambda session: copy.deepcopy(session.machine))
-            response = await run.io_bound(bode, twin, axis, amplitude=amplitude / 100)
+            response = await asyncio.to_thread(bode, twin, axis, amplitude=amplitude / 100)
         except (ValueError, RuntimeError, ImportError) as error:
             self.wrong.set_text(str(error))
             return
