@@ -1,6 +1,7 @@
 """Plants, machines and Gymnasium environments; and what a task of your own is written with."""
 
 from .autotune.bode import bode
+from .autotune.tune import tune
 from .batch import episode
 from .engine.machine import Machine
 from .faces import clip, faulted, limited
@@ -39,6 +40,7 @@ __all__ = [
     "register",
     "rotary_axis",
     "task",
+    "tune",
 ]
 
 for _task in TASKS:

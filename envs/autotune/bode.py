@@ -79,14 +79,22 @@ def bode(
     gains = gains_of(stand.drive)
     try:
         stand.start()
-        note = _calm(stand)
-        response = _measure(stand, gains, note, amplitude, speed, lowest, highest, seed)
-        return replace(response, fitted=identify(response, stand.drive, gains_of(stand.drive)))
+        note = calm(stand)
+        return measured(stand, gains, note, amplitude, speed, lowest, highest, seed)
     finally:
         stand.put_back()
 
 
-def _calm(stand: Stand) -> str:
+def measured(
+    stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
+    lowest: float, highest: float, seed: int,
+) -> Response:  # fmt: skip
+    """The response of a drive that is calm, with a plant fitted to it; the loops are of `gains`."""
+    response = _measure(stand, gains, note, amplitude, speed, lowest, highest, seed)
+    return replace(response, fitted=identify(response, stand.drive, gains_of(stand.drive)))
+
+
+def calm(stand: Stand) -> str:
     """Make the gains smaller as long as the velocity loop oscillates; -> what was done."""
     before = gains_of(stand.drive)
     share, moving = 1.0, stand.machine.snapshot()

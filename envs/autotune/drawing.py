@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from .margins import LEAST_COHERENCE, Margins
+from .margins import LEAST_COHERENCE, TOO_HIGH, Margins
 
 COLOURS = ("#4477aa", "#cc6633", "#228833", "#aa3377")
 DOTS_PER_INCH = 110
@@ -49,7 +49,7 @@ def loops(
             (response.position_loop, response.position_margins),
         )
         for gain, phase, (loop, found) in zip(upper, lower, kinds, strict=True):
-            seen = response.coherence >= LEAST_COHERENCE
+            seen = (response.coherence >= LEAST_COHERENCE) & (abs(loop) < TOO_HIGH)
             loop = np.where(seen, loop, np.nan)
             degrees = _unwrapped(loop)
             gain.semilogx(
@@ -60,19 +60,21 @@ def loops(
             _mark(gain, phase, found, response.frequencies, loop, degrees, colour)
     for axes, title in zip(upper, ("velocity loop", "position loop"), strict=True):
         axes.axhline(0.0, color="grey", lw=1)
-        axes.set(title=title, ylabel="open loop (dB)", ylim=(-50, 50))
+        axes.set(title=title, ylabel="open loop (dB)", ylim=(-40, 40))
     for axes in lower:
         axes.axhline(-180.0, color="grey", lw=1)
         axes.set(ylabel="phase (degree)", ylim=(-270, 90), yticks=range(-270, 91, 90))
 
 
 def _unwrapped(loop: np.ndarray) -> np.ndarray:
-    """Phase (degree) that begins between -270 and 90."""
+    """Phase (degree), between -270 and 90 where the gain is last above 1."""
     degrees = np.full(len(loop), np.nan)
     seen = np.isfinite(loop)
     if seen.any():
         turned = np.degrees(np.unwrap(np.angle(loop[seen])))
-        degrees[seen] = turned - 360 * np.ceil((turned[0] - 90) / 360)
+        above = np.flatnonzero(abs(loop[seen]) >= 1)
+        at = turned[above[-1] if len(above) else 0]
+        degrees[seen] = turned - 360 * np.ceil((at - 90) / 360)
     return degrees
 
 
@@ -101,3 +103,32 @@ def finish(figure: Figure, panels: Sequence[Any], path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     FigureCanvasAgg(figure)
     figure.savefig(path, dpi=DOTS_PER_INCH)
+
+
+def draw_tuned(tuned: Any, path: Path) -> None:
+    """Before and after of a `Tuned`: loops with margins, step, move and its following error."""
+    figure = Figure(figsize=(12, 11), layout="constrained")
+    rows = figure.subplots(4, 2, height_ratios=(3, 2.4, 2.4, 2.4))
+    responses = [("before", tuned.before), ("after", tuned.after)]
+    loops(list(rows[0]), list(rows[1]), responses)
+    for axes in (*rows[0], *rows[1]):
+        axes.set(xlabel="frequency (Hz)")
+    (step, torque), (move, error) = rows[2], rows[3]
+    small, unit = 1e3, f"m{tuned.unit}"
+    trials = [("before", tuned.trial_before), ("after", tuned.trial_after)]
+    for (name, trial), colour in zip(trials, COLOURS, strict=False):
+        step.plot(1e3 * trial.step_time, trial.step_velocity, color=colour, label=name)
+        torque.plot(trial.time, trial.torque, color=colour, label=name, lw=0.8)
+        error.plot(trial.time, small * trial.error, color=colour, label=name, lw=0.8)
+        move.plot(trial.time, small * trial.demand, color=colour, label=name)
+    time = trials[-1][1].step_time
+    step.plot(1e3 * time, time >= 0, "k--", lw=1, label="demand")
+    step.set(title="small step of the velocity", xlabel="time (ms)", ylabel="share of the step")
+    move.set(title="move", xlabel="time (s)", ylabel=f"position demand ({unit})")
+    torque.set(title="torque command on the move", xlabel="time (s)", ylabel="Nm")
+    error.set(title="following error on the move", xlabel="time (s)", ylabel=unit)
+    figure.suptitle(
+        f"{tuned.drive} ({tuned.model}): asked {tuned.asked.gain:g} dB and {tuned.asked.phase:g}°, "
+        + ("reached" if tuned.reached else "not reached")
+    )
+    finish(figure, [axes for row in rows for axes in row], path)

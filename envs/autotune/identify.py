@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from ...drive.drive import Drive
-from .margins import LEAST_COHERENCE
+from .margins import LEAST_COHERENCE, TOO_HIGH
 from .needs import scipy
 from .plant import Plant, Resonance, lag_and_filter, mechanics
-from .response import TOO_HIGH, Response
+from .response import Response
 from .stand import Gains
 
 PROMINENCE = 5.0  # dB over a plant without resonances; smaller ones do not matter to a loop

@@ -8,6 +8,7 @@ import numpy as np
 from .needs import control
 
 LEAST_COHERENCE = 0.8  # of what counts as measured
+TOO_HIGH = 30.0  # of a loop: above it too little of the excitation is left to tell the phase
 FARTHEST = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
 
 

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from .margins import LEAST_COHERENCE, Margins, margins
+from .margins import TOO_HIGH, Margins, margins
 from .plant import Plant
 from .stand import Gains
 
 CERTAIN = 3.0  # a loop above it needs nothing below to tell whether it is stable
-TOO_HIGH = 30.0  # above it too little of the excitation is left to tell the phase
-PADDING = 1.02  # step of the frequencies where the model goes on beyond what was measured
+GRID = 300  # frequencies
+NEIGHBOURS = np.array([1.0, 3.0, 4.0, 3.0, 1.0])  # weights of a mean over measured lines
 
 
 @dataclass(frozen=True)
@@ -54,30 +54,50 @@ class Response:
 
     @cached_property
     def wide(self) -> "Response":
-        """Measured where the coherence is good, elsewhere fitted, to the Nyquist frequency."""
+        """Fine, and to the Nyquist frequency: the fitted plant, corrected by what was measured.
+
+        The correction is a mean over neighbours, weighted by how well they are known; so a narrow
+        antiresonance between two lines is where the fit has it.
+        """
         if self.fitted is None:
             return self
-        top = 0.98 / (2 * self.cycle)
-        low = np.geomspace(0.1, self.frequencies[0] / PADDING, 150)
-        count = max(2, math.ceil(math.log(top / self.frequencies[-1]) / math.log(PADDING)))
-        high = np.geomspace(self.frequencies[-1] * PADDING, top, count)
-        frequencies = np.concatenate([low, self.frequencies, high])
-        calculated = self.fitted(frequencies)
-        z = np.exp(2j * np.pi * frequencies * self.cycle)
-        ratio = self.position_plant / self.plant
-        measured = self.coherence >= LEAST_COHERENCE
-        plant, position = calculated.copy(), calculated * self._position_per_velocity(z)
-        middle = slice(len(low), len(low) + len(self.frequencies))
-        plant[middle][measured] = self.plant[measured]
-        position[middle][measured] = (self.plant * ratio)[measured]
-        one = np.ones(len(frequencies))
+        frequencies = np.geomspace(0.1, 0.98 / (2 * self.cycle), GRID)
+        narrow = [
+            f * (1 + max(damping, 1e-3) * np.linspace(-6, 6, 25))
+            for r in self.fitted.resonances
+            for f, damping in ((r.antiresonance, r.antidamping), (r.resonance, r.damping))
+        ]
+        frequencies = np.unique(np.concatenate([frequencies, *narrow]))
+        frequencies = frequencies[(frequencies > 0.05) & (frequencies < 0.499 / self.cycle)]
+        plant = self.fitted(frequencies) * self._smooth(
+            self.plant / self.fitted(self.frequencies), frequencies
+        )
+        per_velocity = self._position_per_velocity(self.frequencies)
+        position = self._position_per_velocity(frequencies) * self._smooth(
+            self.position_plant / self.plant / per_velocity, frequencies
+        )
         return replace(
-            self, frequencies=frequencies, plant=plant, position_plant=position, coherence=one,
-            fitted=None,
+            self, frequencies=frequencies, plant=plant, position_plant=plant * position,
+            coherence=np.ones(len(frequencies)), fitted=None,
         )  # fmt: skip
 
-    def _position_per_velocity(self, z: np.ndarray) -> np.ndarray:
+    def _smooth(self, ratio: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+        """A ratio at the measured frequencies, smoothed, at others."""
+        weight = np.clip(self.coherence / np.maximum(1 - self.coherence, 1e-3), 1e-6, None)
+        mean = np.convolve(ratio * weight, NEIGHBOURS, "same") / np.convolve(
+            weight, NEIGHBOURS, "same"
+        )
+        place, known = np.log(frequencies), np.log(self.frequencies)
+        return np.interp(place, known, mean.real) + 1j * np.interp(place, known, mean.imag)
+
+    @property
+    def inertia(self) -> float:
+        """Of the fitted plant (kg·m²); not a number without one."""
+        return self.fitted.inertia if self.fitted else math.nan
+
+    def _position_per_velocity(self, frequencies: np.ndarray) -> np.ndarray:
         """Of the motor's own encoder."""
+        z = np.exp(2j * np.pi * frequencies * self.cycle)
         return (
             self.cycle / (1 - 1 / z) * (1 - (1 - self.velocity_filter) / z) / self.velocity_filter
         )
@@ -123,6 +143,8 @@ class Response:
 
     def _margins(self, frequencies: np.ndarray, loop: np.ndarray) -> Margins:
         first = int(np.searchsorted(frequencies, self.frequencies[0]))
+        if self.fitted is None:
+            first = 0
         begin = 0
         if abs(loop[first]) > CERTAIN:
             begin = first + int(np.argmax(abs(loop[first:]) < TOO_HIGH))

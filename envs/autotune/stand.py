@@ -14,6 +14,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.kernel.words import Limit, Mode, State
 from ...drive.master import Master
+from ..checks import in_range
 from ..engine.machine import Machine
 from ..masters.port import MachinePort
 from ..plants.gantry import PAIR
@@ -100,6 +101,10 @@ class Stand:
         """Let the machine be what it was when the stand was made."""
         self.machine.restore(self._kept)
 
+    def keep(self) -> None:
+        """Put back to what the machine is now, from now on."""
+        self._kept = self.machine.snapshot()
+
     def start(self) -> None:
         """Enable all drives; those that do not travel hold their position."""
         self.master.reset_fault()
@@ -139,9 +144,9 @@ class Stand:
             low, high = max(low, min(ends)), min(high, max(ends))
         return here - low, high - here
 
-    def speed(self, duration: float) -> float:
-        """Of travel at the joint (m/s or rad/s): a tenth of 6081h, less where there is no room."""
-        wanted = 0.1 * float(self.drive.axis.profile_speed) / abs(self.gear)
+    def speed(self, duration: float, share: float = 0.1) -> float:
+        """Of travel at the joint (m/s or rad/s): a share of 6081h, less where there is no room."""
+        wanted = share * float(self.drive.axis.profile_speed) / abs(self.gear)
         free = max(self.room)
         if free * ROOM < wanted * duration * 0.02:
             raise ValueError(
@@ -199,3 +204,15 @@ class Stand:
     def rates(self) -> tuple[float, int]:
         """Velocity cycle (s), and how many make a position cycle."""
         return float(self.drive.axis.velocity_period), int(self.drive.axis.velocity_cycles)
+
+
+def detune(drive: Drive, factor: float) -> None:
+    """Multiply velocity and position gain. Raises ValueError for a factor out of 0.01..100."""
+    in_range("factor", factor, 0.01, 100.0, "of the gains")
+    gains = gains_of(drive)
+    drive.commission(
+        in_units(
+            drive,
+            Gains(gains.velocity_gain * factor, gains.integral_time, gains.position_gain * factor),
+        )
+    )

@@ -27,11 +27,12 @@ from . import (
     results,
     sweep,
     train,
+    tune,
     watch,
 )
 
 COMMANDS = (
-    demo, bench, drives, node, ethercat, eds, esi, decode, bode, homing, watch, panel, train,
+    demo, bench, drives, node, ethercat, eds, esi, decode, bode, tune, homing, watch, panel, train,
     compare, results, benchmark, sweep,
 )  # fmt: skip
 

@@ -1,0 +1,193 @@
+"""`tune`: commission a drive's loops by measuring what it moves.
+
+Measure the plant through the drive (`bode`), ride it for friction and inertia (`trial`), fit gains
+to the margins asked for (`fit`), measure again with them, and show what they are worth: a step, the
+loops, the following error on a move.
+"""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...drive.objects.abort import SdoAbort
+from ..checks import in_range
+from ..engine.machine import Machine
+from .bode import HIGHEST, calm, measured
+from .fit import Asked, fit, why_not
+from .needs import control, scipy
+from .response import Response
+from .stand import Stand, gains_of, in_units
+from .trial import Friction, Trial, friction, trial
+
+TRIES = 3  # with less gain each, where what was measured afterwards is less than asked for
+EASE = 0.8
+FEED_FORWARD = "acceleration_feed_forward"
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What `tune` has found; the drive has the gains."""
+
+    drive: str
+    model: str
+    unit: str  # of the joint
+    asked: Asked
+    reached: bool  # the margins asked for, in the loops measured afterwards
+    reason: str  # why not, in words
+    objects: dict[str, int]  # in units of the drive
+    table: tuple[tuple[str, str, int, str], ...]  # address, name, value, unit
+    friction: Friction
+    before: Response
+    after: Response
+    trial_before: Trial
+    trial_after: Trial
+    parameters: bytes = field(repr=False, default=b"")
+
+    def __str__(self) -> str:
+        old, new = self.trial_before, self.trial_after
+        lines = [
+            f"drive {self.drive} ({self.model}): {self.before.fitted}",
+            f"{self.friction}",
+            f"{'':24}{'before':>34}{'after':>34}",
+            *(
+                f"{name:24}{before!s:>34}{after!s:>34}"
+                for name, before, after in (
+                    ("velocity loop", self.before.velocity_margins, self.after.velocity_margins),
+                    ("position loop", self.before.position_margins, self.after.position_margins),
+                    ("following error", self._error(old), self._error(new)),
+                )
+            ),
+            *(f"{a:10}{name:34}= {value} {unit}".rstrip() for a, name, value, unit in self.table),
+            "margins reached" if self.reached else f"margins not reached: {self.reason}",
+        ]
+        notes = (self.before.note, old.note, self.after.note, new.note)
+        return "\n".join([*lines, *filter(None, notes)])
+
+    def _error(self, of: Trial) -> str:
+        if not math.isfinite(of.following_error):
+            return "not moved"
+        small, unit = (1e6, "µm") if self.unit == "m" else (1e3, "mrad")
+        return f"{of.following_error * small:.3g} {unit}"
+
+    def save(self, path: str | Path) -> None:
+        """Write the parameter set, or a picture: the suffix .png chooses that.
+
+        The set is what 1010h would store: `servogym node --parameter-file` and
+        ``linear_axis(parameter_file=...)`` read it.
+        """
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".png":
+            from .drawing import draw_tuned
+
+            draw_tuned(self, path)
+        else:
+            path.write_bytes(self.parameters)
+
+
+def tune(
+    machine: Machine,
+    drive: str | None = None,
+    *,
+    gain_margin: float = 6.0,
+    phase_margin: float = 35.0,
+    move: float | None = None,
+    amplitude: float = 0.1,
+    seed: int = 0,
+) -> Tuned:
+    """Tune the loops of one drive of a machine; afterwards it has the gains, all else as before.
+
+    >>> tuned = tune(linear_axis("generic"))                        # doctest: +SKIP
+    >>> print(tuned); tuned.save("axis.json"); tuned.save("tune.png")    # doctest: +SKIP
+
+    Args:
+        machine: stands where the axis can travel.
+        drive: name of it in the machine; the first if not given.
+        gain_margin: of both loops, at least (dB), 2..40.
+        phase_margin: of both loops, at least (degree), 10..80.
+        move: distance to show the following error on (m or rad), with the drive's own profile; 0.4
+            of the free way if not given.
+        amplitude: rms of the excitation, share of the rated torque.
+        seed: of the random phases.
+
+    Raises:
+        ValueError: no such drive, one that has nothing to tune, no room, an argument out of range.
+        RuntimeError: a drive has left the run with a fault, or oscillates with any gain.
+        ImportError: without the packages control and scipy.
+    """
+    control(), scipy("optimize")
+    asked = Asked(
+        in_range("gain_margin", gain_margin, 2.0, 40.0, "dB"),
+        in_range("phase_margin", phase_margin, 10.0, 80.0, "degree"),
+    )
+    stand = Stand(machine, drive)
+    if move is not None:
+        left, right = stand.room
+        in_range("move", move, -left, right, stand.unit)
+    own = stand.drive
+    try:
+        before, rides = _look(stand, amplitude, seed, ride=True)
+        stand.put_back()
+        trial_before = trial(stand, move)
+        stand.put_back()
+        original = in_units(own, gains_of(own)) | {FEED_FORWARD: int(own.axis.od[FEED_FORWARD])}
+        after, objects, ease, reached = before, original, 1.0, False
+        for _ in range(TRIES):
+            gains = fit(before, asked, ease)
+            if gains is None:
+                break
+            objects = in_units(own, gains) | {FEED_FORWARD: round(before.inertia * 1e9)}
+            own.commission(objects)
+            stand.keep()
+            after, _ = _look(stand, amplitude, seed + 1, ride=False)
+            stand.put_back()
+            reached = asked.kept(after) and not after.note
+            if reached:
+                break
+            ease *= EASE
+        trial_after = trial(stand, move)
+        reason = "" if reached else why_not(after, asked)
+        if math.isinf(trial_after.following_error) > math.isinf(trial_before.following_error):
+            reached = False
+            reason = (
+                f"the move is not made with them ({trial_after.note}), so the drive keeps what it "
+                "had; what was measured is no guide, as with much backlash or little excitation"
+            )
+            stand.put_back()
+            objects = original
+            own.commission(objects)
+            stand.keep()
+            after, trial_after = before, trial_before
+        return Tuned(
+            drive=stand.name, model=own.model.name, unit=stand.unit, asked=asked, reached=reached,
+            reason=reason, objects=objects, table=_table(stand, objects), friction=rides,
+            before=before, after=after, trial_before=trial_before, trial_after=trial_after,
+            parameters=own.parameters.export(),
+        )  # fmt: skip
+    except SdoAbort as error:
+        raise RuntimeError(f"drive {stand.name!r} refuses its gains: {error}") from None
+    finally:
+        stand.put_back()
+
+
+def _look(stand: Stand, amplitude: float, seed: int, ride: bool) -> tuple[Response, Any]:
+    """The response with the gains in force, and friction."""
+    gains = gains_of(stand.drive)
+    stand.start()
+    note = calm(stand)
+    response = measured(
+        stand, gains, note, amplitude, None, 2.0, HIGHEST / stand.period, seed
+    )  # fmt: skip
+    return response, friction(stand) if ride else None
+
+
+def _table(stand: Stand, objects: dict[str, int]) -> tuple[tuple[str, str, int, str], ...]:
+    rows = []
+    for name, value in objects.items():
+        row = stand.drive.model.names.get(name)
+        if row is None:
+            rows.append(("-", f"{name} (maker's tool)", value, "1e-9 kg·m²"))
+        else:
+            rows.append((f"{row.index:04X}h:{row.subindex:02X}", name, value, row.unit))
+    return tuple(rows)

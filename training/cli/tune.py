@@ -1,0 +1,51 @@
+"""`servogym tune`."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from . import machines
+
+
+def add(commands) -> None:
+    """Its row in the table of commands."""
+    tune = commands.add_parser("tune", help="measure what a drive moves, fit and store its gains")
+    machines.add(tune)
+    tune.add_argument("--gain-margin", type=float, default=6.0, help="of both loops, dB (6)")
+    tune.add_argument("--phase-margin", type=float, default=35.0, help="of both, degree (35)")
+    tune.add_argument(
+        "--move", type=float, help="distance to show the following error on, m or rad"
+    )
+    tune.add_argument(
+        "--detuned", type=float, default=1.0, metavar="FACTOR",
+        help="begin with velocity and position gain times this (1)",
+    )  # fmt: skip
+    tune.add_argument(
+        "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"
+    )
+    tune.add_argument("--seed", type=int, default=0, help="of the excitation's phases (0)")
+    tune.add_argument(
+        "--out", type=Path, default=Path("out"), help="folder: tune.png, parameters.json (out)"
+    )
+    tune.set_defaults(run=_tune)
+
+
+def _tune(options: argparse.Namespace, console: Console) -> int:
+    from ...envs.autotune.needs import control
+    from ...envs.autotune.stand import detune
+    from ...envs.autotune.tune import tune
+
+    control()
+    machine, name = machines.made(options)
+    if options.detuned != 1.0:
+        detune(machine.drives[name], options.detuned)
+    tuned = tune(
+        machine, name, gain_margin=options.gain_margin, phase_margin=options.phase_margin,
+        move=options.move, amplitude=options.amplitude, seed=options.seed,
+    )  # fmt: skip
+    print(tuned)
+    for file in ("tune.png", "parameters.json"):
+        tuned.save(options.out / file)
+        print(options.out / file)
+    return 0
