@@ -14,6 +14,7 @@ def add(commands) -> None:
     bench.add_argument(
         "--envs", action="store_true", help="the environments, beside the loop and their peers"
     )
+    bench.add_argument("--vectors", action="store_true", help="our vector beside those of others")
     bench.add_argument(
         "--ethercat", action="store_true", help="slave controllers, and pysoem on a veth pair"
     )
@@ -37,6 +38,10 @@ def _bench(options: argparse.Namespace, console: Console) -> int:
         from ..bench import ethercat as ethercat_bench
 
         return ethercat_bench.run(options.repeat, options.json, console)
+    if options.vectors:
+        from ..bench import vectors as vector_bench
+
+        return vector_bench.run(options.drive, options.repeat, options.json, console)
     if options.envs:
         from ..bench import envs as env_bench
 

@@ -1,0 +1,31 @@
+"""The bench of vectors: who is asked how often, and what is told."""
+
+from contextlib import ExitStack
+from itertools import islice
+
+import pytest
+
+from servogym.training.bench import vectors
+from servogym.training.bench.vectors import Peer
+
+
+def test_blocks_alternate_after_one_for_warming_up():
+    calls = []
+    peers = [
+        Peer(name, "", n, lambda name=name: calls.append(name), lambda: calls.append("|"))
+        for name, n in (("a", 2), ("b", 1))
+    ]
+    first, second = vectors._rates(peers, 2, 1)
+    assert "".join(calls) == "|aa|bb|aa|bb"
+    assert first["ours_over"] == 1.0
+    assert second["ours_over"] == pytest.approx(first["per_s"] / second["per_s"])
+
+
+def test_the_rows_step_what_they_say():
+    (drive,) = islice(vectors.drives("generic"), 1)
+    assert abs(drive.step()) < 1.0  # Nm
+    with ExitStack() as stack:
+        ours, sync = islice(vectors.vectors("generic", stack), 2)
+        for peer, n in ((ours, vectors.MANY), (sync, vectors.FEW)):
+            peer.restart()
+            assert peer.envs == n == len(peer.step()[1])

@@ -1,0 +1,149 @@
+"""`servogym bench --vectors`: our vector beside those of others, and drive cycles beside am-sdk.
+
+The vectors of Gymnasium and stable-baselines3 step the same environment, EnvPool steps one of its
+own of MuJoCo, am-sdk has an emulated drive of a joint in Python. Blocks alternate; peers that are
+not installed are left out: ``pip install envpool am-sdk`` in an environment of its own.
+"""
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ...drive.drive import Drive
+from ...envs import POINT_TO_POINT
+from .envs import _seconds
+
+ID = POINT_TO_POINT.ID
+MANY, FEW = 256, 8
+STEPS = 100  # a block: less than an episode, so that resets stay out
+CYCLES = 1000  # of a drive, a block
+ENVPOOL = "HalfCheetah-v4"  # 5 steps of physics a step
+
+
+class Peer(NamedTuple):
+    """A row: who, what, of how many environments, and a call that steps all of them once."""
+
+    name: str
+    what: str
+    envs: int
+    step: Callable[[], Any]
+    restart: Callable[[], Any]
+
+
+def _vector(name: str, vector: Any, n: int, seeded: bool = True) -> Peer:
+    actions = np.zeros((n, *vector.single_action_space.shape), np.float32)
+    reset = partial(vector.reset, seed=1) if seeded else vector.reset
+    return Peer(name, ID, n, partial(vector.step, actions), reset)
+
+
+def _made(drive: str) -> gym.Env:
+    return gym.make(ID, drive=drive)
+
+
+def vectors(drive: str, stack: ExitStack) -> Iterator[Peer]:
+    """Those that are installed; they are closed with the stack."""
+    for mode, n in (("vector_entry_point", MANY), ("sync", FEW), ("async", FEW)):
+        vector = gym.make_vec(ID, n, vectorization_mode=mode, drive=drive)
+        stack.callback(vector.close)
+        names = {"sync": "Gymnasium SyncVectorEnv", "async": "Gymnasium AsyncVectorEnv"}
+        yield _vector(names.get(mode, "ours"), vector, n)
+    with suppress(ImportError):
+        from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+        for kind in (DummyVecEnv, SubprocVecEnv):
+            made: Any = kind([partial(_made, drive) for _ in range(FEW)])
+            stack.callback(made.close)
+            actions = np.zeros((FEW, *made.action_space.shape), np.float32)
+            yield Peer(f"SB3 {kind.__name__}", ID, FEW, partial(made.step, actions), made.reset)
+    with suppress(ImportError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import envpool
+
+        pool = envpool.make_gymnasium(ENVPOOL, num_envs=MANY)
+        stack.callback(pool.close)
+        actions = np.zeros((MANY, *pool.action_space.shape))
+        yield Peer("EnvPool", ENVPOOL, MANY, partial(pool.step, actions), pool.reset)
+
+
+def drives(drive: str) -> Iterator[Peer]:
+    """A position cycle of one drive that is enabled, called from Python."""
+    ours = Drive(drive)
+    for word in (0x06, 0x07, 0x0F):
+        ours.write("controlword", word)
+        ours.cycle(0.0, 0.0)
+    yield Peer("ours", f"Drive.cycle of {drive}", 1, partial(ours.cycle, 0.0, 0.0), int)
+    with suppress(ImportError):
+        import am_sdk
+
+        session = am_sdk.am_init(am_sdk.AmSessionConfig(interface="sim:M"))
+        joint = am_sdk.am_open_joint(session, 0)
+        am_sdk.am_start(session)
+        am_sdk.am_set_mode(joint, am_sdk.AmMode.IMPEDANCE)
+        am_sdk.am_enable(joint, timeout_ms=1000)
+        yield Peer("am-sdk", "am_cycle of sim:M", 1, partial(am_sdk.am_cycle, session), int)
+
+
+def _rates(peers: list[Peer], steps: int, repeat: int) -> list[dict[str, Any]]:
+    """Medians of steps a second of all environments together, and of the ratio to the first."""
+    found: list[list[float]] = []
+    for _ in range(repeat + 1):
+        found.append([])
+        for peer in peers:
+            peer.restart()
+            found[-1].append(peer.envs / _seconds(peer.step, steps))
+    taken = np.array(found[1:])
+    ratio = np.median(taken[:, :1] / taken, axis=0)
+    rates = np.median(taken, axis=0)
+    return [
+        {"name": p.name, "what": p.what, "envs": p.envs, "per_s": float(r), "ours_over": float(q)}
+        for p, r, q in zip(peers, rates, ratio, strict=True)
+    ]
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+def measure(drive: str, repeat: int) -> dict[str, Any]:
+    """Rows of the vectors, and of the cycles of a drive."""
+    with ExitStack() as stack:
+        rows = _rates(list(vectors(drive, stack)), STEPS, repeat)
+    return {
+        "drive": drive,
+        "cores": os.cpu_count(),
+        "versions": {n: _version(n) for n in
+                     ("gymnasium", "stable-baselines3", "envpool", "am-sdk", "mujoco")},
+        "vectors": rows,
+        "drives": _rates(list(drives(drive)), CYCLES, repeat),
+    }  # fmt: skip
+
+
+def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
+    """Measure and print; -> exit status."""
+    with console.status("measuring ..."):
+        results = measure(drive, max(repeat // 20, 3))
+    if as_json:
+        console.file.write(json.dumps(results, indent=1) + "\n")
+        return 0
+    for title, rows in (("steps", results["vectors"]), ("drive cycles", results["drives"])):
+        table = Table(title=f"{title}, {results['cores']} cores")
+        for head in ("", "of", "environments", f"{title}/s", "ours over it"):
+            table.add_column(head, justify="left" if head in ("", "of") else "right")
+        for row in rows:
+            table.add_row(row["name"], row["what"], str(row["envs"]), f"{row['per_s']:,.0f}",
+                          f"{row['ours_over']:.2f}")  # fmt: skip
+        console.print(table)
+    return 0
