@@ -22,6 +22,7 @@ from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import Mode, State
 from .model.model import DriveModel, load
+from .model.near import named, near
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
 from .objects.dictionary import ObjectDictionary
@@ -173,7 +174,7 @@ class Drive:
 
         Raises SdoAbort where the drive refuses a value.
         """
-        for name, value in values.items():
+        for name, value in named("values", values, '{"max_torque": 3000}').items():
             if name in self.objects.names:
                 self.write(name, round(value))
             elif name in record.OD.names:  # type: ignore[operator]
@@ -373,7 +374,7 @@ class Drive:
         """
         name = cause.name.lower() if isinstance(cause, Cause) else cause.lower()
         if name not in self.injectable:
-            raise ValueError(f"unknown cause {cause!r}: choose one of {', '.join(self.injectable)}")
+            raise ValueError(f"unknown cause {cause!r}: {near(str(cause), self.injectable)}")
         if name == "index_missing":
             self.axis.index_missing = 1
         elif name.upper() in Cause.__members__:

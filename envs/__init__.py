@@ -13,7 +13,7 @@ from .plants.linear_axis import linear_axis
 from .plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
 from .registry import register, task
 from .servo_env import METRE, ServoEnv
-from .tasks import POINT_TO_POINT, TASKS
+from .tasks import ON_MODELS, POINT_TO_POINT, TASKS
 
 __all__ = [
     "FAMILY",
@@ -43,5 +43,5 @@ __all__ = [
     "tune",
 ]
 
-for _task in TASKS:
+for _task in (*TASKS, *ON_MODELS):
     register(_task, f"{_task.__module__}:vector")

@@ -1,7 +1,16 @@
 """Arguments of a user: what is wrong is told with name, value, range and unit."""
 
+import functools
+import inspect
 import math
 import os
+import sysconfig
+import traceback
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..drive.model.near import near
 
 THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
 
@@ -39,3 +48,85 @@ def threads() -> int:
     """How many a vector takes where it is not told: what is granted, else one a core."""
     granted = os.environ.get(THREADS, "")
     return max(int(granted), 1) if granted.isdigit() else cores()
+
+
+def choice(name: str, given: Any, known: Iterable[Any]) -> Any:
+    """`given`, one of `known`. Raises ValueError with the near ones."""
+    names = [str(each) for each in known]
+    if not isinstance(given, str) or given not in names:
+        raise ValueError(f"{name} = {given!r}: {near(str(given), names)}")
+    return given
+
+
+class Options(dict[str, Any]):
+    """Options of a reset, which know what a task has asked for."""
+
+    def __init__(self, given: Mapping[str, Any]):
+        super().__init__(given)
+        self._asked: dict[str, None] = {}  # in their order
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """As of a dict."""
+        self._asked[name] = None
+        return super().get(name, default)
+
+    def pop(self, name: str, *default: Any) -> Any:
+        """As of a dict."""
+        self._asked[name] = None
+        return super().pop(name, *default)
+
+    def __getitem__(self, name: str) -> Any:
+        self._asked[name] = None
+        return super().__getitem__(name)
+
+    def __contains__(self, name: object) -> bool:
+        self._asked[str(name)] = None
+        return super().__contains__(name)
+
+    def refuse_unread(self) -> None:
+        """Raise ValueError for an option that no one has asked for."""
+        for name in self.keys() - self._asked.keys():
+            hint = near(name, self._asked)
+            raise ValueError(f"options: there is no {name!r} here" + (f": {hint}" if hint else ""))
+
+
+HOUSE = (
+    str(Path(__file__).parents[1]),
+    str(Path(__file__).parents[1].with_name("drive")),
+    str(Path(__file__).parents[1].with_name("training")),
+    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
+    "<",
+)
+
+
+def place_of(error: BaseException) -> str:
+    """File and line of a user's own code where an error came from; empty if it is not theirs."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}, line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    entered = next((i for i, one in enumerate(frames) if one.filename.startswith(HOUSE)), 0)
+    own = [one for one in frames[entered:] if not one.filename.startswith(HOUSE)]
+    return f"{own[-1].filename}, line {own[-1].lineno}, in {own[-1].name}" if own else ""
+
+
+def told(error: BaseException) -> str:
+    """An error in a line: kind, what it says, and where in a user's own code it came from."""
+    place = place_of(error)
+    text = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())
+    return f"{place + ': ' if place else ''}{type(error).__name__}: {text}"
+
+
+@functools.cache
+def accepted(task: type) -> dict[str, inspect.Parameter]:
+    """The arguments of a task by name: of its own, and of the bases it hands what else it gets."""
+    found: dict[str, inspect.Parameter] = {}
+    for kind in task.__mro__:
+        if "__init__" not in vars(kind):
+            continue
+        taken = inspect.signature(vars(kind)["__init__"]).parameters
+        for name, parameter in taken.items():
+            if name != "self" and parameter.kind is not parameter.VAR_KEYWORD:
+                found.setdefault(name, parameter)
+        if not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
+            break
+    return found

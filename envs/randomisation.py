@@ -22,6 +22,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from ..drive.model.near import near
 from .engine.machine import Machine
 
 PAYLOAD, CABLE = "payload", "cable"
@@ -197,7 +198,7 @@ class Randomisation:
 
 def _range(name: str, given: float | tuple[float, float]) -> tuple[float, float]:
     if name not in KNOBS:
-        raise ValueError(f"randomise: unknown name {name!r}, choose of {', '.join(KNOBS)}")
+        raise ValueError(f"randomise: unknown name {name!r}: {near(name, KNOBS)}")
     knob = KNOBS[name]
     try:
         low, high = (float(given),) * 2 if np.ndim(given) == 0 else map(float, given)  # type: ignore

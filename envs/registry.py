@@ -14,6 +14,7 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
 from ..drive.model.near import near
+from .checks import told
 from .servo_env import ServoEnv
 from .vector_env import ServoVectorEnv
 
@@ -59,6 +60,8 @@ def task(name: str) -> type[ServoEnv]:
     Raises:
         ValueError: no such module, no such id (with near ones), or not a `ServoEnv`.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"environment {name!r}: give its id, such as 'LinearAxis-v0'")
     module, _, identity = name.rpartition(":")
     if module:
         _import(module, name)
@@ -94,7 +97,7 @@ def _import(module: str, name: str) -> None:
     except Exception as error:
         raise ValueError(
             f"environment {name!r}: module {module!r} cannot be imported "
-            f"({type(error).__name__}: {error}); install its package, or set PYTHONPATH"
+            f"({told(error)}); install its package, or set PYTHONPATH"
         ) from error
 
 

@@ -16,11 +16,12 @@ import numpy as np
 from ..drive.kernel.words import ENABLED, Mode, state_of
 from ..drive.master.master import Master
 from ..drive.model.model import DriveModel, load
+from ..drive.model.near import named, near
 from ..drive.objects.abort import SdoAbort
 from . import fields
 from .about import Metric, Sensor
 from .batch import COMMANDED, JUDGED_NAMES, REPORTED, Batch, image_type, mapping, shown
-from .checks import whole
+from .checks import Options, accepted, choice, whole
 from .engine.machine import Machine
 from .engine.rates import interpolation_period, step_cycles
 from .faces import FACES, FAULT, PDO
@@ -145,8 +146,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
                     f"drive {model.name!r} has no mode {mode.name.lower()}, which this task needs: "
                     f"it has {', '.join(m.name.lower() for m in model.modes)}"
                 )
-        if action not in FACES:
-            raise ValueError(f"action = {action!r}, use one of {', '.join(FACES)}")
+        choice("action", action, FACES)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
         self.render_mode = render_mode
@@ -158,7 +158,11 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.step_time = self.cycles_per_step * self.machine.cycle_time
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.step_time)}
         self._faults = injections(causes, self.machine.drives, self.drives)
-        self.randomisation = Randomisation(self.machine, randomise or {}, self.cycles_per_step)
+        self.randomisation = Randomisation(
+            self.machine,
+            named("randomise", randomise, '{"payload": (1.0, 10.0)}'),
+            self.cycles_per_step,
+        )
         self._history = whole("history", history, 1, MAX_HISTORY)
         self._previous_action = bool(previous_action)
         self._configure()
@@ -174,7 +178,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self._batch.width,), np.float32)
         self.parameters: dict[str, float] = {}
         self._injected: list[str] = []
-        self._steps = 0
+        self._steps = -1  # not begun
         self._picture: Picture | None = None
 
     def __repr__(self) -> str:
@@ -182,6 +186,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def __new__(cls, *args: Any, **arguments: Any) -> "ServoEnv":
         """Remember the arguments, for pickling."""
+        known = accepted(cls) if arguments else {}  # type: ignore[arg-type]
+        for name in arguments:
+            if name not in known:
+                raise TypeError(f"{cls.__name__} has no argument {name!r}: {near(name, known)}")
         env = super().__new__(cls)
         env._arguments = args, arguments
         return env
@@ -222,6 +230,10 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     def ghosts(self) -> dict[str, np.ndarray]:
         """Where bodies should be, by name: displacement (m), shape ``(3,)``; drawn translucent."""
         return {}
+
+    def path(self) -> np.ndarray:
+        """What is to be followed, shape ``(n, 3)`` (m); drawn as a line."""
+        return np.zeros((0, 3))
 
     # ------------------------------------------------------------------- setting up
 
@@ -285,7 +297,9 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             self.line.begin(self.np_random.spawn(1)[0])
         for array in (self._part.episodes, self._part.rpdos):
             array.view(np.ndarray).view(np.uint8)[:] = 0
-        self._begin(dict(options or {}))
+        given = Options(named("options", options, '{"start": 0.1}'))
+        self._begin(given)
+        given.refuse_unread()
         if self.face != PDO:
             self._part.rpdos["controlword"] = ENABLED
             self._part.rpdos["modes_of_operation"] = self.MODES[0]
@@ -327,10 +341,15 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         if np.shape(action) != self.action_space.shape:
             raise ValueError(self._refusal(action))
         for i, value in enumerate(action):
-            value = float(value)
+            try:
+                value = float(value)
+            except (TypeError, ValueError):
+                raise ValueError(self._refusal(action)) from None
             if not abs(value) <= 1.0 + 1e-6:
                 raise ValueError(self._refusal(action))
             self._part.actions[0, i] = value
+        if self._steps < 0:
+            raise gym.error.ResetNeeded("call reset() before the first step")
         self.inject_faults()
         self._batch.run(self._part)
         rows = slice(self._row, self._row + 1)

@@ -12,8 +12,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from .batch import shown
+from .checks import choice, whole
 from .checks import threads as granted
-from .checks import whole
 from .engine.guard import Turn
 from .engine.machine import Residence
 from .faces import FAULT
@@ -60,7 +60,10 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             threads = whole("threads", threads, 1, MOST)
         if max_episode_steps is not None:
             max_episode_steps = whole("max_episode_steps", max_episode_steps, 1, MOST)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        if not isinstance(autoreset_mode, AutoresetMode):
+            modes = [mode.value for mode in AutoresetMode]
+            autoreset_mode = AutoresetMode(choice("autoreset_mode", autoreset_mode, modes))
+        self.autoreset_mode = autoreset_mode
         workers = min(threads or granted(), self.num_envs)
         edges = np.linspace(0, self.num_envs, workers + 1).astype(int).tolist()
         self.envs: list[ServoEnv] = []
@@ -134,7 +137,10 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         batch = self._batch
-        given = np.asarray(actions, np.float64)
+        try:
+            given = np.asarray(actions, np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"actions = {actions!r} are not in {self.action_space}") from None
         if given.shape != batch.actions.shape or not (np.abs(given) <= 1.0 + 1e-6).all():
             raise ValueError(
                 f"actions of shape {given.shape} are not in {self.action_space}: "

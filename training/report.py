@@ -8,12 +8,16 @@ import io
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 PACKAGES = ("servogym", "mujoco", "gymnasium", "numpy", "numba", "ruckig")
 INK = "#1f5fa8"
@@ -28,6 +32,76 @@ def origin(command: str) -> dict[str, Any]:
         "python": platform.python_version(),
         **{package: version(package) for package in PACKAGES},
     }
+
+
+def unseen(share: float) -> None:
+    """Progress that nobody looks at."""
+
+
+@contextmanager
+def progress(console: Console | None, what: str, total: float) -> Iterator[Callable[[float], None]]:
+    """A bar with an estimate of the time left, at a terminal, for as long as it takes.
+
+    Gives a function that is told how much of `total` has been done since.
+    """
+    if console is None or not console.is_terminal:
+        yield unseen
+        return
+    with Progress(*Progress.get_default_columns(), console=console, transient=True) as bar:
+        row = bar.add_task(what, total=total)
+        yield lambda share: bar.advance(row, share)
+
+
+def writable(option: str, path: Path, *, file: bool) -> None:
+    """Refuse what cannot be written before anything is computed for it.
+
+    Args:
+        option: that gave the path.
+        path: of a file or of a folder; what is missing is made later.
+        file: which of them.
+
+    Raises ValueError saying what is in the way.
+    """
+    place = path.parent if file else path
+    if file and path.is_dir():
+        raise ValueError(f"{option} {path} is a folder: name a file in it")
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise ValueError(f"{option} {path}: {place} is a file, no folder; give another path")
+    if not os.access(path if file and path.exists() else place, os.W_OK):
+        raise ValueError(f"{option} {path} cannot be written: {place} is closed to you")
+
+
+def kept_folder(out: Path | None, name: str, file: str, command: str) -> Path:
+    """Where results of `command` go, so that those of others are kept.
+
+    Args:
+        out: given by the user; if not: a folder of its own in ``out``, numbered if need be.
+        name: of that folder.
+        file: JSON of results, that says by which command.
+        command: the present one; it may write over its own results, which are the same again.
+
+    Raises ValueError where `out` has those of another command.
+    """
+    if out is not None:
+        if (other := _made_by(out / file)) not in ("", command):
+            raise ValueError(
+                f"--out {out} has the results of `{other}`: give another folder, or remove them"
+            )
+        return out
+    numbered = (Path("out", f"{name}-{n}" if n > 1 else name) for n in count(1))
+    return next(folder for folder in numbered if _made_by(folder / file) in ("", command))
+
+
+def _made_by(file: Path) -> str:
+    """The command that made a file of results; empty where there is none."""
+    if not file.exists():
+        return ""
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["command"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return f"something else ({file.name})"
 
 
 def number(value: float, digits: int = 3) -> str:

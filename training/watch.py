@@ -1,7 +1,7 @@
 """`servogym watch`: see an environment move in a window, in real time, or record it."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,14 @@ from rich.console import Console
 
 from .pictures.video import Recording
 from .policies import BuiltIn, Policy, make, needed
+from .report import progress
 
 FPS = 25  # images a second aimed at, each after a whole number of steps
 
 
 def run(
     name: str, policy_name: str, drive: str, episodes: int, seed: int, speed: float,
-    record: Path | None, console: Console,
+    record: Path | None, console: Console, arguments: Mapping[str, Any] | None = None,
 ) -> int:  # fmt: skip
     """Play episodes of a policy, in a window or to a file.
 
@@ -29,6 +30,7 @@ def run(
         speed: of the playback; 1 is real time.
         record: file or folder; a window if not given.
         console: for what happened in each episode.
+        arguments: of the environment.
 
     Raises:
         ValueError: one of these is not possible; it says which are.
@@ -45,9 +47,12 @@ def run(
     from ..envs.view.picture import Picture, require_display
 
     identity = task(name).ID
-    env: Any = gymnasium.make(
-        identity, drive=drive, disable_env_checker=True, **needed(policy_name)
-    )
+    given = needed(policy_name) | dict(arguments or {})
+    try:
+        env: Any = gymnasium.make(identity, drive=drive, disable_env_checker=True, **given)
+    except TypeError as error:
+        told = str(error).partition(" was raised from")[0]  # Gymnasium's, around every error
+        raise ValueError(f"--argument: {told}") from None
     policy = make(policy_name, env.unwrapped, seed)
     if isinstance(policy, BuiltIn):
         raise ValueError(
@@ -61,6 +66,7 @@ def run(
     picture = Picture(env.unwrapped)
     recording = Recording(record, 1.0 / frame_time) if record is not None else None
     due = time.monotonic()
+    shown = console if recording is not None else None
 
     def frame() -> bool:
         """Draw the present, in real time in a window; False once that has been closed."""
@@ -75,7 +81,10 @@ def run(
 
     try:
         for episode in range(episodes):
-            ended, what = _episode(env, policy, None if episode else seed, stride, frame)
+            with progress(shown, f"episode {episode + 1}", env.spec.max_episode_steps) as advance:
+                ended, what = _episode(
+                    env, policy, None if episode else seed, stride, frame, advance
+                )
             console.print(f"episode {episode + 1}: {what}", highlight=False)
             if not ended:
                 console.print("the window was closed")
@@ -94,7 +103,12 @@ def run(
 
 
 def _episode(
-    env: Any, policy: Policy, seed: int | None, stride: int, frame: Callable[[], bool]
+    env: Any,
+    policy: Policy,
+    seed: int | None,
+    stride: int,
+    frame: Callable[[], bool],
+    advance: Callable[[float], None],
 ) -> tuple[bool, str]:
     """Whether an episode came to its end, and what happened; a frame each `stride` steps."""
     observation, info = env.reset(seed=seed)
@@ -106,5 +120,6 @@ def _episode(
         total, steps, ended = total + float(reward), steps + 1, terminated or truncated
         if ended or steps % stride == 0:
             watched = frame()
+        advance(1.0)
     outcome = info["fault"] or ("success" if info["is_success"] else "no success")
     return watched, f"{steps} steps, {info['time']:.3f} s, return {total:.2f}, {outcome}"

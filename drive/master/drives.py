@@ -89,7 +89,9 @@ class Drives:
     # ------------------------------------------------------------------ time
 
     def wait(self, time: float) -> None:
-        """Let so much time pass (s)."""
+        """Let so much time pass (s), 0 or more."""
+        if not time >= 0.0:
+            raise ValueError(f"time = {time!r} s must be 0 or more")
         end = self.port.now() + time - 1e-9
         while self.port.now() < end:
             self.port.exchange()
@@ -226,12 +228,19 @@ class Drives:
                     step = hint or advice.advice(
                         self.port.models[late[0]], shown[0].statusword, shown[0].controlword
                     )
-                    raise Timeout(what, f"not within {timeout:g} s", step, shown)
+                    said = f"not within {timeout:g} s"
+                    raise Timeout(what, said + self._touching(*late), step, shown)
                 self.port.exchange()
         except ServoError as error:
             if len(self.axes) > 1 or isinstance(error, Interlock):
                 self._stop()
             raise
+
+    def _touching(self, *axes: str) -> str:
+        """What is in the way of the drives, where the port can see it."""
+        see = getattr(self.port, "obstacles", None)
+        found = [contact for axis in axes for contact in see(axis)[:2]] if see else []
+        return f"; {', '.join(found)}" if found else ""
 
     def _stop(self) -> None:
         """Quick stop of every drive that hears."""
@@ -252,7 +261,9 @@ class Drives:
             raise HomingFailed("homing failed", said, step, self._shown(axis))
         if not faulty and self._sure(axis, in_fault):
             step = "remove the cause, then reset_fault()"
-            raise DriveFault(what, f"FAULT, {self._fault(axis)}", step, self._shown(axis))
+            raise DriveFault(
+                what, f"FAULT, {self._fault(axis)}{self._touching(axis)}", step, self._shown(axis)
+            )
         if powered and self._sure(axis, lambda word: state_of(word) in LOST):
             raise self._no_power(what, axis)
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from ..kernel.words import ENABLED, SWITCHED_ON, TO_ENABLED, Mode, State, state_of
 from ..kernel.words import Controlword as C
 from ..kernel.words import Statusword as S
+from ..model.near import near
 from .drives import QUICK_STOP, Drives, in_fault
 from .errors import HomingFailed, Refused, Timeout
 
@@ -106,12 +107,17 @@ class Master(Drives):
 
     # --------------------------------------------------- modes of operation
 
-    def set_mode(self, mode: Mode, timeout: float = 1.0) -> None:
-        """Select a mode of operation and wait until 6061h shows it.
+    def set_mode(self, mode: Mode | str, timeout: float = 1.0) -> None:
+        """Select a mode of operation, a `Mode` or its name, and wait until 6061h shows it.
 
         Raises:
             Refused: a drive model without the mode.
         """
+        try:
+            mode = Mode[mode.upper()] if isinstance(mode, str) else Mode(mode)
+        except (KeyError, ValueError):
+            known = [each.name.lower() for each in Mode]
+            raise Refused(f"mode {mode!r}", "there is none", near(str(mode), known)) from None
         without = [axis for axis in self.axes if mode and mode not in self.port.models[axis].modes]
         if without:
             raise Refused(f"mode {mode.name}", f"drive {self.port.models[without[0]].name!r} of "

@@ -204,6 +204,11 @@ def load(model: "str | Path | DriveModel", bus: str | None = None) -> DriveModel
 
     Raises ValueError, naming the known models or buses, or file, line and reason of a wrong row.
     """
+    if not isinstance(model, (str, Path, DriveModel)):
+        raise ValueError(
+            f"drive = {model!r}: give a drive model by name, as folder or loaded; the names are "
+            f"{', '.join(model_names())}"
+        )
     if isinstance(model, DriveModel):
         return model if bus in (None, model.bus) else _load(model.folder, bus)
     return _load(_folder(model), bus)

@@ -1,7 +1,8 @@
-"""What might have been meant by a name that does not exist."""
+"""Names a user gives: what is given by name, and what might have been meant."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from typing import Any
 
 
 def near(name: str, known: Iterable[str]) -> str:
@@ -11,3 +12,12 @@ def near(name: str, known: Iterable[str]) -> str:
     if found:
         return f"did you mean {' or '.join(found)}"
     return f"choose one of {', '.join(names)}" if names else ""
+
+
+def named(name: str, given: Any, example: str) -> dict[str, Any]:
+    """What is given by name, empty for None. Raises ValueError for what is no mapping."""
+    if given is None:
+        return {}
+    if not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):
+        raise ValueError(f"{name} = {given!r}: give values by name, as {example}")
+    return dict(given)

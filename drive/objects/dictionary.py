@@ -7,6 +7,8 @@ write changes nothing. What a write does beside storing its bytes is a row of `H
 import functools
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from ..kernel.factors import units_changed
 from ..model.model import DriveModel
 from ..model.near import near
@@ -158,6 +160,10 @@ class ObjectDictionary:
                 hint = hint if hint.startswith("did") else "see objects.csv of its model"
                 raise SdoAbort(Abort.NO_OBJECT, 0, 0, f"no object is called {index!r}: {hint}")
             return slot
+        if not isinstance(index, int | np.integer):
+            raise SdoAbort(
+                Abort.NO_OBJECT, 0, 0, f"{index!r} is no object: give its name, or its index"
+            )
         slot, abort = self.find(index, subindex)
         if slot is None:
             raise SdoAbort(abort, index, subindex)

@@ -72,6 +72,8 @@ def messages(log: Path) -> Iterator[can.Message]:
         raise
     except Exception as error:  # each reader has exceptions of its own, down to IndexError
         reason = " ".join(str(error).split())
+        if isinstance(error, UnicodeError):
+            reason = "it is no text"
         where = f"{log}, line {lines.number}" if lines else f"{log}"
         raise ValueError(
             f"{where}: damaged or cut off, no further frame can be read ({reason})"

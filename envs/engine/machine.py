@@ -4,6 +4,7 @@ import copy
 import math
 import zlib
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from ...drive.drive import Drive
 from ...drive.kernel import record
 from ...drive.memory import address, peek
 from ...drive.model.model import DriveModel, load
+from ...drive.model.near import named, near
 from ...drive.objects import snapshot as snapshots
 from ..checks import whole
 from . import loop, mechanics
@@ -37,6 +39,13 @@ VARIABLE = (
 )  # fmt: skip
 FLOAT = np.dtype("f8")
 NO_IMAGES = np.zeros((1, 0), np.uint8)
+
+
+class Drives(dict[str, Drive]):
+    """Of a machine, by name."""
+
+    def __missing__(self, name: str) -> Drive:
+        raise KeyError(f"there is no drive {name!r}: {near(str(name), self)}")
 
 
 class Machine:
@@ -96,7 +105,7 @@ class Machine:
     def _assemble(self, model: mujoco.MjModel, drives: dict[str, Drive]) -> None:
         """Bring together what a machine consists of; the drives live in one array."""
         self._model, self._data = model, mujoco.MjData(model)
-        self.drives = drives
+        self.drives = Drives(drives)
         self.axes = next(iter(drives.values())).axes
         self.couplings = np.zeros(len(drives), record.accessible(loop.COUPLING))
         self.mechanics = np.zeros(len(drives), record.accessible(mechanics.MECHANICS))
@@ -223,7 +232,10 @@ class Machine:
         text = str(mjcf)
         try:
             spec = read(mjcf, folder)
-            models = {name: load(drive) for name, drive in drives.items()}
+            models = {
+                name: load(drive)
+                for name, drive in named("drives", drives, '{"joint": "generic"}').items()
+            }
             if models:
                 attach(spec, models, gears or {})
             return cls(spec.compile(), models)
@@ -270,16 +282,18 @@ class Machine:
             ValueError: a name without a drive, a position that is not finite or out of the range.
         """
         places = {}
-        for name, position in (positions or {}).items():
+        for name, position in named("positions", positions, '{"x": 0.1}').items():
             if name not in self.drives:
-                raise ValueError(f"positions: there is no drive {name!r}, only {[*self.drives]}")
+                raise ValueError(
+                    f"positions: there is no drive {name!r}: {near(name, self.drives)}"
+                )
             coupling = self.couplings[list(self.drives).index(name)]
             joint = self.model.dof_jntid[coupling.dof]
             number = list(self.drives).index(name)
             low, high = (float(self.mechanics[end][number]) for end in ("low", "high"))
-            if not math.isfinite(position) or not low <= position <= high:
+            if not (isinstance(position, Real) and low <= float(position) <= high):
                 raise ValueError(
-                    f"positions[{name!r}] = {position} is out of the joint's range "
+                    f"positions[{name!r}] = {position!r} is out of the joint's range "
                     f"{low:g}..{high:g} {_unit(self.model, joint)}"
                 )
             places[int(coupling.qpos)] = float(position)

@@ -6,8 +6,10 @@ What is changed, and only for joints that get a drive:
   becomes one: gain 1, no bias, no dynamics, no delay. It keeps its name and its number in
   ``data.ctrl``. A joint without an actuator gets one, the last, with the name of the joint.
 - Such a motor has the gear of `gears`, else `GEARS`; the joint's armature becomes the rotor inertia
-  of the drive model times gear². A plain motor without an entry in `gears` is the mechanics
-  already: it keeps its gear, and the joint its armature.
+  of the drive model times gear². A plain motor without a control range and without an entry in
+  `gears` is the mechanics already: it keeps its gear, and the joint its armature. With a control
+  range, as robots for learning have it, MuJoCo's `gear` is the torque of a control of 1 and says
+  nothing of a reduction: that motor gets the usual gear.
 - Limits of control, of actuator force and of the joint's actuator force are lifted, because the
   drive has limits of its own.
 - The integrator RK4 becomes implicitfast: friction and drive act once a step.
@@ -29,6 +31,7 @@ from pathlib import Path
 import mujoco
 
 from ...drive.model.model import DriveModel
+from ...drive.model.near import near
 
 JOINT_TYPES = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}  # units
 ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
@@ -40,6 +43,7 @@ GEARS = {
 # what says whose actuator it is; everything else says how it acts
 _IDENTITY = ("name", "target", "trntype", "group", "userdata", "info", "id", "signature")
 _OBJECTS = ("classname", "compiler", "plugin")
+WIDTH, HEIGHT = 960, 540  # of a picture, what it is drawn into has to have
 LARGEST = 64 * 2**20  # bytes of a file of MJCF
 LARGEST_ASSET = 512 * 2**20  # bytes of a file of a mesh, a picture or a height field
 MOST_COPIES = 20_000  # elements that counts make of a few lines
@@ -77,6 +81,8 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
         ValueError: there is no such file, a file of it lies elsewhere or is too large, it declares
             entities, asks for more elements or memory than it may, or MuJoCo cannot read it.
     """
+    if not isinstance(mjcf, str | Path):
+        raise ValueError(f"mjcf = {mjcf!r}: give the path of an MJCF file, or its text")
     text, base, seen = str(mjcf), Path(), set[Path]()
     if not text.lstrip().startswith("<"):
         file = Path(mjcf)
@@ -87,6 +93,8 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
     root = Path(base if folder is None else folder).resolve()
     _opened(text, base, root, seen, _Asked(), 1.0)
     spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
+    view = spec.visual.global_
+    view.offwidth, view.offheight = max(view.offwidth, WIDTH), max(view.offheight, HEIGHT)
     for place, name in _assets(spec):
         _asset(_inside(base / place / name, root))
     return spec
@@ -222,7 +230,7 @@ def attach(
     """
     for name in gears:
         if name not in drives:
-            raise ValueError(f"gears: there is no drive {name!r}, only {[*drives]}")
+            raise ValueError(f"gears: there is no drive {name!r}: {near(name, drives)}")
     names: dict[str, str] = {}  # drive by joint
     for name, drive in drives.items():
         joint, actuator = _place(spec, name)
@@ -318,9 +326,11 @@ def _place(spec: mujoco.MjSpec, name: str):
 
 
 def _plain(actuator) -> bool:
-    """Whether it is a motor: gain 1, no bias, no dynamics."""
+    """Whether it is a motor that knows its reduction: gain 1, no bias, no dynamics, no range."""
     return (
-        actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_TRUE
+        and actuator.ctrlrange[0] == actuator.ctrlrange[1]
+        and actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
         and actuator.gainprm[0] == 1.0
         and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
         and actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE

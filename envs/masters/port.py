@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from ...drive.master.port import Units
 from ...drive.model.model import DriveModel
 from ..engine.machine import Machine
+from ..engine.touch import obstacles
 
 
 class MachinePort:
@@ -52,6 +53,15 @@ class MachinePort:
         self.machine.step(self.cycles)
         if self.on_step is not None:
             self.on_step()
+
+    def obstacles(self, axis: str) -> list[str]:
+        """What touches what in the way of a drive's joint, the strongest contact first."""
+        machine = self.machine
+        coupling = machine.couplings[[*machine.drives].index(axis)]
+        with machine.turn:
+            return obstacles(
+                machine.model, machine.data, int(machine.model.dof_jntid[coupling.dof])
+            )
 
     def units(self, axis: str) -> Units:
         """What the factors and the mechanics make of a drive unit."""

@@ -5,6 +5,7 @@ Values marked `inferred` are of the size catalogues give for axes of this class,
 
 from dataclasses import dataclass, fields, replace
 
+from ...drive.model.near import near
 from ..checks import in_range
 
 # lowest, highest, unit
@@ -223,7 +224,10 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
         ValueError: an unknown name, or a parameter out of range.
     """
     if mechanics not in FAMILY:
-        raise ValueError(f"mechanics = {mechanics!r} is unknown, choose of {', '.join(FAMILY)}")
+        raise ValueError(f"mechanics = {mechanics!r} is unknown: {near(str(mechanics), FAMILY)}")
+    for name in values:
+        if name not in RANGES and name != "load_encoder":
+            raise ValueError(f"a linear axis has no parameter {name!r}: {near(name, RANGES)}")
     return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
 
 
@@ -231,4 +235,11 @@ def chosen(parameters: LinearAxisParameters | str | None, payload: float) -> Lin
     """Parameters as they are, or by the name of a preset; None: the rigid axis with `payload`."""
     if parameters is None:
         return LinearAxisParameters(payload=payload)
-    return family(parameters) if isinstance(parameters, str) else parameters
+    if isinstance(parameters, str):
+        return family(parameters)
+    if not isinstance(parameters, LinearAxisParameters):
+        raise ValueError(
+            f"parameters = {parameters!r}: give LinearAxisParameters(...), or the name of a "
+            f"preset: {', '.join(FAMILY)}"
+        )
+    return parameters

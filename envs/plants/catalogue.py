@@ -9,6 +9,7 @@ from ...drive.drive import Drive
 from ...drive.ethercat.segment import Segment
 from ...drive.ethercat.slave import Slave
 from ...drive.model.model import DriveModel, load
+from ...drive.model.near import near
 from ..engine.machine import Machine
 from .gantry import gantry
 from .linear_axis import linear_axis
@@ -44,7 +45,7 @@ def axis_for(
         the parameter file.
     """
     if axis not in AXES:
-        raise ValueError(f"--axis = {axis!r}: use one of {', '.join(AXES)}")
+        raise ValueError(f"--axis = {axis!r}: {near(axis, AXES)}")
     if parameter_file is not None and not parameter_file.parent.is_dir():
         raise ValueError(
             f"--parameter-file = {parameter_file}: there is no folder {parameter_file.parent}; "
@@ -107,7 +108,7 @@ def ethercat_line(
     Raises ValueError: unknown model or axis, a model without EtherCAT.
     """
     if axis not in (*AXES, "none"):
-        raise ValueError(f"--axis = {axis!r}: use one of {', '.join(AXES)}, none")
+        raise ValueError(f"--axis = {axis!r}: {near(axis, [*AXES, 'none'])}")
     machines: list[Machine] = []
     drives: list[Drive] = []
     for name in models:

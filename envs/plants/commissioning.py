@@ -12,6 +12,7 @@ import numpy as np
 
 from ...drive.drive import Drive
 from ...drive.model.model import load
+from ...drive.model.near import near
 from ...drive.objects.abort import SdoAbort
 from ..engine.machine import Machine
 from .linear_axis import MOTOR, factor_group
@@ -61,7 +62,7 @@ def commission_joint(
             cannot take, with what to change.
     """
     if name not in machine.drives:
-        raise ValueError(f"name: there is no drive {name!r}, only {[*machine.drives]}")
+        raise ValueError(f"name: there is no drive {name!r}: {near(name, machine.drives)}")
     drive = machine.drives[name]
     if not drive.model.positions:
         return

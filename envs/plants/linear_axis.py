@@ -10,7 +10,7 @@ import mujoco
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
-from .axis_parameters import LinearAxisParameters, family
+from .axis_parameters import LinearAxisParameters, chosen, family
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough, spring
 from .tuning import gains, inertia_at_shaft, inertia_of_motor_side
 
@@ -59,6 +59,7 @@ def linear_axis(
     elif values or mechanics != "rigid":
         given = [*values, *(["mechanics"] if mechanics != "rigid" else [])]
         raise ValueError(f"parameters and {', '.join(given)} are both given: choose one way")
+    parameters = chosen(parameters, 0.0)
     drive_model = load(drive)
     if timestep is None:
         timestep = drive_model.cycle_time["velocity"]

@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 
 from ...drive.model.model import DriveModel, load
+from ...drive.model.near import near
 from ..checks import in_range
 from ..engine.machine import Machine
 from .commissioning import commission_joint
@@ -160,7 +161,7 @@ def rotary_axis(
     """
     if mechanics not in ROTARY_FAMILY:
         raise ValueError(
-            f"mechanics = {mechanics!r} is unknown, choose of {', '.join(ROTARY_FAMILY)}"
+            f"mechanics = {mechanics!r} is unknown: {near(str(mechanics), ROTARY_FAMILY)}"
         )
     if parameters is None:
         parameters = replace(ROTARY_FAMILY[mechanics], **values)  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ from .contour import GantryContourEnv
 from .gantry_sync import GantrySyncEnv
 from .homing import HomingEnv
 from .positioning import LinearAxisEnv
+from .robot import RobotEnv
 from .rotary import RotaryAxisEnv
 from .sway import GantrySwayEnv
 from .tracking import LinearAxisTrackingEnv
@@ -21,4 +22,5 @@ TASKS = (
     GantryContourEnv,
     GantrySwayEnv,
 )
+ON_MODELS = (RobotEnv,)  # their machine is an argument
 POINT_TO_POINT = LinearAxisEnv  # what speed and positioning are measured with

@@ -10,7 +10,7 @@ from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
-from ..checks import in_range
+from ..checks import choice, in_range
 from ..engine.loop import coordinates, world_at
 from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
@@ -272,8 +272,7 @@ steps × `feed` × step time |
         following_error_window: float = 5e-3,
         **arguments: Any,
     ):
-        if contour not in CONTOURS:
-            raise ValueError(f"contour = {contour!r}, use one of {', '.join(CONTOURS)}")
+        choice("contour", contour, CONTOURS)
         self.contour = contour
         self.radius = in_range("radius", radius, 0.005, 0.2, "m")
         self.feed = in_range("feed", feed, 0.01, 0.5, "m/s")
@@ -331,6 +330,17 @@ steps × `feed` × step time |
             "progress": episode.progress,
             "settling_time": math.nan,
         }
+
+    def path(self) -> np.ndarray:
+        """The contour, at the height of the gripper."""
+        episode = self.episode
+        ways = np.linspace(0.0, length(episode._contour, episode._radius), 97)
+        at = [
+            [CENTRE[d] + point(episode._contour, episode._radius, way, d) for d in range(2)]
+            for way in ways
+        ]
+        height = float(self.machine.data.geom("payload").xpos[2])
+        return np.column_stack([at, np.full(len(at), height)])
 
     def ghosts(self) -> dict[str, np.ndarray]:
         """The gripper at the point of the path."""

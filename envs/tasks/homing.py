@@ -13,7 +13,7 @@ from ...drive.kernel.words import Controlword as C
 from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
 from ..batch import episode
-from ..checks import in_range
+from ..checks import choice, in_range
 from ..engine.loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..engine.machine import Machine
 from ..faces import PDO, clip, faulted, limited
@@ -307,8 +307,7 @@ the positive one; -1 the negative, 0 none |
         parameters: LinearAxisParameters | str | None = None,
         **arguments: Any,
     ):
-        if reference not in REFERENCES:
-            raise ValueError(f"reference = {reference!r}, use one of {', '.join(REFERENCES)}")
+        choice("reference", reference, REFERENCES)
         self.reference = reference
         self.homing_method = REFERENCES[reference][0]
         self.max_velocity = in_range("max_velocity", max_velocity, 0.01, 2.0, "m/s")

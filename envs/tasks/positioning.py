@@ -10,7 +10,7 @@ from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..batch import episode
-from ..checks import in_range
+from ..checks import choice, in_range
 from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
@@ -206,8 +206,7 @@ class LinearAxisEnv(ServoEnv):
         following_error_window: float = 0.02,
         **arguments: Any,
     ):
-        if mode not in COMMANDS:
-            raise ValueError(f"mode = {mode!r}, use one of {', '.join(COMMANDS)}")
+        choice("mode", mode, COMMANDS)
         self.mode = mode
         own, commanded, self.ACTION, self.act = COMMANDS[mode]
         self.MODES = (own, Mode.HOMING)

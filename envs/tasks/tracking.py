@@ -12,7 +12,7 @@ from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
-from ..checks import in_range
+from ..checks import choice, in_range
 from ..engine.loop import coordinates, speeds, world_at
 from ..engine.machine import Machine
 from ..engine.probe import elastic
@@ -238,7 +238,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         randomise: Mapping[str, float | tuple[float, float]] | None = None,
         **arguments: Any,
     ):
-        self.reference = None if reference is None else _known("reference", reference)
+        self.reference = None if reference is None else choice("reference", reference, REFERENCES)
         self.correction = in_range("correction", correction, 1e-6, 0.1, "m")
         self.datasheet = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
@@ -265,7 +265,7 @@ class LinearAxisTrackingEnv(ServoEnv):
                 in_range("options['way_points']", point, 0.0, STROKE, "m")
                 for point in np.atleast_1d(points)
             ]
-        kind = _known("options['reference']", options.get("reference") or self._kind())
+        kind = choice("options['reference']", options.get("reference") or self._kind(), REFERENCES)
         here = x.read("position_actual_value") / METRE
         made = make_reference(kind, self.np_random, limits, here, self._times, points)
         episode._position[:STEPS] = made.position[:STEPS]
@@ -299,12 +299,6 @@ class LinearAxisTrackingEnv(ServoEnv):
         """The carriage where the reference is."""
         away = self.episode._position[self.episode._now] - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
-
-
-def _known(argument: str, name: str) -> str:
-    if name not in REFERENCES:
-        raise ValueError(f"{argument} = {name!r}, choose of {', '.join(REFERENCES)}")
-    return name
 
 
 vector = partial(ServoVectorEnv, LinearAxisTrackingEnv)

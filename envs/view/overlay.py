@@ -119,6 +119,11 @@ class Overlay:
                 for side in (-tick, tick):
                     draw.line((_place(side), y + 18, _place(side), y + 22), DIM)
 
+    @property
+    def heights(self) -> tuple[int, int]:
+        """Of the panels above and below (px)."""
+        return HEAD, self._foot.height
+
     def draw(
         self, image: np.ndarray, machine: list[Line], title: str, goal: str, right: str
     ) -> None:

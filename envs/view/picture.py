@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any, ClassVar, Protocol
 
 import mujoco
@@ -10,9 +11,13 @@ import numpy as np
 
 from ..engine.machine import Machine
 from ..engine.physics import STATE
+from .camera import framed
 from .overlay import Line, Overlay, lines
 
 HEIGHT, WIDTH = 540, 960
+LONGEST = 2000  # places of a path that are kept
+DRIVEN = np.array([0.85, 0.2, 0.15, 1.0], np.float32)
+WANTED = np.array([0.1, 0.1, 0.1, 0.6], np.float32)
 GHOST = np.array([0.2, 0.75, 0.3, 0.35], np.float32)
 INSTEAD = "use render_mode='rgb_array', or `servogym watch ENV --record out.gif`"
 
@@ -48,6 +53,9 @@ class Scene(Protocol):
     def ghosts(self) -> Mapping[str, Any]:
         """Displacement of the goal by body, shape ``(3,)`` (m)."""
 
+    def path(self) -> np.ndarray:
+        """What is to be followed, shape ``(n, 3)`` (m)."""
+
 
 class Picture:
     """Draws one environment, off screen (``render_mode="rgb_array"``) or in a window ("human").
@@ -60,6 +68,9 @@ class Picture:
         self._renderer: mujoco.Renderer | None = None
         self._overlay = Overlay(list(env.machine.drives), WIDTH)
         self._viewer: Any = None
+        self._camera: mujoco.MjvCamera | None = None
+        self._path: list[dict[str, np.ndarray]] = []  # places of the bodies with a goal
+        self._time = 0.0
 
     def image(self) -> np.ndarray:
         """Shape ``(540, 960, 3)``, uint8. Raises RuntimeError where there is no OpenGL."""
@@ -73,8 +84,14 @@ class Picture:
                     "set the environment variable MUJOCO_GL to egl or osmesa before starting"
                 ) from error
         mujoco.mj_fwdPosition(machine.model, machine.data)
-        self._renderer.update_scene(machine.data)
+        if self._camera is None:
+            panels = self._overlay.heights
+            self._camera = framed(
+                machine.model, machine.data, WIDTH / HEIGHT, panels[1] / HEIGHT, panels[0] / HEIGHT
+            )
+        self._renderer.update_scene(machine.data, self._camera)
         self._ghosts(self._renderer.scene)
+        self._driven(self._renderer.scene)
         image = self._renderer.render()
         self._overlay.draw(image, lines(machine), *self._head())
         return image
@@ -111,7 +128,9 @@ class Picture:
         # the viewer has computed forces, from which the next step would start its solver
         mujoco.mj_setState(machine.model, machine.data, state, STATE)
         with viewer.lock():
-            mujoco.mjv_defaultFreeCamera(machine.model, viewer.cam)  # as in the images
+            seen = framed(machine.model, machine.data, WIDTH / HEIGHT, 0.1, 0.1)
+            for name in ("type", "azimuth", "elevation", "distance", "lookat"):
+                setattr(viewer.cam, name, getattr(seen, name))
         return viewer
 
     def _head(self) -> tuple[str, str, str]:
@@ -159,6 +178,21 @@ class Picture:
                 )
                 scene.ngeom += 1
 
+    def _driven(self, scene: mujoco.MjvScene) -> None:
+        """The way of each body that has a goal, and what it should follow, as lines."""
+        env = self._env
+        if env.time < self._time:
+            self._path.clear()  # another episode
+        self._time = env.time
+        self._path.append({body: _tip(env.machine, body) for body in env.ghosts()})
+        del self._path[:-LONGEST]
+        for before, now in pairwise(self._path):
+            for body in before.keys() & now.keys():
+                _line(scene, before[body], now[body], DRIVEN)
+        wanted = env.path()
+        for before, now in pairwise(wanted):
+            _line(scene, before, now, WANTED)
+
     def close(self) -> None:
         """Close window and renderer."""
         if self._renderer is not None:
@@ -167,6 +201,24 @@ class Picture:
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+
+def _tip(machine: Machine, body: str) -> np.ndarray:
+    """Of a body the middle of its last geom (m)."""
+    model, number = machine.model, machine.model.body(body).id
+    return machine.data.geom_xpos[
+        model.body_geomadr[number] + model.body_geomnum[number] - 1
+    ].copy()
+
+
+def _line(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: np.ndarray) -> None:
+    """A stretch of a line, 3 mm thick."""
+    if scene.ngeom >= scene.maxgeom or np.allclose(begin, end):
+        return
+    geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), colour)
+    mujoco.mjv_connector(geom, kind, 0.0015, begin, end)
+    scene.ngeom += 1
 
 
 def require_display() -> None:

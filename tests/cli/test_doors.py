@@ -64,8 +64,9 @@ def test_a_task_of_ones_own_is_trained_judged_compared_and_watched(lab, capsys):
     policies = "hold,random,out/run,steering.py:Steering"
     assert cli.main(["eval", NAME, "--policy", "out/run", "--episodes", "2"]) == 0
     assert cli.main(["compare", NAME, "--policies", policies, "--episodes", "3"]) == 0
-    assert (lab / "out" / "compare_trace.png").is_file()
-    page = (lab / "out" / "compare.md").read_text(encoding="utf-8")
+    folder = lab / "out" / "compare-mylab-Nudge-v0-generic"
+    assert (folder / "compare_trace.png").is_file()
+    page = (folder / "compare.md").read_text(encoding="utf-8")
     success = figures(page, "success")
     assert [*success] == ["hold", "random", "run", "steering.py:Steering"]
     assert success["steering.py:Steering"].startswith("100 % ["), "it steers to the goal"

@@ -50,7 +50,7 @@ def test_a_mistake_is_one_line_that_says_the_next_step(capsys, arguments, says):
     [
         (["--drive", "metronix_ars2000"], "is not for ethercat, but for can: use `servogym node`"),
         (["--drive", "nobody"], "unknown drive model 'nobody': choose one of"),
-        (["--axis", "ring"], "--axis = 'ring': use one of linear"),
+        (["--axis", "ring"], "--axis = 'ring': choose one of linear"),
     ],
 )
 def test_what_cannot_be_served_is_told_and_the_port_is_given_back(capsys, arguments, says):

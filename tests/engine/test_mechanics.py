@@ -266,7 +266,7 @@ def test_a_machine_stays_below_100_kb():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"mechanics": "rack"}, "mechanics = 'rack' is unknown, choose of rigid, toothed_belt"),
+        ({"mechanics": "rack"}, "mechanics = 'rack' is unknown: choose one of rigid, toothed_belt"),
         ({"backlash": 1e-5}, "backlash = 1e-05 m needs a transmission_stiffness"),
         ({"static_friction": 5}, "static_friction = 5 N needs a coulomb_friction"),
         ({"torque_ripple": 2}, r"torque_ripple = 2 is out of range 0..0.5 share"),

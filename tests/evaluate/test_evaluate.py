@@ -242,7 +242,7 @@ def test_one_seed_writes_the_same_bytes(tmp_path):
         ("compare LinearAxis-v0 --policies ,", "--policies is empty"),
         ("benchmark homing --drive bonfiglioli_act", "has no homing method"),
         ("compare LinearAxis-v0 --policies ruckig --argument mode=cst", "with mode='csp'"),
-        ("eval LinearAxis-v0 --policy hold --argument weight=3", "see the arguments of"),
+        ("eval LinearAxis-v0 --policy hold --argument weight=3", "has no argument 'weight'"),
         ("benchmark positioning --drive festo_cmmp_as", "has no mode cyclic_sync_position"),
     ],
 )

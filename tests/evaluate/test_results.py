@@ -43,7 +43,7 @@ def folder(
 
 def test_the_committed_page_is_what_the_command_writes():
     committed = (SHIPPED / "README.md").read_text(encoding="utf-8")
-    assert results.page(SHIPPED) == committed, "run `servogym results`"
+    assert results.page(SHIPPED) == committed, "run `servogym results assets/policies`"
     for target in re.findall(r"\]\(([^)#]+)\)", committed):
         assert (SHIPPED / target).is_file(), target
 

@@ -36,10 +36,13 @@ def test_a_trace_is_what_the_environment_does_alone():
     for _ in range(env.STEPS):
         observation, *_, info = env.step(policy.act(observation))
         tpdo, shaft = env._batch.tpdos[0, 0], env.machine.axes[0]
+        step = env.machine.couplings[0]  # peaks of the step, at its end or before
+        assert abs(step.error_peak) >= abs(tpdo.following_error_actual_value)
+        assert abs(step.torque_peak) >= abs(shaft.torque)
         seen.append(
             (
                 1e3 * (info["goal"] - info["distance"]), 1e3 * info["deflection"],
-                tpdo.following_error_actual_value, shaft.torque / shaft.rated_torque,
+                step.error_peak, step.torque_peak / shaft.rated_torque,
             )
         )  # fmt: skip
     load, deflection, error, torque = np.array(seen).T

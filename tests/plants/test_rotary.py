@@ -224,7 +224,7 @@ def test_the_speed_stays_the_motors_and_the_source_is_chosen_while_disabled():
     [
         (
             {"mechanics": "carousel"},
-            "mechanics = 'carousel' is unknown, choose of rotary_table, conv",
+            "mechanics = 'carousel' is unknown: choose one of rotary_table, conv",
         ),
         ({"inertia": 0}, r"inertia = 0 is out of range .* kg·m²"),
         ({"mechanics": "conveyor", "efficiency": 0.9}, "needs a transmission_stiffness"),

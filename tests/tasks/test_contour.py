@@ -131,7 +131,7 @@ def test_the_error_of_each_is_its_own_in_a_vector():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"contour": "star"}, "contour = 'star', use one of circle, square"),
+        ({"contour": "star"}, "contour = 'star': choose one of circle, square"),
         ({"radius": 0.3}, r"radius = 0.3 is out of range 0.005..0.2 m"),
         ({"feed": -1.0}, r"feed = -1.0 is out of range 0.01..0.5 m/s"),
         ({"correction": 1.0}, r"correction = 1.0 is out of range 0..0.01 m"),

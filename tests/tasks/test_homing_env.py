@@ -254,7 +254,7 @@ def test_a_pickled_environment_goes_on_bit_for_bit():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"reference": "moon"}, "reference = 'moon', use one of home_switch"),
+        ({"reference": "moon"}, "reference = 'moon': choose one of home_switch"),
         ({"max_velocity": 9.0}, r"max_velocity = 9.0 is out of range 0.01..2 m/s"),
         ({"tolerance": -1}, "tolerance = -1"),
         ({"switch_tolerance": 1}, "switch_tolerance = 1"),

@@ -179,7 +179,7 @@ def test_a_wrong_action_is_an_error_that_names_the_fix(action, env):
         ({"history": "two"}, "history = .two."),
         ({"step_time": 0.2555}, "60C2h"),
         ({"payload": -1.0}, "payload = -1.0"),
-        ({"mode": "pp"}, "mode = 'pp', use one of csp, csv, cst"),
+        ({"mode": "pp"}, "mode = 'pp': choose one of csp, csv, cst"),
         ({"tolerance": float("nan")}, "tolerance"),
         ({"render_mode": "ascii"}, "render_mode"),
         ({"drive": "acme"}, "unknown drive model"),

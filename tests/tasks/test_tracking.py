@@ -200,7 +200,7 @@ def test_a_pickled_environment_goes_on_bit_for_bit(env):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"reference": "spiral"}, "reference = 'spiral', choose of step, s_curve"),
+        ({"reference": "spiral"}, "reference = 'spiral': choose one of step, s_curve"),
         ({"correction": 1.0}, r"correction = 1.0 is out of range .* m"),
         ({"tolerance": 0}, "tolerance"),
         ({"payload": -1.0}, "payload = -1.0"),

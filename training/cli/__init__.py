@@ -2,14 +2,20 @@
 
 import argparse
 import os
+import re
 import signal
 import sys
 import threading
 from importlib.metadata import version
+from pathlib import Path
+from typing import NoReturn
 
 from rich.console import Console
 
+from ...drive.model.near import near
 from ...drive.objects.abort import SdoAbort
+from ...envs.checks import place_of, told
+from ..report import writable
 from . import (
     bench,
     benchmark,
@@ -37,9 +43,31 @@ COMMANDS = (
 )  # fmt: skip
 
 
-def parser() -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """One that says what might have been meant."""
+
+    commands: dict[str, "Parser"]
+
+    def error(self, message: str) -> NoReturn:
+        """Usage, what is wrong, and near names; exit status 2."""
+        if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            known = re.findall(r"[^\s,']+", wrong[2])
+            hint = near(wrong[1], known)
+            message = f"{message.partition('invalid choice')[0]}there is no {wrong[1]!r}: {hint}"
+        super().error(message)
+
+    def refuse(self, unknown: list[str]) -> NoReturn:
+        """Options and words that no command has."""
+        known = [*self._option_string_actions]
+        options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+        hints = [near(option, known) for option in options if option.startswith("--")]
+        hints = [f"; {hint}" for hint in hints if hint.startswith("did")]
+        self.error(f"unrecognized: {' '.join(unknown)}{hints[0] if hints else ''}")
+
+
+def parser() -> Parser:
     """All commands with their options."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="servogym",
         description="A laboratory for motion control: axes in MuJoCo, moved by an emulated drive.",
     )
@@ -47,7 +75,34 @@ def parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     for command in COMMANDS:
         command.add(commands)
+    parser.commands = commands.choices
     return parser
+
+
+def _joined(words: list[str]) -> list[str]:
+    """``hold, ruckig`` is one word, as if there were no space after the comma."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1].endswith(",") and len(joined[-1]) > 1 and word[:1] not in "-":
+            joined[-1] += word
+        else:
+            joined.append(word)
+    return joined
+
+
+def _parsed(words: list[str]) -> argparse.Namespace:
+    own = parser()
+    options, unknown = own.parse_known_args(words)
+    if unknown:
+        own.commands[options.command].refuse(unknown)
+    return options
+
+
+def _plain(error: Exception) -> str:
+    """What an error says in one line, of the system's without its number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split())
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,14 +112,23 @@ def main(arguments: list[str] | None = None) -> int:
     """
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # modules with tasks of your own, as `python -m` finds them
-    options = parser().parse_args(arguments)
+    options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
     console = Console()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        for kind in ("files", "folders"):
+            for name in getattr(options, kind, ()):
+                if (path := getattr(options, name)) is not None:
+                    writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
         return options.run(options, console)
     except (ValueError, OSError, TimeoutError, RuntimeError, ImportError, SdoAbort) as error:
-        print(f"servogym {options.command}: {error}", file=sys.stderr)
+        print(f"servogym {options.command}: {_plain(error)}", file=sys.stderr)
+        return 2
+    except Exception as error:  # of a task or policy of the user's own; else it is a fault of ours
+        if not place_of(error):
+            raise
+        print(f"servogym {options.command}: {told(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

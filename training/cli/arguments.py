@@ -1,19 +1,25 @@
 """Options that several commands have."""
 
 import argparse
+import inspect
 import json
 from typing import Any
+
+from rich.console import Console
+from rich.table import Table
 
 from ..scale.work import Work
 
 POLICY = "name, FILE.py:function, or folder of a training"
+LISTED = "help"  # instead of NAME=VALUE
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """``--argument NAME=VALUE`` of an environment."""
     parser.add_argument(
-        "--argument", action="append", metavar="NAME=VALUE", type=_named,
-        help="of the environment, VALUE in JSON or text; repeatable",
+        "--argument", action="append", metavar="NAME=VALUE", type=_named, nargs="?",
+        const=(LISTED, None),
+        help="of the environment, VALUE in JSON or text; repeatable; without a value: lists them",
     )  # fmt: skip
 
 
@@ -35,9 +41,40 @@ def work(options: argparse.Namespace) -> Work:
 def _named(text: str) -> tuple[str, Any]:
     """``"payload=3"`` -> ``("payload", 3)``."""
     name, equals, value = text.partition("=")
+    name = name.strip().replace("-", "_")
+    if not equals and name == LISTED:
+        return LISTED, None
     if not (name.isidentifier() and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
     try:
         return name, json.loads(value)
     except ValueError:
-        return name, value
+        return name, value.strip()
+
+
+def asked(options: argparse.Namespace) -> bool:
+    """Whether the arguments are to be listed."""
+    return any(name == LISTED for name, _ in options.argument or ())
+
+
+def listing(env: str, console: Console) -> int:
+    """Print the arguments of an environment with their defaults; -> exit status."""
+    from ...envs.registry import task
+
+    kind = task(env)
+    table = Table("argument", "default", title=f"arguments of {kind.ID}")
+    for name, parameter in arguments_of(kind).items():
+        if name not in ("drive", "render_mode"):  # options of their own
+            table.add_row(name, json.dumps(parameter.default, default=str))
+    console.print(table)
+    page = inspect.getdoc(kind) or ""
+    told = page.partition("## Arguments\n")[2].partition("\n## ")[0].strip()
+    console.print(told, highlight=False, markup=False)
+    return 0
+
+
+def arguments_of(kind: type) -> dict[str, inspect.Parameter]:
+    """All an environment takes, of its own and of its bases."""
+    from ...envs.checks import accepted
+
+    return accepted(kind)

@@ -16,7 +16,7 @@ def add(commands) -> None:
     benchmark.add_argument("--quick", action="store_true", help="a small part of it")
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
     arguments.add_work(benchmark)
-    benchmark.set_defaults(run=_benchmark)
+    benchmark.set_defaults(run=_benchmark, folders=("out",))
 
 
 def _benchmark(options: argparse.Namespace, console: Console) -> int:

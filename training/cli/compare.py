@@ -14,9 +14,9 @@ def add(commands) -> None:
         command = commands.add_parser(name, help=f"{what}: table, data, picture")
         command.add_argument("env", help="environment, as LinearAxis-v0")
         if name == "eval":
-            command.add_argument("--policy", required=True, help=arguments.POLICY)
+            command.add_argument("--policy", help=arguments.POLICY)
         else:
-            command.add_argument("--policies", required=True, help="names, separated by commas")
+            command.add_argument("--policies", help="names, separated by commas")
             command.add_argument(
                 "--conditions", nargs="?", const="all", metavar="NAMES",
                 help="off nominal: delay, noise, friction, … (all), or a list of names or axes",
@@ -27,15 +27,24 @@ def add(commands) -> None:
         command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
         arguments.add(command)
         arguments.add_work(command)
-        command.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
-        command.set_defaults(run=_compare)
+        command.add_argument("--out", type=Path, help="folder (one of its own in out)")
+        command.set_defaults(run=_compare, folders=("out",))
 
 
 def _compare(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import compare
 
+    if arguments.asked(options):
+        return arguments.listing(options.env, console)
     single = options.command == "eval"
-    policies = [options.policy] if single else [p for p in options.policies.split(",") if p]
+    option = "policy" if single else "policies"
+    if getattr(options, option) is None:
+        raise ValueError(f"give --{option}: {arguments.POLICY}")
+    policies = (
+        [options.policy]
+        if single
+        else [each for part in options.policies.split(",") if (each := part.strip())]
+    )
     if not policies:
         raise ValueError("--policies is empty: give names, separated by commas")
     if not single and options.conditions is not None:

@@ -12,7 +12,7 @@ def add(commands) -> None:
     demo.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     demo.add_argument("--out", type=Path, default=Path("out"), help="folder for scope.png")
     demo.add_argument("--payload", type=float, default=5.0, help="kg on the carriage (5)")
-    demo.set_defaults(run=_demo)
+    demo.set_defaults(run=_demo, folders=("out",))
 
 
 def _demo(options: argparse.Namespace, console: Console) -> int:

@@ -13,7 +13,7 @@ def add(commands) -> None:
     eds.add_argument("-o", "--out", type=Path, required=True, help="file .eds or .dcf")
     eds.add_argument("--dcf", action="store_true", help="with the values of one node")
     eds.add_argument("--node-id", type=int, help="1..127, for --dcf")
-    eds.set_defaults(run=_eds)
+    eds.set_defaults(run=_eds, files=("out",))
 
 
 def _eds(options: argparse.Namespace, console: Console) -> int:

@@ -13,7 +13,7 @@ def add(commands) -> None:
     )
     esi.add_argument("model", help="name or folder of a model")
     esi.add_argument("-o", "--out", type=Path, required=True, help="file .xml, or .bin: its EEPROM")
-    esi.set_defaults(run=_esi)
+    esi.set_defaults(run=_esi, files=("out",))
 
 
 def _esi(options: argparse.Namespace, console: Console) -> int:

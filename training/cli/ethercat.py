@@ -44,7 +44,7 @@ def add(commands) -> None:
         help='such as "drop at=cycle:100 count=3" or "retreat at=op:50 slave=1"; repeatable',
     )  # fmt: skip
     command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
-    command.set_defaults(run=_ethercat)
+    command.set_defaults(run=_ethercat, files=("log",))
 
 
 def _ethercat(options: argparse.Namespace, console: Console) -> int:

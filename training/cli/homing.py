@@ -12,7 +12,7 @@ def add(commands) -> None:
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
     homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
     homing.add_argument("--format", choices=("svg", "png"), default="svg")
-    homing.set_defaults(run=_homing)
+    homing.set_defaults(run=_homing, folders=("gallery",))
 
 
 def _homing(options: argparse.Namespace, console: Console) -> int:

@@ -38,7 +38,7 @@ def add(commands) -> None:
         help="where 1010h and LSS store, and power-on looks; of several drives each has its own, "
         "with the node-id in its name",
     )  # fmt: skip
-    node.set_defaults(run=_node)
+    node.set_defaults(run=_node, files=("log", "parameter_file"))
 
 
 def _open(options: argparse.Namespace):
@@ -62,8 +62,9 @@ def _open(options: argparse.Namespace):
         reason = error.__cause__ or error  # python-can and its back-ends raise anything
         where = _where(options)
         kind = "" if isinstance(reason, (can.CanError, OSError)) else f"{type(reason).__name__}: "
+        said = re.sub(r"^.Errno -?[0-9]+. ", "", " ".join(str(reason).split()))
         raise ValueError(
-            f"no bus on {where or 'the default'}: {kind}{' '.join(str(reason).split())}; "
+            f"no bus on {where or 'the default'}: {kind}{said}; "
             f"without hardware use -i {INTERFACE} -c {CHANNEL}"
         ) from None
 

@@ -18,19 +18,22 @@ def add(commands) -> None:
         "--again", action="store_true", help="run the comparison of each folder anew before"
     )
     arguments.add_work(results)
-    results.set_defaults(run=_results)
+    results.add_argument(
+        "-o", "--out", type=Path, help="page (README.md in the folder; of ours out/learned.md)"
+    )
+    results.set_defaults(run=_results, files=("out",))
 
 
 def _results(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import results
-    from ..policies import SHIPPED
 
-    folder = options.folder or SHIPPED
     if options.again:
-        _again(folder, options, console)
+        if options.folder is None:
+            raise ValueError("--again writes into the folder: name one of yours")
+        _again(options.folder, options, console)
     elif options.workers or options.ray is not None or options.resume:
         raise ValueError("--workers, --ray and --resume are for what --again computes: add it")
-    return results.run(folder, console)
+    return results.run(options.folder, options.out, console)
 
 
 def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:

@@ -27,17 +27,19 @@ def add(commands) -> None:
     train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
     train.add_argument("--checkpoint-every", type=int, help="steps")
     train.add_argument("--evaluate-every", type=int, help="steps")
-    train.set_defaults(run=_train)
+    train.set_defaults(run=_train, folders=("out",))
 
     curves = commands.add_parser("curves", help="draw the learning curves of trainings")
     curves.add_argument("folder", type=Path, help="of a training, or with several in seed_*")
     curves.add_argument("-o", "--out", type=Path, default=Path("out/curves.png"), help="picture")
-    curves.set_defaults(run=_curves)
+    curves.set_defaults(run=_curves, files=("out",))
 
 
 def _train(options: argparse.Namespace, console: Console) -> int:
     from ..learn import train
 
+    if arguments.asked(options):
+        return arguments.listing(options.env, console)
     console = get_console()  # on which the bar lives: what is printed comes above it
     given = {
         name: getattr(options, name)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from ..report import writable
 from . import arguments
 
 
@@ -18,13 +19,18 @@ def add(commands) -> None:
     watch.add_argument("--seed", type=int, default=0, help="of the first reset (0)")
     watch.add_argument("--speed", type=float, default=1.0, help="1 is real time (1)")
     watch.add_argument("--record", type=Path, help=".mp4, .gif, or a folder; else a window")
+    arguments.add(watch)
     watch.set_defaults(run=_watch)
 
 
 def _watch(options: argparse.Namespace, console: Console) -> int:
     from .. import watch
 
+    if arguments.asked(options):
+        return arguments.listing(options.env, console)
+    if options.record is not None:
+        writable("--record", options.record, file=bool(options.record.suffix))
     return watch.run(
         options.env, options.policy, options.drive, options.episodes, options.seed,
-        options.speed, options.record, console,
+        options.speed, options.record, console, dict(options.argument or ()),
     )  # fmt: skip

@@ -15,10 +15,19 @@ from rich.console import Console
 from rich.table import Table
 
 from ...envs.about import Metric
-from ...envs.registry import task
+from ...envs.registry import short, task
 from ..pictures import episode as trace
 from ..policies import POLICIES, needed
-from ..report import GRID, INK, markdown, number, origin, write_json, write_page
+from ..report import (
+    GRID,
+    INK,
+    kept_folder,
+    markdown,
+    number,
+    origin,
+    write_json,
+    write_page,
+)
 from ..scale.job import Result
 from ..scale.work import ALONE, Work
 from .episodes import Evaluation, fixed
@@ -57,6 +66,7 @@ class Comparison:
         seed: of the episodes.
         arguments: of the environment; the ends of the score keep the way they command.
         traced: the episode to be recorded, 0 being the first.
+        console: a terminal shows there how far it is.
 
     Raises:
         ValueError: an unknown environment, drive or policy, before the first episode.
@@ -248,13 +258,22 @@ def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
 
 def run(
     command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
-    out: Path, console: Console, arguments: Mapping[str, Any] | None = None, traced: int = 0,
+    out: Path | None, console: Console, arguments: Mapping[str, Any] | None = None, traced: int = 0,
     work: Work = ALONE,
 ) -> int:  # fmt: skip
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
-    The second picture is of the episode `traced`.
+    The second picture is of the episode `traced`. Without `out` each comparison has a folder of its
+    own; results of another one are never written over.
     """
+    chosen = f"--policy {policies[0]}" if command == "eval" else f"--policies {','.join(policies)}"
+    source = origin(
+        f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
+        + (f" --trace {traced}" if traced else "")
+        + "".join(f" --argument {_quoted(*one)}" for one in (arguments or {}).items())
+    )
+    name = "-".join([command, folder_of(env), Path(drive).name])
+    out = kept_folder(out, name, f"{command}.json", source["command"])
     comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
     found = work.map(comparison.jobs, folder=out, console=console, warm=[warm(env, drive)])
     results = comparison.results(found)
@@ -293,12 +312,6 @@ def run(
             for metric in sorted_out
         ],
     )
-    chosen = f"--policy {policies[0]}" if command == "eval" else f"--policies {','.join(policies)}"
-    source = origin(
-        f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
-        + (f" --trace {traced}" if traced else "")
-        + "".join(f" --argument {_quoted(*one)}" for one in (arguments or {}).items())
-    )
     notes = (
         f"Interquartile mean [95 % interval, {RESAMPLES} resamples of trainings and episodes] over "
         f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[episodes - 1]}; "
@@ -320,6 +333,11 @@ def run(
     console.print(f"{out / command}.md, .json, .png and _trace.png")
     work.clear(comparison.jobs, out)
     return 0
+
+
+def folder_of(env: str) -> str:
+    """The id of a task as a part of a folder's name."""
+    return short(task(env).ID).replace("/", "-")
 
 
 def _traces(results: Sequence[Evaluation]) -> list[trace.Recording]:

@@ -21,9 +21,9 @@ from ...envs import FAMILY
 from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ..pictures import heat_map
-from ..report import GRID, markdown, number, origin, write_json, write_page
+from ..report import GRID, kept_folder, markdown, number, origin, write_json, write_page
 from ..scale.work import ALONE, Work
-from .compare import Comparison, _label, ahead, best, summaries
+from .compare import Comparison, _label, ahead, best, folder_of, summaries
 from .metrics import Summary, difference, metrics
 from .parts import warm
 
@@ -86,7 +86,7 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
     if names == "all":
         return list(rows)
     picked: list[Condition] = []
-    for name in names.split(","):
+    for name in filter(None, map(str.strip, names.split(","))):
         found = [row for row in rows if name in (row.name, row.axis)]
         if not found:
             known = [*dict.fromkeys(each for row in rows for each in (row.axis, row.name))]
@@ -109,13 +109,19 @@ def setting(
 
 
 def run(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, out: Path,
+    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, out: Path | None,
     console: Console, arguments: Mapping[str, Any], names: str, work: Work = ALONE,
 ) -> int:  # fmt: skip
     """Evaluate, and write conditions.md, .json, .png and _curves.png; -> exit status."""
     kind = task(env)
     rows = chosen(list(suiting(kind, drive, arguments)), names)
     metric, row_of = kind.METRIC, metrics(kind)
+    source = origin(
+        f"servogym compare {env} --policies {','.join(policies)} --drive {drive} "
+        f"--episodes {episodes} --seed {seed} --conditions {names}"
+    )
+    name = "-".join(["conditions", folder_of(env), Path(drive).name])
+    out = kept_folder(out, name, "conditions.json", source["command"])
     table: dict[str, list[Summary | None]] = {}
     apart, successes, against = {}, {}, ""
     comparisons: list[Comparison] = []
@@ -162,10 +168,6 @@ def run(
             "–" if policy == against else f"{win}, by the interval {certain}"
             for policy, win, certain in zip(labels, wins, sure, strict=True)
         ]
-    )
-    source = origin(
-        f"servogym compare {env} --policies {','.join(policies)} --drive {drive} "
-        f"--episodes {episodes} --seed {seed} --conditions {names}"
     )
     notes = (
         f"{row_of[metric].heading}, interquartile mean [95 % interval over trainings and "

@@ -73,7 +73,7 @@ class Episodes:
         try:
             first = self._kind(drive=drive, **arguments)
         except TypeError as error:
-            raise ValueError(f"--argument: {error}: see the arguments of {self._kind.ID}") from None
+            raise ValueError(f"--argument: {error}") from None
         make(policy, first)
         self._words, self._channels = first.DONE, first.channels()
         self.duration = first.STEPS * first.step_time

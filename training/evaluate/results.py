@@ -5,6 +5,7 @@ and a README.md with a paragraph that begins with `HONEST`. Nothing else is on t
 """
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ from rich.console import Console
 
 from ...envs.about import Metric
 from ...envs.registry import task
-from ..policies import LEARNED
+from ..policies import LEARNED, SHIPPED
 from ..report import markdown, number
 from .compare import SHARES, ahead
 from .metrics import METRICS, Difference, Summary, metrics
@@ -43,8 +44,10 @@ FOOT = """Written by `servogym results` from the `compare.json` of each folder.
 """
 
 
-def page(folder: Path) -> str:
+def page(folder: Path, at: str = ".") -> str:
     """The page about the policies in `folder`, a folder a task.
+
+    `at` is the way to it from the page.
 
     Raises:
         ValueError: there are none, or one lacks a file, the policy `learned` or the paragraph.
@@ -56,7 +59,11 @@ def page(folder: Path) -> str:
         known = metrics(kind)
         own, baseline = _chosen(path, data, kind.METRIC, known)
         rows.append(_row(path.name, own, baseline, known, kind.METRIC))
-        sections.append(_section(path, data, own, baseline, known))
+        sections.append(
+            _section(
+                path, path.name if at == "." else f"{at}/{path.name}", data, own, baseline, known
+            )
+        )
     return HEAD + markdown(HEADING, rows) + "\n" + "".join(sections) + FOOT
 
 
@@ -68,10 +75,24 @@ def folders(folder: Path) -> list[Path]:
     return found
 
 
-def run(folder: Path, console: Console) -> int:
-    """Write the page; -> exit status."""
-    (folder / PAGE).write_text(page(folder), encoding="utf-8")
-    console.print(f"{folder / PAGE}")
+def run(folder: Path | None, out: Path | None, console: Console) -> int:
+    """Write the page; -> exit status.
+
+    Args:
+        folder: with a folder a task; what comes with the laboratory if not given.
+        out: the page; if not given README.md of `folder`, or ``out/learned.md``, because nothing is
+            written into the installed package.
+        console: for its name.
+    """
+    page_at = out or (folder / PAGE if folder else Path("out", "learned.md"))
+    installed = SHIPPED.resolve()
+    if "site-packages" in installed.parts and page_at.resolve().is_relative_to(installed):
+        raise ValueError(f"{page_at} is in the installed package: name another page with --out")
+    source = folder or SHIPPED
+    text = page(source, os.path.relpath(source, page_at.parent))
+    page_at.parent.mkdir(parents=True, exist_ok=True)
+    page_at.write_text(text, encoding="utf-8")
+    console.print(f"{page_at}", soft_wrap=True)
     return 0
 
 
@@ -143,7 +164,7 @@ def _interval(summary: Summary) -> str:
 
 
 def _section(
-    path: Path, data: Mapping[str, Any], own: _Policy, baseline: _Policy,
+    path: Path, place: str, data: Mapping[str, Any], own: _Policy, baseline: _Policy,
     known: Mapping[str, Metric],
 ) -> str:  # fmt: skip
     told = text(path, PAGE, "a text editor")
@@ -153,7 +174,7 @@ def _section(
             f"{path / PAGE} has no paragraph that begins with {HONEST}: write where it loses"
         )
     pictures = "".join(
-        f"![{path.name}, {what}]({path.name}/{name})\n"
+        f"![{path.name}, {what}]({place}/{name})\n"
         for name, what in PICTURES.items() if (path / name).is_file()
     )  # fmt: skip
     lost = [
@@ -162,8 +183,8 @@ def _section(
     ]  # fmt: skip
     better = ", ".join(lost) or "nothing"
     intervals = f"By the intervals of the differences {baseline.name} is better in: {better}."
-    loses = re.sub(r"\]\((?![a-z]+:|#|/)", f"]({path.name}/", honest.group().strip())
-    link = f"[{path.name}/{PAGE}]({path.name}/{PAGE})"
+    loses = re.sub(r"\]\((?![a-z]+:|#|/)", f"]({place}/", honest.group().strip())
+    link = f"[{place}/{PAGE}]({place}/{PAGE})"
     return (
         f"## {path.name}\n\n{pictures}\n{loses}\n\n{intervals}\n\nHow it was trained: {link}\n\n"
         f"```sh\n{data['command']}\n```\n\n"

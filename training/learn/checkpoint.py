@@ -10,6 +10,8 @@ import json
 import os
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,12 @@ from ..policies import weights
 from ..policies.saved import ABOUT
 from . import state
 
-FOLDER = "checkpoints"
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+FOLDER, LOCK = "checkpoints", ".lock"
 VERSIONED = ("servogym", "mujoco", "gymnasium", "stable-baselines3", "torch")
 DECIDING = ("servogym", "mujoco")  # of them those that make another environment of the same id
 STEPS_COLUMN = "time/total_timesteps"
@@ -75,6 +82,26 @@ def save_numbered(model, about: dict[str, Any], out: Path) -> None:
 def numbered(out: Path) -> list[Path]:
     """The checkpoints of a run, the oldest first."""
     return sorted(file.parent for file in (out / FOLDER).glob(f"[0-9]*/{ABOUT}"))
+
+
+@contextmanager
+def alone(out: Path) -> Iterator[None]:
+    """Have the folder of a run for oneself; the system releases what a dead process held.
+
+    Raises ValueError where another process trains there.
+    """
+    if fcntl is None:
+        yield
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    with open(out / LOCK, "a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(
+                f"{out}: another process is training there; wait for it, or give another --out"
+            ) from None
+        yield
 
 
 def tidy(out: Path) -> None:

@@ -177,7 +177,7 @@ def train(
         )
     last = found[-1] if found else None
     run = _continued(last, env_id, asked, console) if last else _run(env_id, asked, settings)
-    with sb3.one_thread():
+    with checkpoint.alone(out), sb3.one_thread():
         return _train(run, last, out, int(steps), checkpoint_every, evaluate_every, progress,
                       console)  # fmt: skip
 
@@ -218,10 +218,18 @@ def _train(
     remaining = steps - model.num_timesteps
     try:
         if remaining > 0:
-            model.learn(
-                remaining, callbacks, reset_num_timesteps=not last,
-                progress_bar=progress and find_spec("tqdm") is not None,
-            )  # fmt: skip
+            try:
+                model.learn(
+                    remaining, callbacks, reset_num_timesteps=not last,
+                    progress_bar=progress and find_spec("tqdm") is not None,
+                )  # fmt: skip
+            except KeyboardInterrupt:
+                checkpoint.save_numbered(model, asdict(run), out)
+                console.print(
+                    f"a checkpoint of {model.num_timesteps} steps is kept in {out}: "
+                    "the same command with --resume goes on from there"
+                )
+                raise
             checkpoint.save_numbered(model, asdict(run), out)
         if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
             judged.obs_rms = env.obs_rms
@@ -242,11 +250,7 @@ def _logger(out: Path, steps: int) -> Logger:
 
 def run(env_id: str, out: Path | None, console: Console, **options: Any) -> int:
     """The command; -> exit status."""
-    try:
-        scores = train(env_id, out=out, console=console, **options)
-    except KeyboardInterrupt:
-        console.print("the same command with --resume continues from the last checkpoint")
-        raise
+    scores = train(env_id, out=out, console=console, **options)
     still = f"{options['residual']} alone" if options.get("residual") else "holding still"
     console.print(f"trained policy: {scores[0]}; {still}: {scores[1]}")
     return 0

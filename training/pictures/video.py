@@ -7,7 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from PIL import Image
 
-NO_DITHER = Image.Dither.NONE  # it would flicker
+NO_DITHER = Image.Dither.NONE  # that of Pillow would flicker
+# Bayer's, in place of bands of colour in what goes from light to dark
+RASTER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 2.0 - 3.75
 
 
 class Writer(Protocol):
@@ -26,11 +28,17 @@ class Gif:
     def __init__(self, path: Path, fps: float):
         self._path, self._duration = path, max(round(100 / fps), 2) * 10
         self._frames: list[Image.Image] = []
+        self._palette: Image.Image | None = None
 
     def add(self, image: np.ndarray) -> None:
-        """Keep the image with 256 colours of its own."""
-        colours = Image.Quantize.FASTOCTREE
-        self._frames.append(Image.fromarray(image).quantize(method=colours, dither=NO_DITHER))
+        """Keep the image in the 256 colours of the first, with a raster that stands still."""
+        if self._palette is None:
+            self._palette = Image.fromarray(image).quantize(256, Image.Quantize.MEDIANCUT)
+        height, width = image.shape[:2]
+        raster = np.tile(RASTER, (-(-height // 4), -(-width // 4)))[:height, :width, None]
+        rastered = np.clip(image + raster, 0, 255).astype(np.uint8)
+        frame = Image.fromarray(rastered).quantize(palette=self._palette, dither=NO_DITHER)
+        self._frames.append(frame)
 
     def close(self) -> None:
         """Write the file."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...drive.model.near import near
 from ...envs import TASKS
+from ...envs.checks import told
 from ...envs.faces import PDO, SETPOINT
 from ...envs.servo_env import ServoEnv
 from .adaptive import AdaptiveLqr
@@ -112,6 +113,7 @@ def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
     return own + sorted({point.name for point in points} - POLICIES.keys())
 
 
+POLICIES_TOLD = "FILE.py:name, or a folder of `servogym train`"
 LEARNED = "learned"  # what comes with the laboratory
 SHIPPED = Path(str(resources.files("servogym.assets"))) / "policies"
 
@@ -160,6 +162,8 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     Raises:
         ValueError: an unknown name, one for other tasks, a machine it cannot serve.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"policy {name!r}: give a name, {POLICIES_TOLD}")
     task = env.ID
     if not isinstance(name, str):
         return policy_of(label(name), name, datasheet(env), seed)
@@ -213,6 +217,5 @@ def _declared(point: metadata.EntryPoint) -> Any:
         return point.load()
     except Exception as error:
         raise ValueError(
-            f"policy {point.name!r}: its entry point {point.value} fails "
-            f"({type(error).__name__}: {error})"
+            f"policy {point.name!r}: its entry point {point.value} fails ({told(error)})"
         ) from error

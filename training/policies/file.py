@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.checks import told
 from .datasheet import Datasheet
 
 SUFFIX = ".py"
@@ -30,17 +31,48 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
         raise ValueError(f"policy {name!r} is for {', '.join(tasks)}, not for {datasheet.task}")
     if not isinstance(made, type):
         if callable(made):
-            return Function(made)
+            return Own(name, Function(made))
         raise ValueError(f"policy {name!r} is {made!r}: it has to be a class or a function")
     for method in ("reset", "act"):
         if not callable(getattr(made, method, None)):
             raise ValueError(f"policy {name!r}: class {made.__name__} lacks the method {method}")
     try:
-        return made(datasheet, seed)
-    except TypeError as error:
+        return Own(name, made(datasheet, seed))
+    except Exception as error:
         raise ValueError(
-            f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {error}"
+            f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {told(error)}"
         ) from error
+
+
+class Own:
+    """A policy of the user's own: its errors name file and line, its actions are numbers."""
+
+    def __init__(self, name: str, policy: Any):
+        self._name, self._policy = name, policy
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Begin an episode."""
+        self._called("reset", observation, info)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """The action. Raises ValueError for what is no finite numbers of an action."""
+        action = self._called("act", observation)
+        try:
+            numbers = np.asarray(action, np.float32)
+        except (TypeError, ValueError):
+            numbers = np.array([np.nan])
+        if numbers.ndim != 1 or not np.isfinite(numbers).all():
+            raise ValueError(
+                f"policy {self._name!r}: act gave {action!r}, an action is an array of finite "
+                "numbers -1..1, one for each of the environment"
+            )
+        return numbers
+
+    def _called(self, method: str, *arguments: Any) -> Any:
+        try:
+            return getattr(self._policy, method)(*arguments)
+        except Exception as error:
+            raise ValueError(f"policy {self._name!r}, {method}: {told(error)}") from error
 
 
 class Function:
@@ -71,9 +103,7 @@ def _load(name: str, path: Path, function: str) -> Callable[[np.ndarray], np.nda
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise ValueError(
-            f"policy {name!r}: {path} fails: {type(error).__name__}: {error}"
-        ) from error
+        raise ValueError(f"policy {name!r}: {path} fails: {told(error)}") from error
     act = getattr(module, function, None)
     if not callable(act):
         functions = [n for n, value in vars(module).items() if callable(value) and n[0] != "_"]

@@ -1,0 +1,348 @@
+"""servogym/Robot-v0: drives on the joints of any MJCF, and goals for its joints or for a site."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...drive.kernel.jit import entry
+from ...drive.model.model import DriveModel
+from ...drive.model.near import named, near
+from ..batch import episode
+from ..checks import in_range
+from ..engine.loop import coordinates, world_at
+from ..engine.machine import Machine
+from ..engine.mjcf import JOINT_TYPES, read
+from ..engine.touch import obstacles
+from ..faces import clip, faulted, limited
+from ..fields import action, observation
+from ..plants.commissioning import commission_joint
+from ..servo_env import METRE, ServoEnv
+from ..vector_env import ServoVectorEnv
+from . import chain
+from .rewards import closeness, decades
+
+MOST = 32  # drives
+FAR = 1000.0  # tolerances, distance that earns nothing
+TRIES = 50  # goals drawn until one is not in the way of the robot itself
+ARM = Path(__file__).parents[1].with_name("assets") / "mjcf/arm.xml"
+AXIS = observation("distance", "distance_fine", "position", "velocity", "following_error", "torque")
+
+
+@entry
+def act(worlds, episodes, actions, rpdos):
+    """Move each set-point at action × profile velocity, reached at the profile acceleration."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode = episodes[w]
+        for d in range(rpdos.shape[1]):
+            ramp = episode._ramp[d]
+            wanted = actions[w].velocity[d] * episode._way[d]
+            episode._move[d] = min(max(wanted, episode._move[d] - ramp), episode._move[d] + ramp)
+            target = episode._target[d] + episode._move[d]
+            episode._target[d] = min(max(target, episode._low[d]), episode._high[d])
+            rpdos[w, d].target_position = round(episode._target[d] * METRE)
+
+
+@entry
+def judge(worlds, episodes, rpdos, tpdos, observations):
+    """Observation of the TPDOs, reward of the joints that have a goal, or of the site."""
+    for w in range(len(worlds)):
+        if worlds[w] == 0:
+            continue
+        episode, seen = episodes[w], observations[w]
+        farthest = fastest = 0.0
+        for d in range(rpdos.shape[1]):
+            tpdo, axis = tpdos[w, d], seen.axes[d]
+            position = tpdo.position_actual_value / METRE
+            velocity = tpdo.velocity_actual_value / METRE
+            away = episode._goal[d] - position if episode._sought[d] else 0.0
+            axis.distance = clip(away / episode._range[d])
+            axis.distance_fine = decades(away / episode._tolerance, FAR)
+            axis.position = clip((position - episode._middle[d]) / episode._range[d])
+            axis.velocity = clip(velocity / episode._speed[d])
+            window = episode._windows[d]
+            axis.following_error = clip(tpdo.following_error_actual_value / METRE / window)
+            axis.torque = clip(tpdo.torque_actual_value / episode._torque[d])
+            farthest = max(farthest, abs(away))
+            fastest = max(fastest, abs(velocity))
+        if episode._at_site:
+            qpos = coordinates(world_at(worlds[w], 1)[0])
+            chain.place(episode._chain, qpos, episode._place)
+            episode.x = episode._place[0]
+            episode.y = episode._place[1]
+            episode.z = episode._place[2]
+            farthest = 0.0
+            for k in range(3):
+                away = episode._place_goal[k] - episode._place[k]
+                seen.site[k] = clip(away / episode._reach)
+                seen.site_fine[k] = decades(away / episode._tolerance, FAR)
+                farthest += away * away
+            farthest = math.sqrt(farthest)
+        settled = farthest <= episode._tolerance and fastest <= episode._resting
+        off = farthest / episode._tolerance + fastest / episode._resting
+        episode.distance = farthest
+        episode.reward_near = closeness(off, FAR)
+        episode.reward_settled = 1.0 if settled else 0.0
+        episode.reward = 0.5 * episode.reward_near + 0.5 * episode.reward_settled
+        episode.cost = limited(worlds[w])
+        episode.is_success = settled
+        episode._terminated = faulted(tpdos[w])
+
+
+class RobotEnv(ServoEnv):
+    """Bring the joints of a robot, or a site on it, to a goal and hold it there.
+
+    The robot is any MJCF; its joints get drives as `Machine.from_mjcf` and `commission_joint` give
+    them. The agent moves the target positions in cyclic synchronous position mode. Before the first
+    step the drives are enabled, and referenced where the robot stands.
+
+    ## Action space
+    `Box(-1, 1, (n,), float32)` for n drives; with ``action="pdo"`` ten more for each
+
+    | no | name | action | object | scaling |
+    |----|------|--------|--------|---------|
+    | 0 to n-1 | velocity[:] | velocity of the set-point, reached at 6083h | 607Ah | 1 is 6081h |
+
+    ## Observation space
+    `Box(-1, 1, (6 n + 6,), float32)`, clipped; for each drive:
+
+    | name | observation | object | 1.0 is |
+    |------|-------------|--------|--------|
+    | axes[:].distance | goal minus position, 0 without a goal | 6064h | half the range |
+    | axes[:].distance_fine | the same, logarithmic | 6064h | 1000 `tolerance` |
+    | axes[:].position | from the middle of the range | 6064h | half the range |
+    | axes[:].velocity | velocity | 606Ch | the maximum profile velocity 607Fh |
+    | axes[:].following_error | following error | 60F4h | its window 6065h |
+    | axes[:].torque | torque | 6077h | the maximum torque 6072h |
+
+    then ``site[:]`` and ``site_fine[:]``, goal minus place of the site in the world's X, Y and Z,
+    0 without a site; 1.0 is `reach`, or 1000 `tolerance` on a logarithmic scale.
+
+    ## Reward
+    In [0, 1]: half for nearness, half for being settled: closer than `tolerance`, and no joint
+    faster than `resting`. Distance is that of the joint farthest from its goal (rad or m), or of
+    the site (m). ``info`` has the terms, `distance`, `x`, `y`, `z` (m) of the site,
+    ``is_success`` and ``info["cost"]``, the share of the step at an internal limit.
+
+    ## Episode
+    Starts at rest in the first keyframe of the MJCF, or at its zero. Goals are poses drawn within
+    `span` of it, in which the robot does not touch itself or what stands around more than it did at
+    first; the goal of a site is where such a pose has it. The reset's options may give ``start``
+    and ``goal``: rad or m by joint, ``goal`` with a site its place (m, three numbers). A fault of a
+    drive terminates. Time truncates, after 400 steps (2 s).
+
+    ## Arguments
+    Those of `ServoEnv`, and `mjcf` (path or text; an arm of three joints if not given), `drives`
+    (names of joints or actuators, or a drive model for each by name; if not given all that have an
+    actuator, else all hinges and slides), `gears` and `folder` of `Machine.from_mjcf`, `goals`
+    (names of the drives that have goals, all if not given), `site` (its name; then the goal is a
+    place), `span` (share of the range from the start; rad or m of an unlimited joint), `tolerance`
+    and `reach` (rad or m), `resting` (rad/s or m/s), `max_velocity`, `max_acceleration` of
+    `commission_joint`, for all.
+
+    ## Version history
+    * v0: first version
+    """
+
+    ID = "servogym/Robot-v0"
+    STEPS = 400
+    RPDO = ("target_position",)
+    ACTION = action(("velocity", (1,)))
+    OBSERVATION = observation(("axes", (1,), AXIS), ("site", (3,)), ("site_fine", (3,)))
+    EPISODE = episode(
+        ("distance", "f8"),  # m or rad
+        ("x", "f8"),  # place of the site in the world (m)
+        ("y", "f8"),
+        ("z", "f8"),
+        ("reward_near", "f8"),
+        ("reward_settled", "f8"),
+        *(
+            (name, "f8", (MOST,))
+            for name in (
+                "_target", "_way", "_move", "_ramp", "_low", "_high", "_goal", "_sought",
+                "_range", "_middle", "_speed", "_windows", "_torque",
+            )
+        ),
+        ("_at_site", "?"),
+        ("_chain", "f8", (chain.LONGEST, chain.WIDTH)),
+        ("_place", "f8", (3,)),
+        ("_place_goal", "f8", (3,)),
+        ("_reach", "f8"),
+        ("_tolerance", "f8"),
+        ("_resting", "f8"),
+    )  # fmt: skip
+    act = staticmethod(act)
+    judge = staticmethod(judge)
+
+    def __init__(
+        self,
+        drive: str | Path | DriveModel = "generic",
+        *,
+        mjcf: str | Path = ARM,
+        drives: Mapping[str, str | DriveModel] | Sequence[str] | None = None,
+        gears: Mapping[str, float] | None = None,
+        folder: str | Path | None = None,
+        goals: Sequence[str] | None = None,
+        site: str | None = None,
+        span: float = 0.25,
+        tolerance: float = 1e-3,
+        reach: float = 1.0,
+        resting: float = 0.05,
+        max_velocity: float | None = None,
+        max_acceleration: float | None = None,
+        **arguments: Any,
+    ):
+        self._robot = mjcf, gears, folder
+        self._speeds: dict[str, Any] = {
+            "max_velocity": max_velocity,
+            "max_acceleration": max_acceleration,
+        }
+        spec = read(mjcf, folder)
+        if drives is None or isinstance(drives, Mapping):
+            self._models = named("drives", drives, '{"joint": "generic"}')
+        else:
+            self._models = dict.fromkeys([drives] if isinstance(drives, str) else drives, "")
+        self._models = self._models or dict.fromkeys(_drivable(spec), "")
+        names = list(self._models)
+        if not 0 < len(names) <= MOST:
+            raise ValueError(f"drives: {len(names)} joints would get one, 1..{MOST} are possible")
+        for name in goals or ():
+            if name not in names:
+                raise ValueError(f"goals: there is no drive {name!r}: {near(str(name), names)}")
+        if site is not None and spec.site(site) is None:
+            known = [each.name for each in spec.sites if each.name]
+            raise ValueError(f"site = {site!r}: {near(str(site), known) or 'the model has none'}")
+        self.goals, self.site = tuple(goals or names), site
+        self.span = in_range("span", span, 0.0, 100.0, "of the range, rad or m")
+        self.tolerance = in_range("tolerance", tolerance, 1e-6, 1.0, "m or rad")
+        self.reach = in_range("reach", reach, 1e-3, 100.0, "m")
+        self.resting = in_range("resting", resting, 1e-6, 100.0, "m/s or rad/s")
+        self.ACTION = action(("velocity", (len(names),)))
+        self.OBSERVATION = observation(
+            ("axes", (len(names),), AXIS), ("site", (3,)), ("site_fine", (3,))
+        )
+        super().__init__(drive, **arguments)
+
+    def _make(self, model: DriveModel) -> Machine:
+        mjcf, gears, folder = self._robot
+        models = {name: own or model for name, own in self._models.items()}
+        machine = Machine.from_mjcf(mjcf, models, gears=gears, folder=folder)
+        robot, data = machine.model, machine.data
+        if robot.nkey:
+            data.qpos[:] = robot.key_qpos[0]
+        self._own = {
+            name: self._within(machine, i, float(data.qpos[machine.couplings[i].qpos]))
+            for i, name in enumerate(machine.drives)
+        }
+        machine.reset(positions=self._own)
+        for name in machine.drives:
+            commission_joint(machine, name, **self._speeds)
+        self._scratch = mujoco.MjData(robot)
+        self._table = (
+            np.full((chain.LONGEST, chain.WIDTH), -1.0)
+            if self.site is None
+            else chain.table(robot, robot.site(self.site).id)
+        )
+        return machine
+
+    @staticmethod
+    def _within(machine: Machine, i: int, position: float) -> float:
+        """A coordinate of the i-th drive within the range of its joint."""
+        low, high = (float(machine.mechanics[end][i]) for end in ("low", "high"))
+        return min(max(position, low), high)
+
+    def _begin(self, options: dict[str, Any]) -> None:
+        start = self._own | self._given("start", options.get("start"))
+        self.place(start)
+        if self.face != "pdo":
+            self.machine.step()
+        goal, at = self._goal(start, options.get("goal"))
+        episode = self.episode
+        for i, (name, x) in enumerate(self.machine.drives.items()):
+            read = {
+                key: x.read(key) / METRE
+                for key in ("min_position_limit", "max_position_limit", "profile_velocity",
+                            "profile_acceleration",
+                            "max_profile_velocity", "following_error_window")
+            }  # fmt: skip
+            low, high = read["min_position_limit"], read["max_position_limit"]
+            free = low >= high
+            episode._low[i], episode._high[i] = (-math.inf, math.inf) if free else (low, high)
+            episode._range[i] = math.pi if free else 0.5 * (high - low)
+            episode._middle[i] = 0.0 if free else 0.5 * (high + low)
+            episode._target[i] = x.read("position_actual_value") / METRE
+            episode._way[i] = read["profile_velocity"] * self.step_time
+            episode._ramp[i] = read["profile_acceleration"] * self.step_time**2
+            episode._speed[i] = read["max_profile_velocity"]
+            episode._windows[i] = read["following_error_window"]
+            episode._torque[i] = x.read("max_torque")
+            episode._goal[i] = goal[name]
+            episode._sought[i] = name in self.goals and self.site is None
+        episode._at_site = self.site is not None
+        episode._chain, episode._place_goal = self._table, at
+        episode._reach, episode._tolerance = self.reach, self.tolerance
+        episode._resting = self.resting
+
+    def _given(self, option: str, places: Any) -> dict[str, float]:
+        """Places by drive, each in the range of its joint."""
+        given = named(f"options[{option!r}]", places, '{"joint": 0.3}')
+        names, mechanics = [*self.machine.drives], self.machine.mechanics
+        for name, place in given.items():
+            if name not in names:
+                raise ValueError(
+                    f"options[{option!r}]: there is no drive {name!r}: {near(name, names)}"
+                )
+            low, high = (float(mechanics[end][names.index(name)]) for end in ("low", "high"))
+            in_range(f"options[{option!r}][{name!r}]", place, low, high, "m or rad")
+        return given
+
+    def _goal(self, start: Mapping[str, float], given: Any) -> tuple[dict[str, float], np.ndarray]:
+        """The goal of each drive, and that of the site (m)."""
+        if self.site is not None and given is not None:
+            place = np.array(given, float) if np.shape(given) == (3,) else np.full(3, np.nan)
+            if not np.isfinite(place).all():
+                raise ValueError(f"options['goal'] = {given!r}: give the place of the site (m)")
+            return dict(start), place
+        wanted = self._given("goal", given)
+        before, goal = self._touching(start), dict(start)
+        for _ in range(TRIES):
+            goal = dict(start)
+            for i, name in enumerate(self.machine.drives):
+                if name in self.goals:
+                    low, high = (float(self.machine.mechanics[end][i]) for end in ("low", "high"))
+                    way = self.span * (high - low if math.isfinite(high - low) else 1.0)
+                    drawn = start[name] + self.np_random.uniform(-way, way)
+                    goal[name] = self._within(self.machine, i, drawn)
+            goal |= wanted
+            if self._touching(goal) <= before:
+                break
+        place = np.zeros(3)
+        if self.site is not None:
+            place = self._scratch.site(self.site).xpos.copy()
+        return goal, place
+
+    def _touching(self, pose: Mapping[str, float]) -> set[str]:
+        """What is in the way of the driven joints in a pose."""
+        model, data = self.machine.model, self._scratch
+        data.qpos[:] = self.machine.data.qpos
+        for i, name in enumerate(self.machine.drives):
+            data.qpos[self.machine.couplings[i].qpos] = pose[name]
+        mujoco.mj_forward(model, data)
+        joints = [int(model.dof_jntid[dof]) for dof in self.machine.couplings["dof"]]
+        return {contact for joint in joints for contact in obstacles(model, data, joint)}
+
+
+def _drivable(spec: mujoco.MjSpec) -> list[str]:
+    """Joints that have an actuator; without any, all hinges and slides with a name."""
+    joints = [joint.name for joint in spec.joints if joint.type in JOINT_TYPES and joint.name]
+    acting = [actuator.target for actuator in spec.actuators]
+    return [name for name in joints if acting.count(name) == 1] or joints
+
+
+vector = partial(ServoVectorEnv, RobotEnv)

@@ -1,0 +1,241 @@
+"""Wrong calls from Python: each is refused by us, in words that name what was given."""
+
+import traceback
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servogym.envs
+from servogym.drive.drive import Drive
+from servogym.drive.master import Master
+from servogym.drive.model.model import load
+from servogym.drive.objects.abort import SdoAbort
+from servogym.envs import (
+    FAMILY,
+    LinearAxisParameters,
+    Machine,
+    RotaryParameters,
+    ServoEnv,
+    commission_joint,
+    gantry,
+    linear_axis,
+    register,
+    rotary_axis,
+    task,
+)
+from servogym.envs.masters.port import MachinePort
+from servogym.envs.tasks.contour import GantryContourEnv
+from servogym.envs.tasks.homing import HomingEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.sway import GantrySwayEnv
+from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
+from servogym.envs.vector_env import ServoVectorEnv
+from servogym.training.policies import make
+
+HOUSE = tuple(str(Path(next(iter(part.__path__)))) for part in [servogym.envs]) + tuple(
+    str(Path(next(iter(servogym.envs.__path__))).with_name(name)) for name in ("drive", "training")
+)
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = LinearAxisEnv()
+    env.reset(seed=0)
+    return env
+
+
+@pytest.fixture(scope="module")
+def x():
+    """A machine whose drive is enabled and referenced."""
+    machine = linear_axis()
+    machine.reset(positions={"x": 0.1})
+    master = Master(MachinePort(machine), "x")
+    master.enable()
+    machine.drives["x"].write("homing_method", 37)
+    master.home()
+    return machine, master
+
+
+NAN = float("nan")
+CALLS = {
+    # environments
+    "drive None": lambda s: LinearAxisEnv(drive=None),
+    "drive number": lambda s: LinearAxisEnv(drive=3),
+    "drive unknown": lambda s: LinearAxisEnv(drive="kolmorgen_akd"),
+    "drive without mode": lambda s: LinearAxisEnv(drive="festo_cmms"),
+    "argument unknown": lambda s: LinearAxisEnv(paylod=3),
+    "argument gone": lambda s: LinearAxisEnv(cycles_per_step=10),
+    "payload text": lambda s: LinearAxisEnv(payload="heavy"),
+    "payload None": lambda s: LinearAxisEnv(payload=None),
+    "payload nan": lambda s: LinearAxisEnv(payload=NAN),
+    "payload array": lambda s: LinearAxisEnv(payload=[1, 2]),
+    "parameters dict": lambda s: LinearAxisEnv(parameters={}),
+    "parameters list": lambda s: LinearAxisEnv(parameters=[1]),
+    "parameters unknown": lambda s: LinearAxisEnv(parameters="ball_scrow"),
+    "parameters of another machine": lambda s: LinearAxisEnv(parameters=RotaryParameters()),
+    "randomise list": lambda s: LinearAxisEnv(randomise=["payload"]),
+    "randomise text": lambda s: LinearAxisEnv(randomise="payload"),
+    "randomise unknown": lambda s: LinearAxisEnv(randomise={"paylod": 1}),
+    "randomise range": lambda s: LinearAxisEnv(randomise={"payload": (3, 1)}),
+    "randomise three": lambda s: LinearAxisEnv(randomise={"payload": (1, 2, 3)}),
+    "randomise None": lambda s: LinearAxisEnv(randomise={"payload": None}),
+    "randomise delay": lambda s: LinearAxisEnv(randomise={"delay": 99}),
+    "randomise no spring": lambda s: LinearAxisEnv(randomise={"stiffness": 2}),
+    "faults list": lambda s: LinearAxisEnv(faults=["encoder_loss"]),
+    "faults unknown": lambda s: LinearAxisEnv(faults={"encoder_los": 0.1}),
+    "faults drive": lambda s: LinearAxisEnv(faults={"y.encoder_loss": 0.1}),
+    "faults probability": lambda s: LinearAxisEnv(faults={"encoder_loss": 2}),
+    "faults text": lambda s: LinearAxisEnv(faults={"encoder_loss": "often"}),
+    "mode": lambda s: LinearAxisEnv(mode="pp"),
+    "mode list": lambda s: LinearAxisEnv(mode=["csp"]),
+    "action": lambda s: LinearAxisEnv(action="torque"),
+    "action list": lambda s: LinearAxisEnv(action=["pdo"]),
+    "history": lambda s: LinearAxisEnv(history=0),
+    "history text": lambda s: LinearAxisEnv(history="long"),
+    "step_time": lambda s: LinearAxisEnv(step_time=0.0033),
+    "step_time text": lambda s: LinearAxisEnv(step_time="5 ms"),
+    "step_time negative": lambda s: LinearAxisEnv(step_time=-1),
+    "render_mode": lambda s: LinearAxisEnv(render_mode="ansi"),
+    "tolerance": lambda s: LinearAxisEnv(tolerance=0),
+    "contour": lambda s: GantryContourEnv(contour="circel"),
+    "sway axes": lambda s: GantrySwayEnv(axes="z"),
+    "sway axes list": lambda s: GantrySwayEnv(axes=["x"]),
+    "homing reference": lambda s: HomingEnv(reference="moon"),
+    "tracking reference": lambda s: LinearAxisTrackingEnv(reference="spirl"),
+    "tracking reference number": lambda s: LinearAxisTrackingEnv(reference=4),
+    # the episode
+    "step too wide": lambda s: s.env.step(np.zeros(3)),
+    "step two dimensions": lambda s: s.env.step(np.zeros((1, 1))),
+    "step scalar": lambda s: s.env.step(0.5),
+    "step None": lambda s: s.env.step(None),
+    "step text": lambda s: s.env.step("left"),
+    "step list of text": lambda s: s.env.step(["left"]),
+    "step nan": lambda s: s.env.step(np.array([NAN])),
+    "step beyond": lambda s: s.env.step(np.array([1.5])),
+    "step before reset": lambda s: LinearAxisEnv().step(np.zeros(1)),
+    "options unknown": lambda s: s.env.reset(options={"gaol": 0.3}),
+    "options list": lambda s: s.env.reset(options=["goal"]),
+    "options beyond": lambda s: s.env.reset(options={"goal": 7}),
+    "options text": lambda s: s.env.reset(options={"goal": "end"}),
+    "options start nan": lambda s: s.env.reset(options={"start": NAN}),
+    "way points": lambda s: LinearAxisTrackingEnv().reset(options={"way_points": [9.0]}),
+    "way points text": lambda s: LinearAxisTrackingEnv().reset(options={"way_points": "there"}),
+    "sway goals": lambda s: GantrySwayEnv(axes="xy").reset(options={"goal": 0.3}),
+    "sway goals three": lambda s: GantrySwayEnv(axes="xy").reset(options={"goal": [0, 0, 0]}),
+    "homing start": lambda s: HomingEnv().reset(options={"start": 3}),
+    # vectors
+    "vector none": lambda s: ServoVectorEnv(LinearAxisEnv, 0),
+    "vector half": lambda s: ServoVectorEnv(LinearAxisEnv, 1.5),
+    "vector threads": lambda s: ServoVectorEnv(LinearAxisEnv, 1, threads=0),
+    "vector autoreset": lambda s: ServoVectorEnv(LinearAxisEnv, 1, autoreset_mode="never"),
+    "vector argument": lambda s: ServoVectorEnv(LinearAxisEnv, 1, paylod=1),
+    "vector step": lambda s: s.vector.step(np.zeros((3, 1))),
+    "vector step text": lambda s: s.vector.step("left"),
+    "vector step nan": lambda s: s.vector.step(np.full((2, 1), NAN)),
+    "vector seeds": lambda s: s.vector.reset(seed=[1]),
+    "vector options": lambda s: s.vector.reset(options={"gaol": 1}),
+    "vector before reset": lambda s: ServoVectorEnv(LinearAxisEnv, 1).step(np.zeros((1, 1))),
+    # registry
+    "task unknown": lambda s: task("LinearAxs-v0"),
+    "task of gymnasium": lambda s: task("CartPole-v1"),
+    "task module": lambda s: task("nothing_here:Nudge-v0"),
+    "task number": lambda s: task(3),
+    "register nothing": lambda s: register(type("Nudge", (ServoEnv,), {})),
+    "task without parts": lambda s: type("Nudge", (ServoEnv,), {"ID": "a/Nudge-v0"})(),
+    # machines
+    "axis drive None": lambda s: linear_axis(drive=None),
+    "axis mechanics": lambda s: linear_axis(mechanics="belt"),
+    "axis payload": lambda s: linear_axis(payload=-1),
+    "axis parameter": lambda s: linear_axis(paylod=3),
+    "axis parameters dict": lambda s: linear_axis(parameters={"payload": 3}),
+    "parameters value": lambda s: LinearAxisParameters(efficiency=2),
+    "parameters flag": lambda s: LinearAxisParameters(load_encoder=1),
+    "rotary": lambda s: rotary_axis(mechanics="carousel"),
+    "gantry drive": lambda s: gantry(drive="nothing"),
+    "positions name": lambda s: s.machine.reset(positions={"y": 0.1}),
+    "positions beyond": lambda s: s.machine.reset(positions={"x": 9}),
+    "positions text": lambda s: s.machine.reset(positions={"x": "end"}),
+    "positions number": lambda s: s.machine.reset(positions=0.1),
+    "machine step": lambda s: s.machine.step(-1),
+    "machine step half": lambda s: s.machine.step(0.5),
+    "machine step text": lambda s: s.machine.step("1 s"),
+    "drives name": lambda s: s.machine.drives["y"],
+    "snapshot": lambda s: s.machine.restore(b"nothing"),
+    "from_mjcf file": lambda s: Machine.from_mjcf("nothing.xml", {"a": "generic"}),
+    "from_mjcf text": lambda s: Machine.from_mjcf("<mujoco><body/></mujoco>", {"a": "generic"}),
+    "from_mjcf joint": lambda s: Machine.from_mjcf("<mujoco/>", {"a": "generic"}),
+    "from_mjcf list": lambda s: Machine.from_mjcf("<mujoco/>", ["a"]),
+    "from_mjcf None": lambda s: Machine.from_mjcf(None, {"a": "generic"}),
+    "commission name": lambda s: commission_joint(s.machine, "y"),
+    "commission speed": lambda s: commission_joint(s.machine, "x", max_velocity=0),
+    # drives
+    "model number": lambda s: load(3),
+    "model bus": lambda s: load("generic", "profibus"),
+    "read name": lambda s: s.drive.read("positon_actual_value"),
+    "read index": lambda s: s.drive.read(0x9999),
+    "read None": lambda s: s.drive.read(None),
+    "write name": lambda s: s.drive.write("controlwrd", 6),
+    "write text": lambda s: s.drive.write("controlword", "on"),
+    "write None": lambda s: s.drive.write("controlword", None),
+    "write large": lambda s: s.drive.write("controlword", 1 << 20),
+    "write read-only": lambda s: s.drive.write("statusword", 1),
+    "write nan": lambda s: s.drive.write("target_position", NAN),
+    "inject": lambda s: s.drive.inject("encoder_los"),
+    "commission list": lambda s: s.drive.commission(["motor_rated_torque"]),
+    "map": lambda s: s.drive.map_pdos([["positon_actual_value"]], []),
+    "node id": lambda s: Drive("generic", node_id=200),
+    # masters
+    "move beyond": lambda s: s.master.move_to(3.0),
+    "move nan": lambda s: s.master.move_to(NAN),
+    "move text": lambda s: s.master.move_to("end"),
+    "move None": lambda s: s.master.move_to(None),
+    "move axis": lambda s: s.master.move_to({"y": 0.1}),
+    "mode unknown": lambda s: s.master.set_mode("csp8"),
+    "mode number": lambda s: s.master.set_mode(99),
+    "wait negative": lambda s: s.master.wait(-1.0),
+    "master axis": lambda s: Master(MachinePort(s.other), "y"),
+    # policies and more
+    "policy unknown": lambda s: make("rukig", s.env),
+    "policy of another task": lambda s: make("lqr", s.env),
+    "policy number": lambda s: make(3, s.env),
+    "policy file": lambda s: make("nothing.py:act", s.env),
+    "faults of a bus": lambda s: LinearAxisEnv("kollmorgen_akd", faults=["drp at=cycle:1"]),
+    "faults of a bus it has not": lambda s: LinearAxisEnv("festo_cmms", faults=["drop rate=0.1"]),
+    "family": lambda s: FAMILY["belt"] if "belt" in FAMILY else linear_axis(mechanics="belt "),
+}  # fmt: skip
+RAW = (
+    "NoneType", "__init__", "object has no", "unexpected keyword", "not supported between",
+    "could not convert", "unsupported operand", "positional argument", "unhashable", "must be real",
+    "invalid literal", "has no len", "not iterable", "not subscriptable", "broadcast",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stage(env, x):
+    class Stage:
+        pass
+
+    stage = Stage()
+    stage.env, (stage.machine, stage.master) = env, x
+    stage.drive, stage.other = stage.machine.drives["x"], linear_axis()
+    stage.vector = ServoVectorEnv(LinearAxisEnv, 2, threads=1)
+    stage.vector.reset(seed=0)
+    return stage
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_wrong_call_is_refused_by_us_in_words(name, stage):
+    refused = (ValueError, TypeError, KeyError, SdoAbort, RuntimeError, gym.error.ResetNeeded)
+    with pytest.raises(refused) as caught:
+        CALLS[name](stage)
+    frames = traceback.extract_tb(caught.value.__traceback__)
+    text = str(caught.value)
+    assert frames[-1].filename.startswith(HOUSE) or name == "drives name", text
+    assert not any(raw in text for raw in RAW), text
+    assert len(text) > 20, text
+
+
+def test_there_are_more_than_80():
+    assert len(CALLS) >= 80

@@ -1,0 +1,270 @@
+"""Wrong commands: each is refused in a line of words, with status 2."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from servogym.training import cli
+
+RAW = re.compile(
+    r"Traceback|\[Errno|Error\b.*Error\b|KeyError|IndexError|AttributeError|__init__|NoneType|"
+    r"object has no|unexpected keyword|positional argument|<class|<function|not supported between|"
+    r"could not convert|invalid literal|codec can't|Expecting value"
+)
+# one a line; words are separated by spaces
+COMMANDS = """
+nothing
+compar LinearAxis-v0 --policies hold
+Demo
+demo --drive nothing
+demo --drive gneric
+demo --drive .
+demo --drive /dev/null
+demo --drive FILE
+demo --payload heavy
+demo --payload nan
+demo --payload -1
+demo --payload 1e9
+demo --payload inf
+demo --out FILE
+demo --out FILE/below
+demo --colour red
+demo extra
+demo --drive
+bench --repeat 0
+bench --repeat -3
+bench --repeat many
+bench --drive nothing
+bench --envs --drive nothing
+bench --out there
+drives nothing
+drives FILE
+drives .
+drives generic kollmorgen_akd
+drives --json
+node --axis nothing --drive generic
+node --drive nothing
+node --node-id 0
+node --node-id 128
+node --node-id one
+node --node-id 1 --node-id 1
+node -i nothing
+node -i socketcan -c nothing0
+node -b fast
+node --log FILE/run.log -i virtual
+node --log . -i virtual
+node --drive kollmorgen_akd -i virtual
+node --bus-config nothing
+node --drive generic --parameter-file . -i virtual
+ethercat
+ethercat -i nothing0
+ethercat -i a -i b -i c
+ethercat --udp 127.0.0.1 -i veth1
+ethercat --udp 999.1.1.1
+ethercat --udp 127.0.0.1 --clock sundial
+ethercat --udp 127.0.0.1 --slaves 0
+ethercat --udp 127.0.0.1 --slaves two
+ethercat --udp 127.0.0.1 --fault nonsense
+ethercat --udp 127.0.0.1 --fault drop at=never
+ethercat --udp 127.0.0.1 --drive nothing
+ethercat --udp 127.0.0.1 --drive festo_cmms
+ethercat --udp 127.0.0.1 --log run.txt
+ethercat --udp 127.0.0.1 --log FILE/run.pcapng
+ethercat --udp 127.0.0.1 --axis nothing
+eds
+eds generic
+eds nothing -o new.eds
+eds generic -o FILE/new.eds
+eds generic -o .
+eds generic -o new.txt
+eds generic -o new.eds --dcf
+eds generic -o new.dcf --dcf --node-id 0
+eds generic -o new.dcf --dcf --node-id 200
+eds generic -o new.eds --node-id 5
+eds kollmorgen_akd -o new.eds --dcf --node-id x
+esi
+esi nothing -o new.xml
+esi festo_cmms -o new.xml
+esi kollmorgen_akd -o FILE/new.xml
+esi kollmorgen_akd -o .
+decode
+decode nothing.log
+decode FILE
+decode .
+decode EMPTY.log
+decode EMPTY.pcapng
+decode NOISE.log
+decode NOISE.pcapng
+decode NOISE.asc
+decode NOISE.blf
+decode NOISE.trc
+decode NOISE.csv
+decode EMPTY.log --drive nothing
+decode EMPTY.log --node-id 0
+decode EMPTY.log --node-id 300
+decode EMPTY.pcapng --node-id 1
+homing
+homing --gallery FILE
+homing --gallery FILE/below
+homing --gallery new --method 99
+homing --gallery new --method first
+homing --gallery new --format pdf
+watch
+watch nothing
+watch LinearAxs-v0
+watch nothing:Nudge-v0
+watch CartPole-v1
+watch LinearAxis-v0 --policy nothing
+watch LinearAxis-v0 --policy rukig --record new.gif
+watch LinearAxis-v0 --policy lqr --record new.gif
+watch LinearAxis-v0 --policy built_in --record new.gif
+watch LinearAxis-v0 --policy nothing.py:act --record new.gif
+watch LinearAxis-v0 --policy FILE.py:act --record new.gif
+watch LinearAxis-v0 --policy broken.py:act --record new.gif
+watch LinearAxis-v0 --policy wrong.py:act --record new.gif
+watch LinearAxis-v0 --policy wrong.py:Class --record new.gif
+eval LinearAxis-v0 --policy wrong.py:text --episodes 1
+eval LinearAxis-v0 --policy wrong.py:nothing --episodes 1
+eval LinearAxis-v0 --policy wrong.py:nan --episodes 1
+watch LinearAxis-v0 --policy wrong.py --record new.gif
+watch LinearAxis-v0 --policy wrong.py:number --record new.gif
+watch LinearAxis-v0 --policy wrong.py:missing --record new.gif
+watch LinearAxis-v0 --episodes 0 --record new.gif
+watch LinearAxis-v0 --seed -1 --record new.gif
+watch LinearAxis-v0 --speed 0 --record new.gif
+watch LinearAxis-v0 --speed nan --record new.gif
+watch LinearAxis-v0 --record new.avi
+watch LinearAxis-v0 --record FILE
+watch LinearAxis-v0 --record FILE/new.gif
+watch LinearAxis-v0 --drive festo_cmms --record new.gif
+watch LinearAxis-v0 --argument payload --record new.gif
+watch LinearAxis-v0 --argument payload=heavy --record new.gif
+watch LinearAxis-v0 --argument paylod=3 --record new.gif
+watch LinearAxis-v0 --argument parameters={} --record new.gif
+watch LinearAxis-v0 --argument randomise=[1,2] --record new.gif
+watch LinearAxis-v0 --argument randomise={"mass":1} --record new.gif
+eval LinearAxis-v0 --policy hold --argument faults=["drp"]
+watch LinearAxis-v0 --argument history=none --record new.gif
+watch LinearAxis-v0 --argument step_time=fast --record new.gif
+watch LinearAxis-v0 --argument drive=generic --record new.gif
+watch LinearAxis-v0 --argument mode=pp --record new.gif
+watch LinearAxis-v0 --argument mode=[1] --record new.gif
+watch GantryContour-v0 --argument contour=star --record new.gif
+eval
+eval LinearAxis-v0
+eval LinearAxis-v0 --policy nothing
+eval LinearAxis-v0 --policy hold --episodes 0
+eval LinearAxis-v0 --policy hold --episodes 100000
+eval LinearAxis-v0 --policy hold --seed -1
+eval LinearAxis-v0 --policy hold --trace 50
+eval LinearAxis-v0 --policy hold --out FILE
+eval LinearAxis-v0 --policy .
+eval LinearAxis-v0 --policy built_in:x
+eval Homing-v0 --policy built_in:99 --episodes 1
+eval LinearAxis-v0 --policy wrong.py:shape --episodes 1
+eval LinearAxis-v0 --policy wrong.py:Raises --episodes 1
+compare LinearAxis-v0
+compare LinearAxis-v0 --policies ,
+compare LinearAxis-v0 --policies hold,nothing
+compare LinearAxis-v0 --policies hold --conditions nothing
+compare LinearAxis-v0 --policies hold --argument =3
+compare LinearAxis-v0 --policies hold --argument a-b=
+compare LinearAxis-v0 --polices hold
+compare LinearAxis-v0 --policies learned --drive nothing
+compare Homing-v0 --policies learned,lqr
+train
+train nothing
+train LinearAxis-v0 --algorithm DQN
+train LinearAxis-v0 --steps 0
+train LinearAxis-v0 --steps 1e6
+train LinearAxis-v0 --envs 0
+train LinearAxis-v0 --seed -1
+train LinearAxis-v0 --resume --out new
+train LinearAxis-v0 --out FILE
+train LinearAxis-v0 --bounds 0.1
+train LinearAxis-v0 --bounds small
+train LinearAxis-v0 --residual ruckig
+train LinearAxis-v0 --residual nothing --bounds 0.1
+train LinearAxis-v0 --checkpoint-every 0
+train LinearAxis-v0 --argument paylod=3
+train LinearAxis-v0 --drive nothing
+curves
+curves nothing
+curves FILE
+curves .
+results nothing
+results FILE
+results .
+benchmark
+benchmark everything
+benchmark homing --drive nothing
+benchmark homing --drive bonfiglioli_act
+benchmark positioning --out FILE
+""".strip().splitlines()
+
+WRONG = """
+import numpy as np
+number = 3
+def shape(observation): return np.zeros(7)
+def text(observation): return "left"
+def nothing(observation): return None
+def nan(observation): return np.array([np.nan])
+class Class:
+    def act(self, observation): return np.zeros(1)
+class Raises:
+    def __init__(self, datasheet, seed): pass
+    def reset(self, observation, info): pass
+    def act(self, observation): return {}["speed"]
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wrong")
+    (folder / "FILE").write_text("not what was meant\n")
+    (folder / "FILE.py").write_text("")
+    (folder / "broken.py").write_text("def act(:\n")
+    (folder / "wrong.py").write_text(WRONG)
+    for suffix in ("log", "pcapng"):
+        (folder / f"EMPTY.{suffix}").touch()
+    for suffix in ("log", "pcapng", "asc", "blf", "trc", "csv"):
+        (folder / f"NOISE.{suffix}").write_bytes(bytes(range(256)) * 4)
+    return folder
+
+
+def told(capsys, words):
+    """Status and what stands on stderr, of a command in this process."""
+    try:
+        status = cli.main(words)
+    except SystemExit as exit_info:
+        status = exit_info.code
+    return status, capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # python-can, of a .blf that is none
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_wrong_command_is_refused_in_words(line, place, capsys, monkeypatch):
+    monkeypatch.chdir(place)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    before = sorted(Path().rglob("*"))
+    words = (
+        line.split(" ")
+        if "--fault" not in line
+        else [*line.partition(" --fault ")[0].split(), "--fault", line.partition(" --fault ")[2]]
+    )
+    status, error = told(capsys, words)
+    assert status == 2, error
+    last = error.rstrip().rpartition("\n")[2]
+    assert last.startswith("servogym"), error
+    assert len(last) < 700, error
+    if "wrong.py, line" not in error:  # what the user's own code raised is told as it is
+        assert not RAW.search(error), error
+    made = {path for path in set(Path().rglob("*")) - set(before) if "__pycache__" not in str(path)}
+    assert not [path for path in made if path.is_file() and path.name != ".lock"], made
+
+
+def test_there_are_more_than_115():
+    assert len(set(COMMANDS)) == len(COMMANDS) >= 115
