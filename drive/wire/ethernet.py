@@ -30,7 +30,8 @@ class RawPort:
         wait: for a frame (s).
 
     Raises:
-        ValueError: no such interface, no right to it, no such sockets; tells what to do.
+        ValueError: no such interface, no right to it, no such sockets, another server on it; tells
+            what to do.
     """
 
     def __init__(self, interface: str, wait: float = 0.001):
@@ -45,6 +46,14 @@ class RawPort:
         except OSError as error:
             self.socket.close()
             raise ValueError(_why(interface, error)) from None
+        self._lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:  # abstract: of this network namespace, and gone with the process
+            self._lock.bind(f"\0servogym ethercat {interface}")
+        except OSError:
+            self.close()
+            raise ValueError(
+                f"-i {interface}: both would answer: is another `servogym ethercat` running there?"
+            ) from None
         _wait(self.socket, wait)
         self.name = interface
 
@@ -68,6 +77,7 @@ class RawPort:
     def close(self) -> None:
         """Give the interface back."""
         self.socket.close()
+        self._lock.close()
 
 
 class UdpPort:

@@ -1,5 +1,7 @@
 """The one master of the house over SOEM, beside `servogym ethercat`."""
 
+import subprocess
+import sys
 import time
 
 from servogym.drive.ethercat.port import EtherCatPort
@@ -30,3 +32,10 @@ def enable_home_and_move():
     soem.close()
     return {"enabled": enabled, "places": places, "refused": refused, "wrong": soem.wrong,
             "disabled": disabled}  # fmt: skip
+
+
+def second_server():
+    """Exit status and words of another server on the same interface."""
+    command = [sys.executable, "-m", "servogym.training.cli", "ethercat", "-i", "va"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    return done.returncode, done.stderr

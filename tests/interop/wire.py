@@ -110,6 +110,7 @@ def forked(models, faults=(), name="va"):
     finally:
         os.kill(child, signal.SIGTERM)
         os.waitpid(child, 0)
+        server.close()
         ip("link", "delete", name)
 
 
