@@ -36,6 +36,8 @@ def to_op(master):
     """INIT to OP as the examples of pysoem have it; -> the state."""
     scan_of(master)
     master.config_map()
+    if master.expected_wkc != 3 * len(master.slaves):  # SOEM maps nothing where an SDO is late
+        raise RuntimeError("the mapping did not go on in time")
     assert master.state_check(pysoem.SAFEOP_STATE, 5_000_000) == pysoem.SAFEOP_STATE, [
         pysoem.al_status_code_to_string(s.al_status) for s in master.slaves
     ]
@@ -46,6 +48,8 @@ def to_op(master):
         cycle(master)
         if master.state_check(pysoem.OP_STATE, 1000) == pysoem.OP_STATE:
             break
+    else:
+        raise RuntimeError("the way to OP did not go on in time")
     return master.state_check(pysoem.OP_STATE, 50_000)
 
 
