@@ -1,6 +1,8 @@
 """`servogym train`: it learns, it is interrupted and continues, it refuses what is foreign."""
 
 import csv
+import io
+import itertools
 import json
 import os
 import pickle
@@ -17,6 +19,8 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
 
+from rich.console import Console
+from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from servogym.envs import TASKS
@@ -482,3 +486,43 @@ def test_in_a_terminal_the_command_shows_a_bar_and_what_it_tells_above_it(tmp_pa
     told = [line for line in lines if "steps: reward of an episode" in line]
     assert len(told) == 3
     assert not any("━" in line for line in told)
+
+
+def test_a_training_that_has_fallen_for_good_stops_and_says_where_the_best_is(
+    tmp_path, monkeypatch
+):
+    rewards = itertools.chain([100.0], itertools.repeat(80.0))
+
+    def judged(self):
+        self.last_mean_reward = next(rewards)
+        self.best_mean_reward = max(self.best_mean_reward, self.last_mean_reward)
+        return True
+
+    monkeypatch.setattr(EvalCallback, "_on_step", judged)
+    told = io.StringIO()
+    brief(tmp_path, steps=4096, console=Console(file=told, width=300))
+    assert "15 % below the best, 100.0, whose policy is in" in told.getvalue()
+    assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] < 2048
+    assert saved.read(tmp_path / "best")["steps"] <= 128
+
+
+def test_a_folder_is_one_training_s(tmp_path):
+    with (
+        checkpoint.alone(tmp_path),
+        pytest.raises(ValueError, match="another process is training there"),
+        checkpoint.alone(tmp_path),
+    ):
+        pass
+
+
+def test_ctrl_c_before_the_first_checkpoint_keeps_one(tmp_path, monkeypatch):
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(checkpoint.Checkpoints, "_on_step", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            brief(tmp_path)
+    assert len(checkpoint.numbered(tmp_path)) == 1
+    brief(tmp_path, resume=True)
+    assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] >= 256

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from . import checkpoint
 
+PATIENCE, FALL = 8, 0.15  # evaluations running so far below the best end a training
 EPISODES = 16  # of an evaluation, one in each of as many environments
 EPISODES_SEED = 20_000_000  # they are the same for every run
 
@@ -57,6 +58,7 @@ class EvaluationCallback(EvalCallback):
             env, n_eval_episodes=EPISODES, eval_freq=freq, log_path=str(out), verbose=0
         )
         self.about, self.out, self.console = about, out, console
+        self.fallen = 0  # evaluations running that were far below the best
 
     def go_on(self, steps: int) -> None:
         """Recover what was found up to `steps`."""
@@ -88,4 +90,13 @@ class EvaluationCallback(EvalCallback):
             f"{self.num_timesteps:>10} steps: reward of an episode {self.last_mean_reward:.1f}"
             + (", the best so far" if better else "")
         )
-        return True
+        fallen = self.last_mean_reward < self.best_mean_reward - FALL * abs(self.best_mean_reward)
+        self.fallen = self.fallen + 1 if fallen else 0
+        if self.fallen < PATIENCE:
+            return True
+        self.console.print(
+            f"stopped: {PATIENCE} evaluations running were more than {100 * FALL:.0f} % below the "
+            f"best, {self.best_mean_reward:.1f}, whose policy is in {self.out / 'best'}; "
+            "--resume goes on all the same"
+        )
+        return False
