@@ -97,6 +97,18 @@ def enabled():
     return Shaft().enable()
 
 
+@pytest.fixture
+def tell(request):
+    """A function that shows a line on the terminal while a long test runs."""
+    capture = request.config.pluginmanager.getplugin("capturemanager")
+
+    def show(text):
+        with capture.global_and_fixture_disabled():
+            print(f"\n{request.node.name}: {text}", end="", flush=True)
+
+    return show if "slow" in request.keywords else lambda text: None
+
+
 @pytest.fixture(scope="session")
 def gl():
     """Skips where no image can be drawn."""

@@ -170,8 +170,10 @@ def test_in_motion_no_time_is_lost_against_ruckig():
 
 
 @pytest.mark.slow
-def test_in_motion_no_time_is_lost_against_ruckig_long():
-    check_on_the_fly_against_ruckig(1_000_000, seed=3)
+def test_in_motion_no_time_is_lost_against_ruckig_long(tell):
+    for part in range(20):
+        check_on_the_fly_against_ruckig(50_000, seed=3 + part)
+        tell(f"{(part + 1) * 50_000} cases")
 
 
 SAMPLES = 8  # places looked at in a segment
@@ -287,8 +289,10 @@ def test_set_points_on_the_fly_keep_every_limit_with_four_jerks():
 
 
 @pytest.mark.slow
-def test_set_points_on_the_fly_keep_every_limit_with_four_jerks_long():
-    check_random_cases(1_000_000, seed=2)
+def test_set_points_on_the_fly_keep_every_limit_with_four_jerks_long(tell):
+    for part in range(20):
+        check_random_cases(50_000, seed=2 + part)
+        tell(f"{(part + 1) * 50_000} cases of four set-points")
 
 
 def braked(v, a, limit, begin, end, steps=200_000):
