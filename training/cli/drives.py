@@ -1,6 +1,7 @@
 """`servogym drives`."""
 
 import argparse
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -10,6 +11,8 @@ def add(commands) -> None:
     """Its row in the table of commands."""
     drives = commands.add_parser("drives", help="list the drive models, or tell about one")
     drives.add_argument("model", nargs="?", help="name or folder of a model")
+    drives.add_argument("--from-eds", type=Path, metavar="FILE", help="make a model of an EDS")
+    drives.add_argument("-o", "--out", type=Path, help="folder of the model made, new or empty")
     drives.set_defaults(run=_drives)
 
 
@@ -26,7 +29,22 @@ def _modes(model) -> str:
     return " ".join(MODE_ABBREVIATION[mode] for mode in model.modes)
 
 
+def _import(options: argparse.Namespace) -> int:
+    from ...drive.canopen.eds_import import import_eds
+
+    if options.from_eds is None or options.out is None or options.model is not None:
+        raise ValueError("--from-eds FILE and -o FOLDER belong together, without a model")
+    made = import_eds(options.from_eds, options.out)
+    print(
+        f"{made.folder}: {made.objects} objects, {len(made.unknown)} of them unknown to the "
+        f"profile, {len(made.left_out)} left out; {made.folder / 'README.md'} says what is inferred"
+    )
+    return 0
+
+
 def _drives(options: argparse.Namespace, console: Console) -> int:
+    if options.from_eds is not None or options.out is not None:
+        return _import(options)
     from ...drive.drive import Drive
     from ...drive.model.model import foreign_names, load, model_names
 
