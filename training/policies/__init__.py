@@ -162,7 +162,7 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
     Raises:
         ValueError: an unknown name, one for other tasks, a machine it cannot serve.
     """
-    if not isinstance(name, str):
+    if not isinstance(name, str) and not callable(name):
         raise ValueError(f"policy {name!r}: give a name, {POLICIES_TOLD}")
     task = env.ID
     if not isinstance(name, str):
