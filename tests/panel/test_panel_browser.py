@@ -215,7 +215,7 @@ def test_a_fault_is_injected_told_with_its_remedy_and_reset_by_clicks(page):
     expect(at(page, "remedy")).to_contain_text("brake resistor")
     picture(page, "state")
     at(page, "reset-fault").click()
-    expect(page.get_by_text("still present").first).to_be_visible()
+    expect(page.locator(".q-notification").get_by_text("still present")).to_be_visible()
     open_page(page, "experiments")
     at(page, "clear-injected").click()
     shows(page, "injected", "Nothing is injected.")
