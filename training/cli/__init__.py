@@ -31,6 +31,7 @@ from . import (
     node,
     panel,
     results,
+    scope,
     sweep,
     train,
     tune,
@@ -38,8 +39,8 @@ from . import (
 )
 
 COMMANDS = (
-    demo, bench, drives, node, ethercat, eds, esi, decode, bode, tune, homing, watch, panel, train,
-    compare, results, benchmark, sweep,
+    demo, bench, drives, node, ethercat, eds, esi, decode, bode, tune, scope, homing, watch, panel,
+    train, compare, results, benchmark, sweep,
 )  # fmt: skip
 
 
