@@ -345,6 +345,17 @@ class Drive:
         told = (meaning(self.model, self.axis, int(cause)) for cause in (first, *others))
         return tuple(filter(None, told))
 
+    def errors_since(self, seen: int) -> list[tuple[int, int]]:
+        """Codes and causes entered since there had been `seen` of them, oldest first.
+
+        At most as many as the record remembers; what a master makes of 1003h does not matter.
+        """
+        axis = self.axis
+        last = int(axis.error_events)
+        first = last - min(max(last - seen, 0), record.HISTORY)
+        places = [event % record.HISTORY for event in range(first, last)]
+        return [(int(axis.event_code[n]), int(axis.event_cause[n])) for n in places]
+
     def describe(self) -> str:
         """The statusword by name."""
         return describe(int(self.axis.od.statusword), int(self.axis.mode))

@@ -116,13 +116,9 @@ class Emergency:
         if self._present and register & COMMUNICATION != COMMUNICATION:
             register |= COMMUNICATION  # a fault reset of the drive has cleared it
             self._register[0] = register
-        new = min(max(events - self._seen, 0), HISTORY)
+        entered = self._drive.errors_since(self._seen)
+        self._queue.extend((code, cause, register) for code, cause in entered)
         self._seen = events
-        axis = self._drive.axis
-        for event in range(events - new, events):
-            place = event % HISTORY
-            code, cause = int(axis.event_code[place]), int(axis.event_cause[place])
-            self._queue.append((code, cause, register))
         if time - self._sent_at < self._inhibit:
             return
         if self._queue:

@@ -1,8 +1,9 @@
 """RPDOs on the bus: transmission types, deadlines and lengths (CiA 301, PDO).
 
-Types 0-240 are used at the next SYNC, 254 and 255 at once; the event timer is a deadline that
-begins with the first RPDO. The PDO records are read when a communication object has changed, so a
-frame finds its PDO by one look into a table, with 512 PDOs as with one.
+Types 0-240 are used at the next SYNC, in some models type n at every n-th one
+(`rpdo_counts_syncs`: Metronix ARS 2000 5.3.1, Festo CMMP-AS 3.3.1); 254 and 255 at once. The event
+timer is a deadline that begins with the first RPDO. The PDO records are read when a communication
+object has changed, so a frame finds its PDO by one look into a table, with 512 PDOs as with one.
 """
 
 from functools import partial
@@ -26,11 +27,15 @@ def _latch(all_bytes, index, pdos, number, image):
 class _Receive:
     """One valid RPDO."""
 
-    __slots__ = ("deadline", "failed", "heard_at", "number", "synchronous", "waiting", "width")
+    __slots__ = (
+        "deadline", "every", "failed", "heard_at", "number", "synchronous", "syncs", "waiting",
+        "width",
+    )  # fmt: skip
 
     def __init__(self, number: int):
         self.number = number
         self.width = self.deadline = 0  # byte, µs
+        self.every, self.syncs = 1, 0  # used at each `every`-th SYNC; SYNCs since the last one
         self.synchronous = self.failed = False
         self.waiting: bytes | None = None  # for the next SYNC
         self.heard_at: int | None = None  # µs, while the deadline runs
@@ -45,6 +50,7 @@ class Receiver:
         self._drive = drive
         self._sync = sync
         self._emergency = emergency
+        self._counts = drive.model.quirk("rpdo_counts_syncs")
         own = slice(drive.index, drive.index + 1)
         self._changed = drive.axes["parameters_changed"][own]
         self._synchronised = drive.axes["sync"][own]
@@ -77,6 +83,7 @@ class Receiver:
             rpdo = before.pop(number) if number in before else _Receive(number)
             self._rpdos[number] = rpdo
             rpdo.width, rpdo.synchronous = width, kind in SYNCHRONOUS
+            rpdo.every = max(kind, 1) if self._counts and rpdo.synchronous else 1
             if rpdo.deadline != timer * 1000:
                 rpdo.deadline, rpdo.heard_at = timer * 1000, None
                 self._recover(rpdo)
@@ -130,11 +137,15 @@ class Receiver:
         self._synchronised[0] = synchronous
 
     def sync(self) -> None:
-        """Latch what waited for the SYNC."""
-        for _, rpdo in sorted(self._waiting.items()):
-            assert rpdo.waiting is not None
-            self._take(rpdo, rpdo.waiting, 1)
-        self._waiting.clear()
+        """Latch what waited for this SYNC."""
+        if self._counts:
+            for rpdo in self._rpdos.values():
+                rpdo.syncs = (rpdo.syncs + 1) % rpdo.every
+        for number, rpdo in sorted(self._waiting.items()):
+            if rpdo.syncs == 0:
+                assert rpdo.waiting is not None
+                self._take(rpdo, rpdo.waiting, 1)
+                del self._waiting[number]
 
     def poll(self, time: int) -> None:
         """Notice deadlines that have run out at `time` (µs)."""
@@ -148,5 +159,7 @@ class Receiver:
     def forget(self) -> None:
         """Drop what waits and stop the deadlines; after leaving OPERATIONAL."""
         self._waiting.clear()
+        for rpdo in self._rpdos.values():
+            rpdo.syncs = 0
         for rpdo in self._monitored:
             rpdo.heard_at = None

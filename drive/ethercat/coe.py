@@ -251,7 +251,7 @@ class Emergencies:
 
     def __init__(self, drive: Drive):
         own = slice(drive.index, drive.index + 1)
-        self._axis = drive.axis
+        self._drive = drive
         self._events = drive.axes["error_events"][own]
         self._register = drive.axes["od"]["error_register"][own]
         self.reset()
@@ -269,9 +269,7 @@ class Emergencies:
     def bodies(self) -> list[bytes]:
         """What is new, oldest first."""
         events, register = self._events.item(0), self._register.item(0)
-        fields = self._axis.od.error_field
-        new = min(max(events - self._seen, 0), len(fields))
-        codes = [int(code) & 0xFFFF for code in reversed(fields[:new].tolist())]
+        codes = [code for code, _ in self._drive.errors_since(self._seen)]
         if not codes and self._told & ~register:
             codes = [0]
         self._seen, self._told = events, register

@@ -4,7 +4,7 @@
     torque           = gain * e + integral + inertia * acceleration_demand + torque_offset
 
 In a torque mode the demand goes straight to the limit; a speed limiter on the same velocity gain
-takes torque away above the maximum motor speed.
+takes torque away above the maximum motor speed, or a lower limit (2416h of some models).
 
 The position loop runs once a position cycle, the velocity loop once a velocity cycle. The
 integrator is updated with the torque that was really possible (back-calculation), so it never
@@ -101,8 +101,8 @@ def velocity_loop(axis: Axis):
 
 @block
 def _speed_limited(axis: Axis, torque):
-    highest = axis.velocity_gain * (axis.max_speed - axis.velocity)
-    lowest = axis.velocity_gain * (-axis.max_speed - axis.velocity)
+    highest = axis.velocity_gain * (axis.torque_speed - axis.velocity)
+    lowest = axis.velocity_gain * (-axis.torque_speed - axis.velocity)
     allowed = min(max(torque, lowest), highest)
     if allowed != torque:
         axis.limits |= Limit.SPEED

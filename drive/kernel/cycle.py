@@ -14,8 +14,10 @@ from . import (
     factors,
     faults,
     homing,
+    limits,
     modes,
     monitor,
+    outputs,
     sync,
     thermal,
 )
@@ -75,6 +77,7 @@ def position_cycle(axis: Axis):
     brake.run(axis)
     faults.expire_warnings(axis)
     axis.faults_present = 0
+    limits.by_source(axis)
     modes.demand(axis)
     if homing.pushing(axis):
         axis.torque_ceiling = min(axis.torque_ceiling, axis.homing_torque)
@@ -83,6 +86,7 @@ def position_cycle(axis: Axis):
     cascade.position_loop(axis)
     monitor.run(axis)
     modes.status(axis)
+    outputs.run(axis)
     factors.publish(axis)
     axis.cycle_count += 1
 

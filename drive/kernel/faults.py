@@ -43,6 +43,11 @@ class Cause(IntEnum):
     SOFTWARE_LIMIT_MIN = 24  # a software position limit stops the motion
     SOFTWARE_LIMIT_MAX = 25
     INDEX_NEAR = 26  # homing: the index pulse lies at the edge
+    HOMING_START = 27  # homing is started without power
+    NO_SYNC = 28  # interpolated position is asked for, and SYNC does not come in its grid
+    FOLLOW_UP_MISSING = 29  # a target was passed at its end velocity, and no other one is there
+    TARGET_BEHIND_MIN = 30  # a target behind a software limit: the positioning does not start
+    TARGET_BEHIND_MAX = 31
 
 
 class Reaction(IntEnum):

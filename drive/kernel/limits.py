@@ -14,14 +14,15 @@ import math
 from . import stop
 from .cascade import Control
 from .encoder import Switch
-from .faults import Cause, raise_fault
+from .faults import Cause, Reaction, raise_fault
 from .jit import block
-from .ramps import NO_JERK_LIMIT, stopping_distance
-from .record import Axis
+from .ramps import NO_JERK_LIMIT, steepest, stopping_distance
+from .record import ANALOG_INPUTS, Axis
 from .words import Limit, Mode
 
 COUNTS = 2.0**32  # of an INTEGER32
 BY_SWITCH, BY_SOFTWARE = 1, 2  # of `blocked`, signed by the direction
+FULL_SCALE = 10.0  # V of an analog input
 
 
 @block
@@ -141,6 +142,46 @@ def before_limit(axis: Axis, start, target, period):
 
 
 @block
+def suppressed(axis: Axis, target):
+    """Whether a positioning does not start: its target (rad) is behind a software limit.
+
+    Only in models that have a fault of it (Festo CMMP-AS, 40-2 and 40-3).
+    """
+    cause = Cause.NONE
+    rounding = abs(axis.rad_per_position_unit) / 2
+    if axis.homed and target > axis.position_limit_max + rounding:
+        cause = Cause.TARGET_BEHIND_MAX
+    elif axis.homed and target < axis.position_limit_min - rounding:
+        cause = Cause.TARGET_BEHIND_MIN
+    if cause == Cause.NONE or axis.od.fault_reaction[cause] == Reaction.IGNORE:
+        return False
+    raise_fault(axis, cause)
+    return True
+
+
+@block
+def by_source(axis: Axis):
+    """2415h and 2416h: limits of current and of the speed in tq, fixed or by an analog input."""
+    od = axis.od
+    axis.current_limit = math.inf
+    if od.current_limit_channel:
+        axis.current_limit = axis.limit_torque * _share(axis, od.current_limit_channel)
+    axis.torque_speed = axis.max_speed
+    if od.speed_limit_channel:
+        limit = axis.limit_speed * _share(axis, od.speed_limit_channel)
+        axis.torque_speed = min(axis.max_speed, limit)
+
+
+@block
+def _share(axis: Axis, channel):
+    """1 for a fixed value (4), the share of 10 V at the analog input 0, 1 or 2 (1, 2, 3)."""
+    if channel > ANALOG_INPUTS:
+        return 1.0
+    offset = axis.od.analog_input_offset[channel - 1] * 1e-3
+    return min(abs(axis.analog_inputs[channel - 1] - offset) / FULL_SCALE, 1.0)
+
+
+@block
 def at_switch(axis: Axis, direction):
     """Whether the limit switch on the way of `direction` (any signed number) is active."""
     if direction > 0 and axis.switches & Switch.POSITIVE_LIMIT:
@@ -217,7 +258,8 @@ def _before_software_limit(axis: Axis, direction, deceleration, jerk):
         return False
     sign = 1.0 if direction > 0 else -1.0
     delay = 2 * axis.position_period
-    acceleration = axis.acceleration_demand * sign + jerk[0] * delay
+    growth = jerk[0] if jerk[0] >= 0.0 else steepest(axis)
+    acceleration = axis.acceleration_demand * sign + growth * delay
     speed = max(axis.velocity_demand * sign + max(acceleration, 0.0) * delay, 0.0)
     path = speed * delay + stopping_distance(axis, speed, acceleration, deceleration, jerk)
     if path < room(axis, axis.position, direction):

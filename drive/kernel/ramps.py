@@ -14,6 +14,11 @@ A move follows the ramp to the profile velocity until the ramp to the end veloci
 ends at the target: where that is follows by bisection, because the distance is continuous in it.
 What starts behind its target, or too fast for it, does the same the other way round. With equal
 limits that is time-optimal from any state.
+
+A sin² ramp (6086h = 1) is one segment of another shape, a wave of the acceleration from 0 over the
+limit back to 0: a = limit · sin²(pi · t / T) with T = 2 · change / limit, so its mean velocity is
+the one in the middle. What is left of an acceleration before it goes as the falling half of such a
+wave, and a short move has the whole waves of a lower speed.
 """
 
 import math
@@ -27,18 +32,23 @@ BISECTIONS = 200  # ends earlier, when the interval no longer shrinks
 # of 60A4h
 UP, DOWN, QUICK_STOP = 0, 1, 2  # slopes of vl
 NO_JERK_LIMIT = (0.0, 0.0, 0.0, 0.0)
+SINE = -1.0  # in the place of a jerk: ramps are sin²
+FALL_TIME = (
+    0.02  # s, in which an acceleration as high as the limit goes before a sin² ramp (inferred)
+)
+SHORTEST = 1e-9  # s, of a wave; a shorter one is its mean acceleration
 UNSTORED = SEGMENTS  # a ramp that begins there only counts its distance
 
 
 @block
 def profile_jerk(axis: Axis):
-    """The jerk limits of the profile (rad/s³), all 0 for a trapezoid."""
+    """The jerk limits of the profile (rad/s³), all 0 for a trapezoid, `SINE` for sin²."""
     return axis.jerk[0], axis.jerk[1], axis.jerk[2], axis.jerk[3]
 
 
 @block
 def _or_infinite(jerk):
-    return jerk if jerk > 0.0 else math.inf
+    return jerk if jerk != 0.0 else math.inf
 
 
 @block
@@ -55,16 +65,44 @@ def _limits(acceleration, deceleration, jerk):
 
 
 @block
-def _segment(axis: Axis, n, x, v, duration, a, jerk):
-    """Travel one segment from (x, v) at the acceleration `a`; -> (n, x, v) behind it."""
+def _after(x, v, t, a, jerk, wave):
+    """Where constant jerk leads from (x, v, a) in the time `t`; -> (x, v, a).
+
+    With a `wave` (rad/s) the acceleration is a wave as high as `a`, that begins with the phase
+    `jerk` (0 or pi: at its foot or on its top).
+    """
+    if wave > 0.0:
+        angle = wave * t + jerk
+        x += v * t + a / 2 * (t * t / 2 + (math.cos(angle) - math.cos(jerk)) / (wave * wave))
+        return x, v + a / 2 * (t - math.sin(angle) / wave), a / 2 * (1.0 - math.cos(angle))
+    x += (v + (a / 2 + jerk * t / 6) * t) * t
+    return x, v + (a + jerk * t / 2) * t, a + jerk * t
+
+
+@block
+def _segment(axis: Axis, n, x, v, duration, a, jerk, wave):
+    """Travel one segment (see `_after`) from (x, v); -> (n, x, v) behind it."""
     if not duration > 0.0:
         return n, x, v
     if n < SEGMENTS:
         axis.segment_duration[n] = duration
         axis.segment_acceleration[n] = a
         axis.segment_jerk[n] = jerk
-    x += (v + (a / 2 + jerk * duration / 6) * duration) * duration
-    return n + 1, x, v + (a + jerk * duration / 2) * duration
+        axis.segment_wave[n] = wave
+    x, v, _ = _after(x, v, duration, a, jerk, wave)
+    return n + 1, x, v
+
+
+@block
+def _wave(axis: Axis, n, x, v, goal, limit):
+    """The sin² ramp from the velocity `v` to `goal`; -> (n, x, v)."""
+    duration = 2 * abs(goal - v) / limit
+    a = math.copysign(limit, goal - v)
+    if duration < SHORTEST:
+        n, x, _ = _segment(axis, n, x, v, duration, a / 2, 0.0, 0.0)
+    else:
+        n, x, _ = _segment(axis, n, x, v, duration, a, 0.0, 2 * math.pi / duration)
+    return n, x, goal
 
 
 @block
@@ -72,14 +110,19 @@ def _release(axis: Axis, n, x, v, a, limits):
     """Take the acceleration away at once; -> (n, x, v)."""
     sign, size = math.copysign(1.0, a), abs(a)
     end = limits[4]
+    if end < 0.0:  # sin²
+        fall = FALL_TIME * size / min(limits[0], limits[1])
+        if fall < SHORTEST:
+            return _segment(axis, n, x, v, fall, a / 2, 0.0, 0.0)
+        return _segment(axis, n, x, v, fall, a, math.pi, math.pi / fall)
     if v * sign < 0.0:  # slows down
         end = limits[5]
         left = size * size - 2 * end * abs(v)  # of a², where the velocity would be 0
         if left > 0.0:
             at_zero = math.sqrt(left)
-            n, x, v = _segment(axis, n, x, v, (size - at_zero) / end, a, -sign * end)
+            n, x, v = _segment(axis, n, x, v, (size - at_zero) / end, a, -sign * end, 0.0)
             v, size, end = 0.0, at_zero, limits[4]
-    return _segment(axis, n, x, v, size / end, sign * size, -sign * end)
+    return _segment(axis, n, x, v, size / end, sign * size, -sign * end, 0.0)
 
 
 @block
@@ -97,9 +140,9 @@ def _trapezoid(axis: Axis, n, x, v, change, sign, first, last, limit, begin, end
     rise = begin if peak >= first else -end  # more than the limit is taken back
     used = (peak * peak - first * first) / (2 * rise) + (peak * peak - last * last) / (2 * end)
     hold = max(change - used, 0.0) / peak if peak >= limit else 0.0
-    n, x, v = _segment(axis, n, x, v, (peak - first) / rise, sign * first, sign * rise)
-    n, x, v = _segment(axis, n, x, v, hold, sign * peak, 0.0)
-    return _segment(axis, n, x, v, (peak - last) / end, sign * peak, -sign * end)
+    n, x, v = _segment(axis, n, x, v, (peak - first) / rise, sign * first, sign * rise, 0.0)
+    n, x, v = _segment(axis, n, x, v, hold, sign * peak, 0.0, 0.0)
+    return _segment(axis, n, x, v, (peak - last) / end, sign * peak, -sign * end, 0.0)
 
 
 @block
@@ -108,6 +151,12 @@ def _ramp(axis: Axis, n, x, v, a, goal, limits):
     released, x_released, v_released = _release(axis, n, x, v, a, limits)
     sign = 1.0 if goal >= v_released else -1.0
     first = abs(a)
+    if limits[4] < 0.0:  # sin²
+        n, x, v = released, x_released, v_released
+        if v * goal < 0.0:
+            n, x, v = _wave(axis, n, x, v, 0.0, limits[1])
+        n, x, v = _wave(axis, n, x, v, goal, limits[0] if abs(goal) > abs(v) else limits[1])
+        return n, x
     if a * sign <= 0.0:
         n, x, v, first = released, x_released, v_released, 0.0
     if v * sign < 0.0:
@@ -237,7 +286,7 @@ def plan_position(axis: Axis, target, speed, end_speed, room, acceleration, dece
     if x != distance and (end == asked or end == 0.0):
         n, x = _plan_over(axis, distance, math.copysign(speed, distance - x), end, limits)
     if (distance - x) * end > 0.0:  # what rounding left
-        n, x, _ = _segment(axis, n, x, end, (distance - x) / end, 0.0, 0.0)
+        n, x, _ = _segment(axis, n, x, end, (distance - x) / end, 0.0, 0.0, 0.0)
     axis.profile_to_position = 1
     axis.profile_position = target
     _begin(axis, n, end)
@@ -255,12 +304,14 @@ def _plan_over(axis: Axis, distance, cruise, end, limits):
     left = distance - _ramp(axis, UNSTORED, x_cruise, cruise, 0.0, end, limits)[1]
     if left * way >= 0.0:
         pause = left / cruise if cruise != 0.0 else math.inf
-        n, x, _ = _segment(axis, ramp, x_cruise, cruise, pause, 0.0, 0.0)
+        n, x, _ = _segment(axis, ramp, x_cruise, cruise, pause, 0.0, 0.0, 0.0)
         return _ramp(axis, n, x, cruise, 0.0, end, limits)
+    if limits[4] < 0.0:
+        return _over_by_speed(axis, distance, cruise, end, limits)
     i, low, high, jerk = 0, 0.0, 0.0, 0.0
     for i in range(ramp):
         a, jerk, high = axis.segment_acceleration[i], axis.segment_jerk[i], axis.segment_duration[i]
-        _, x_end, v_end = _segment(axis, UNSTORED, x, v, high, a, jerk)
+        _, x_end, v_end = _segment(axis, UNSTORED, x, v, high, a, jerk, 0.0)
         behind = _ramp(axis, UNSTORED, x_end, v_end, a + jerk * high, end, limits)[1]
         if (distance - behind) * way <= 0.0:
             break
@@ -269,14 +320,42 @@ def _plan_over(axis: Axis, distance, cruise, end, limits):
         middle = (low + high) / 2
         if middle in (low, high):
             break
-        _, x_end, v_end = _segment(axis, UNSTORED, x, v, middle, a, jerk)
+        _, x_end, v_end = _segment(axis, UNSTORED, x, v, middle, a, jerk, 0.0)
         behind = _ramp(axis, UNSTORED, x_end, v_end, a + jerk * middle, end, limits)[1]
         if (distance - behind) * way > 0.0:
             low = middle
         else:
             high = middle
-    n, x, v = _segment(axis, i, x, v, low, a, jerk)
+    n, x, v = _segment(axis, i, x, v, low, a, jerk, 0.0)
     return _ramp(axis, n, x, v, a + jerk * low, end, limits)
+
+
+@block
+def _over_by_speed(axis: Axis, distance, cruise, end, limits):
+    """The same with whole sin² ramps: to the highest speed up to `cruise` that leads no farther."""
+    way = math.copysign(1.0, cruise)
+    v, a = axis.velocity_demand, axis.acceleration_demand
+    low, high = end, cruise
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        x = _ramp(axis, UNSTORED, 0.0, v, a, middle, limits)[1]
+        x = _ramp(axis, UNSTORED, x, middle, 0.0, end, limits)[1]
+        if (distance - x) * way > 0.0:
+            low = middle
+        else:
+            high = middle
+    n, x = _ramp(axis, 0, 0.0, v, a, low, limits)
+    return _ramp(axis, n, x, low, 0.0, end, limits)
+
+
+@block
+def steepest(axis: Axis):
+    """Largest jerk (rad/s³) of the segment being travelled, if that is a wave, else 0."""
+    if axis.segment >= axis.segments:
+        return 0.0
+    return abs(axis.segment_acceleration[axis.segment]) * axis.segment_wave[axis.segment] / 2
 
 
 @block
@@ -294,9 +373,8 @@ def advance(axis: Axis):
     t = axis.segment_time + axis.position_period
     while axis.segment < axis.segments and t >= axis.segment_duration[axis.segment]:
         i = axis.segment
-        d, a, j = axis.segment_duration[i], axis.segment_acceleration[i], axis.segment_jerk[i]
-        axis.segment_position += (axis.segment_velocity + (a / 2 + j * d / 6) * d) * d
-        axis.segment_velocity += (a + j * d / 2) * d
+        d = axis.segment_duration[i]
+        axis.segment_position, axis.segment_velocity, _ = _along(axis, i, d)
         axis.segment += 1
         t -= d
     if axis.segment >= axis.segments:
@@ -312,13 +390,22 @@ def advance(axis: Axis):
         axis.acceleration_demand = 0.0
         return
     axis.segment_time = t
-    i = axis.segment
-    a, j = axis.segment_acceleration[i], axis.segment_jerk[i]
-    axis.position_demand = (
-        axis.segment_position + (axis.segment_velocity + (a / 2 + j * t / 6) * t) * t
+    axis.position_demand, axis.velocity_demand, axis.acceleration_demand = _along(
+        axis, axis.segment, t
     )
-    axis.velocity_demand = axis.segment_velocity + (a + j * t / 2) * t
-    axis.acceleration_demand = a + j * t
+
+
+@block
+def _along(axis: Axis, i, t):
+    """(position, velocity, acceleration) at the time `t` in the segment `i`, which is under way."""
+    return _after(
+        axis.segment_position,
+        axis.segment_velocity,
+        t,
+        axis.segment_acceleration[i],
+        axis.segment_jerk[i],
+        axis.segment_wave[i],
+    )
 
 
 @block

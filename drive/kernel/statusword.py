@@ -23,6 +23,7 @@ POWERED = tuple(  # the transistors are switched on
     State.SWITCHED_ON <= state <= State.FAULT_REACTION_ACTIVE for state in State
 )
 HEAT = 1 << Cause.I2T | 1 << Cause.MOTOR_TEMPERATURE | 1 << Cause.DRIVE_TEMPERATURE
+DIN8, DIN9 = 1 << 28, 1 << 29  # of 60FDh (Metronix 6.13.2.2, Festo CMMP-AS 5.13)
 BUS_ENABLES = 2  # value of enable_logic
 
 
@@ -92,8 +93,16 @@ def manufacturer_status(axis: Axis):
 
 @block
 def digital_inputs(axis: Axis):
-    """60FDh: the switches, and the interlock while an enable input is missing."""
+    """60FDh: the switches, the interlock while an enable input is missing, further inputs.
+
+    In models with `switch_types` the home switch is one of these, DIN9 or DIN8 (Metronix 6.14).
+    """
     missing = not (axis.enable_input and axis.sto_input)
-    return axis.switches & (Switch.NEGATIVE_LIMIT | Switch.POSITIVE_LIMIT | Switch.HOME) | (
-        8 if missing else 0
+    further = int(axis.inputs) & 0xFFFF0000
+    if axis.switch_types and axis.home_switch:
+        further |= DIN8 if axis.od.homing_switch_selector else DIN9
+    return (
+        axis.switches & (Switch.NEGATIVE_LIMIT | Switch.POSITIVE_LIMIT | Switch.HOME)
+        | (8 if missing else 0)
+        | further
     )

@@ -13,6 +13,7 @@ from .words import Mode
 
 LOCK = 3  # SYNCs in the grid, one after the other (inferred)
 TOLERANCE = 1  # position cycle (inferred)
+PATIENCE = 100  # periods for the first lock, with enable_ip_mode (inferred)
 
 
 @block
@@ -30,6 +31,14 @@ def run(axis: Axis):
     in_use = axis.mode == Mode.INTERPOLATED_POSITION and axis.ip_active and energised(axis)
     if was_locked and in_use and not locked(axis):
         raise_fault(axis, Cause.SYNC_LOST)
+
+
+@block
+def wait(axis: Axis, waiting):
+    """Raise the fault of a drive that is `waiting` for SYNC for too long (Festo B.3, 34-0)."""
+    axis.sync_wait = axis.sync_wait + 1 if waiting else 0
+    if axis.sync_wait > PATIENCE * axis.interpolation_cycles:
+        raise_fault(axis, Cause.NO_SYNC)
 
 
 @block

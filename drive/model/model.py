@@ -49,6 +49,7 @@ QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS
     "transmit_masks": "1: 2014h-2017h choose the bits whose change sends a TPDO",
     "emcy_internal_code": "1: bytes 6 and 7 of an EMCY are the manufacturer's fault number",
     "only_faults_are_told": "1: a lost connection sends an EMCY only with 6007h = 1",
+    "rpdo_counts_syncs": "1: an RPDO of type n is used at every n-th SYNC",
     "upload_without_size": "1: an expedited upload of 2001h-2FFFh is answered by 42h",
     "writes_are_stored": "1: what can be stored is stored with each write",
     "shortest_gap_of_tpdo_2": "ms between two of them, whatever the inhibit time says",

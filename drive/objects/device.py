@@ -55,6 +55,9 @@ class Dictionary(Protocol):
     def names(self) -> Mapping[str, Any]:
         """Places by name."""
 
+    def put(self, slot: Any, value: int | float) -> None:
+        """Store a checked value."""
+
     def put_factors(self, values: Any) -> None:
         """Store values that make the units."""
 

@@ -176,8 +176,6 @@ def _profile(velocity: float, acceleration: float) -> dict[str, float]:
         "profile_acceleration": acceleration,
         "profile_deceleration": acceleration,
         "quick_stop_deceleration": 2 * acceleration,
-        "limit_switch_deceleration": min(2 * acceleration, INTEGER32),
-        "position_control_v_max": 2 * velocity,
         "speed_during_search_for_switch": max(0.1 * velocity, 1),
         "speed_during_search_for_zero": max(0.01 * velocity, 1),
         "homing_acceleration": max(0.1 * acceleration, 1),

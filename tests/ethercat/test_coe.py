@@ -279,6 +279,20 @@ def test_28_a_fault_sends_one_emergency_and_a_pending_sdo_its_answer_in_order(mo
     assert slave.fetch() is None
 
 
+@pytest.mark.parametrize("model", ["generic", "kollmorgen_akd", "festo_cmmp_as"])
+def test_a_history_that_is_cleared_before_the_mailbox_is_read_changes_no_emergency(model):
+    slave = Wired(model).to(P)
+    slave.drive.inject("overvoltage")
+    for _ in range(5):
+        slave.drive.cycle(0.0)
+    code = slave.drive.read("error_code") & 0xFFFF
+    slave.drive.write(0x1003, 0, 0)
+    slave.cycle(cycles=2)
+    kind, body = slave.fetch()
+    assert (kind, body[:4]) == (Kind.COE, bytes.fromhex("0010") + code.to_bytes(2, "little"))
+    assert code
+
+
 def test_what_happened_before_pre_operational_is_not_told():
     slave = Wired("generic")
     slave.drive.inject("overvoltage")

@@ -25,6 +25,11 @@ def _plan_speed(axis, velocity, acceleration, deceleration, jerk):
     return ramps.duration(axis)
 
 
+@jit.block
+def _stopping(axis, v, a, deceleration, jerk):
+    return ramps.stopping_distance(axis, v, a, deceleration, jerk)
+
+
 def plan(*arguments):
     *others, jerk = arguments
     return _plan(*others, jerk if isinstance(jerk, tuple) else (jerk,) * 4)
@@ -474,3 +479,82 @@ def test_an_end_velocity_is_reached_at_the_target_and_kept():
     index = int(time / PERIOD)
     assert out[index, 1] == pytest.approx(8.0)
     assert out[index, 0] == pytest.approx(5.0 + 8.0 * (PERIOD * (index + 1) - time))
+
+
+# ------------------------------------------------------------------ sin² (6086h = 1)
+
+SINE = (ramps.SINE,) * 4
+
+
+def wave(t, change, limit):
+    """Acceleration, velocity and way of a sin² ramp from rest after the time t, in closed form."""
+    duration = 2 * change / limit
+    angle = 2 * math.pi * t / duration
+    return (
+        limit * math.sin(math.pi * t / duration) ** 2,
+        limit / 2 * (t - math.sin(angle) * duration / (2 * math.pi)),
+        limit / 2 * (t * t / 2 - (1 - math.cos(angle)) * (duration / (2 * math.pi)) ** 2),
+    )
+
+
+def test_a_sine_ramp_is_the_closed_form():
+    axis = axis_at()
+    assert _plan_speed(axis, 30.0, 100.0, 200.0, SINE) == pytest.approx(0.6, rel=1e-12)
+    out = travelled(axis, 0.6)
+    for n in range(1199):
+        a, v, x = wave((n + 1) * PERIOD, 30.0, 100.0)
+        assert out[n] == pytest.approx((x, v, a), abs=1e-9)
+    assert tuple(out[-1, 1:]) == (30.0, 0.0)
+
+
+def test_a_sine_move_has_the_closed_form_time_and_its_rates():
+    """Up and down twice as long as trapezoids, at the same mean velocity."""
+    axis = axis_at()
+    time = _plan(axis, 20.0, 10.0, 0.0, 50.0, 100.0, SINE)
+    up, down = 2 * 10 / 50, 2 * 10 / 100
+    assert time == pytest.approx(up + down + (20.0 - 5 * (up + down)) / 10, rel=1e-12)
+    out = travelled(axis, time)
+    assert out[:, 2].max() == pytest.approx(50.0, rel=1e-3)
+    assert out[:, 2].min() == pytest.approx(-100.0, rel=1e-3)
+    assert tuple(out[-1]) == (20.0, 0.0, 0.0)
+
+
+def test_a_short_sine_move_is_two_whole_waves():
+    axis = axis_at()
+    time = _plan(axis, 1.0, 1e3, 0.0, 50.0, 50.0, SINE)
+    top = math.sqrt(1.0 * 50.0 / 2)  # v²/a up and v²/a down are the way
+    assert time == pytest.approx(4 * top / 50.0, rel=1e-9)
+    assert travelled(axis, time)[:, 1].max() == pytest.approx(top, rel=1e-3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(-30, 30), st.floats(-20, 20), st.floats(-80, 80), st.floats(1, 30),
+    st.floats(20, 200), st.floats(20, 200), st.floats(0, 20),
+)  # fmt: skip
+def test_sine_moves_from_any_state_end_at_the_target_within_their_limits(
+    target, v, a, speed, acceleration, deceleration, end
+):
+    axis = axis_at(0.0, v, a)
+    time = _plan(axis, target, speed, end, acceleration, deceleration, SINE)
+    out = travelled(axis, time)
+    last = max(min(math.ceil(time / PERIOD), len(out)) - 1, 0)
+    passed = axis.profile_end_velocity
+    assert out[-1, 0] - target == pytest.approx(passed * ((len(out)) * PERIOD - time), abs=1e-6)
+    limit = max(acceleration, deceleration, abs(a))
+    assert np.abs(out[:, 2]).max() <= limit + 1e-9
+    released = abs(v) + abs(a) * ramps.FALL_TIME * abs(a) / min(acceleration, deceleration)
+    assert np.abs(out[:, 1]).max() <= max(speed, released) + 1e-9
+    rows = np.vstack([[0.0, v, a], out[: last + 1]])
+    way = np.cumsum((rows[1:, 1] + rows[:-1, 1]) / 2) * PERIOD  # the trapezoidal rule
+    assert way[:last] == pytest.approx(out[:last, 0], abs=2e-3)
+    change = np.cumsum((rows[1:, 2] + rows[:-1, 2]) / 2) * PERIOD
+    assert v + change[:last] == pytest.approx(out[:last, 1], abs=0.3)
+
+
+@given(st.floats(-30, 30), st.floats(-100, 100), st.floats(10, 300))
+def test_the_sine_stopping_distance_is_that_of_the_planned_stop(v, a, deceleration):
+    axis = axis_at(0.0, v, a)
+    distance = _stopping(axis, v, a, deceleration, SINE)
+    out = travelled(axis, _plan_speed(axis, 0.0, deceleration, deceleration, SINE))
+    assert out[-1, 0] == pytest.approx(distance, abs=1e-9)

@@ -10,13 +10,13 @@ import math
 
 from .. import encoder, probe, statusword, sync
 from ..jit import block, entry
+from ..ramps import SINE
 from ..record import Axis
 from ..words import Mode, SetPointSource
-from .stored import OFF, Stored, follow, ordered, value
+from .stored import OFF, WRITTEN, Stored, follow, ordered, value
 from .units import measure
 
-JERK_FREE, JERK_LIMITED = 2, 3  # motion profile types
-FIELD_BUS = 4  # value of 2415h:01
+SINE_SQUARED, JERK_FREE, JERK_LIMITED = 1, 2, 3  # motion profile types
 JERK_FREE_TIME = 0.02  # s, until a jerk-free ramp has its acceleration (inferred)
 RAD_S_PER_MINUTE = 2 * math.pi / 60
 TURN_OPTION = (0, 3, 3, 0, 2, 1)  # position range mode -> `limits.nearest_turn`
@@ -95,6 +95,8 @@ def receive(axis: Axis):
         j = i % jerks
         jerk = value(axis, _S.PROFILE_JERK + j, od.profile_jerk[j], acceleration)
         axis.jerk[i] = jerk if kind == JERK_LIMITED else 0.0
+        if kind == SINE_SQUARED:
+            axis.jerk[i] = SINE
         if kind == JERK_FREE:
             steepest = axis.deceleration if i & 1 else axis.acceleration
             axis.jerk[i] = steepest / JERK_FREE_TIME
@@ -124,6 +126,8 @@ def receive(axis: Axis):
     axis.velocity_threshold_cycles = _cycles(axis, int(od.velocity_threshold_time))
 
     _limits_of_some_models(axis)
+    if axis.own_velocity_ramps:
+        _velocity_ramps(axis)
     axis.position_gain = od.position_control_gain * axis.position_gain_unit
     axis.velocity_gain = od.velocity_control_gain * axis.velocity_gain_unit
     # an action time below the cycle would make the anti-windup overshoot without bound
@@ -145,9 +149,9 @@ def _limits_of_some_models(axis: Axis):
     limit = value(axis, _S.POSITION_CONTROL_V_MAX, od.position_control_v_max, speed)
     axis.correction_limit = limit if limit > 0.0 else math.inf
     band = od.position_error_tolerance
-    limited = od.current_limit_channel == FIELD_BUS and od.motor_rated_current > 0
     share = od.limit_current / max(int(od.motor_rated_current), 1)
-    axis.current_limit = abs(share) * axis.rated_torque if limited else math.inf
+    axis.limit_torque = abs(share) * axis.rated_torque if od.motor_rated_current else math.inf
+    axis.limit_speed = abs(value(axis, _S.LIMIT_SPEED, od.limit_speed, speed))
     axis.dead_band = value(axis, _S.POSITION_ERROR_TOLERANCE, band, width)
     rate, acceleration = od.limit_switch_deceleration, axis.rad_s2_per_acceleration_unit
     axis.limit_deceleration = value(axis, _S.LIMIT_SWITCH_DECELERATION, rate, acceleration)
@@ -157,6 +161,22 @@ def _limits_of_some_models(axis: Axis):
     if axis.switch_types:
         limit_inverted = 0 if od.limit_switch_polarity else 3
         axis.switch_inversion = limit_inverted | (0 if od.homing_switch_polarity else 4)
+
+
+@block
+def _velocity_ramps(axis: Axis):
+    """2090h: a write of 6083h or 6084h goes there too, for both directions (Metronix 8.6)."""
+    od = axis.od
+    for k in range(2):
+        number = od.profile_deceleration if k else od.profile_acceleration
+        now = _rate(axis, _S.PROFILE_ACCELERATION + k, number)
+        if axis.ramps_seen[k] > 0.0 and axis.ramps_seen[k] != now:
+            for i in range(k, 4, 2):
+                od.velocity_ramps[i] = min(int(number), 0x7FFFFFFF)
+                axis.kept_shown[_S.VELOCITY_RAMPS + i] = WRITTEN
+        axis.ramps_seen[k] = now
+    for i in range(4):
+        axis.velocity_ramps[i] = _rate(axis, _S.VELOCITY_RAMPS + i, od.velocity_ramps[i])
 
 
 @block

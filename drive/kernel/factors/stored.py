@@ -54,6 +54,8 @@ class Stored(IntEnum):
     HOMING_ACCELERATION = 29
     LIMIT_SWITCH_DECELERATION = 30
     PROFILE_JERK = 31
+    VELOCITY_RAMPS = 35
+    LIMIT_SPEED = 39
     OWN = 40  # objects of the model without kernel behaviour
 
 
@@ -160,6 +162,10 @@ def _show_all(axis: Axis, new):
     for i in range(4):
         number = od.profile_jerk[i]
         od.profile_jerk[i] = _unsigned(axis, _S.PROFILE_JERK + i, number, _K.ACCELERATION, new)
+        number = od.velocity_ramps[i]
+        number = _signed(axis, _S.VELOCITY_RAMPS + i, number, _K.ACCELERATION, new)
+        od.velocity_ramps[i] = number
+    od.limit_speed = _signed(axis, _S.LIMIT_SPEED, od.limit_speed, _K.SPEED, new)
     _show_own(axis, new)
 
 

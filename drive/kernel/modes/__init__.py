@@ -6,6 +6,7 @@ owner left it, `demand` makes the demand of one position cycle, `status` its sta
 
 from .. import brake, homing, stop
 from ..cascade import energised
+from ..faults import Cause, raise_fault
 from ..homing import HomingError
 from ..jit import block
 from ..ramps import rest
@@ -23,6 +24,8 @@ def demand(axis):
     _select(axis)
     bit4 = 1 if controlword & Controlword.NEW_SET_POINT else 0
     if not energised(axis):
+        if bit4 and not axis.bit4 and axis.mode == Mode.HOMING:
+            raise_fault(axis, Cause.HOMING_START)
         rest(axis)
         homing.abandon(axis, HomingError.INTERRUPTED)
         pp.forget(axis)
@@ -62,6 +65,7 @@ def _select(axis):
     if axis.supported_modes >> (requested - 1) & 1:
         axis.mode = requested
         axis.mode_started = 0
+        axis.od.velocity_ramps_enable = 1  # with each choice of a mode (Metronix 8.1.2.3, 8.6)
         homing.abandon(axis, HomingError.INTERRUPTED)
         pp.forget(axis)
 

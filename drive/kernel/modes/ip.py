@@ -59,6 +59,7 @@ def _take(axis: Axis):
 def demand(axis: Axis, bit4):
     """Interpolate one position cycle further; at the end of a period take the next record."""
     enabled = bit4 and sync.locked(axis)
+    sync.wait(axis, bit4 and not enabled)
     if not enabled and axis.ip_active:
         csp.hold(axis)
     axis.ip_active = enabled

@@ -10,6 +10,7 @@ set-point (bit 6) counts from what 60F2h says, by default the preceding target.
 
 from .. import limits, monitor, stop
 from ..cascade import energised
+from ..faults import Cause, raise_fault
 from ..jit import block
 from ..ramps import advance, close_position_loop, plan_position, plan_velocity, profile_jerk
 from ..record import SET_POINTS, Axis
@@ -85,6 +86,7 @@ def demand(axis: Axis):
         if axis.set_points > 0:
             _begin(axis)
         elif axis.velocity_demand != 0.0:  # passed at the end velocity, and nothing follows
+            raise_fault(axis, Cause.FOLLOW_UP_MISSING)
             plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, profile_jerk(axis))
 
 
@@ -98,6 +100,9 @@ def _begin(axis: Axis):
     axis.set_point_relative[0] = 0
     axis.set_point_position[0] = target
     axis.set_point_started = 1
+    if limits.suppressed(axis, target):
+        _drop_first(axis)
+        return
     axis.target = limits.clamp_target(axis, target)
     if limits.at_switch(axis, axis.target - axis.position_demand):
         _drop_first(axis)

@@ -16,7 +16,8 @@ def start(axis: Axis):
         axis.acceleration_demand = 0.0
     axis.control = Control.VELOCITY
     axis.blocked = 0
-    plan_velocity(axis, 0.0, axis.deceleration, axis.deceleration, profile_jerk(axis))
+    _, deceleration = _rates(axis, 0.0)
+    plan_velocity(axis, 0.0, deceleration, deceleration, profile_jerk(axis))
 
 
 @block
@@ -26,15 +27,34 @@ def demand(axis: Axis):
     goal = min(max(wanted, -axis.max_profile_speed), axis.max_profile_speed)
     if goal != wanted:
         axis.limits |= Limit.SPEED
-    deceleration, jerk = axis.deceleration, profile_jerk(axis)
+    acceleration, deceleration = _rates(axis, goal)
+    jerk = profile_jerk(axis)
     if limits.locked(axis, goal, deceleration, jerk):
         goal = 0.0
         if limits.at_switch(axis, axis.velocity_demand):
             deceleration, jerk = stop.limit_switch_rate(axis), NO_JERK_LIMIT
     if goal != axis.profile_end_velocity:
-        plan_velocity(axis, goal, axis.acceleration, deceleration, jerk)
+        plan_velocity(axis, goal, acceleration, deceleration, jerk)
     advance(axis)
     axis.position_demand = axis.position
+
+
+@block
+def _rates(axis: Axis, goal):
+    """Acceleration and deceleration (rad/s²) on the way to `goal` (rad/s), from 6083h and 6084h.
+
+    Some models have ramps by direction in 2090h, or none at all (Metronix 8.6, Festo 7.6).
+    """
+    if not axis.own_velocity_ramps:
+        return axis.acceleration, axis.deceleration
+    if not axis.od.velocity_ramps_enable:
+        steep = max(axis.max_speed, 1.0) / axis.position_period
+        return steep, steep
+    sign = axis.rad_s_per_velocity_unit
+    return (
+        axis.velocity_ramps[2 if goal * sign < 0.0 else 0],
+        axis.velocity_ramps[3 if axis.velocity_demand * sign < 0.0 else 1],
+    )
 
 
 @block

@@ -22,12 +22,19 @@ import functools
 import numpy as np
 
 from .fields import FIELDS, IP_RECORDS, KINDS, OWN_STORED, SEGMENTS, SET_POINTS, STORED
-from .variables import FAULT_CAUSES, HISTORY, MAIN_FAULTS, OBJECTS, VENDOR_BYTES
+from .variables import (
+    ANALOG_INPUTS,
+    FAULT_CAUSES,
+    HISTORY,
+    MAIN_FAULTS,
+    OBJECTS,
+    VENDOR_BYTES,
+)
 
 __all__ = [
-    "AXIS", "FAULT_CAUSES", "FIELDS", "HISTORY", "IP_RECORDS", "KINDS", "MAIN_FAULTS", "OBJECTS",
-    "OD", "OWN_STORED", "SEGMENTS", "SET_POINTS", "STORED", "UNITS", "VENDOR_BYTES", "Axis",
-    "Objects", "accessible", "make",
+    "ANALOG_INPUTS", "AXIS", "FAULT_CAUSES", "FIELDS", "HISTORY", "IP_RECORDS", "KINDS",
+    "MAIN_FAULTS", "OBJECTS", "OD", "OWN_STORED", "SEGMENTS", "SET_POINTS", "STORED", "UNITS",
+    "VENDOR_BYTES", "Axis", "Objects", "accessible", "make",
 ]  # fmt: skip
 
 Axis = Objects = np.record  # types of a record and of its `od`: see __init__.pyi

@@ -13,6 +13,7 @@ OWN_STORED: int
 SEGMENTS: int
 SET_POINTS: int
 STORED: int
+ANALOG_INPUTS: int
 FAULT_CAUSES: int
 HISTORY: int
 MAIN_FAULTS: int
@@ -142,7 +143,7 @@ class Objects:
     quick_stop_deceleration: int
     """acceleration unit; 6085h"""
     motion_profile_type: int
-    """6086h, 0 trapezoid, 3 jerk-limited"""
+    """6086h, 0 trapezoid, 1 sin², 2 jerk-free, 3 jerk-limited"""
     torque_slope: int
     """rated torque/1000 per s; 6087h"""
     torque_profile_type: int
@@ -344,9 +345,25 @@ class Objects:
     vl_anticlockwise: np.ndarray
     """3 values; 1/1000 1/min/s; slopes of vl in negative direction: up, down, quick stop; 0 = as in positive"""
     current_limit_channel: int
-    """2415h:01, 4: limit_current acts"""
+    """2415h:01, 1-3 an analog input, 4: limit_current acts"""
     limit_current: int
     """mA; 2415h:02"""
+    speed_limit_channel: int
+    """2416h:01, 1-3 an analog input, 4: limit_speed acts"""
+    limit_speed: int
+    """velocity unit; 2416h:02"""
+    analog_input_offset: np.ndarray
+    """3 values; mV; 2401h, taken away"""
+    velocity_ramps_enable: int
+    """2090h:01, 0: pv has no ramps (own_velocity_ramps)"""
+    velocity_ramps: np.ndarray
+    """4 values; acceleration unit; 2090h:02-05"""
+    homing_switch_selector: int
+    """6510h:13h, 0: the home switch is DIN9, 1: DIN8"""
+    output_function: np.ndarray
+    """3 values; 2420h:01-03, of DOUT1-DOUT3 (output_functions)"""
+    output_function_more: np.ndarray
+    """2 values; 2420h:11-12, a byte an output"""
     latch_control: int
     """bits 0-3: probe 1 pos, neg, probe 2 pos, neg; 8-12: one shown"""
     latch_status: int
@@ -446,6 +463,10 @@ class Axis:
     """1: bit 10 in vl: the velocity is within vl_window"""
     reset_lock: int
     """ms; time after a fault in which it cannot be reset"""
+    own_velocity_ramps: int
+    """1: pv has ramps by direction, see velocity_ramps"""
+    output_functions: int
+    """1: digital outputs show what output_function says"""
     history_depth: int
     """entries of 1003h; 0 = all"""
     torque_time_constant: float
@@ -533,7 +554,7 @@ class Axis:
     quick_stop_deceleration: float
     """rad/s²"""
     jerk: np.ndarray
-    """4 values; rad/s³; in the order of 60A4h; 0 = trapezoid"""
+    """4 values; rad/s³; in the order of 60A4h; 0 = trapezoid, `ramps.SINE` = sin²"""
     range_min: float
     """rad; 607Bh"""
     range: float
@@ -554,6 +575,16 @@ class Axis:
     """of the last vl target that was not 0; 0 = none yet"""
     current_limit: float
     """Nm; of 2415h; inf = off"""
+    limit_torque: float
+    """Nm; the same with its source at full scale"""
+    torque_speed: float
+    """rad/s; highest in a torque mode: of 2416h, or max_speed"""
+    limit_speed: float
+    """rad/s; of 2416h, with its source at full scale"""
+    velocity_ramps: np.ndarray
+    """4 values; rad/s²; 2090h: up, down, up and down in negative direction"""
+    ramps_seen: np.ndarray
+    """2 values; rad/s²; 6083h and 6084h when they were copied there; 0 = never"""
     max_slippage: float
     """rad/s; 0 = off"""
     ip_data: float
@@ -647,6 +678,10 @@ class Axis:
     """2 values; 1 = active"""
     terminals: int
     """contacts S1-S8, see `contacts`"""
+    inputs: int
+    """further digital inputs, bits 16-31 as in 60FDh"""
+    analog_inputs: np.ndarray
+    """3 values; V; AIN0-AIN2"""
     enable_input: int
     """1 = the controller may be enabled"""
     sto_input: int
@@ -665,6 +700,10 @@ class Axis:
     """injected: no index pulse comes"""
     ambient_temperature: float
     """degC"""
+    outputs: int
+    """digital outputs as they are, bits as in 60FEh (output_functions)"""
+    outputs_told: np.ndarray
+    """2 values; 60FEh as it was obeyed last"""
     cycle_count: int
     """position cycle; since power-on"""
     velocity_cycle: int
@@ -752,7 +791,9 @@ class Axis:
     segment_acceleration: np.ndarray
     """16 values; rad/s²; at its begin"""
     segment_jerk: np.ndarray
-    """16 values; rad/s³"""
+    """16 values; rad/s³; with a wave its phase (rad)"""
+    segment_wave: np.ndarray
+    """16 values; rad/s; of a sin² ramp, see `ramps`; 0 = none"""
     segment_position: float
     """rad; at the begin of the segment being travelled"""
     segment_velocity: float
@@ -828,6 +869,8 @@ class Axis:
     """SYNC has come since the last position cycle"""
     sync_gap: int
     """position cycle; since the last SYNC"""
+    sync_wait: int
+    """position cycle; interpolation has been waiting for SYNC"""
     sync_good: int
     """SYNCs in the time grid without a break"""
     set_position_wanted: int

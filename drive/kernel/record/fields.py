@@ -3,7 +3,7 @@
 In SI units at the motor shaft (rad, rad/s, Nm, s); counters are whole cycles.
 """
 
-from .variables import FAULT_CAUSES, HISTORY
+from .variables import ANALOG_INPUTS, FAULT_CAUSES, HISTORY
 
 SEGMENTS = 16  # constant-jerk segments one motion profile may need (`ramps.plan_position`)
 SET_POINTS = 4  # buffered profile-position set-points
@@ -59,6 +59,8 @@ FIELDS = (
     ("vl_keeps_sign", "u1", "", "1: vl runs at the least amount while its target is 0"),
     ("vl_window_bit", "u1", "", "1: bit 10 in vl: the velocity is within vl_window"),
     ("reset_lock", "<u2", "ms", "time after a fault in which it cannot be reset"),
+    ("own_velocity_ramps", "u1", "", "1: pv has ramps by direction, see velocity_ramps"),
+    ("output_functions", "u1", "", "1: digital outputs show what output_function says"),
     ("history_depth", "u1", "", "entries of 1003h; 0 = all"),
     ("torque_time_constant", "f8", "s", "first-order response of the current loop; 0 = ideal"),
     ("supported_modes", "i8", "", "bit n-1 set: mode n, as 6502h"),
@@ -105,7 +107,7 @@ FIELDS = (
     ("acceleration", "f8", "rad/s²", "6083h limited by 60C5h"),
     ("deceleration", "f8", "rad/s²", "6084h limited by 60C6h"),
     ("quick_stop_deceleration", "f8", "rad/s²", ""),
-    ("jerk", ("f8", (4,)), "rad/s³", "in the order of 60A4h; 0 = trapezoid"),
+    ("jerk", ("f8", (4,)), "rad/s³", "in the order of 60A4h; 0 = trapezoid, `ramps.SINE` = sin²"),
     ("range_min", "f8", "rad", "607Bh"),
     ("range", "f8", "rad", "607Bh, max minus min; 0 = a linear axis"),
     ("vl_rad_s", "f8", "rad/s", "per vl unit"),
@@ -116,6 +118,21 @@ FIELDS = (
     ("vl_anticlockwise", ("f8", (3,)), "rad/s²", "acceleration, deceleration, quick stop"),
     ("vl_sign", "i8", "", "of the last vl target that was not 0; 0 = none yet"),
     ("current_limit", "f8", "Nm", "of 2415h; inf = off"),
+    ("limit_torque", "f8", "Nm", "the same with its source at full scale"),
+    ("torque_speed", "f8", "rad/s", "highest in a torque mode: of 2416h, or max_speed"),
+    ("limit_speed", "f8", "rad/s", "of 2416h, with its source at full scale"),
+    (
+        "velocity_ramps",
+        ("f8", (4,)),
+        "rad/s²",
+        "2090h: up, down, up and down in negative direction",
+    ),
+    (
+        "ramps_seen",
+        ("f8", (2,)),
+        "rad/s²",
+        "6083h and 6084h when they were copied there; 0 = never",
+    ),
     ("max_slippage", "f8", "rad/s", "0 = off"),
     ("ip_data", "f8", "rad", "60C1h:01"),
     ("stop_velocity", "f8", "rad/s", "below it the run-down counts as ended"),
@@ -164,6 +181,8 @@ FIELDS = (
     ("home_switch", "u1", "", "1 = active"),
     ("touch_probe", ("u1", (2,)), "", "1 = active"),
     ("terminals", "u1", "", "contacts S1-S8, see `contacts`"),
+    ("inputs", "u4", "", "further digital inputs, bits 16-31 as in 60FDh"),
+    ("analog_inputs", ("f8", (ANALOG_INPUTS,)), "V", "AIN0-AIN2"),
     ("enable_input", "u1", "", "1 = the controller may be enabled"),
     ("sto_input", "u1", "", "1 = torque is allowed, 0 = safe torque off"),
     ("connection_lost", "u1", "", "1 = the bus says so, option code 6007h acts"),
@@ -173,6 +192,9 @@ FIELDS = (
     ("injected", "i8", "", "bit n: cause n is forced to be present"),
     ("index_missing", "u1", "", "injected: no index pulse comes"),
     ("ambient_temperature", "f8", "degC", ""),
+    # outputs to the plant
+    ("outputs", "u4", "", "digital outputs as they are, bits as in 60FEh (output_functions)"),
+    ("outputs_told", ("u4", (2,)), "", "60FEh as it was obeyed last"),
     # time
     ("cycle_count", "i8", "position cycle", "since power-on"),
     ("velocity_cycle", "i8", "velocity cycle", "position within the position cycle"),
@@ -221,7 +243,8 @@ FIELDS = (
     ("segment_time", "f8", "s", "since its begin"),
     ("segment_duration", ("f8", (SEGMENTS,)), "s", ""),
     ("segment_acceleration", ("f8", (SEGMENTS,)), "rad/s²", "at its begin"),
-    ("segment_jerk", ("f8", (SEGMENTS,)), "rad/s³", ""),
+    ("segment_jerk", ("f8", (SEGMENTS,)), "rad/s³", "with a wave its phase (rad)"),
+    ("segment_wave", ("f8", (SEGMENTS,)), "rad/s", "of a sin² ramp, see `ramps`; 0 = none"),
     ("segment_position", "f8", "rad", "at the begin of the segment being travelled"),
     ("segment_velocity", "f8", "rad/s", "at the begin of the segment being travelled"),
     ("profile_position", "f8", "rad", "exact end of a profile to a position"),
@@ -262,6 +285,7 @@ FIELDS = (
     ("sync", "u1", "", "process data were latched since the last position cycle"),
     ("sync_pulse", "u1", "", "SYNC has come since the last position cycle"),
     ("sync_gap", "i8", "position cycle", "since the last SYNC"),
+    ("sync_wait", "i8", "position cycle", "interpolation has been waiting for SYNC"),
     ("sync_good", "i8", "", "SYNCs in the time grid without a break"),
     ("set_position_wanted", "u1", "", "set_position has been written"),
     # homing

@@ -5,6 +5,7 @@ In drive units and in the CiA 301 type of their object; a model's objects.csv bi
 
 FAULT_CAUSES = 32  # rows of the cause table (`faults.Cause`)
 MAIN_FAULTS = 128  # main numbers a model gives its faults
+ANALOG_INPUTS = 3
 HISTORY = 8  # depth of pre-defined error field 1003h
 VENDOR_BYTES = 1024  # objects of a drive model that the kernel does not read
 
@@ -70,7 +71,7 @@ OBJECTS = (
     ("profile_acceleration", "<u4", "acceleration unit", "6083h"),
     ("profile_deceleration", "<u4", "acceleration unit", "6084h"),
     ("quick_stop_deceleration", "<u4", "acceleration unit", "6085h"),
-    ("motion_profile_type", "<i2", "", "6086h, 0 trapezoid, 3 jerk-limited"),
+    ("motion_profile_type", "<i2", "", "6086h, 0 trapezoid, 1 sin², 2 jerk-free, 3 jerk-limited"),
     ("torque_slope", "<u4", "rated torque/1000 per s", "6087h"),
     ("torque_profile_type", "<i2", "", "6088h, 0 linear"),
     ("position_encoder_resolution", ("<u4", (2,)), "", "608Fh, increments, motor revolutions"),
@@ -197,8 +198,16 @@ OBJECTS = (
         "1/1000 1/min/s",
         "slopes of vl in negative direction: up, down, quick stop; 0 = as in positive",
     ),
-    ("current_limit_channel", "u1", "", "2415h:01, 4: limit_current acts"),
+    ("current_limit_channel", "u1", "", "2415h:01, 1-3 an analog input, 4: limit_current acts"),
     ("limit_current", "<i4", "mA", "2415h:02"),
+    ("speed_limit_channel", "u1", "", "2416h:01, 1-3 an analog input, 4: limit_speed acts"),
+    ("limit_speed", "<i4", "velocity unit", "2416h:02"),
+    ("analog_input_offset", ("<i4", (ANALOG_INPUTS,)), "mV", "2401h, taken away"),
+    ("velocity_ramps_enable", "u1", "", "2090h:01, 0: pv has no ramps (own_velocity_ramps)"),
+    ("velocity_ramps", ("<i4", (4,)), "acceleration unit", "2090h:02-05"),
+    ("homing_switch_selector", "<i2", "", "6510h:13h, 0: the home switch is DIN9, 1: DIN8"),
+    ("output_function", ("u1", (3,)), "", "2420h:01-03, of DOUT1-DOUT3 (output_functions)"),
+    ("output_function_more", ("<u4", (2,)), "", "2420h:11-12, a byte an output"),
     ("latch_control", "<u2", "", "bits 0-3: probe 1 pos, neg, probe 2 pos, neg; 8-12: one shown"),
     ("latch_status", "<u2", "", "bits 0-3 stored, 8-11 the one shown, 12-15 inputs"),
     (

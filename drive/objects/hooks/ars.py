@@ -2,15 +2,13 @@
 
 Fault management 2100h and the objects that are views on it (CMMP-AS 5.4, 5.5, 5.7, 5.18), limits
 of the factor group (5.3), compatibility bits (5.2), the lock on 60C1h (7.4.2), set position (5.7),
-ranges printed in 1/min (5.7, 5.14), the period 60C2h (7.4.2), digital outputs 60FEh, 2420h (5.13).
+ranges printed in 1/min (5.7, 5.14), the period 60C2h (7.4.2), digital outputs 60FEh (5.13), analog
+inputs 2400h (5.12), ramps by direction 2090h (7.6).
 """
-
-from collections.abc import Callable
 
 from ...kernel.factors.units import FRACTION_LIMIT, reduced
 from ...kernel.homing import Progress
-from ...kernel.statusword import POWERED
-from ...kernel.words import Compatibility, Statusword
+from ...kernel.words import Compatibility
 from ...model.rows import Object
 from ..abort import Abort
 from ..device import Dictionary
@@ -124,55 +122,26 @@ def _ip_time_units(od: Dictionary, row: Object, value: int) -> Abort:
     return Abort.NONE if value in PERIODS[index] else Abort.INVALID_VALUE
 
 
-OUTPUTS, MASK = (0x60FE, 1), (0x60FE, 2)
-BRAKE = 1  # bit 0 of 60FEh
-OFF, ON = 0, 12  # functions of 2420h
-# bit of 60FEh -> object of its function, lowest bit of the function there, bits of it
-OUTPUT_FUNCTIONS = {25 + n: (1 + n, 0, 8) for n in range(3)}
-OUTPUT_FUNCTIONS |= {16 + n: (0x11 + n // 4, 8 * (n % 4), 8) for n in range(8)}
-
-
-def _warns(axis, main: int) -> bool:
-    """Whether a fault of this main number is shown as a warning."""
-    shown = int(axis.warnings) | int(axis.faults)
-    return any(shown >> c & 1 and n >> 4 == main for c, n in enumerate(axis.fault_number.tolist()))
-
-
-# function of 2420h -> whether the output is on; the others need what the emulator has not
-FUNCTIONS: dict[int, Callable] = {
-    1: lambda axis: axis.profile_done,
-    2: lambda axis: int(axis.od.statusword) & Statusword.TARGET_REACHED,
-    5: lambda axis: axis.homing in RUNNING,
-    7: lambda axis: _warns(axis, I2T),
-    8: lambda axis: axis.following_error_exceeded,
-    9: lambda axis: _warns(axis, UNDERVOLTAGE),
-    10: lambda axis: axis.brake_released,
-    11: lambda axis: POWERED[axis.state],
-    ON: lambda axis: True,
-    16: lambda axis: axis.homed,
-}
-
-
 def _outputs_now(od: Dictionary, row: Object) -> int:
     """60FEh:01 shows what the outputs really are: the brake, and the functions of 2420h."""
-    axis = od.drive.axis
-    word = 0 if axis.brake_released else BRAKE
-    for bit, (subindex, shift, _) in OUTPUT_FUNCTIONS.items():
-        function = int(od.slots[0x2420, subindex].get()) >> shift & 0xFF
-        word |= bool(FUNCTIONS.get(function, lambda axis: False)(axis)) << bit
-    return word
+    return int(od.drive.axis.outputs)
 
 
-def _set_outputs(od: Dictionary, row: Object, value: int) -> Abort:
-    """Switched directly an output has the function OFF or ON from now on, as its mask says."""
-    both = {OUTPUTS: int(od.slots[OUTPUTS].get()), MASK: int(od.slots[MASK].get())}
-    both[row.index, row.subindex] = value
-    for bit, (subindex, shift, bits) in OUTPUT_FUNCTIONS.items():
-        if both[MASK] >> bit & 1:
-            slot = od.slots[0x2420, subindex]
-            other = int(slot.get()) & ~((1 << bits) - 1 << shift)
-            slot.put(other | (ON if both[OUTPUTS] >> bit & 1 else OFF) << shift)
+def _profile_ramp(od: Dictionary, row: Object, value: int) -> Abort:
+    """6083h and 6084h go to both directions of 2090h too (Metronix 8.6, Festo 7.6)."""
+    first = row.index - 0x6083
+    for subindex in (2 + first, 4 + first):
+        od.put(od.slots[0x2090, subindex], min(value, 0x7FFFFFFF))
+    od.drive.axis.ramps_seen[first] = 0.0  # which stands for: already there
     return Abort.NONE
+
+
+def _analog_voltage(od: Dictionary, row: Object) -> int:
+    """2400h: the voltage (mV) without its offset 2401h."""
+    axis, n = od.drive.axis, row.subindex - 1
+    volts = float(axis.analog_inputs[n])
+    millivolts = round(volts * 1e3) - int(axis.od.analog_input_offset[n])
+    return min(max(millivolts, -0x8000), 0x7FFF)
 
 
 HOOKS = {
@@ -180,8 +149,9 @@ HOOKS = {
     "position_control_v_max": _at_most(131_072, "velocity_encoder_factor", 4096),
     "limit_switch_deceleration": _at_most(3_000_000, "acceleration_factor", 256),
     "ip_time_units": Hook(_ip_time_units),
-    "outputs": Hook(_set_outputs, _outputs_now),
-    "output_mask": Hook(_set_outputs),
+    "outputs": Hook(read=_outputs_now),
+    "profile_ramp": Hook(_profile_ramp),
+    "analog_voltage": Hook(read=_analog_voltage),
     "error_reaction": Hook(_error_reaction, _error_reaction_now),
     "undervoltage_error": _switch(UNDERVOLTAGE),
     "i2t_error": _switch(I2T),
