@@ -285,8 +285,9 @@ def plan_position(axis: Axis, target, speed, end_speed, room, acceleration, dece
     n, x = _ramp(axis, 0, 0.0, v, a, end, limits)
     if x != distance and (end == asked or end == 0.0):
         n, x = _plan_over(axis, distance, math.copysign(speed, distance - x), end, limits)
-    if (distance - x) * end > 0.0:  # what rounding left
-        n, x, _ = _segment(axis, n, x, end, (distance - x) / end, 0.0, 0.0, 0.0)
+    left = (distance - x) / end if end != 0.0 else 0.0
+    if 0.0 < left < axis.position_period:  # what rounding left
+        n, x, _ = _segment(axis, n, x, end, left, 0.0, 0.0, 0.0)
     axis.profile_to_position = 1
     axis.profile_position = target
     _begin(axis, n, end)

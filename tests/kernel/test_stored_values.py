@@ -152,11 +152,11 @@ def test_every_field_in_units_of_the_factor_group_is_kept_or_published():
 
 
 @pytest.mark.parametrize("name", KEEPING)
-def test_objects_without_kernel_behaviour_are_kept_too(name):
+def test_ramps_by_direction_and_the_limit_of_speed_are_kept_too(name):
     model = load(name)
-    rows = {f"{row.index:04X}:{row.subindex:02X}" for row in model.objects.values()
-            if (place(model, row) or 0) >= Stored.OWN}  # fmt: skip
-    assert rows == {"2090:02", "2090:03", "2090:04", "2090:05", "2416:02"}
+    places = [place(model, model.objects[0x2090, n]) for n in range(2, 6)]
+    assert places == [Stored.VELOCITY_RAMPS + n for n in range(4)]
+    assert place(model, model.objects[0x2416, 2]) == Stored.LIMIT_SPEED
 
 
 part = st.one_of(st.integers(1, 60), st.integers(1, 100_000), st.integers(1, 2**24))
