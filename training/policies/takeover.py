@@ -12,12 +12,11 @@ import numpy as np
 
 from ...drive.diagrams import Mode
 from ...drive.master import Master
-from ...envs import task
+from ...envs import POINT_TO_POINT
 from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
 from . import BuiltIn, make, needed
 
-ENV = "LinearAxis-v0"
 METRE = 1e6  # position units
 SETTLED = 50e-6  # m
 
@@ -72,16 +71,18 @@ class TakeOver:
         cycle: Callable[[], None] | None = None, late: Callable[[], float] = lambda: 0.0,
     ):  # fmt: skip
         if len(machine.drives) != 1 or machine.joint(next(iter(machine.drives)))[1] != "m":
-            raise ValueError(f"policies of {ENV} command one linear axis, not {machine!r}")
+            raise ValueError(
+                f"policies of {POINT_TO_POINT.ID} command one linear axis, not {machine!r}"
+            )
         ((axis, drive),) = machine.drives.items()
         if not drive.axis.homed:
             raise ValueError("the axis is not referenced: home it first")
         self.name, self.machine, self.drive = policy, machine, drive
         passing: Callable[[], None] = cycle or machine.step
         self._before = drive.rpdos.copy(), drive.tpdos.copy()
-        kind, line = task(ENV), _Line(machine, passing, late)
+        line = _Line(machine, passing, late)
 
-        class Here(kind):  # type: ignore[misc,valid-type]
+        class Here(POINT_TO_POINT):
             """The task on the machine that is there."""
 
             def _make(self, model: Any) -> Machine:
