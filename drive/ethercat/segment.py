@@ -218,13 +218,15 @@ class Segment:
         (at, port), time = begin, self.hop
         for _ in range(4 * PORTS * (len(self) + 1)):
             self.escs["port_time"][at, entrance, port] = time
-            while True:
+            for _ in range(PORTS):
                 if port == 0:
                     slaves.append(at)
                     times.append(time)
                 port = NEXT_PORT[port]
                 if self._open(End(at, port)):
                     break
+            else:
+                port = 0  # the recovery port, where all are closed (data sheet, section I)
             peer = self._peer.get(End(at, port))
             if peer is None or not self._linked(End(at, port)):
                 break  # an open port without a cable swallows the frame

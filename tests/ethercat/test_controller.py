@@ -233,6 +233,8 @@ def test_09_no_frame_does_harm():
 def test_09_no_frame_does_harm_in_a_million():
     segment = mailboxes(addressed(bare(3)))
     feed(segment, broken_frames(2, 1_000_000))
+    for _ in range(3):  # some frames have closed ports; the way to the next slave opens first
+        send(segment, Datagram(C.BWR, 0, 0x0100, b"\1\0\0\0"))
     assert one(segment, C.BRD, 0, 0, b"\0").wkc == 3
 
 
@@ -452,6 +454,15 @@ def test_a_port_is_closed_and_opened_by_its_loop_control():
     assert fprd(segment, 0, 0x0110, 2).data[1] & 0x0C == 0x04
     fpwr(segment, 0, 0x0101, b"\0")
     assert one(segment, C.BRD, 0, 0, b"\0").wkc == 3
+
+
+def test_09_with_all_ports_closed_port_0_is_the_recovery_port():
+    segment = addressed(bare(2))
+    fpwr(segment, 0, 0x0100, b"\1\xff\0\0")  # all four closed
+    assert one(segment, C.BRD, 0, 0, b"\0").wkc == 1  # it is there, and who is behind it is not
+    assert fprd(segment, 0, 0x0101, 1).data == b"\xff"
+    fpwr(segment, 0, 0x0100, b"\1\0\0\0")
+    assert one(segment, C.BRD, 0, 0, b"\0").wkc == 2
 
 
 def test_auto_close_waits_for_the_master_after_a_broken_link():
