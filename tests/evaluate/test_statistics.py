@@ -107,12 +107,15 @@ def test_the_worst_training_and_the_worst_episodes_are_on_the_bad_side():
     assert np.isnan(summarise(values, "").tail)
 
 
-def test_the_best_baseline_moves_and_is_no_learned_policy():
+def test_the_best_baseline_moves_and_is_no_learned_policy_nor_an_oracle():
     def row(*values):
         return [None if v is None else Summary(v, v, v, v) for v in values]
 
-    names = ["hold", "ruckig", "lqr", "learned", "built_in:17"]
-    table = {"settling_time": row(0.1, 2.0, 1.0, 0.5, 3.0), "energy": row(None, None, 1.0, 1, None)}
+    names = ["hold", "ruckig", "lqr", "learned", "built_in:17", "oracle"]
+    table = {
+        "settling_time": row(0.1, 2.0, 1.0, 0.5, 3.0, 0.3),
+        "energy": row(None, None, 1.0, 1, None, 0.9),
+    }
     assert best(table, names, "settling_time", "low") == "lqr"
     assert best(table, names, "settling_time", "high") == "built_in:17"
     assert best(table, ["hold", "learned"], "settling_time", "low") == "hold"

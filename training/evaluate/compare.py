@@ -138,10 +138,17 @@ def _row(results: Sequence[Evaluation], metric: str) -> Metric:
     return SCORE if metric == "score" else results[0].metrics[metric]
 
 
+def _base(name: str) -> str:
+    """Of a policy, without what stands behind the colon."""
+    return name.partition(":")[0]
+
+
 def best(
     table: Mapping[str, Sequence[Summary | None]], names: Sequence[str], metric: str, better: str
 ) -> str:
     """The best baseline by the interquartile mean of a metric; an idle one if there is no other.
+
+    An oracle is no baseline: it knows what no controller can.
 
     Args:
         table: of `summaries`.
@@ -154,11 +161,11 @@ def best(
     known = {
         name: s
         for name, s in zip(names, table.get(metric, ()), strict=False)
-        if s is not None and name.partition(":")[0] in POLICIES
+        if s is not None and _base(name) in POLICIES
     }
-    moving = [name for name in known if name not in IDLE] or list(known)
+    rivals = [n for n in known if n not in IDLE and not POLICIES[_base(n)].told] or list(known)
     sign = -1.0 if better == "high" else 1.0
-    return min(moving, key=lambda name: sign * known[name].iqm, default=names[0])
+    return min(rivals, key=lambda name: sign * known[name].iqm, default=names[0])
 
 
 def differences(results: Sequence[Evaluation], against: str) -> dict[str, list[Difference | None]]:

@@ -1,5 +1,6 @@
 """A picture of many figures: a panel a quantity, named rows and columns."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -53,7 +54,8 @@ def draw(
         panel.set_title(name, fontsize=10)
         panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right", fontsize=8)
         panel.set_yticks(range(len(rows)), [str(row) for row in rows], fontsize=8)
-    figure.suptitle(f"{title}; red frame: at least one run failed", fontsize=11)
+    heading = f"{title}; red frame: at least one run failed"
+    figure.suptitle(textwrap.fill(heading, int(10 * figure.get_figwidth())), fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
     plt.close(figure)

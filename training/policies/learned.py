@@ -1,5 +1,6 @@
 """A policy that was trained: the folder of a checkpoint, or of a run of `servogym train`."""
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,20 @@ from .residual import baseline, checked, corrected
 from .saved import ABOUT, read, stable_baselines3
 
 BEST = "best"
+
+
+@lru_cache(maxsize=32)
+def _opened(folder: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, Any]:
+    """What a checkpoint is, its weights and its network: one for all who play it."""
+    stable_baselines3()
+    about, arrays = read(folder), weights.load(folder)
+    return about, arrays, arrays.actor(about)
+
+
+def _stamp(folder: Path) -> tuple[int, ...]:
+    """By which a folder that was written anew is known (ns)."""
+    files = (folder / ABOUT, folder / weights.WEIGHTS)
+    return tuple(file.stat().st_mtime_ns for file in files if file.is_file())
 
 
 class Learned:
@@ -30,17 +45,14 @@ class Learned:
     """
 
     def __init__(self, folder: Path, env: ServoEnv, seed: int = 0):
-        stable_baselines3()
         if not (folder / ABOUT).is_file():
             folder = folder / BEST
-        about = read(folder)
+        about, self._weights, self._actor = _opened(folder, _stamp(folder))
         if about["env_id"] != env.ID:
             raise ValueError(
                 f"checkpoint {folder} was trained for {about['env_id']}, not for {env.ID}: "
                 "take it to that environment, or train one"
             )
-        self._weights = weights.load(folder)
-        self._policy = self._weights.policy(about)
         arguments = about["arguments"]
         self._history = int(arguments.get("history", 1))
         self._previous_action = bool(arguments.get("previous_action", False))
@@ -72,7 +84,7 @@ class Learned:
         """The mean action."""
         self._frames = [observation, *self._frames[: self._history - 1]]
         seen = np.concatenate([*self._frames, self._action[: self._seen_actions]])
-        self._action, _ = self._policy.predict(self._weights.normalised(seen), deterministic=True)
+        self._action = self._actor(seen)
         if self._base is not None:
             self._action = corrected(self._base.act(observation), self._bounds, self._action)
         return self._action
