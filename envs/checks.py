@@ -6,7 +6,7 @@ import math
 import os
 import sysconfig
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,10 @@ def choice(name: str, given: Any, known: Iterable[Any]) -> Any:
 
 
 class Options(dict[str, Any]):
-    """Options of a reset, which know what a task has asked for."""
+    """Options of a reset, which know what a task has asked for.
+
+    A task that takes all of them at once (``drawn | options``) is believed to know them all.
+    """
 
     def __init__(self, given: Mapping[str, Any]):
         super().__init__(given)
@@ -83,9 +86,24 @@ class Options(dict[str, Any]):
         self._asked[str(name)] = None
         return super().__contains__(name)
 
+    def __iter__(self) -> Iterator[str]:
+        self._asked |= dict.fromkeys(super().__iter__())
+        return super().__iter__()
+
+    def keys(self) -> Any:
+        """As of a dict."""
+        return list(self)
+
+    def items(self) -> Any:
+        """As of a dict."""
+        return [(name, self[name]) for name in self]
+
+    def __ror__(self, other: Any) -> Any:
+        return dict(other) | dict(self.items())
+
     def refuse_unread(self) -> None:
         """Raise ValueError for an option that no one has asked for."""
-        for name in self.keys() - self._asked.keys():
+        for name in dict.keys(self) - self._asked.keys():
             hint = near(name, self._asked)
             raise ValueError(f"options: there is no {name!r} here" + (f": {hint}" if hint else ""))
 

@@ -237,6 +237,7 @@ steps × `feed` × step time |
 
     POLICIES = ("full_feed",)
     REFERENCE = "full_feed"
+    SLOWEST = SLOWEST
     STROKE = tuple(AXES[name][0] for name in DRIVES)
     METRICS = {  # noqa: RUF012
         "contour_error": Metric("mean contour error (µm)", "low", "perpendicular to the contour"),

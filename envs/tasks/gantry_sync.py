@@ -260,7 +260,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
                 ("skew", (-self.skew, self.skew)),
             )
         }  # fmt: skip
-        given = drawn | options
+        given = {name: options.get(name, value) for name, value in drawn.items()}
         limit = self.max_twist
         start = in_range("options['start']", given["start"], limit, STROKE - limit, "m")
         goal = in_range("options['goal']", given["goal"], 0.0, STROKE, "m")

@@ -1,5 +1,7 @@
 """What an environment looks like: images with an overlay, and a window; ghosts show the goals."""
 
+import contextlib
+import importlib
 import os
 import sys
 from collections.abc import Mapping
@@ -33,6 +35,10 @@ def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
         from mujoco.rendering.classic import gl_context
 
         gl_context.GLContext = GLContext
+    with contextlib.suppress(ImportError):
+        # Comes with torch and brings an LLVM of its own: loaded after that of Mesa's software
+        # renderer it ends the process (seen with triton 3.9), so it is loaded before.
+        importlib.import_module("triton")
     return mujoco.Renderer(model, HEIGHT, WIDTH)
 
 

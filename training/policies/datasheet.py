@@ -80,10 +80,10 @@ class Datasheet:
     reference: str = ""  # that a homing looks for
     homing_method: int | None = None  # of the drive, that looks for the same
     hold: tuple[tuple[str, float], ...] = ()  # actions that hold still where that is not 0
-    constants: tuple[tuple[str, float], ...] = ()  # of the task: what its arguments are
+    constants: tuple[tuple[str, float], ...] = ()  # of the task, and its arguments
 
     def constant(self, name: str) -> float:
-        """Of the task, by the name of the argument. Raises KeyError for one it does not have."""
+        """Of the task, by its name in the class, or of an argument. Raises KeyError otherwise."""
         return dict(self.constants)[name]
 
     @property
@@ -171,7 +171,7 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) 
         hold=tuple(env.HOLD.items()),
         constants=tuple(
             (name, float(value))
-            for name, value in task.items()
+            for name, value in {**vars(type(env)), **task}.items()
             if not name.startswith("_") and type(value) in (int, float)
         ),
     )

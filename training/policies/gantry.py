@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.tasks.contour import AHEAD, SLOWEST
 from .datasheet import Datasheet
 
 HOME = 0.2  # m, where both home switches lie
@@ -75,10 +74,10 @@ class FullFeed:
         self._range = datasheet.constant("correction")
         self._step = datasheet.constant("feed") * self._dt  # way at full feed (m)
         self._lag = datasheet.axis.lag
-        self._ahead = np.array(AHEAD)
+        self._slowest = datasheet.constant("SLOWEST")
         most = 0.9 * self._range * self._dt
         lost = self._lag * self._step
-        self._corner = min(1.0, max(SLOWEST, most / lost)) if lost > 0.0 else 1.0
+        self._corner = min(1.0, max(self._slowest, most / lost)) if lost > 0.0 else 1.0
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest on the path, whose first point is the origin here."""
@@ -87,13 +86,14 @@ class FullFeed:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Corrections and feed override."""
         path = np.asarray(self._known.seen(observation).path, float)
-        points = path * self._ahead[:, None] * self._step
+        ahead = 2.0 ** np.arange(len(path)) * self._step  # of its points (m)
+        points = path * ahead[:, None]
         legs = np.diff(points, axis=0, prepend=np.zeros((1, 2)))
         along = legs / np.linalg.norm(legs, axis=1, keepdims=True)
         turning = (along @ along[0]).min()  # cosine of the sharpest turn ahead
         override = self._corner if turning < CORNER else 1.0
         way, place = self._ways[-1], self._places[-1]
-        xs = np.array([*self._ways, *(way + self._ahead * self._step)])
+        xs = np.array([*self._ways, *(way + ahead)])
         ys = np.array([*self._places, *(place + points)])
 
         def at(ways: np.ndarray) -> np.ndarray:
@@ -110,7 +110,6 @@ class FullFeed:
         share = np.clip((target - self._places[-1]) / self._range, -1.0, 1.0)
         return self._known.action(correction=share, override=self._override(override))
 
-    @staticmethod
-    def _override(feed: float) -> float:
+    def _override(self, feed: float) -> float:
         """The action for a feed override."""
-        return 2.0 * (feed - SLOWEST) / (1.0 - SLOWEST) - 1.0
+        return 2.0 * (feed - self._slowest) / (1.0 - self._slowest) - 1.0
