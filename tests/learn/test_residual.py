@@ -106,12 +106,12 @@ def test_it_is_evaluated_as_it_was_trained(made):
     """Through the door of policies, and as corrections in the vector it was trained in."""
     learned, base = compare.evaluate(ID, [str(made), "feed_forward"], "generic", 2, 0)
     policy = make(str(made), task(ID)())
-    inner, normalised = policy._policy, policy._weights.normalised
+    inner = policy._actor
     env = residual(2, "Disabled", previous_action=True)
     seen, _ = env.reset(seed=learned.seeds)
     total = np.zeros(2)
     for _ in range(400):
-        actions = [inner.predict(normalised(row), deterministic=True)[0] for row in seen]
+        actions = [inner(row) for row in seen]
         seen, rewards, *_ = env.step(np.array(actions))
         total += rewards
     assert total == pytest.approx(learned.values["episode_return"], rel=1e-6)

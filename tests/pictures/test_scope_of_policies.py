@@ -87,7 +87,8 @@ def test_a_limit_that_sinks_is_drawn_where_it_is():
     torque = column(one, "torque")
     assert torque[0, WINDOW] == 3.0
     assert torque[-1, WINDOW] < 2.0, "I²t"
-    assert (np.abs(torque[:, VALUE]) <= torque[:, WINDOW] + 0.01).all()
+    peaks = np.abs(torque[1:, VALUE])  # of a step, in which the limit goes on sinking
+    assert (peaks <= torque[:-1, WINDOW] + 0.01).all()
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)

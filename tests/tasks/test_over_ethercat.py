@@ -86,6 +86,7 @@ def test_a_model_by_its_name_gets_its_face_for_ethercat():
 def test_an_evaluation_meets_faults_of_the_bus(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command = ["eval", "LinearAxis-v0", "--policy", "hold", "--drive", "generic", "--episodes", "2"]
+    command += ["--out", str(tmp_path / "out")]
     assert main([*command, "--argument", "faults=retreat at=cycle:9"]) == 0
     told = json.loads((tmp_path / "out" / "eval.json").read_text(encoding="utf-8"))
     assert told["policies"]["hold"]["summary"]["faults"]["mean"] == 1.0

@@ -230,12 +230,12 @@ def study(
     sweep: Sweep, trials: int, out: Path, console: Console, work: Work, left_out: list[str]
 ) -> tuple[list[Row], list[Job]]:
     """Rows of the trials of an Optuna study. Raises ImportError where it is not installed."""
+    if not sweep.vary:
+        raise ValueError("--trials has nothing to look for: give --vary NAME=LOW..HIGH")
     try:
         import optuna
     except ImportError as error:
         raise ImportError(f"{error}: --trials needs pip install 'servogym[sweep]'") from None
-    if not sweep.vary:
-        raise ValueError("--trials has nothing to look for: give --vary NAME=LOW..HIGH")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     one = task(sweep.tasks[0])
     better = metrics(one)[one.METRIC].better if len(sweep.tasks) == 1 else SCORE.better

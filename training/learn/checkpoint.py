@@ -5,13 +5,13 @@ What is in one: the policy (`servogym.training.policies.saved`) and what the run
 is killed leaves the checkpoint before.
 """
 
+import contextlib
 import csv
 import json
 import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -84,7 +84,7 @@ def numbered(out: Path) -> list[Path]:
     return sorted(file.parent for file in (out / FOLDER).glob(f"[0-9]*/{ABOUT}"))
 
 
-@contextmanager
+@contextlib.contextmanager
 def alone(out: Path) -> Iterator[None]:
     """Have the folder of a run for oneself; the system releases what a dead process held.
 
@@ -93,6 +93,7 @@ def alone(out: Path) -> Iterator[None]:
     if fcntl is None:
         yield
         return
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
     out.mkdir(parents=True, exist_ok=True)
     with open(out / LOCK, "a") as file:
         try:
@@ -101,7 +102,13 @@ def alone(out: Path) -> Iterator[None]:
             raise ValueError(
                 f"{out}: another process is training there; wait for it, or give another --out"
             ) from None
-        yield
+        try:
+            yield
+        finally:
+            (out / LOCK).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # what holds something stays
+                for folder in made:
+                    folder.rmdir()
 
 
 def tidy(out: Path) -> None:
