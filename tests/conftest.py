@@ -1,5 +1,6 @@
 """A drive on an ideal shaft: an inertia without friction, moved by the torque it is given."""
 
+import contextlib
 import os
 
 import numpy as np
@@ -10,6 +11,8 @@ from servogym.drive.drive import Drive
 from servogym.drive.kernel.words import State
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo looks at it when it is imported
+with contextlib.suppress(ImportError):
+    import triton  # noqa: F401 (its LLVM has to be there before Mesa's, see envs/view/picture.py)
 
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=10_000)

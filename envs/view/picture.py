@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Mapping
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import mujoco
@@ -24,6 +25,20 @@ GHOST = np.array([0.2, 0.75, 0.3, 0.35], np.float32)
 INSTEAD = "use render_mode='rgb_array', or `servogym watch ENV --record out.gif`"
 
 
+def _before_mesa() -> None:
+    """Load triton's LLVM before that of Mesa's software renderer.
+
+    triton comes with torch. The other order ends the process in `import triton` (seen with triton
+    3.9): somebody who renders first and trains afterwards. Where Mesa is there already, as some
+    other program part has rendered, nothing is touched.
+    """
+    maps = Path("/proc/self/maps")
+    if "triton" in sys.modules or not maps.is_file() or "libLLVM" in maps.read_text():
+        return
+    with contextlib.suppress(ImportError):
+        importlib.import_module("triton")
+
+
 def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
     """Draws off screen; without a display, and where MUJOCO_GL says nothing, through EGL.
 
@@ -35,10 +50,7 @@ def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
         from mujoco.rendering.classic import gl_context
 
         gl_context.GLContext = GLContext
-    with contextlib.suppress(ImportError):
-        # Comes with torch and brings an LLVM of its own: loaded after that of Mesa's software
-        # renderer it ends the process (seen with triton 3.9), so it is loaded before.
-        importlib.import_module("triton")
+    _before_mesa()
     return mujoco.Renderer(model, HEIGHT, WIDTH)
 
 

@@ -1,6 +1,7 @@
 """Pictures and windows: what they say, that they follow the state, that they disturb nothing."""
 
 import contextlib
+import subprocess
 import sys
 import types
 
@@ -329,3 +330,30 @@ def test_without_opengl_the_next_step_is_named(monkeypatch):
     env.reset(seed=1)
     with pytest.raises(RuntimeError, match=r"no EGL device.*MUJOCO_GL"):
         env.render()
+
+
+FIRST_OUR_PICTURE = """
+from servogym.envs.tasks import LinearAxisEnv
+env = LinearAxisEnv(render_mode="rgb_array")
+env.reset(seed=0)
+env.render()
+import triton
+"""
+FIRST_ANOTHER_PICTURE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco/>")
+renderer = mujoco.Renderer(model)
+renderer.update_scene(mujoco.MjData(model))
+renderer.render()
+from servogym.envs.tasks import LinearAxisEnv
+env = LinearAxisEnv(render_mode="rgb_array")
+env.reset(seed=0)
+env.render()
+"""
+
+
+@pytest.mark.parametrize("code", [FIRST_OUR_PICTURE, FIRST_ANOTHER_PICTURE])
+def test_mesa_and_triton_do_not_end_the_process(code):
+    pytest.importorskip("triton", reason="comes with torch on Linux")
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr.decode()[-2000:]
