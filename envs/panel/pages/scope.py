@@ -28,7 +28,7 @@ RUNS = {int(Run.ROLL): "Roll", int(Run.NORMAL): "Normal", int(Run.SINGLE): "Sing
 class Plot(
     Element,
     component=STATIC / "scope.js",
-    esm={"servogym-uplot": str(STATIC / "uplot")},
+    esm={"servogym-plot": str(STATIC / "plot")},
 ):
     """The picture of the scope."""
 

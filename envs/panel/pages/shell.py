@@ -22,7 +22,6 @@ from .state import StatePage
 from .widgets import Readout, Tag, button, told
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
-UPLOT = Path(__file__).parents[1] / "static" / "uplot" / "uPlot.min.css"
 SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
 SLOWEST = 20.0  # s that a browser may take for a picture
 PAGES: Sequence[type[Any]] = (
@@ -50,7 +49,7 @@ class Shell:
         self.desk = Desk(clock, tab)
         axis = kept.get("axis")
         self.desk.axis = axis if axis in clock.session.axes else self.desk.axis
-        ui.add_css(STYLE.read_text(encoding="utf-8") + UPLOT.read_text(encoding="utf-8"))
+        ui.add_css(STYLE.read_text(encoding="utf-8"))
         self.dark = ui.dark_mode(kept.get("dark", False))
         self._header()
         with ui.element("main").classes("frame"):

@@ -1,5 +1,5 @@
-// The oscilloscope: uPlot with one scale a unit, zoom by dragging, two cursors, trigger lines.
-import uPlot from "servogym-uplot";
+// The oscilloscope: one scale a unit, zoom by dragging, two cursors, trigger lines.
+import Plot from "servogym-plot";
 
 const numbers = (text) => {
   const raw = atob(text);
@@ -84,7 +84,7 @@ export default {
       const series = [{ label: "t (s)", value: (u, v) => nice(v) }].concat(this.channels_.map((c) => ({
         label: c.name, scale: "u" + units.indexOf(c.axis), stroke: c.colour, width: 1.6, points: { show: false },
         value: (u, v) => nice(v) })));
-      this.plot_ = new uPlot({ ...this.size(), scales, axes, series, legend: { live: true },
+      this.plot_ = new Plot({ ...this.size(), scales, axes, series, legend: { live: true },
         cursor: { drag: { x: true, y: false }, points: { size: 6 } },
         hooks: { draw: [(u) => this.marks(u)],
           setSelect: [(u) => { if (u.select.width > 2) { this.zoomed_ = true; } }],
