@@ -21,13 +21,13 @@ from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
 from ..pictures.episode import Recorder, Recording
 from ..policies import BuiltIn, label, make, trainings
+from ..policies.residual import PUBLIC
 from .metrics import METRICS, metrics
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
 WITHOUT_POSITION = (
     Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
 )  # fmt: skip
-PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
 
 @dataclass(frozen=True)

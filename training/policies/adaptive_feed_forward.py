@@ -11,13 +11,12 @@ The eight numbers were tuned by the cross-entropy method: four generations of 16
 64 episodes of evaluation seed 11, for the least interquartile mean of the error at the load.
 """
 
-import math
 from typing import Any
 
 import numpy as np
 
 from .datasheet import Datasheet
-from .feed_forward import FeedForward
+from .feed_forward import FeedForward, friction
 
 GAIN, INTEGRAL, DIFFERENCE = 0.52, 0.014, 0.14
 FADING = 0.98  # of the sum, a step
@@ -48,17 +47,11 @@ class AdaptiveFeedForward(FeedForward):
         self._doubt = np.diag(DOUBT)
         self._error = self._sum = 0.0
 
-    def friction(self, velocity: float) -> float:
-        """Of the data sheet (N)."""
-        axis = self._axis
-        steep = axis.coulomb_friction * math.tanh(velocity / REVERSAL)
-        return steep + axis.viscous_friction * velocity
-
     def identify(self, acceleration: float, velocity: float, force: float) -> None:
         """Take a step of the recursive least squares (m/s², m/s, N)."""
         if abs(velocity) < MOVING:
             return
-        known = np.array([acceleration, self.friction(velocity)])
+        known = np.array([acceleration, friction(self._axis, velocity, REVERSAL)])
         seen = self.found - [UNSEEN * self._nominal, 0.0]
         gain = self._doubt @ known / (NOISE**2 + known @ self._doubt @ known)
         self.found = np.clip(self.found + gain * (force - known @ seen), *self._bounds)
@@ -74,7 +67,7 @@ class AdaptiveFeedForward(FeedForward):
         ahead = float(seen.preview[0]) * axis.fastest  # mean velocity of the next two steps
         rate = (ahead - velocity) / dt
         mass, share = self.found
-        force = mass * rate + share * self.friction(velocity + LEAD * rate * dt)
+        force = mass * rate + share * friction(axis, velocity + LEAD * rate * dt, REVERSAL)
         force -= self._nominal * self._torque.own(velocity + 0.5 * acceleration * dt)
         error = float(seen.error) * self._range
         self._sum = FADING * self._sum + INTEGRAL * error

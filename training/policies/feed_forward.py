@@ -12,9 +12,9 @@ from .profiles import Profile, of_the_drive
 REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), by which friction changes its sign without a jump
 
 
-def friction(axis: Axis, velocity: float) -> float:
-    """Coulomb and viscous, of the data sheet (N)."""
-    sign = math.tanh(velocity / REVERSAL)
+def friction(axis: Axis, velocity: float, reversal: float = REVERSAL) -> float:
+    """Coulomb and viscous, of the data sheet (N); Coulomb's sign is ``tanh(v / reversal)``."""
+    sign = math.tanh(velocity / reversal)
     return axis.coulomb_friction * sign + axis.viscous_friction * velocity
 
 
