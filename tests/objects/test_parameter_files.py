@@ -98,6 +98,13 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path):
         Drive(parameter_file=plain / "parameters.json")
 
 
+def test_a_file_larger_than_any_drives_is_not_read_to_its_end(file):
+    with file.open("wb") as grown:
+        grown.truncate(1 << 40)  # a hole of a tebibyte
+    with pytest.warns(UserWarning, match=f"it has more than {store.LARGEST} characters"):
+        Drive(parameter_file=file)
+
+
 def test_what_killed_processes_left_is_removed_when_the_next_one_saves(file):
     old, fresh = (file.with_name(f"{file.name}{n}.tmp") for n in ("old", "fresh"))
     for left in (old, fresh):
