@@ -4,12 +4,15 @@ import json
 
 import pytest
 
+from servogym.envs import FAMILY
 from servogym.envs.registry import task
 from servogym.training import cli
 from servogym.training.evaluate import compare, conditions
+from servogym.training.evaluate.matrix import Matrix
 
 TRACKING = task("LinearAxisTracking-v0")
 SWAY = task("GantrySway-v0")
+AXIS = task("LinearAxis-v0")
 
 
 def names(kind, drive="generic"):
@@ -30,9 +33,28 @@ def test_a_task_has_the_conditions_that_mean_something_there():
     assert "drive=generic" in names(TRACKING, "kollmorgen_akd")
 
 
-def test_names_are_told_apart():
-    every = {row.name for row in conditions.CONDITIONS}
-    assert len(every) == len(conditions.CONDITIONS)
+@pytest.mark.parametrize("table", conditions.TABLES.values(), ids=conditions.TABLES)
+def test_names_are_told_apart(table):
+    assert len({row.name for row in table}) == len(table)
+
+
+def test_the_transfer_goes_to_every_drive_with_csp_and_every_mechanics():
+    rows = [*conditions.suiting(TRACKING, "generic", {}, conditions.TRANSFER)]
+    machines = {(row.drive, row.arguments["parameters"]) for row in rows}
+    assert machines == {(d, m) for d in ("generic", "kollmorgen_akd") for m in FAMILY}
+    assert len(rows) == len(conditions.DISTURBANCES) * len(machines)
+
+
+def test_a_condition_that_a_policy_does_not_fit_is_a_gap_with_its_reason():
+    """pd commands torque, and that drive has no cst."""
+    rows = conditions.chosen(list(conditions.suiting(AXIS, "generic", {})), "nominal,drive")
+    matrix = Matrix("LinearAxis-v0", ["hold", "pd"], "generic", 0, 1, {}, rows)
+    assert [*matrix.gaps] == [("drive=kollmorgen_akd", "pd")]
+    assert "drive=kollmorgen_akd, pd: drive 'kollmorgen_akd' has no mode" in matrix.told()
+    played = matrix.results([job() for job in matrix.jobs])
+    assert [one and one.policy for one in played["drive=kollmorgen_akd"]] == ["hold", None]
+    with pytest.raises(ValueError, match="'squaring' is for"):
+        Matrix("LinearAxis-v0", ["squaring"], "generic", 0, 1, {}, rows)
 
 
 def test_a_condition_is_the_evaluation_with_these_arguments(tmp_path):

@@ -19,7 +19,8 @@ def add(commands) -> None:
             command.add_argument("--policies", help="names, separated by commas")
             command.add_argument(
                 "--conditions", nargs="?", const="all", metavar="NAMES",
-                help="off nominal: delay, noise, friction, … (all), or a list of names or axes",
+                help="off nominal: delay, noise, friction, … (all), a list of names or axes, or "
+                "transfer: every drive, mechanics",
             )  # fmt: skip
         command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
         command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
@@ -48,9 +49,9 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
     if not policies:
         raise ValueError("--policies is empty: give names, separated by commas")
     if not single and options.conditions is not None:
-        from ..evaluate import conditions
+        from ..evaluate import off_nominal
 
-        return conditions.run(
+        return off_nominal.run(
             options.env, policies, options.drive, options.episodes, options.seed, options.out,
             console, dict(options.argument or ()), options.conditions,
             arguments.work(options),

@@ -1,34 +1,26 @@
-"""`servogym compare --conditions`: off nominal, a row a condition of a table.
+"""Off nominal: the tables of `servogym compare --conditions`, a row a condition.
 
-The table has a version: rows are never changed, a new table has a new version. What is drawn at
-random in the task stays as it is, but for what the condition sets; in a condition all policies play
-the same episodes, from one condition to the next they may differ. Policies know the data sheet of
-the machine they meet, and nothing of the condition.
+A table has a version: rows are never changed, a new table has a new version. `CONDITIONS` goes
+along one disturbance at a time; `TRANSFER` is each drive with each mechanics of the family, as it
+is, late and noisy: there goes, unchanged, what was trained on one drive and one mechanics. What is
+drawn at random in the task stays as it is, but for what the condition sets; in a condition all
+policies play the same episodes, from one condition to the next they may differ. Policies know the
+data sheet of the machine they meet, and nothing of the condition.
 """
 
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
-
-import numpy as np
-from rich.console import Console
 
 from ...drive.model.model import load, model_names
 from ...drive.model.near import near
 from ...envs import FAMILY
-from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
-from ..pictures import heat_map
-from ..report import GRID, kept_folder, markdown, number, origin, write_json, write_page
-from ..scale.work import ALONE, Work
-from .compare import Comparison, _label, ahead, best, folder_of, summaries
-from .metrics import Summary, difference, metrics
-from .parts import warm
 
 VERSION = "v1"
-NONE: Mapping[str, float] = MappingProxyType({})
+NOMINAL = "nominal"
+NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Condition(NamedTuple):
@@ -36,19 +28,20 @@ class Condition(NamedTuple):
 
     axis: str  # of disturbance
     value: float | str  # on it
-    randomise: Mapping[str, float] = NONE  # instead of what the task draws
+    randomise: Mapping[str, Any] = NONE  # instead of what the task draws: a value or a range
     beyond: Mapping[str, float] = NONE  # the same, in shares of the upper end of its range
     arguments: Mapping[str, str] = MappingProxyType({})  # of the environment
     drive: str = ""
 
     @property
     def name(self) -> str:
-        """``"delay=3"``."""
-        return "nominal" if self.axis == "nominal" else f"{self.axis}={self.value}"
+        """``"delay=3"``, ``"generic rigid: delay 1"``."""
+        between = ": " if self.drive and self.arguments else "="
+        return f"{self.axis}{between}{self.value}" if self.value != "" else self.axis
 
 
 CONDITIONS = (
-    Condition("nominal", 0),
+    Condition(NOMINAL, ""),
     *(Condition("delay", n, {"delay": float(n)}) for n in (1, 3, 5)),
     *(Condition("encoder_noise_um", n, {"encoder_noise": n * 1e-6}) for n in (1, 5)),
     *(Condition("friction", n, {"friction": n}) for n in (0.25, 3.0, 5.0)),
@@ -58,17 +51,33 @@ CONDITIONS = (
     *(Condition("drive", name, drive=name) for name in model_names()),
     *(Condition("mechanics", name, arguments={"parameters": name}) for name in FAMILY),
 )
+DISTURBANCES: dict[str, Mapping[str, float]] = {  # of the transfer
+    "": NONE, "delay 1": {"delay": 1.0}, "noise 5 µm": {"encoder_noise": 5e-6},
+}  # fmt: skip
+TRANSFER = tuple(
+    Condition(
+        f"{drive} {mechanics}", disturbance, drawn, arguments={"parameters": mechanics}, drive=drive
+    )
+    for disturbance, drawn in DISTURBANCES.items()
+    for drive in model_names()
+    for mechanics in FAMILY
+)
+TABLES = {"all": CONDITIONS, "transfer": TRANSFER}
 
 
-def suiting(kind: type[ServoEnv], drive: str, arguments: Mapping[str, Any]) -> Iterator[Condition]:
-    """The rows that mean something for a task and differ from what it is already."""
+def suiting(
+    kind: type[ServoEnv], drive: str, arguments: Mapping[str, Any],
+    table: Sequence[Condition] = CONDITIONS,
+) -> Iterator[Condition]:  # fmt: skip
+    """The rows that mean something for a task; of `CONDITIONS` those that make it another one."""
     env = kind(drive=drive, **arguments)
     ranges, own = env.randomisation.ranges, inspect.signature(kind.__init__).parameters
     nominal = env.datasheet
     env.close()
-    for row in CONDITIONS:
-        known = not row.drive or (row.drive != drive and {*kind.MODES} <= {*load(row.drive).modes})
-        same = row.axis == "mechanics" and FAMILY[str(row.value)] == nominal
+    for row in table:
+        known = not row.drive or {*kind.MODES} <= {*load(row.drive).modes}
+        same = row.axis == "drive" and row.drive == drive
+        same |= row.axis == "mechanics" and FAMILY[str(row.value)] == nominal
         if (
             known
             and not same
@@ -83,7 +92,7 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
 
     Raises ValueError for a name that is not in the table or does not suit the task.
     """
-    if names == "all":
+    if names in TABLES:
         return list(rows)
     picked: list[Condition] = []
     for name in filter(None, map(str.strip, names.split(","))):
@@ -106,139 +115,3 @@ def setting(
     drawn |= {name: share * ranges[name][1] for name, share in row.beyond.items()}
     plain = {name: value for name, value in arguments.items() if name != "randomise"}
     return plain | dict(row.arguments) | {"randomise": drawn}
-
-
-def run(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, out: Path | None,
-    console: Console, arguments: Mapping[str, Any], names: str, work: Work = ALONE,
-) -> int:  # fmt: skip
-    """Evaluate, and write conditions.md, .json, .png and _curves.png; -> exit status."""
-    kind = task(env)
-    rows = chosen(list(suiting(kind, drive, arguments)), names)
-    metric, row_of = kind.METRIC, metrics(kind)
-    source = origin(
-        f"servogym compare {env} --policies {','.join(policies)} --drive {drive} "
-        f"--episodes {episodes} --seed {seed} --conditions {names}"
-    )
-    name = "-".join(["conditions", folder_of(env), Path(drive).name])
-    out = kept_folder(out, name, "conditions.json", source["command"])
-    table: dict[str, list[Summary | None]] = {}
-    apart, successes, against = {}, {}, ""
-    comparisons: list[Comparison] = []
-    for row in rows:
-        given = setting(kind, drive, arguments, row)
-        comparisons.append(Comparison(env, policies, row.drive or drive, episodes, seed, given))
-    jobs = [job for comparison in comparisons for job in comparison.jobs]
-    left = iter(work.map(jobs, folder=out, console=console, warm=[warm(env, drive)]))
-    for row, comparison in zip(rows, comparisons, strict=True):
-        results = comparison.results([next(left) for _ in comparison.jobs])
-        found = summaries(results)
-        labels = [result.policy for result in results]
-        against = against or best(found, labels, metric, row_of[metric].better)
-        base = results[labels.index(against)].by_training(metric)
-        table[row.name] = found.get(metric, [None] * len(results))
-        successes[row.name] = [s.mean if s else np.nan for s in found["success"]]
-        apart[row.name] = [
-            None
-            if base is None or result.policy == against or values is None
-            else difference(values, base)
-            for result in results
-            for values in [result.by_training(metric)]
-        ]
-        console.print(f"{row.name}: " + ", ".join(
-            f"{_label(name)} {number(s.iqm) if s else '–'}"
-            for name, s in zip(labels, table[row.name], strict=True)
-        ), highlight=False)  # fmt: skip
-    shown = [_label(policy) for policy in labels]
-    better = row_of[metric].better
-    cells = [
-        [name, *(_cell(*each, better) for each in zip(
-            table[name], apart[name], successes[name], strict=True))]
-        for name in table
-    ]  # fmt: skip
-    off = [name for name in table if name != "nominal"]
-    wins = [sum(_wins(apart[name][i], better) for name in off) for i in range(len(shown))]
-    sure = [
-        sum(found is not None and ahead(found, better) for found in (apart[n][i] for n in off))
-        for i in range(len(shown))
-    ]
-    cells.append(
-        [f"ahead of {_label(against)}, of {len(off)}"]
-        + [
-            "–" if policy == against else f"{win}, by the interval {certain}"
-            for policy, win, certain in zip(labels, wins, sure, strict=True)
-        ]
-    )
-    notes = (
-        f"{row_of[metric].heading}, interquartile mean [95 % interval over trainings and "
-        f"episodes], and success. In bold: the paired difference from {_label(against)} is on the "
-        f"better side of 0 with its interval. Table of conditions {VERSION}. Policies know the "
-        "data sheet of the drive and the mechanics they meet, and nothing else of the condition."
-    )
-    title = f"{env} off nominal, drive {drive}"
-    write_page(out / "conditions.md", title, markdown(["condition", *shown], cells), source, notes)
-    write_json(out / "conditions.json", source | {
-        "env": env, "drive": drive, "version": VERSION, "metric": metric, "against": against,
-        "conditions": {
-            name: {
-                policy: {
-                    "summary": s._asdict() if s else None, "success": success,
-                    "difference": d._asdict() if d else None,
-                }
-                for policy, s, d, success in zip(
-                    labels, table[name], apart[name], successes[name], strict=True)
-            }
-            for name in table
-        },
-    })  # fmt: skip
-    values = np.array([[s.iqm if s else np.nan for s in table[name]] for name in table])
-    failures = np.array([[share < 1.0 for share in successes[name]] for name in table])
-    heading = {row_of[metric].heading: values}
-    heat_map.draw(out / "conditions.png", title, list(table), shown, heading, failures)
-    curves(out / "conditions_curves.png", title, rows, table, shown, row_of[metric].heading)
-    console.print(f"{out / 'conditions'}.md, .json, .png and _curves.png")
-    work.clear(jobs, out)
-    return 0
-
-
-def _wins(found: Any, better: str) -> bool:
-    return found is not None and (found.value > 0.0 if better == "high" else found.value < 0.0)
-
-
-def _cell(summary: Summary | None, found: Any, success: float, better: str) -> str:
-    if summary is None:
-        return "–"
-    text = f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]"
-    text = f"**{text}**" if found is not None and ahead(found, better) else text
-    return f"{text}, {100 * success:.0f} %"
-
-
-def curves(
-    path: Path, title: str, rows: Sequence[Condition],
-    table: Mapping[str, Sequence[Summary | None]], policies: Sequence[str], heading: str,
-) -> None:  # fmt: skip
-    """The metric over each disturbance that is a number; a panel an axis."""
-    import matplotlib.pyplot as plt
-
-    axes = [*dict.fromkeys(row.axis for row in rows if not isinstance(row.value, str))]
-    axes = [axis for axis in axes if axis != "nominal"] or ["nominal"]
-    figure, panels = plt.subplots(
-        1, len(axes), figsize=(3.0 * len(axes) + 1.0, 3.0), squeeze=False, layout="constrained"
-    )
-    for panel, axis in zip(panels[0], axes, strict=True):
-        own = [row for row in rows if row.axis == axis]
-        for i, policy in enumerate(policies):
-            line = [(row.value, s) for row in own if (s := table[row.name][i]) is not None]
-            at = [float(value) for value, _ in line]
-            panel.plot(at, [s.iqm for _, s in line], "o-", label=policy, color=f"C{i}")
-            panel.fill_between(
-                at, [s.low for _, s in line], [s.high for _, s in line], alpha=0.15, color=f"C{i}"
-            )
-        panel.set_xlabel(axis)
-        panel.grid(**GRID)
-    panels[0][0].set_ylabel(heading)
-    panels[0][0].legend(fontsize=7)
-    figure.suptitle(title, fontsize=11)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)

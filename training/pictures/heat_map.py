@@ -16,7 +16,7 @@ from ..report import number
 
 def draw(
     path: Path, title: str, rows: Sequence[object], columns: Sequence[str],
-    panels: Mapping[str, np.ndarray], failures: np.ndarray,
+    panels: Mapping[str, np.ndarray], failures: np.ndarray | Mapping[str, np.ndarray],
 ) -> None:  # fmt: skip
     """Draw.
 
@@ -26,7 +26,8 @@ def draw(
         rows: their names.
         columns: their names.
         panels: values by quantity with unit, shape ``(rows, columns)``.
-        failures: runs that failed, same shape; cells with any have a red frame.
+        failures: runs that failed, same shape, of all panels or by panel; cells with any have a
+            red frame.
     """
     width = 1.0 + 0.85 * len(columns)
     figure, places = plt.subplots(
@@ -36,6 +37,7 @@ def draw(
     for panel, (name, values) in zip(places[0], panels.items(), strict=True):
         positive = values[np.isfinite(values) & (values > 0)]
         low, high = (positive.min(), positive.max()) if len(positive) else (0.1, 1.0)
+        framed = failures if isinstance(failures, np.ndarray) else failures[name]
         norm = LogNorm(low, max(high, 1.001 * low))
         shown = np.where(values > 0, values, low)
         panel.imshow(shown, cmap="Blues", norm=norm, aspect="auto", alpha=0.85)
@@ -45,7 +47,7 @@ def draw(
                 k, i, number(float(values[i, k])), ha="center", va="center", fontsize=7,
                 color="white" if dark else "black",
             )  # fmt: skip
-            if failures[i, k]:
+            if framed[i, k]:
                 panel.add_patch(
                     plt.Rectangle(
                         (k - 0.46, i - 0.44), 0.92, 0.88, fill=False, ec="#c0392b", lw=1.4
