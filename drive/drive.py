@@ -313,7 +313,14 @@ class Drive:
     # ------------------------------------------------------------------ cycle
 
     def cycle(self, angle: float, speed: float = 0.0) -> float:
-        """One position-controller cycle; shaft angle (rad), speed (rad/s) -> torque (Nm)."""
+        """One position-controller cycle; shaft angle (rad), speed (rad/s) -> torque (Nm).
+
+        Raises TypeError for what is no number.
+        """
+        try:
+            angle, speed = float(angle), float(speed)
+        except (TypeError, ValueError):
+            raise TypeError(f"angle (rad) and speed (rad/s): {angle!r}, {speed!r}") from None
         return cycle.run(self.axes, self.index, angle, speed)
 
     @property
@@ -383,7 +390,7 @@ class Drive:
         Raises:
             ValueError: the model has no such cause.
         """
-        name = cause.name.lower() if isinstance(cause, Cause) else cause.lower()
+        name = cause.name.lower() if isinstance(cause, Cause) else str(cause).lower()
         if name not in self.injectable:
             raise ValueError(f"unknown cause {cause!r}: {near(str(cause), self.injectable)}")
         if name == "index_missing":

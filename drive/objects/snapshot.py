@@ -36,6 +36,8 @@ def unseal(snapshot: bytes, identity: Mapping[str, Any]) -> tuple[dict[str, Any]
     Raises:
         ValueError: it is none, damaged, of another version, or of something else.
     """
+    if not isinstance(snapshot, bytes | bytearray | memoryview):
+        raise ValueError(f"{snapshot!r:.40} is no snapshot: give the bytes of one")
     title, _, body = bytes(snapshot).partition(b"\n")
     words = title.split(b" ")
     if len(words) != 3 or words[0] != MARK:
