@@ -127,7 +127,7 @@ def write_page(path: Path, title: str, table: str, source: Mapping[str, Any], no
     parts = [f"{name} {source[name]}" for name in ("python", *PACKAGES)]
     text = f"# {title}\n\n{table}\n{notes}\n\n```sh\n{source['command']}\n```\n\n"
     text += f"{', '.join(parts)}; {source['machine']}\n"
-    _write(path, text)
+    write_text(path, text)
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
@@ -142,7 +142,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
             return float(value) if np.isfinite(value) else None
         return value
 
-    _write(path, json.dumps(clean(values), indent=1, ensure_ascii=False) + "\n")
+    write_text(path, json.dumps(clean(values), indent=1, ensure_ascii=False) + "\n")
 
 
 def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
@@ -152,10 +152,10 @@ def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str,
     writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    _write(path, file.getvalue())
+    write_text(path, file.getvalue())
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
     """Completely or not at all: a full disk leaves what was there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.name}.{os.getpid()}")

@@ -17,6 +17,13 @@ def add(commands) -> None:
     results.add_argument(
         "--again", action="store_true", help="run the comparison of each folder anew before"
     )
+    results.add_argument(
+        "--suite",
+        help="of a benchmark: checks the submissions in the folder, writes the leaderboard",
+    )
+    results.add_argument(
+        "--run-code", action="store_true", help="you have read the programs in the submissions"
+    )
     arguments.add_work(results)
     results.add_argument(
         "-o", "--out", type=Path, help="page (README.md in the folder; of ours out/learned.md)"
@@ -27,6 +34,10 @@ def add(commands) -> None:
 def _results(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import results
 
+    if options.suite is not None:
+        return _leaderboard(options, console)
+    if options.run_code:
+        raise ValueError("--run-code is for the submissions of a benchmark: add --suite")
     if options.again:
         if options.folder is None:
             raise ValueError("--again writes into the folder: name one of yours")
@@ -34,6 +45,17 @@ def _results(options: argparse.Namespace, console: Console) -> int:
     elif options.workers or options.ray is not None or options.resume:
         raise ValueError("--workers, --ray and --resume are for what --again computes: add it")
     return results.run(options.folder, options.out, console)
+
+
+def _leaderboard(options: argparse.Namespace, console: Console) -> int:
+    from ..evaluate import leaderboard, suite
+
+    if options.folder is None or options.again:
+        raise ValueError("--suite: name the folder of the submissions, without --again")
+    return leaderboard.rank(
+        suite.read(options.suite), options.folder, options.out or options.folder / "README.md",
+        console, arguments.work(options), run_code=options.run_code,
+    )  # fmt: skip
 
 
 def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:

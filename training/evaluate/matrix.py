@@ -42,7 +42,10 @@ class Matrix:
         self._cells: dict[tuple[str, Any], Episodes] = {}
         for policy in self.policies:
             own = needed(policy) | dict(arguments)
-            nominal = kind(drive=drive, **own)
+            try:
+                nominal = kind(drive=drive, **own)
+            except TypeError as error:
+                raise ValueError(f"--argument: {error}") from None
             make(policy, nominal)
             nominal.close()
             for row in self.rows:

@@ -1,0 +1,308 @@
+"""`servogym benchmark learned` plays a suite; `servogym results --suite` checks and ranks entries.
+
+Ranked is by the return, the mean over the conditions of its interquartile means: rewards are never
+below 0, so ending an episode early gains nothing. A condition that a policy does not fit earns 0.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from ...envs.registry import task
+from ..policies import POLICIES, make, needed
+from ..report import PACKAGES, markdown, number, origin, write_text
+from ..scale.work import ALONE, Work
+from .matrix import Matrix
+from .metrics import Summary, metrics, summarise
+from .parts import warm
+from .submission import ENDING, Submission, Table, fits, packed, played, read, write
+from .suite import Suite
+
+RETURN, SUCCESS = "episode_return", "success"
+ALIKE = 0.01  # of an interquartile mean, within which two count as the same numbers
+GAP = "gap"
+
+
+class Cell(NamedTuple):
+    """Of an entry in a condition; without values a gap."""
+
+    earned: Summary | None
+    metric: Summary | None
+    success: Summary | None
+
+
+def play(
+    suite: Suite, policies: Mapping[str, str], console: Console, work: Work = ALONE,
+    folder: Path | None = None,
+) -> Table:  # fmt: skip
+    """Each task under its policy, in all conditions.
+
+    Args:
+        suite: what is played.
+        policies: by task, as `policies.make` takes them.
+        console: to tell how far it is.
+        work: who plays.
+        folder: where what is done is kept until all is.
+    """
+    matrices = {
+        env: Matrix(env, [policy], part.drive, suite.seed, suite.episodes, {}, part.rows)
+        for env, policy in policies.items()
+        for part in [suite.parts[env]]
+    }
+    jobs = [job for matrix in matrices.values() for job in matrix.jobs]
+    warming = [warm(env, suite.parts[env].drive) for env in policies]
+    found = iter(work.map(jobs, folder=folder, console=console, warm=warming))
+    table: dict[str, dict[str, dict[str, list[list[float | None]]]]] = {}
+    for env, matrix in matrices.items():
+        played = matrix.results([next(found) for _ in matrix.jobs])
+        table[env] = {}
+        for condition, (result,) in played.items():
+            kept = {name: result and result.by_training(name) for name in _told(env)}
+            table[env][condition] = {
+                name: [[_plain(value) for value in row] for row in values]
+                for name, values in kept.items()
+                if values is not None
+            }
+    if folder is not None:
+        work.clear(jobs, folder)
+    return table
+
+
+def _told(env: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((RETURN, SUCCESS, task(env).METRIC)))
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def cell(env: str, values: Mapping[str, Any]) -> Cell:
+    """Summaries of what a table has of a condition. Raises ValueError for what are no values."""
+    known = metrics(task(env))
+
+    def summary(metric: str) -> Summary | None:
+        if metric not in values:
+            return None
+        array = np.array(values[metric], float)
+        if array.ndim != 2 or not np.isfinite(array).any():
+            raise ValueError(f"{env}: {metric} are no values of trainings and episodes")
+        return summarise(array, known[metric].better, share=metric == SUCCESS)
+
+    return Cell(summary(RETURN), summary(task(env).METRIC), summary(SUCCESS))
+
+
+def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
+    """By task of the suite: the policy for it. Raises ValueError where it fits none, or one asked.
+
+    Args:
+        suite: of which.
+        policy: a baseline, "learned", ``FILE.py:name``, or a folder (`submission.packed`).
+        asked: tasks that it has to fit.
+    """
+    chosen, reasons = {}, {}
+    for env, part in suite.parts.items():
+        own = played(policy, env)
+        try:
+            nominal = task(env)(drive=part.drive, **needed(own))
+            make(own, nominal)
+            nominal.close()
+        except (ValueError, TypeError) as error:  # an argument the task does not have
+            reasons[env] = str(error)
+        else:
+            chosen[env] = own
+    refused = [env for env in asked if env in reasons] or ([] if chosen else [*reasons])
+    if refused:
+        raise ValueError(reasons[refused[0]])
+    return chosen
+
+
+def enter(
+    suite: Suite, policy: str, entry: str, command: str, out: Path, console: Console,
+    work: Work, *, tasks: Sequence[str] = (), conditions: Sequence[str] = (),
+) -> int:  # fmt: skip
+    """Play the suite and write the submission, a file ``out/ENTRY.npz``; -> exit status.
+
+    Of a part of the conditions none is written.
+    """
+    whole, suite = suite, suite.only(tasks, conditions)
+    chosen = suiting(suite, policy, tasks)
+    files = packed(policy, [*chosen])
+    file = out / f"{entry}{ENDING}"
+    table = play(suite, chosen, console, work, out)
+    for env in chosen:
+        console.print(
+            _lines(suite.only([env], []), env, {entry: table[env]}), markup=False, soft_wrap=True
+        )
+    if conditions:
+        console.print(f"a part of the conditions of {whole.version}: no submission is written")
+        return 0
+    source = origin(command)
+    made = Submission(
+        name=entry, suite=suite.version, digest=suite.digest, policy=policy, command=command,
+        versions={name: source[name] for name in ("python", *PACKAGES)},
+        machine=source["machine"], table=table, files=files,
+    )  # fmt: skip
+    write(file, made)
+    console.print(f"{file}: hash {made.hash}", soft_wrap=True)
+    return 0
+
+
+def rank(
+    suite: Suite, folder: Path, out: Path, console: Console, work: Work, *, run_code: bool = False
+) -> int:
+    """Check each submission in a folder from its weights, and write the leaderboard; -> status.
+
+    One that cannot be checked, or that gives other numbers than its table, is told in one line and
+    left out; then the exit status is 2.
+    """
+    files = sorted(folder.glob(f"*{ENDING}"))
+    if not files:
+        raise ValueError(
+            f"{folder} has no submission: write one there with `servogym benchmark learned "
+            f"--suite {suite.version} --policy … --out {folder}`"
+        )
+    entries: dict[str, Submission] = {}
+    status = 0
+    for file in files:
+        try:
+            submission = read(file)
+            fits(file, submission, suite)
+            if submission.name in entries:
+                raise ValueError(f"{file}: there is an entry {submission.name!r} already")
+            entries[submission.name] = check(file, submission, suite, console, work, run_code)
+        except (ValueError, ImportError) as error:
+            print(f"servogym results: {' '.join(str(error).split())}", file=sys.stderr)
+            status = 2
+    if entries:
+        write_text(out, page(suite, entries, folder))
+        console.print(f"{out}", soft_wrap=True)
+    return status
+
+
+def check(
+    file: Path, submission: Submission, suite: Suite, console: Console, work: Work, run_code: bool
+) -> Submission:
+    """Play it again from its weights.
+
+    Raises:
+        ValueError: it brings code and nobody said to run it, or other numbers come out.
+    """
+    if submission.code and not run_code:
+        raise ValueError(
+            f"{file} brings a program, {submission.code}: read it, and say --run-code to check it"
+        )
+    with TemporaryDirectory() as folder:
+        chosen = {env: submission.playable(env, Path(folder)) for env in submission.table}
+        console.print(f"{file.name}: {', '.join(chosen)}", highlight=False)
+        found = play(suite, chosen, console, work)
+    for env, conditions in found.items():
+        for condition, values in conditions.items():
+            told = submission.table[env][condition]
+            _same(f"{file}, {env}, {condition}", env, told, values, submission.command)
+    return submission
+
+
+def _same(where: str, env: str, told: Mapping[str, Any], found: Mapping[str, Any], command: str):
+    """Refuse what differs by more than `ALIKE`. Raises ValueError with both numbers."""
+    known = metrics(task(env))
+    for metric in _told(env):
+        if (metric in told) != (metric in found):
+            raise ValueError(f"{where}: {known[metric].heading} is in one table only: {command}")
+        if metric not in found:
+            continue
+        one, other = np.array(told[metric], float), np.array(found[metric], float)
+        share = metric == SUCCESS
+        pair = [
+            (s.mean if share else s.iqm)
+            for s in (summarise(values, share=share) for values in (one, other))
+        ]
+        apart = abs(pair[0] - pair[1]) > ALIKE * max(abs(pair[1]), 1e-12)
+        if one.shape != other.shape or apart:
+            raise ValueError(
+                f"{where}: its table says {known[metric].heading} {number(pair[0])} of shape "
+                f"{one.shape}, its weights give {number(pair[1])} of {other.shape}; within "
+                f"{100 * ALIKE:g} % fits: make it again with `{command}`"
+            )
+
+
+def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
+    """The leaderboard."""
+    conditions = len(dict.fromkeys(row.name for p in suite.parts.values() for row in p.rows))
+    text = (
+        f"# Benchmark, suite {suite.version}\n\n{suite.episodes} episodes in each of up to "
+        f"{conditions} conditions, the same for all: `{suite.file}`. Ranked "
+        "by the return: the mean over the conditions of its interquartile means; a condition that "
+        "a policy does not fit is a gap and earns 0. In the columns of the conditions the metric "
+        "of the task, interquartile mean [95 % interval, trainings and episodes resampled]. Who "
+        "is told what was drawn at random, or rehearses, is below the others without a rank.\n\n"
+    )
+    for env in suite.parts:
+        own = {name: entry.table[env] for name, entry in entries.items() if env in entry.table}
+        if own:
+            text += f"## {env}\n\n{_lines(suite, env, own, entries)}\n"
+    rows = [
+        [name, f"`{Path(entry.policy).name}`", str(_trainings(entry)), f"`{entry.hash[:12]}`",
+         f"`{entry.command}`"]
+        for name, entry in sorted(entries.items())
+    ]  # fmt: skip
+    text += "## Entries\n\n" + markdown(["entry", "policy", "trainings", "hash", "command"], rows)
+    return text + (
+        f"\nEach was checked again from its weights by `servogym results {folder.as_posix()} "
+        f"--suite {suite.version}`, which wrote this page.\n"
+    )
+
+
+def _trainings(entry: Submission) -> int:
+    return max(
+        len(values[RETURN])
+        for conditions in entry.table.values()
+        for values in conditions.values()
+        if RETURN in values
+    )
+
+
+def _lines(
+    suite: Suite, env: str, tables: Mapping[str, Mapping[str, Any]],
+    entries: Mapping[str, Submission] | None = None,
+) -> str:  # fmt: skip
+    """The table of a task, best first."""
+    names = [row.name for row in suite.parts[env].rows]
+    cells = {
+        entry: [cell(env, conditions.get(name, {})) for name in names]
+        for entry, conditions in tables.items()
+    }
+    earned = {
+        entry: float(np.mean([c.earned.iqm if c.earned else 0.0 for c in row]))
+        for entry, row in cells.items()
+    }
+
+    def told(entry: str) -> bool:
+        policy = entries[entry].policy.partition(":")[0] if entries else ""
+        return policy in POLICIES and POLICIES[policy].told
+
+    order = sorted(cells, key=lambda entry: (told(entry), -earned[entry], entry))
+    ranked = [entry for entry in order if not told(entry)]
+    heading = ["entry", "rank", "return", SUCCESS, *names]
+    rows = [
+        [
+            entry,
+            str(ranked.index(entry) + 1) if entry in ranked else "–",
+            number(earned[entry]),
+            f"{100 * np.mean([c.success.mean if c.success else 0.0 for c in cells[entry]]):.0f} %",
+            *(_cell(c) for c in cells[entry]),
+        ]
+        for entry in order
+    ]
+    return f"{metrics(task(env))[task(env).METRIC].heading}\n\n" + markdown(heading, rows)
+
+
+def _cell(found: Cell) -> str:
+    if found.earned is None:
+        return GAP
+    s = found.metric
+    return f"{number(s.iqm)} [{number(s.low)}, {number(s.high)}]" if s else "–"

@@ -1,0 +1,134 @@
+"""A suite: tasks, drives, fixed seeds, held-out ranges and conditions, in a file with a version.
+
+Those that come with the laboratory are `assets/suites`; one of your own is the path of such a file.
+"""
+
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from ...drive.model.near import near
+from ...envs.registry import short, task
+from .conditions import NOMINAL, Condition, suiting
+from .episodes import fixed
+
+SUITES = Path(str(resources.files("servogym.assets"))) / "suites"
+HELD_OUT = "held_out"
+KEYS = {"version": str, "drive": str, "seed": int, "episodes": int, "conditions": list}
+OF_A_TASK = {"drive": str, "conditions": list, HELD_OUT: dict}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A task of a suite."""
+
+    drive: str
+    rows: tuple[Condition, ...]
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Read by `read`."""
+
+    version: str
+    seed: int  # of the episodes
+    episodes: int  # in each condition
+    parts: Mapping[str, Part]  # by task, without the name space
+    file: str  # as a page names it
+    digest: str  # of the file
+
+    def only(self, tasks: Sequence[str], conditions: Sequence[str]) -> "Suite":
+        """A part of it; empty lists leave out nothing. Raises ValueError for what is not in it."""
+        for name in tasks:
+            if name not in self.parts:
+                raise ValueError(
+                    f"suite {self.version} has no task {name!r}: {near(name, self.parts)}"
+                )
+        chosen = {name: self.parts[name] for name in tasks or self.parts}
+        for name in conditions:
+            known = dict.fromkeys(row.name for part in chosen.values() for row in part.rows)
+            if name not in known:
+                raise ValueError(
+                    f"suite {self.version} has no condition {name!r}: {near(name, known)}"
+                )
+        parts = {
+            name: Part(
+                part.drive,
+                tuple(row for row in part.rows if not conditions or row.name in conditions),
+            )
+            for name, part in chosen.items()
+        }
+        parts = {name: part for name, part in parts.items() if part.rows}
+        return replace(self, parts=parts)
+
+
+def versions() -> list[str]:
+    """Of the suites that come with the laboratory."""
+    return sorted(path.stem for path in SUITES.glob("*.toml"))
+
+
+def read(name: str) -> Suite:
+    """A suite by its version, or from the path of a file of your own.
+
+    Raises:
+        ValueError: there is none, or what it names does not exist: which, and what fits.
+    """
+    path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
+    if not path.is_file():
+        raise ValueError(f"there is no suite {name!r}: {near(name, versions())}, or give FILE.toml")
+    data = path.read_bytes()
+    try:
+        found = tomllib.loads(data.decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"suite {path}: {error}") from None
+    about = _checked(path, found, KEYS | {"tasks": dict})
+    fixed(about["seed"], about["episodes"])
+    parts = {
+        short(name): _part(path, name, about | _checked(path, own, OF_A_TASK, name))
+        for name, own in about["tasks"].items()
+    }
+    digest = hashlib.sha256(data).hexdigest()[:16]
+    file = name if name.endswith(".toml") else f"assets/suites/{name}.toml"
+    return Suite(about["version"], about["seed"], about["episodes"], parts, file, digest)
+
+
+def _checked(path: Path, found: Any, keys: Mapping[str, type], of: str = "") -> dict[str, Any]:
+    where = f"suite {path}, {of}" if of else f"suite {path}"
+    if not isinstance(found, dict):
+        raise ValueError(f"{where}: {found!r} is no table")
+    for key, value in found.items():
+        if key not in keys:
+            raise ValueError(f"{where}: {key!r} is unknown: {near(key, keys)}")
+        if type(value) is not keys[key]:
+            raise ValueError(f"{where}: {key} = {value!r} has to be a {keys[key].__name__}")
+    if not of and (missing := [key for key in keys if key not in found]):
+        raise ValueError(f"{where} lacks {', '.join(missing)}")
+    return found
+
+
+def _part(path: Path, name: str, own: Mapping[str, Any]) -> Part:
+    kind, drive = task(name), own["drive"]
+    known = {row.name: row for row in suiting(kind, drive, {})}
+    if HELD_OUT in own:
+        drawn = {
+            knob: tuple(value) if isinstance(value, list) else value
+            for knob, value in own[HELD_OUT].items()
+        }
+        try:
+            kind(drive=drive, randomise=drawn).close()
+        except ValueError as error:
+            raise ValueError(f"suite {path}, {name}, {HELD_OUT}: {error}") from None
+        known[HELD_OUT] = Condition(HELD_OUT, "", drawn)
+    for condition in own["conditions"]:
+        if condition not in known:
+            raise ValueError(
+                f"suite {path}, {name}: there is no condition {condition!r}: "
+                f"{near(str(condition), known)}"
+            )
+    if NOMINAL not in own["conditions"]:
+        raise ValueError(f"suite {path}, {name}: conditions lack {NOMINAL!r}")
+    return Part(drive, tuple(known[condition] for condition in own["conditions"]))
