@@ -9,6 +9,7 @@ from .kernel.words import (
     command_of,
     decode_controlword,
     decode_statusword,
+    state_of,
 )
 from .model.model import DriveModel
 
@@ -22,6 +23,18 @@ OBEYED = {
     Command.QUICK_STOP: "there is nothing to stop",
     Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
 }
+
+# where a command leads, seen from outside (CiA 402-2; after a quick stop 605Ah decides)
+LEADS_TO = {
+    Command.SHUTDOWN: (State.READY_TO_SWITCH_ON,),
+    Command.SWITCH_ON: (State.SWITCHED_ON,),
+    Command.ENABLE_OPERATION: (State.OPERATION_ENABLED,),
+    Command.DISABLE_VOLTAGE: (State.SWITCH_ON_DISABLED,),
+    Command.QUICK_STOP: (
+        State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON,
+        State.SWITCHED_ON,
+    ),
+}  # fmt: skip
 
 # whatever the command: statusword mask, value, quirk and what it has to be, next step
 HINDRANCES = (
@@ -110,6 +123,31 @@ def advice(model: DriveModel, statusword: int, controlword: int) -> str:
     command = command_of(controlword)
     needed = f"{command.name}: {OBEYED[command]}; else look for a missing enable input (60FDh)"
     return "; ".join(hindrances) or needed
+
+
+def unheeded(model: DriveModel, statusword: int, controlword: int) -> str:
+    """Why a drive that is seen from outside is not where its controlword leads; or nothing."""
+    state, command = state_of(statusword), command_of(controlword)
+    if state is None or state in LEADS_TO.get(command, (state,)):
+        return ""
+    if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        needed = "a fault has stopped the drive: reset it first"
+    else:
+        needed = advice(model, statusword, controlword)
+    return f"{command.name} has not led out of {state.name}: {needed}"
+
+
+def fault_named(model: DriveModel, code: int) -> str:
+    """An error code 603Fh with what the model calls it; nothing for 0."""
+    words = next((fault.meaning for fault in model.faults if fault.code == code), "")
+    return f"{code:04X}h {words}".strip() if code else ""
+
+
+def remedy_of(model: DriveModel, code: int) -> str:
+    """What to do about an error code 603Fh, for who cannot look into the drive."""
+    causes = (fault.cause for fault in model.faults if fault.code == code)
+    known = next((REMEDIES[cause] for cause in causes if cause in REMEDIES), "")
+    return f"{known or 'look it up in the manual of the drive'}; then reset the fault"
 
 
 def refusal(axis: Axis) -> str:

@@ -97,13 +97,14 @@ class CanOpenPort:
 
 
 @dataclass
-class _Pdo:
+class Pdo:
     """A PDO of the drive: what is mapped where, and its data."""
 
     cob_id: int
     data: bytearray
     places: dict[str, int] = field(default_factory=dict)  # object name -> byte
     heard: bool = False
+    synchronous: bool = False
 
 
 class RemoteObjects:
@@ -114,10 +115,10 @@ class RemoteObjects:
         self.node_id = node_id
         self.sdo = SdoClient(port, node_id, sdo_timeout)
         self.synchronous = False
-        self._rows = model.names
-        self._rpdos: list[_Pdo] = []
-        self._tpdos: list[_Pdo] = []
-        self._pending: dict[int, _Pdo] = {}
+        self._model, self._rows = model, model.names
+        self._rpdos: list[Pdo] = []
+        self._tpdos: list[Pdo] = []
+        self._pending: dict[int, Pdo] = {}
 
     def nmt(self, command: NmtCommand) -> None:
         """Send an NMT command to the node."""
@@ -173,17 +174,38 @@ class RemoteObjects:
     def use_pdos(self) -> None:
         """See `CanOpenPort.use_pdos`."""
         self.synchronous = False
-        rpdos = self._mapped(0x1400, 0x1600)
+        rpdos, tpdos = self.pdos("rx"), self.pdos("tx")
         for pdo in rpdos:
             for name, at in pdo.places.items():
                 data = self.sdo.upload(self._rows[name].index, self._rows[name].subindex)
                 pdo.data[at : at + len(data)] = data
-        self._rpdos, self._tpdos = rpdos, self._mapped(0x1800, 0x1A00)
+        self._rpdos, self._tpdos = rpdos, tpdos
+        self.synchronous = any(pdo.synchronous for pdo in (*rpdos, *tpdos))
         self.nmt(NmtCommand.START)
 
-    def _mapped(self, communication: int, mapping: int) -> list[_Pdo]:
-        names = {(row.index, row.subindex): name for name, row in self._rows.items()}
-        pdos = []
+    def default_pdos(self, direction: str) -> list[Pdo]:
+        """The valid PDOs of a direction, rx or tx, as the model has them at power-on."""
+        names, pdos = self._names(), []
+        for mapping in self._model.rpdos if direction == "rx" else self._model.tpdos:
+            base, _, node = mapping.cob_id.partition("+")
+            cob_id = int(base, 0) + (self.node_id if node else 0)
+            pdo, bits = Pdo(cob_id & 0x7FF, bytearray()), 0
+            for index, subindex, size in mapping.entries:
+                if (index, subindex) in names:
+                    pdo.places[names[index, subindex]] = bits // 8
+                bits += size
+            pdo.data = bytearray(bits // 8)
+            if not cob_id & 0x8000_0000:
+                pdos.append(pdo)
+        return pdos
+
+    def _names(self) -> dict[tuple[int, int], str]:
+        return {(row.index, row.subindex): name for name, row in self._rows.items()}
+
+    def pdos(self, direction: str) -> list[Pdo]:
+        """The valid PDOs of a direction, rx or tx, as the node says by SDO. Raises SdoAbort."""
+        communication, mapping = (0x1400, 0x1600) if direction == "rx" else (0x1800, 0x1A00)
+        names, pdos = self._names(), []
         for number in range(PDOS):
             try:
                 cob_id = self._number(communication + number, 1)
@@ -193,7 +215,7 @@ class RemoteObjects:
                 raise
             if cob_id & 0x8000_0000:
                 continue
-            pdo, bits = _Pdo(cob_id & 0x7FF, bytearray()), 0
+            pdo, bits = Pdo(cob_id & 0x7FF, bytearray()), 0
             for n in range(self._number(mapping + number, 0)):
                 entry = self._number(mapping + number, n + 1)
                 name = names.get((entry >> 16, entry >> 8 & 0xFF))
@@ -202,8 +224,7 @@ class RemoteObjects:
                 bits += entry & 0xFF
             pdo.data = bytearray(bits // 8)
             pdos.append(pdo)
-            if self._number(communication + number, 2) in SYNCHRONOUS:
-                self.synchronous = True
+            pdo.synchronous = self._number(communication + number, 2) in SYNCHRONOUS
         return pdos
 
     def _number(self, index: int, subindex: int) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from .session import Interrupted, Session
+from .bench import Bench, Interrupted
 
 SLOWEST, FASTEST = 0.1, 10.0
 NAP = 0.004  # s, how long the thread sleeps at least when it is ahead of the wall clock
@@ -26,15 +26,15 @@ class Clock:
         session: is touched by nobody else from `start` on.
     """
 
-    def __init__(self, session: Session):
+    def __init__(self, session: Bench):
         self.session = session
         self.speed, self.paused = 1.0, False
         self.achieved = 1.0  # speed over the last second
         self.shown: dict[str, Any] = session.shown()
-        self._requests: queue.SimpleQueue[tuple[Callable[[Session], Any], Future[Any]]] = (
+        self._requests: queue.SimpleQueue[tuple[Callable[[Bench], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
-        self._motions: queue.SimpleQueue[tuple[Callable[[Session], Any], Future[Any]]] = (
+        self._motions: queue.SimpleQueue[tuple[Callable[[Bench], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
         self._single = 0
@@ -58,13 +58,13 @@ class Clock:
 
     # ----------------------------------------------- called from other threads
 
-    def ask(self, request: Callable[[Session], Any]) -> "Future[Any]":
+    def ask(self, request: Callable[[Bench], Any]) -> "Future[Any]":
         """Carry out something that takes no time of the machine, between two cycles."""
         future: Future[Any] = Future()
         self._requests.put((request, future))
         return future
 
-    def move(self, motion: Callable[[Session], Any]) -> "Future[Any]":
+    def move(self, motion: Callable[[Bench], Any]) -> "Future[Any]":
         """Carry out a motion; one under way ends."""
         future: Future[Any] = Future()
         self._motions.put((motion, future))
@@ -72,20 +72,27 @@ class Clock:
 
     def set_speed(self, speed: float) -> None:
         """Speed of time, 0.1..10. Raises ValueError."""
+        self._own_time()
         if not SLOWEST <= speed <= FASTEST:
             raise ValueError(f"speed {speed:g} is out of range {SLOWEST:g}..{FASTEST:g}")
         self.speed = float(speed)
         self._begin = 0.0
 
     def pause(self, paused: bool) -> None:
-        """Stop time, or let it go on."""
+        """Stop time, or let it go on. Raises ValueError where it is not ours."""
+        self._own_time()
         self.paused = paused
         self._begin = 0.0
 
     def single(self, cycles: int = 1) -> None:
-        """Stop time, and let so many position cycles pass."""
+        """Stop time, and let so many position cycles pass. Raises ValueError."""
+        self._own_time()
         self.paused = True
         self._single += cycles
+
+    def _own_time(self) -> None:
+        if why := self.session.absent.get("time"):
+            raise ValueError(why)
 
     # ------------------------------------------------------- in its own thread
 
@@ -107,7 +114,7 @@ class Clock:
             except Exception as error:  # the machine stands; a reset or a snapshot helps
                 session.release()
                 session.tell("error", f"the simulation stopped: {error}")
-                self.paused = True
+                self.paused = "time" not in session.absent
                 time.sleep(NAP)
             finally:
                 self._in_motion = False
@@ -116,7 +123,7 @@ class Clock:
             while not requests.empty():
                 requests.get()[1].cancel()
 
-    def _answer(self, request: Callable[[Session], Any], future: "Future[Any]") -> None:
+    def _answer(self, request: Callable[[Bench], Any], future: "Future[Any]") -> None:
         if not future.set_running_or_notify_cancel():
             return
         try:

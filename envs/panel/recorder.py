@@ -6,14 +6,13 @@ points: of each stretch the smallest and the largest value, so that no peak is l
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from ...drive.drive import Drive
-from ...drive.trace import Edge, Trigger, Watch, reader, unit_of
+from ...drive.trace import Edge, Trigger, Watch
 
 MOST_CHANNELS = 8
 DEPTH = 120_000  # samples: two minutes at 1 kHz, 7.7 MB with all channels
@@ -38,12 +37,13 @@ class Window(NamedTuple):
 
 
 class Recorder:
-    """Samples channels of one drive, one each position cycle.
+    """Samples channels.
 
     Args:
-        drive: whose channels.
+        reader: gives what reads a channel. Raises ValueError for an unknown one.
+        unit_of: the unit of a channel.
         period: between two samples (s).
-        channels: names of objects, or ``axis.`` and a field of the record; 1..8.
+        channels: names; 1..8.
         depth: samples that are kept.
 
     Raises:
@@ -51,9 +51,10 @@ class Recorder:
     """
 
     def __init__(
-        self, drive: Drive, period: float, channels: Sequence[str], depth: int = DEPTH
+        self, reader: Callable[[str], Callable[[], float]], unit_of: Callable[[str], str],
+        period: float, channels: Sequence[str], depth: int = DEPTH,
     ) -> None:  # fmt: skip
-        self.drive, self.period, self.depth = drive, period, depth
+        self._reader, self._unit_of, self.period, self.depth = reader, unit_of, period, depth
         self.run = Run.ROLL
         self.trigger: Trigger | None = None
         self.span, self.before = 2.0, 0.25  # s; share of it ahead of the event
@@ -65,9 +66,9 @@ class Recorder:
         names = tuple(dict.fromkeys(channels))
         if not 1 <= len(names) <= MOST_CHANNELS:
             raise ValueError(f"{len(names)} channels: choose 1..{MOST_CHANNELS}")
-        self._readers = [reader(self.drive, name) for name in names]
+        self._readers = [self._reader(name) for name in names]
         self.channels = names
-        self.units = {name: unit_of(self.drive, name) for name in names}
+        self.units = {name: self._unit_of(name) for name in names}
         self._ring = np.zeros((len(names), self.depth))
         self._times = np.zeros(self.depth)
         self.clear()
@@ -80,7 +81,7 @@ class Recorder:
     def arm(self) -> None:
         """Wait for the event of the trigger from now on."""
         self._watch = Watch(self.trigger) if self.trigger else None
-        self._watched = reader(self.drive, self.trigger.channel) if self.trigger else None
+        self._watched = self._reader(self.trigger.channel) if self.trigger else None
         self._event: int | None = None  # sample of the event that is being filled
         self._armed = self.count
         self._shown: tuple[int, int, int] | None = None  # begin, event, end of the captured window
@@ -93,7 +94,7 @@ class Recorder:
     ) -> None:  # fmt: skip
         """Wait for an event, or roll. Raises ValueError for an unknown channel or level."""
         if run is not Run.ROLL:
-            reader(self.drive, channel)
+            self._reader(channel)
             if not abs(level) < 1e12:
                 raise ValueError(f"level {level} is out of range -1e12..1e12")
         self.run = run
@@ -113,6 +114,12 @@ class Recorder:
         self.span, self.before = span, before
         if self.trigger:
             self.arm()
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """The channels, and that of the trigger."""
+        watched = (self.trigger.channel,) if self.trigger else ()
+        return tuple(dict.fromkeys((*self.channels, *watched)))
 
     # ------------------------------------------------------------------ samples
 

@@ -4,9 +4,9 @@ import secrets
 import socket
 from collections.abc import Callable
 
+from .bench import Bench
 from .clock import Clock
 from .guard import Guard, is_loopback
-from .session import Session
 
 PORT = 8402
 
@@ -25,7 +25,7 @@ def free(host: str, port: int) -> None:
 
 
 def serve(
-    session: Session, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
+    session: Bench, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     pictures: int = 25, tell: Callable[[str], object] = print,
 ) -> None:  # fmt: skip
     """Serve until the process is told to end.

@@ -1,48 +1,27 @@
-"""Session: the panel without a browser. Commands in, snapshots and traces out.
-
-Whoever owns a session calls it from one thread: `clock.Clock` in real time, a test as fast as it
-can. A motion runs to its end inside its call, cycle by cycle through `exchange`; whatever paces
-that looks after other requests meanwhile and may end the motion with `Interrupted`.
-"""
+"""Session: the panel without a browser, on a machine in this process."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 
-import numpy as np
-
 from ...drive.advice import refusal, remedy
-from ...drive.diagrams import ENABLED, Mode, State, limits
-from ...drive.master import Master, Refused, ServoError
-from ...drive.objects.abort import SdoAbort
+from ...drive.diagrams import State, limits
+from ...drive.master import Refused
+from ...drive.model.rows import Object
+from ...drive.objects.abort import TEXT, Abort, SdoAbort
+from ...drive.trace import reader, unit_of
 from ..engine.machine import Machine
 from ..masters.port import MachinePort
-from .control import Control
-from .recorder import Recorder
+from .bench import Agent, Bench, Interrupted
 
-CHANNELS = (
-    "position_actual_value", "velocity_actual_value", "torque_actual_value",
-    "following_error_actual_value",
+__all__ = ["Agent", "Interrupted", "Laboratory", "Session"]
+FIELDS = tuple(
+    f"axis.{name}" for name in (
+        "torque", "position", "velocity", "following_error", "velocity_command", "torque_command",
+        "dc_link", "state",
+    )
 )  # fmt: skip
-MOVES = 600.0  # s of the machine's time a motion may take
-MESSAGES = 50
-
-
-class Interrupted(Exception):
-    """A motion was ended by another command."""
-
-
-class Agent(Protocol):
-    """Commands the machine in the place of a person."""
-
-    name: str
-
-    def step(self) -> None:
-        """One step of its own; it lets the cycles pass through the session."""
-
-    def release(self) -> None:
-        """Give the machine back."""
 
 
 class Laboratory(Protocol):
@@ -62,7 +41,7 @@ class Laboratory(Protocol):
         """How each policy does it, on copies of a machine."""
 
 
-class Session:
+class Session(Bench):
     """A machine, its masters, a scope, and who commands it.
 
     Args:
@@ -70,147 +49,45 @@ class Session:
         title: what people call it.
     """
 
-    def __init__(self, machine: Machine, title: str = ""):
-        self.machine, self.title = machine, title or type(machine).__name__
-        self.control = Control()
-        self.axes = tuple(machine.drives)
-        self.port = _Port(machine, self)
-        self.masters = {name: Master(self.port, name) for name in self.axes}
-        first = machine.drives[self.axes[0]]
-        known = [name for name in CHANNELS if name in first.objects.names]
-        self.scope = Recorder(first, machine.cycle_time, known or ["statusword"])
-        self.scope_axis = self.axes[0]
-        self.time = 0.0  # s that have passed, over resets and snapshots
-        self.pace: Callable[[], None] = lambda: None
-        self.doing = ""  # the motion under way
-        self.messages: list[tuple[int, str, str]] = []  # number, kind, text
-        self._number = 0
-        self.agent: Agent | None = None
-        self.pupil: Any = None  # `lessons.Pupil`: the lesson that is being done
-        self.lessons: tuple[Any, ...] = ()  # `lessons.Lesson`: that are offered
-        self.laboratory: Laboratory | None = None  # given by who serves
-        self.delay = 0.0  # s by which commands come late
-        self.kept: dict[str, bytes] = {}  # snapshots of the machine by name
+    machine: Machine
 
-    # ------------------------------------------------------------------- time
+    def __init__(self, machine: Machine, title: str = ""):
+        self.machine = machine
+        self._port = _Port(machine, self)
+        super().__init__(self._port, title or type(machine).__name__)
+        self.scope = self._scope(machine.cycle_time)
 
     def exchange(self) -> None:
         """One position cycle: paced, stepped, recorded, watched."""
         self.pace()
-        self.port.deliver()
+        self._port.deliver()
         self.machine.step()
         self.time += self.machine.cycle_time
         self.scope.sample(self.time)
         if self.pupil is not None:
             self.pupil.look()
 
-    def advance(self, time: float) -> None:
-        """Let so much time pass (s)."""
-        end = self.time + time - 1e-9
-        while self.time < end:
-            if self.agent is not None:
-                self.agent.step()
-            else:
-                self.exchange()
-
-    # --------------------------------------------------------------- messages
-
-    def tell(self, kind: str, text: str) -> None:
-        """Leave a message for all who watch; `kind` is info, done or error."""
-        self._number += 1
-        self.messages = [*self.messages[1 - MESSAGES :], (self._number, kind, text)]
-
-    # ---------------------------------------------------------------- motions
-
-    def run(self, what: str, motion: Callable[[], None]) -> str:
-        """Carry out a motion to its end; -> what came of it, empty if all went well."""
-        if self.agent is not None:
-            return self._failed(what, f"{self.agent.name} has the machine: take it back first")
-        self.doing = what
-        try:
-            motion()
-        except Interrupted:
-            return f"{what}: ended by another command"
-        except (ServoError, SdoAbort) as error:
-            return self._failed(what, str(error))
-        finally:
-            self.doing = ""
-        self.tell("done", what)
-        return ""
-
-    def _failed(self, what: str, why: str) -> str:
-        self.tell("error", why if why.startswith(what) else f"{what}: {why}")
-        return why
-
-    def enable(self, axis: str) -> str:
-        """Walk to OPERATION_ENABLED."""
-        return self.run(f"{axis}: enable", self.masters[axis].enable)
-
-    def disable(self, axis: str) -> str:
-        """Take the power off."""
-        return self.run(f"{axis}: disable", self.masters[axis].disable)
-
-    def reset_fault(self, axis: str) -> str:
-        """Reset the fault."""
-        return self.run(f"{axis}: fault reset", self.masters[axis].reset_fault)
-
-    def set_mode(self, axis: str, mode: int) -> str:
-        """Select a mode of operation."""
-        return self.run(
-            f"{axis}: mode {Mode(mode).name.lower()}",
-            lambda: self.masters[axis].set_mode(Mode(mode)),
-        )
-
-    def home(self, axis: str, method: int | None = None) -> str:
-        """Home; the method that is set if none is given."""
-        return self.run(
-            f"{axis}: home", lambda: self.masters[axis].home(method=method, timeout=MOVES)
-        )
-
-    def move(self, axis: str, position: float, *, relative: bool = False) -> str:
-        """Move to a position (m or rad), or by so much."""
-        master = self.masters[axis]
-
-        def motion() -> None:
-            if relative:  # counted from where the axis is, whatever 60F2h says
-                master.move_to(master.position + position, immediate=True, timeout=MOVES)
-            else:
-                master.move_to(position, immediate=True, timeout=MOVES)
-
-        name, scale = self.unit(axis)
-        by = "by" if relative else "to"
-        return self.run(f"{axis}: move {by} {position * scale:g} {name}", motion)
-
-    def jog(self, axis: str, velocity: float) -> str:
-        """Run at a velocity (m/s or rad/s); 0 stops."""
-        return self.run(f"{axis}: jog", lambda: self.masters[axis].jog(velocity))
-
-    def halt(self, axis: str) -> str:
-        """Stop and stay enabled; what it was doing is dropped."""
-        return self.run(f"{axis}: stop", lambda: self._stop(axis))
-
-    def _stop(self, axis: str) -> None:
-        master = self.masters[axis]
-        if master.mode == Mode.PROFILE_VELOCITY:
-            master.write("target_velocity", 0)
-        master.halt()
-        if master.mode == Mode.PROFILE_POSITION:
-            with suppress(Refused):  # behind the stroke, as after homing: halt stays
-                master.move_to(master.position, immediate=True)  # in the place of what was halted
-        else:
-            master.control(ENABLED)
-
-    def quick_stop(self, axis: str | None = None) -> str:
-        """Quick stop of an axis, or of all that have power; outranks an agent."""
-        self.release()
-        for name in (axis,) if axis else self.axes:
-            powered = int(self.machine.drives[name].axis.state) == State.OPERATION_ENABLED
-            stop = self.masters[name].quick_stop
-            if powered and (wrong := self.run(f"{name}: quick stop", stop)):
-                return wrong
-        return ""
-
     # ---------------------------------------------------------------- objects
+
+    def rows(self, axis: str) -> list[Object]:
+        """All of the drive's dictionary."""
+        return [slot.row for slot in self.machine.drives[axis].objects.slots.values()]
+
+    def value(self, axis: str, name: str) -> float | None:
+        """As it is."""
+        return self.machine.drives[axis].objects.names[name].get()  # type: ignore[return-value]
+
+    def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
+        """As a master reads them."""
+        objects, texts = self.machine.drives[axis].objects, []
+        for row in rows:
+            value: Any = "write only"
+            if row.access != "wo":
+                value = objects.shown(objects.slots[row.index, row.subindex])
+            if isinstance(value, Abort):
+                value = f"({TEXT[value]})"
+            texts.append(f"{value:g}" if isinstance(value, float) else str(value))
+        return texts
 
     def write(self, axis: str, name: int | str, *arguments: float) -> str:
         """Write an object as a master does; -> why it is refused, if it is."""
@@ -220,15 +97,25 @@ class Session:
             return str(error)
         return ""
 
-    def control_word(self, axis: str, word: int) -> str:
-        """Send a controlword as it is."""
-        if self.agent is not None:
-            return f"{self.agent.name} has the machine: take it back first"
-        return self.write(axis, "controlword", word & 0xFFFF)
+    def powered(self, axis: str) -> bool:
+        """Whether the drive is in OPERATION_ENABLED."""
+        return int(self.machine.drives[axis].axis.state) == State.OPERATION_ENABLED
 
-    def unit(self, axis: str) -> tuple[str, float]:
-        """The unit people read positions in, and how many make 1 m or 1 rad."""
-        return ("mm", 1e3) if self.port.units(axis).name == "m" else ("°", 180 / np.pi)
+    def mapped(self, axis: str, direction: str) -> list[Object]:
+        """Of all PDOs that are valid."""
+        return [slot.row for slot, _ in self.machine.drives[axis].mapped(direction)]
+
+    def fields(self) -> tuple[str, ...]:
+        """Fields of the record."""
+        return FIELDS
+
+    def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
+        """Of an object, or of a field of the record."""
+        return reader(self.machine.drives[axis], name)
+
+    def channel_unit(self, axis: str, name: str) -> str:
+        """Of an object, or of a field of the record."""
+        return unit_of(self.machine.drives[axis], name)
 
     # ------------------------------------------------------ snapshots, agents
 
@@ -266,7 +153,7 @@ class Session:
     def reset(self) -> None:
         """Power off and on again, the joints where they are."""
         self.release()
-        self.port.forget()
+        self._port.forget()
         positions = {}
         for name, coupling in zip(self.axes, self.machine.couplings, strict=True):
             positions[name] = float(self.machine.data.qpos[coupling.qpos])
@@ -281,29 +168,6 @@ class Session:
             raise Refused("hand over", f"{self.agent.name} has the machine", "take it back first")
         self.agent = agent
         self.tell("done", f"{agent.name} has taken over")
-
-    def release(self) -> None:
-        """Take the machine back from an agent."""
-        agent, self.agent = self.agent, None
-        if agent is not None:
-            agent.release()
-            self.tell("done", f"{agent.name} has given the machine back")
-
-    # -------------------------------------------------------------- snapshots
-
-    def shown(self) -> dict[str, Any]:
-        """All that the pages show of now, as plain values."""
-        return {
-            "time": self.time,
-            "doing": self.doing,
-            "agent": self.agent.name if self.agent else "",
-            "holder": self.control.holder,
-            "messages": self.messages,
-            "kept": [*self.kept],
-            "scope": self.scope.state,
-            "lesson": self.pupil.present if self.pupil else None,
-            "axes": {name: self._axis(name) for name in self.axes},
-        }
 
     def _axis(self, name: str) -> dict[str, Any]:
         drive, units = self.machine.drives[name], self.port.units(name)

@@ -1,15 +1,21 @@
 """`servogym panel`."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
 
+from .node import CHANNEL, INTERFACE, _open, _where
+
 PORT = 8402  # as `envs.panel.server`
+RATE = 20.0  # as `envs.panel.bus`
 
 
 def add(commands) -> None:
     """Its row in the table of commands."""
+    from can.cli import add_bus_arguments
+
     panel = commands.add_parser("panel", help="a drive's commissioning tool in the browser")
     panel.add_argument(
         "--axis",
@@ -22,6 +28,23 @@ def add(commands) -> None:
         "--joint", action="append", metavar="NAME", help="of --mjcf that gets a drive; repeatable"
     )
     panel.add_argument("--parameter-file", type=Path, help="where 1010h stores, one axis only")
+    add_bus_arguments(panel, group_title="a running node on a bus, as python-can has it")
+    panel.add_argument("--bus-config", help="section of the configuration file of python-can")
+    panel.add_argument(
+        "--node-id", type=int, action="append",
+        help="1..127, repeatable: watch, and command if asked to, nodes on a bus instead of a "
+        f"machine of one's own; without -i on -i {INTERFACE} -c {CHANNEL}",
+    )  # fmt: skip
+    panel.add_argument(
+        "--listen", action="store_true", help="send nothing on the bus; PDOs alone are seen"
+    )
+    panel.add_argument(
+        "--samples", type=float, default=RATE, help=f"a second of the scope on a bus ({RATE:g})"
+    )
+    panel.add_argument(
+        "--units", metavar="M[,M/S]",
+        help="on a bus: a position unit in m, a velocity unit in m/s (the same)",
+    )  # fmt: skip
     panel.add_argument(
         "--lessons", type=Path, help="folder with exercises of your own, .toml files"
     )
@@ -61,6 +84,40 @@ def _machine(options: argparse.Namespace):
     return machine
 
 
+def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
+    """Nodes on a bus, and the adapter to it."""
+    from ...drive.master import Units
+    from ...drive.wire.adapter import Adapter, AdapterPort
+    from ...envs.panel.bus import BusBench
+
+    for name in ("mjcf", "joint", "parameter_file", "lessons"):
+        if getattr(options, name):
+            raise ValueError(f"--{name.replace('_', '-')} is for a machine, not for --node-id")
+    if len({*options.node_id}) < len(options.node_id):
+        raise ValueError(f"--node-id {options.node_id}: some twice")
+    units = None
+    if options.units:
+        try:
+            position, *velocity = (float(part) for part in options.units.split(","))
+            (velocity_unit,) = velocity or [position]
+        except ValueError:
+            raise ValueError(f"--units {options.units!r}: give M or M,M/S such as 1e-6") from None
+        if not (0 < position < 1 and 0 < velocity_unit < 1):
+            raise ValueError(f"--units {options.units}: a unit is more than 0 and less than 1 m")
+        units = Units(position, velocity_unit, "m")
+    adapter = Adapter(_open(options), lambda: _open(options), tell)
+    nodes = {f"node {number}": number for number in options.node_id}
+    where = _where(options) or f"{INTERFACE} {CHANNEL}"
+    try:
+        return BusBench(
+            AdapterPort(adapter), nodes, options.drive, rate=options.samples, units=units,
+            listen=options.listen, title=f"{', '.join(nodes)} on {where}",
+        ), adapter  # fmt: skip
+    except ValueError:
+        adapter.shutdown()
+        raise
+
+
 def _panel(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
     from ...envs.panel import server
@@ -73,6 +130,20 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     if not 1 <= options.pictures <= 60:
         raise ValueError(f"--pictures = {options.pictures} is out of range 1..60")
     server.free(options.host, options.port)
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    if options.node_id:
+        bench, adapter = _bus(options, tell)
+        try:
+            server.serve(
+                bench, host=options.host, port=options.port, browser=not options.no_browser,
+                pictures=options.pictures, tell=tell,
+            )  # fmt: skip
+        finally:
+            adapter.shutdown()
+        return 0
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         machine = _machine(options)
         machine.step()
@@ -84,6 +155,6 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     server.serve(
         session, host=options.host, port=options.port,
         browser=not options.no_browser, pictures=options.pictures,
-        tell=lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
+        tell=tell,
     )  # fmt: skip
     return 0

@@ -7,8 +7,8 @@ from typing import Any
 from nicegui import ui
 
 from ...engine.machine import Machine
+from ..bench import Bench
 from ..clock import Clock
-from ..session import Session
 
 
 class Desk:
@@ -36,8 +36,13 @@ class Desk:
         return self.clock.shown["axes"][self.axis]
 
     @property
-    def machine(self) -> Machine:
+    def bench(self) -> Bench:
         """For what does not change while it runs, such as models and units."""
+        return self.clock.session
+
+    @property
+    def machine(self) -> Machine:
+        """The machine, for pages that need one in this process."""
         return self.clock.session.machine
 
     @property
@@ -45,25 +50,25 @@ class Desk:
         """Whether this tab commands."""
         return self.shown["holder"] == self.tab
 
-    async def ask(self, request: Callable[[Session], Any]) -> Any:
+    async def ask(self, request: Callable[[Bench], Any]) -> Any:
         """What a session says; for looking only."""
         return await asyncio.wrap_future(self.clock.ask(request))
 
-    async def command(self, request: Callable[[Session], Any]) -> Any:
+    async def command(self, request: Callable[[Bench], Any]) -> Any:
         """Let the session do something that takes no time; words, where it is refused."""
 
-        def checked(session: Session) -> Any:
+        def checked(session: Bench) -> Any:
             session.control.check(self.tab)
             return request(session)
 
         return await self._told(self.clock.ask(checked))
 
-    async def motion(self, motion: Callable[[Session], Any]) -> Any:
+    async def motion(self, motion: Callable[[Bench], Any]) -> Any:
         """Let the session carry out a motion; words, where it fails."""
         if not self.in_control:  # a motion under way is not ended by who may not command
             return await self.command(lambda session: "")
 
-        def checked(session: Session) -> Any:
+        def checked(session: Bench) -> Any:
             session.control.check(self.tab)
             return motion(session)
 

@@ -5,6 +5,7 @@ from typing import Any
 from nicegui import ui
 
 from ....drive.diagrams import MODE_ABBREVIATION
+from ....drive.model.rows import Object
 from .desk import Desk, refuse
 from .homing_diagram import homing_svg
 from .widgets import Entry, Readout, Tag, button, card, told
@@ -38,9 +39,10 @@ class MotionPage:
 
     def __init__(self, desk: Desk):
         self.desk = desk
-        machine, axis = desk.machine, desk.axis
-        self.drive = machine.drives[axis]
-        self.unit, self.scale = desk.clock.session.unit(axis)
+        axis = desk.axis
+        self.model = desk.bench.model(axis)
+        self.names = {row.name: row for row in desk.bench.rows(axis)}
+        self.unit, self.scale = desk.bench.unit(axis)
         with ui.element("div").classes("columns motion-columns"):
             with ui.element("div").classes("stack"):
                 self._power()
@@ -60,7 +62,7 @@ class MotionPage:
                 button("Reset fault", self._reset, "motion-reset")
             modes = {
                 int(mode): f"{MODE_ABBREVIATION[mode]} · {mode.name.replace('_', ' ').lower()}"
-                for mode in self.drive.model.modes
+                for mode in self.model.modes
             }
             present = self.desk.seen["mode"]
             self.mode = (
@@ -83,14 +85,9 @@ class MotionPage:
                 button("Stop", self._halt, "stop")
 
     def _jog(self) -> None:
-        top = self.drive.objects.names.get("max_profile_velocity")
-        limit = float(top.get()) if top else 1e9
-        speed = limit * self.desk.clock.session.port.units(self.desk.axis).velocity * self.scale
         with card("Jog"):
-            self.jog = Entry(
-                "Speed", f"{self.unit}/s", 0.001, max(speed, 0.001), round(speed * 0.05, 3),
-                test="jog-speed",
-            )  # fmt: skip
+            self.jog = Entry("Speed", f"{self.unit}/s", 0.001, test="jog-speed")
+            self._jog_speed = 0.0
             with ui.element("div").classes("cluster jog-row"):
                 for sign, text, name in ((-1, "◀  negative", "jog-negative"),
                                          (1, "positive  ▶", "jog-positive")):  # fmt: skip
@@ -113,7 +110,7 @@ class MotionPage:
         with card("Homing"):
             methods = {
                 int(method): _method_name(int(method))
-                for method in sorted(self.drive.model.homing_methods)
+                for method in sorted(self.model.homing_methods)
             }
             present = self.desk.seen["homing_method"]
             with ui.element("div").classes("cluster"):
@@ -136,10 +133,10 @@ class MotionPage:
         self.rows: list[_Parameter] = []
         with card("Parameters", "parameters"), ui.element("div").classes("parameters"):
             for kind, names in PARAMETERS.items():
-                known = [name for name in names if name in self.drive.objects.names]
+                known = [name for name in names if name in self.names]
                 if known:
                     ui.label(kind).classes("group")
-                self.rows += [_Parameter(self.desk, name) for name in known]
+                self.rows += [_Parameter(self.desk, self.names[name]) for name in known]
 
     def _draw(self) -> None:
         method = self.method.value
@@ -200,16 +197,33 @@ class MotionPage:
             self.desk.jogging = False
             await self._go("jog", 0.0)
 
+    def _top_speed(self) -> None:
+        """The range of the jog speed, and a twentieth of it at first."""
+        bench, axis = self.desk.bench, self.desk.axis
+        name = "max_profile_velocity"
+        top = bench.value(axis, name) if name in self.names else 1e9
+        if top is not None and top != self._jog_speed:
+            speed = max(float(top) * bench.units(axis).velocity * self.scale, 0.001)
+            if not self._jog_speed:
+                self.jog.field.value = f"{speed * 0.05:.3g}"
+            self._jog_speed, self.jog.high = top, speed
+
     def show(self) -> None:
         """The present."""
         seen = self.desk.seen
+        self._top_speed()
         self.position.show(seen["position"])
         self.velocity.show(seen["velocity"])
         self.torque.show(told(seen["torque"], 1))
         self.error.show(seen["following_error"])
-        self.homed.set_text("The axis is referenced." if seen["homed"] else "Not referenced yet.")
+        self.homed.set_text(
+            "A bus does not tell whether the axis is referenced." if seen["homed"] is None
+            else "The axis is referenced." if seen["homed"] else "Not referenced yet."
+        )  # fmt: skip
         if self.mode.value != seen["mode"] and seen["mode"] in self.mode.options:
             self.mode.set_value(seen["mode"])
+        if self.method.value is None and seen["homing_method"] in self.method.options:
+            self.method.set_value(seen["homing_method"])
         self.stroke.show(seen)
         for row in self.rows:
             row.show()
@@ -231,18 +245,18 @@ def _method_name(method: int) -> str:
 class _Parameter:
     """An object of the drive: its live value, and a field for another one."""
 
-    def __init__(self, desk: Desk, name: str):
-        self.desk, self.name = desk, name
-        self.slot = desk.machine.drives[desk.axis].objects.names[name]
-        row = self.slot.row
+    def __init__(self, desk: Desk, row: Object):
+        self.desk, self.name = desk, row.name
         with ui.element("div").classes("parameter"):
             with ui.element("div").classes("parameter-name"):
-                ui.label(name.replace("_", " "))
+                ui.label(row.name.replace("_", " "))
                 ui.label(f"{row.index:04X}h:{row.subindex:02X} {row.unit}").classes("quiet")
-            self.value = ui.label("").classes("parameter-value").props(f"data-test=value-{name}")
+            self.value = (
+                ui.label("").classes("parameter-value").props(f"data-test=value-{row.name}")
+            )
             self.entry = Entry(
                 "", "", row.minimum, row.maximum, send=self._send, whole=row.format != "f",
-                test=f"set-{name}",
+                test=f"set-{row.name}",
             )  # fmt: skip
 
     async def _send(self, value: float) -> str:
@@ -255,34 +269,44 @@ class _Parameter:
 
     def show(self) -> None:
         """The value of now."""
-        self.value.set_text(f"{self.slot.get()}")
+        value = self.desk.bench.value(self.desk.axis, self.name)
+        self.value.set_text("…" if value is None else f"{value}")
 
 
 class _Stroke:
     """The axis as a ruler: position, target, software limits."""
 
     def __init__(self, desk: Desk):
-        self.desk = desk
-        drive = desk.machine.drives[desk.axis]
-        units = desk.clock.session.port.units(desk.axis)
-        _, scale = desk.clock.session.unit(desk.axis)
-        ends = [drive.objects.names.get(f"{end}_position_limit") for end in ("min", "max")]
-        low, high = (float(end.get()) * units.position * scale if end else 0.0 for end in ends)
-        self.low, self.high = (low, high) if low < high else (-180.0, 180.0)
+        bench, axis = desk.bench, desk.axis
+        named = {row.name for row in bench.rows(axis)}
+        names = [f"{end}_position_limit" for end in ("min", "max")]
+        scale = bench.units(axis).position * bench.unit(axis)[1]
+
+        def ends() -> tuple[float, ...]:
+            known = [bench.value(axis, name) if name in named else None for name in names]
+            return tuple(float(end or 0.0) * scale for end in known)
+
+        self._ends = ends
         with ui.element("div").classes("stroke"):
             with ui.element("div").classes("stroke-bar"):
                 self.target = ui.element("div").classes("stroke-target")
                 self.here = ui.element("div").classes("stroke-here")
             with ui.element("div").classes("stroke-scale"):
-                for part in range(5):
-                    Tag("span", f"{self.low + (self.high - self.low) * part / 4:g}")
+                self.marks = [Tag("span") for _ in range(5)]
+        self._scaled: tuple[float, float] | None = None
         self._at: tuple[float, float] = (-1.0, -1.0)
 
     def show(self, seen: dict[str, Any]) -> None:
         """The place of now."""
-        wide = (self.high - self.low) * 1.12
+        low, high = self._ends()
+        low, high = (low, high) if low < high else (-180.0, 180.0)
+        if (low, high) != self._scaled:
+            self._scaled = low, high
+            for part, mark in enumerate(self.marks):
+                mark.say(f"{low + (high - low) * part / 4:g}")
+        wide = (high - low) * 1.12
         places = [
-            min(max((seen[name] - self.low + wide * 0.0536) / wide * 100, 0.0), 100.0)
+            min(max((seen[name] - low + wide * 0.0536) / wide * 100, 0.0), 100.0)
             for name in ("position", "target")
         ]
         at = round(places[0], 1), round(places[1], 1)

@@ -1,12 +1,8 @@
 """Objects: the whole dictionary with live values, a field to write, parameter sets."""
 
-from typing import Any
-
 from nicegui import events, ui
 
 from ....drive.model.rows import Object
-from ....drive.objects.abort import TEXT, Abort
-from ..session import Session
 from .desk import Desk, refuse
 from .widgets import Entry, button, card
 
@@ -33,8 +29,8 @@ class ObjectsPage:
     def __init__(self, desk: Desk):
         self.desk = desk
         self.rows: dict[str, Object] = {}
-        for (index, subindex), slot in sorted(desk.machine.drives[desk.axis].objects.slots.items()):
-            self.rows[f"{index:04X}h:{subindex:02X}"] = slot.row
+        for row in sorted(desk.bench.rows(desk.axis), key=lambda row: (row.index, row.subindex)):
+            self.rows[f"{row.index:04X}h:{row.subindex:02X}"] = row
         self._count = 0
         self._values: dict[str, str] = {}
         self.chosen: str | None = None
@@ -68,6 +64,12 @@ class ObjectsPage:
                     self.entry.field.set_visibility(False)
                     self.write.set_visibility(False)
                 with card("Parameter set"):
+                    self.loaded = ui.label("").classes("prose").props("data-test=loaded")
+                    if why := desk.bench.absent.get("parameters"):
+                        self.loaded.set_text(why)
+                        self.loaded.classes("quiet")
+                        self._filter()
+                        return
                     ui.label(
                         "All storable objects as one file, with the model and a checksum."
                     ).classes("prose quiet")
@@ -77,7 +79,7 @@ class ObjectsPage:
                         on_upload=self._load, on_rejected=lambda: refuse("it is too large"),
                     )  # fmt: skip
                     loader.props("flat bordered data-test=load-parameters").classes("upload")
-                    self.loaded = ui.label("").classes("prose").props("data-test=loaded")
+                    self.loaded.move(target_index=-1)
         self._filter()
 
     def _filter(self) -> None:
@@ -139,7 +141,9 @@ class ObjectsPage:
         axis = self.desk.axis
         if self._count % EVERY == 0:
             wanted = [row["address"] for row in self.table.rows]
-            self._values.update(await self.desk.ask(lambda s: read(s, axis, self.rows, wanted)))
+            rows = [self.rows[address] for address in wanted]
+            texts = await self.desk.ask(lambda bench: bench.texts(axis, rows))
+            self._values.update(zip(wanted, texts, strict=True))
             changed = False
             for row in self.table.rows:
                 value = self._values[row["address"]]
@@ -148,26 +152,9 @@ class ObjectsPage:
             if changed:
                 self.table.update()
         elif self.chosen:
-            chosen = [self.chosen]
-            self._values.update(await self.desk.ask(lambda s: read(s, axis, self.rows, chosen)))
+            chosen = self.rows[self.chosen]
+            (self._values[self.chosen],) = await self.desk.ask(lambda s: s.texts(axis, [chosen]))
         self._count += 1
         if self.chosen:
             unit = self.rows[self.chosen].unit
             self.live.set_text(f"{self._values.get(self.chosen, '')} {unit}".strip())
-
-
-def read(session: Session, axis: str, rows: dict[str, Object], wanted: list[str]) -> dict[str, str]:
-    """Values of objects by address, as text; what cannot be read says why."""
-    drive = session.machine.drives[axis]
-    values: dict[str, str] = {}
-    for address in wanted:
-        row = rows[address]
-        if row.access == "wo":
-            values[address] = "write only"
-            continue
-        value: Any = drive.objects.shown(drive.objects.slots[row.index, row.subindex])
-        if isinstance(value, Abort):
-            values[address] = f"({TEXT[value]})"
-        else:
-            values[address] = f"{value:g}" if isinstance(value, float) else str(value)
-    return values

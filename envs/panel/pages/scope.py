@@ -9,8 +9,8 @@ from nicegui import ui
 from nicegui.element import Element
 
 from ....drive.trace import Edge
+from ..bench import Bench
 from ..recorder import MOST_CHANNELS, Run, Window
-from ..session import Session
 from .desk import Desk, refuse
 from .widgets import Entry, button, card
 
@@ -53,14 +53,8 @@ class ScopePage:
         self.channels: tuple[str, ...] = ()
         self._last: tuple[int, str] = (-1, "")
         self._plotted = False
-        objects = desk.machine.drives[desk.axis].objects
-        named = sorted(
-            name for name in objects.names if objects.names[name].row.pdo and
-            objects.names[name].row.format
-        )  # fmt: skip
-        fields = [f"axis.{name}" for name in ("torque", "position", "velocity", "following_error",
-                  "velocity_command", "torque_command", "dc_link", "state")]  # fmt: skip
-        scope = desk.clock.session.scope
+        bench = desk.bench
+        offered, scope = bench.channels(), bench.scope
         with ui.element("div").classes("columns scope-columns"):
             with card("Scope", "scope"):
                 with ui.element("div").classes("cluster scope-bar"):
@@ -81,9 +75,9 @@ class ScopePage:
             with ui.element("div").classes("stack"):
                 with card("Channels"):
                     self.chosen = ui.select(
-                        named + fields, multiple=True, value=list(scope.channels),
-                        label="Objects, or fields of the record", with_input=True,
-                        on_change=self._choose,
+                        offered, multiple=True, value=list(scope.channels),
+                        label="Objects, or fields of the record" if bench.fields() else "Objects",
+                        with_input=True, on_change=self._choose,
                     )  # fmt: skip
                     self.chosen.props("dense outlined use-chips data-test=channels").classes(
                         "entry wide"
@@ -93,7 +87,7 @@ class ScopePage:
                     self.run.props("no-caps unelevated spread data-test=trigger-run")
                     trigger = scope.trigger
                     self.channel = ui.select(
-                        named + fields, label="Channel", with_input=True, on_change=self._trigger,
+                        offered, label="Channel", with_input=True, on_change=self._trigger,
                         value=trigger.channel if trigger else scope.channels[0],
                     )  # fmt: skip
                     self.channel.props("dense outlined data-test=trigger-channel")
@@ -117,10 +111,9 @@ class ScopePage:
                     self.before = Entry("Pre-trigger", "%", 0, 95, scope.before * 100,
                                         self._window, test="pre-trigger")  # fmt: skip
                 self.about = ui.label("").classes("prose quiet")
-        rate = 1 / scope.period
+        rate = f"{1 / scope.period:g}"
         self.about.set_text(
-            f"Every position cycle is a sample, {rate:g} a second of the machine; the trigger "
-            f"looks at each. {longest:g} s are kept."
+            f"{bench.sampling.format(rate=rate)} The trigger looks at each. {longest:g} s are kept."
         )
 
     def _ready(self) -> None:
@@ -145,7 +138,7 @@ class ScopePage:
     async def _level(self, level: float) -> str:
         run, channel, edge = Run(self.run.value), str(self.channel.value), Edge(self.edge.value)
 
-        def set_trigger(session: Session) -> None:
+        def set_trigger(session: Bench) -> None:
             session.scope.set_trigger(run, channel, edge, level)
 
         return str(await self.desk.command(set_trigger) or "")
@@ -164,7 +157,7 @@ class ScopePage:
         ui.download.content(text.encode(), "scope.csv", "text/csv")
 
     def _headline(self) -> str:
-        return f"{self.desk.clock.session.title} · {self.desk.clock.session.scope_axis}"
+        return self.desk.bench.title
 
     async def show(self) -> None:
         """The present picture."""
@@ -183,7 +176,7 @@ class ScopePage:
                         "unit": scope.units[name],
                         "axis": name if "following_error" in name else scope.units[name],
                         "colour": COLOURS[i],
-                        "grain": 1e-3 if name.startswith("axis.") else 1,
+                        "grain": 1e-3 if "axis." in name else 1,
                     }
                     for i, name in enumerate(self.channels)
                 ]
@@ -193,7 +186,7 @@ class ScopePage:
         await self._draw()
 
     async def _draw(self) -> None:
-        def look(session: Session) -> tuple[Window, dict[str, Any]]:
+        def look(session: Bench) -> tuple[Window, dict[str, Any]]:
             scope = session.scope
             ahead = scope.before if scope.trigger else 1.0
             info: dict[str, Any] = {

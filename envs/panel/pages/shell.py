@@ -19,7 +19,7 @@ from .motion import MotionPage
 from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
-from .widgets import Readout, Tag, button, told
+from .widgets import Readout, Tag, button, card, told
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
@@ -70,7 +70,7 @@ class Shell:
         with ui.element("header").classes("top"):
             with ui.element("div").classes("brand"):
                 Tag("b", "servogym")
-                models = {drive.model.name for drive in session.machine.drives.values()}
+                models = {session.model(axis).name for axis in session.axes}
                 Tag("span", f"{session.title} · {', '.join(sorted(models))}")
             if len(session.axes) > 1:
                 ui.toggle(
@@ -85,7 +85,7 @@ class Shell:
             with ui.element("div").classes("time cluster"):
                 self.pause = button("", self._pause, "pause", "icon")
                 self.pause.props("icon=pause aria-label=Pause")
-                button("", self._single, "single", "icon").props(
+                step = button("", self._single, "single", "icon").props(
                     "icon=skip_next aria-label='One cycle' title='One position cycle'"
                 )
                 self.speed = ui.select(
@@ -94,6 +94,10 @@ class Shell:
                 )  # fmt: skip
                 self.speed.props("dense borderless data-test=speed aria-label=Speed")
                 self.speed.classes("speed")
+                if why := session.absent.get("time"):
+                    for made in (self.pause, step, self.speed):
+                        made.props("disable")
+                        made.props(f'title="{why}"')
                 self.measured = ui.label("").classes("quiet mono").props("data-test=measured")
             self.seat = button("Take control", self._seat, "control", "seat")
             button("", self._theme, "theme", "icon").props(
@@ -119,6 +123,8 @@ class Shell:
                     "button", type="button", title=f"key {number}", data_test=f"go-{page.name}"
                 )
                 link.classes("link").on("click", lambda _, name=page.name: self.go(name))
+                if page.name in self.desk.bench.absent:
+                    link.classes("absent")
                 with link:
                     ui.icon(page.icon)
                     Tag("span", page.title)
@@ -131,7 +137,9 @@ class Shell:
         self.present = self.kept["page"] = name
         if name not in self.pages:
             with self.places[name]:
-                self.pages[name] = self._kinds[name](self.desk)
+                why = self.desk.bench.absent.get(name)
+                kind = self._kinds[name]
+                self.pages[name] = _Absent(kind.title, why) if why else kind(self.desk)
         for other, place in self.places.items():
             place.classes(**({"add": "open"} if other == name else {"remove": "open"}))
             self.links[other].lit("now", other == name)
@@ -148,16 +156,20 @@ class Shell:
         self.dark.set_value(self.kept["dark"])
 
     def _pause(self) -> None:
-        if self._may():
+        if self._may_stop_time():
             self.clock.pause(not self.clock.paused)
 
     def _single(self) -> None:
-        if self._may():
+        if self._may_stop_time():
             self.clock.single()
 
     def _speed(self) -> None:
-        if self.speed.value != self.clock.speed and self._may():
+        if self.speed.value != self.clock.speed and self._may_stop_time():
             self.clock.set_speed(self.speed.value)
+
+    def _may_stop_time(self) -> bool:
+        refuse(why := self.desk.bench.absent.get("time", ""))
+        return not why and self._may()
 
     def _may(self) -> bool:
         if self.desk.in_control:
@@ -203,10 +215,12 @@ class Shell:
     async def show(self) -> None:
         """A new picture."""
         shown, seen, clock = self.desk.shown, self.desk.seen, self.clock
-        state = State(seen["state"])
-        self.state.set_text(state.name.replace("_", " ").lower())
+        state = State(seen["state"]) if seen["state"] >= 0 else None
+        name = state.name.replace("_", " ").lower() if state is not None else "state not known"
+        self.state.set_text(name if seen.get("answers", True) else "no answer")
         kind = {State.OPERATION_ENABLED: "good", State.FAULT: "bad",
                 State.FAULT_REACTION_ACTIVE: "bad"}.get(state, "calm")  # fmt: skip
+        kind = kind if seen.get("answers", True) else "bad"
         for name in ("good", "bad", "calm"):
             self.state.classes(**({"add": name} if name == kind else {"remove": name}))
         self.mode.set_text(MODE_ABBREVIATION.get(Mode(seen["mode"]), "–"))
@@ -232,7 +246,8 @@ class Shell:
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)
         self.measured.set_text(
-            "paused" if clock.paused else f"{told(clock.achieved, 2)}× real time"
+            self.desk.bench.pulse()
+            or ("paused" if clock.paused else f"{told(clock.achieved, 2)}× real time")
         )
         self._messages(shown["messages"])
         result = self.pages[self.present].show()
@@ -255,7 +270,7 @@ class Shell:
         tab = self.desk.tab
 
         def sit(session: Any) -> None:
-            if session.control.holder is None:
+            if session.control.holder is None and session.seats_who_comes:
                 session.control.take(tab)
 
         await self.desk.ask(sit)
@@ -276,6 +291,17 @@ class Shell:
         )
         if not open_still:
             self.clock.ask(lambda session: session.control.leave(tab))
+
+
+class _Absent:
+    """A page that cannot be had here, and why."""
+
+    def __init__(self, title: str, why: str):
+        with card(title, "absent"):
+            ui.label(why).classes("prose")
+
+    def show(self) -> None:
+        """Nothing changes."""
 
 
 async def build(clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGES) -> None:

@@ -71,9 +71,9 @@ class StatePage:
         self.refused.set_text(seen["refused"] or "No command has been refused.")
         acting = ", ".join(seen["limits"])
         self.limits.set_text(f"Limit that acts now: {acting}" if acting else "No limit acts.")
-        drive = self.desk.machine.drives[self.desk.axis]
-        self.rpdo.show(seen["rpdo"], [slot.row for slot, _ in drive.mapped("rx")])
-        self.tpdo.show(seen["tpdo"], [slot.row for slot, _ in drive.mapped("tx")])
+        bench, axis = self.desk.bench, self.desk.axis
+        self.rpdo.show(seen["rpdo"], bench.mapped(axis, "rx"))
+        self.tpdo.show(seen["tpdo"], bench.mapped(axis, "tx"))
 
 
 class _Bytes:
@@ -84,7 +84,7 @@ class _Bytes:
             ui.label(name).classes("image-name")
             self._fields = ui.element("div").classes("image-fields")
         self._labels: list[tuple[int, int, ui.label]] = []
-        self._layout: tuple[str, ...] = ()
+        self._layout: tuple[str, ...] | None = None
         self._shown = b""
 
     def show(self, image: bytes, rows: list) -> None:
@@ -94,6 +94,8 @@ class _Bytes:
             self._layout, self._labels, at = layout, [], 0
             self._fields.clear()
             with self._fields:
+                if not rows:
+                    ui.label("none has passed yet").classes("quiet")
                 for row in rows:
                     with ui.element("div").classes("image-field"):
                         value = ui.label("").classes("image-bytes")

@@ -80,6 +80,7 @@ class StateDiagram:
                 self._boxes[state] = box
         self._command = command
         self._state: State | None = None
+        self._shown: int | None = None
         with ui.element("div").classes("possible"):
             self._buttons = {}
             for number, row in sorted(self._commands.items()):
@@ -98,10 +99,11 @@ class StateDiagram:
             await self._command(row)
 
     def show(self, state: int) -> None:
-        """The state of now."""
-        if state == self._state:
+        """The state of now; -1: not known."""
+        if state == self._shown:
             return
-        self._state = State(state)
+        self._shown = state
+        self._state = State(state) if state >= 0 else None
         for other, box in self._boxes.items():
             box.lit("now", other is self._state)
         numbers = {n for n, row in self._commands.items() if row.source is self._state}

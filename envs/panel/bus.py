@@ -1,0 +1,399 @@
+"""Nodes on a bus as a bench: watched by SDO uploads and by what passes; commanded if asked to.
+
+Nothing is sent but SDO requests: no PDO, no SYNC, no NMT command; another master is not disturbed
+as long as it leaves the default SDO channel alone. A bench that only listens sends nothing at all.
+"""
+
+import math
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ...drive.advice import fault_named, remedy_of, unheeded
+from ...drive.canopen.frame import Base, Frame
+from ...drive.canopen.port import FramePort
+from ...drive.canopen.remote import CanOpenPort, Pdo
+from ...drive.diagrams import State, Statusword, state_of
+from ...drive.master import Refused, ServoError, Timeout, Units
+from ...drive.model.model import DriveModel, load
+from ...drive.model.rows import Object
+from ...drive.objects.abort import TEXT, SdoAbort
+from ...drive.objects.mapping import all_objects
+from .bench import Bench
+
+RATE = 20.0  # samples/s of the scope
+FASTEST = 1000.0
+REQUESTS = 200.0  # a second at most, between the samples
+PATIENCE = 0.3  # s for an answer
+AGAIN = 1.0  # s between two attempts to reach a node that is silent
+FORGOTTEN = 3.0  # s after which an object that no page asks for is not read any more
+LISTENS = "the panel was started with --listen: it sends nothing"
+WATCHED = (
+    "statusword", "controlword", "modes_of_operation_display", "position_actual_value",
+    "position_demand_value", "velocity_actual_value", "torque_actual_value",
+    "following_error_actual_value", "target_position", "error_code", "homing_method",
+    "digital_inputs",
+)  # fmt: skip
+ABSENT = {
+    "machine": "A picture in 3D needs the model of the machine; a bus tells positions alone.",
+    "loops": "Loops are measured in every cycle of the controllers, on a copy of the machine; a "
+    "bus shows a fraction of the cycles, and there is no copy of a machine that is elsewhere.",
+    "experiments": "Faults, disturbances, snapshots and policies act on a simulated machine in "
+    "this process; what is behind a bus may be a real one.",
+    "lessons": "Exercises begin with a machine in a certain state and look into the drive; behind "
+    "a bus neither is possible.",
+    "time": "The time of a bus cannot be stopped, slowed down or turned back.",
+    "parameters": "A parameter file is what the drive itself stores: write 65766173h to 1010h:01, "
+    "and the node stores what it has.",
+}  # fmt: skip
+Key = tuple[str, int, int]  # axis, index, sub-index
+Where = tuple[str, str, int]  # axis, direction, number of the PDO
+
+
+class BusBench(Bench):
+    """Nodes on a bus.
+
+    Args:
+        bus: the way to it.
+        nodes: node-ids 1..127 by the name that the drive goes by.
+        model: the drive model whose objects go by name.
+        rate: of the scope (samples/s), as far as the nodes answer in time.
+        units: of the drives at the load, where their factors are known.
+        listen: send nothing; what is seen are the PDOs that pass, with the mapping of the model.
+        title: what people call it.
+
+    Raises:
+        ValueError: node-id or rate out of range, unknown model.
+    """
+
+    seats_who_comes = False
+    sampling = "Asked over the bus {rate} times a second, less often where the node is slow."
+    absent = ABSENT
+
+    def __init__(
+        self, bus: FramePort, nodes: Mapping[str, int], model: str | Path | DriveModel = "generic",
+        *, rate: float = RATE, units: Units | None = None, listen: bool = False, title: str = "",
+    ):  # fmt: skip
+        if not 1.0 <= rate <= FASTEST:
+            raise ValueError(f"rate = {rate} samples/s is out of range 1..{FASTEST:g}")
+        self.commands = not listen
+        self._rows = all_objects(load(model, "can"))
+        self._named = {row.name: row for row in self._rows}
+        self._places = {(row.index, row.subindex): row for row in self._rows}
+        self._known: dict[Key, float | str] = {}
+        self._heard: dict[Key, float] = {}  # when a PDO has told it last (s)
+        self._asked: dict[Key, float] = {}  # when a page has asked for it last (s)
+        self._silent: dict[str, float] = {}  # axis that does not answer -> when to try again (s)
+        self._pdos: dict[int, Where] = {}  # by identifier
+        self._images: dict[Where, tuple[Pdo, bytes]] = {}  # of PDOs that have passed
+        self._turn = 0
+        self.bus = _Tap(bus, nodes, load(model, "can"), sdo_timeout=PATIENCE, units=units)
+        self.bus.hear = self._hear
+        super().__init__(_Port(self.bus, self), title or ", ".join(f"node {n}" for n in nodes))
+        self._watched = [self._named[name] for name in WATCHED if name in self._named]
+        self._begun = self._due = self._next = self.bus.now()
+        self.asked_rate = rate
+        self._marks: list[float] = []  # times of the last samples
+        self.scope = self._scope(1 / rate)
+        self._unmapped: list[tuple[str, str]] = []
+        if self.commands:
+            self._map_again(*self.axes)
+        for axis, node in self.bus.nodes.items() if listen else ():
+            for direction in ("rx", "tx"):
+                self._know(axis, direction, node.default_pdos(direction))
+
+    @property
+    def rate(self) -> float:
+        """Samples of the scope in a second, as they come."""
+        marks = self._marks
+        return (len(marks) - 1) / (marks[-1] - marks[0]) if len(marks) > 1 else 0.0
+
+    # ----------------------------------------------------------------- time passes
+
+    def exchange(self) -> None:
+        """Ask for one thing, or wait for what passes; paced and recorded."""
+        self.pace()
+        now = self.bus.now()
+        due = now >= self._due
+        if self.commands and (due or now >= self._next):
+            self._next = now + 1 / REQUESTS
+            if due:
+                for channel in self.scope.needed:
+                    axis, name = self._found(channel)
+                    self._read(axis, self._named[name], fresh=1 / self.asked_rate)
+            else:
+                self._read_next()
+        else:
+            self.bus.exchange()
+        self.time = self.bus.now() - self._begun
+        if due:
+            self._due = max(self._due + 1 / self.asked_rate, self.bus.now() - 0.5 / self.asked_rate)
+            self._marks = [*self._marks[-50:], self.time]
+            self.scope.sample(self.time)
+
+    def _read_next(self) -> None:
+        """By turns: what is always shown, and what a page wants to see."""
+        self._turn += 1
+        turn = self._turn // 2
+        axis = self.axes[turn % len(self.axes)]
+        if self._unmapped and self._turn % len(self._watched) == 0:
+            self._learn_pdos(*self._unmapped[0])
+            return
+        wanted = [key for key, when in self._asked.copy().items() if self.time - when < FORGOTTEN]
+        if self._turn % 2 and wanted:
+            axis, *place = wanted[turn % len(wanted)]
+            self._read(axis, self._places[tuple(place)])  # type: ignore[index]
+        else:
+            self._read(axis, self._watched[turn // len(self.axes) % len(self._watched)])
+
+    def _read(self, axis: str, row: Object, fresh: float = 0.0) -> None:
+        """An object by SDO, unless a PDO has told it within `fresh` (s), or the node is silent."""
+        key = axis, row.index, row.subindex
+        now = self.bus.now()
+        if now < self._silent.get(axis, 0.0) or now - self._heard.get(key, -math.inf) < fresh:
+            self.bus.exchange()
+            return
+        try:
+            data = self.bus.nodes[axis].sdo.upload(row.index, row.subindex)
+            self._known[key] = _decoded(row, data)
+        except SdoAbort as error:
+            self._known[key] = f"({TEXT.get(error.code, str(error))})"  # type: ignore[call-overload]
+        except Timeout as error:
+            if axis not in self._silent:
+                self.tell("info", f"{axis}: {error}")
+            self._silent[axis] = self.bus.now() + AGAIN
+            return
+        if self._silent.pop(axis, None) is not None:
+            self.tell("info", f"{axis} answers again")
+            self._map_again(axis)
+
+    def _map_again(self, *axes: str) -> None:
+        """Read the PDO mapping of these when there is time for it."""
+        wanted = [(axis, direction) for axis in axes for direction in ("tx", "rx")]
+        self._unmapped = [*dict.fromkeys((*self._unmapped, *wanted))]
+
+    def _learn_pdos(self, axis: str, direction: str) -> None:
+        self._unmapped.remove((axis, direction))
+        try:
+            self._know(axis, direction, self.bus.nodes[axis].pdos(direction))
+        except SdoAbort:
+            pass  # a node without PDO objects
+        except Timeout:  # it is read anew when the node answers again
+            self._silent.setdefault(axis, self.bus.now() + AGAIN)
+
+    # ------------------------------------------------------------------- what passes
+
+    def _know(self, axis: str, direction: str, pdos: Iterable[Pdo]) -> None:
+        for number, pdo in enumerate(pdos):
+            self._pdos[pdo.cob_id] = where = axis, direction, number
+            self._images[where] = pdo, b""
+
+    def _hear(self, frame: Frame) -> None:
+        """Any frame on the bus."""
+        where = self._pdos.get(frame.id)
+        if where is not None and not frame.remote:
+            pdo, _ = self._images[where]
+            self._images[where] = pdo, frame.data
+            for name, at in pdo.places.items():
+                row = self._named[name]
+                key = where[0], row.index, row.subindex
+                if len(frame.data) >= at + row.size:
+                    self._known[key] = _decoded(row, frame.data[at : at + row.size])
+                    self._heard[key] = self.bus.now()
+        for axis, node in self.bus.nodes.items():
+            if frame.id == Base.EMCY + node.node_id and len(frame.data) == 8:
+                code = int.from_bytes(frame.data[:2], "little")
+                row = self._named.get("error_code")
+                if row is not None:
+                    self._known[axis, row.index, row.subindex] = code
+                self.tell(
+                    "info", f"{axis}: EMCY {fault_named(self.model(axis), code) or 'no error'}"
+                )
+            elif frame.id == Base.ERROR_CONTROL + node.node_id and frame.data == b"\0":
+                self.tell("info", f"{axis}: boot-up")
+                if self.commands:
+                    self._map_again(axis)
+
+    # ----------------------------------------------------------------------- objects
+
+    def pulse(self) -> str:
+        """The rate of the scope."""
+        return f"{self.rate:.0f} of {self.asked_rate:g} samples/s"
+
+    def rows(self, axis: str) -> list[Object]:
+        """Those of the drive model."""
+        return self._rows
+
+    def value(self, axis: str, name: str) -> float | None:
+        """As it was read last; it is read every now and then from here on."""
+        row = self._named[name]
+        return self._last(axis, row)
+
+    def _last(self, axis: str, row: Object, ask: bool = True) -> float | None:
+        key = axis, row.index, row.subindex
+        if ask:
+            self._asked[key] = self.time
+        known = self._known.get(key)
+        return None if isinstance(known, str) else known
+
+    def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
+        """As they were read last; an ellipsis where nothing has come yet."""
+        texts = []
+        for row in rows:
+            key = axis, row.index, row.subindex
+            if row.access == "wo":
+                texts.append("write only")
+                continue
+            self._asked[key] = self.time
+            known = self._known.get(key, "…")
+            texts.append(f"{known:g}" if isinstance(known, float) else str(known))
+        return texts
+
+    def write(self, axis: str, name: int | str, *arguments: float) -> str:
+        """By SDO, and read it back; -> why it is refused, if it is."""
+        if not self.commands:
+            return LISTENS
+        try:
+            row = self._named[name] if isinstance(name, str) else self._places[
+                name, int(arguments[0]) if len(arguments) > 1 else 0
+            ]  # fmt: skip
+        except KeyError:
+            return f"the model has no object {name!r}"
+        try:
+            value = arguments[-1] if row.format == "f" else int(arguments[-1])
+            data = struct.pack("<" + row.format, value)
+            self.bus.nodes[axis].sdo.download(row.index, row.subindex, data)
+        except struct.error:
+            return f"{arguments[-1]:g} does not fit {row.data_type}"
+        except (SdoAbort, ServoError, ValueError) as error:
+            return str(error)
+        if row.access != "wo":
+            self._read(axis, row)
+        return ""
+
+    def powered(self, axis: str) -> bool:
+        """Whether its statusword shows OPERATION_ENABLED."""
+        word = self._last(axis, self._named["statusword"], ask=False)
+        return word is not None and state_of(int(word)) is State.OPERATION_ENABLED
+
+    def mapped(self, axis: str, direction: str) -> list[Object]:
+        """Of the PDOs that have passed."""
+        return [
+            self._named[name] for pdo, _ in self._passed(axis, direction) for name in pdo.places
+        ]
+
+    def _passed(self, axis: str, direction: str) -> list[tuple[Pdo, bytes]]:
+        return [
+            image for where, image in self._images.copy().items()
+            if where[:2] == (axis, direction) and image[1]
+        ]  # fmt: skip
+
+    def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
+        """Of an object, as it was read last; nan where it cannot be."""
+        row = self._named.get(name)
+        if row is None or not row.format:
+            raise ValueError(f"there is no channel {name!r}: on a bus name an object of the model")
+
+        def read() -> float:
+            known = self._last(axis, row, ask=False)
+            return math.nan if known is None or axis in self._silent else float(known)
+
+        return read
+
+    def channel_unit(self, axis: str, name: str) -> str:
+        """As the model says."""
+        return self._named[name].unit
+
+    def _axis(self, name: str) -> dict[str, Any]:
+        def of(known: str, otherwise: int = 0) -> int:
+            value = (
+                self._last(name, self._named[known], ask=False) if known in self._named else None
+            )
+            return otherwise if value is None else int(value)
+
+        model, units, (_, scale) = self.model(name), self.units(name), self.unit(name)
+        word, told, code = of("statusword"), of("controlword"), of("error_code")
+        known = self._last(name, self._named["statusword"], ask=False)
+        state = None if known is None else state_of(word)
+        faulty = state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        acts = word & Statusword.INTERNAL_LIMIT_ACTIVE
+        images = {
+            way: b"".join(data for _, data in self._passed(name, way)) for way in ("rx", "tx")
+        }
+        return {
+            "state": -1 if state is None else int(state),
+            "answers": name not in self._silent,
+            "mode": of("modes_of_operation_display"),
+            "controlword": told,
+            "statusword": word,
+            "position": of("position_actual_value") * units.position * scale,
+            "demand": of("position_demand_value") * units.position * scale,
+            "velocity": of("velocity_actual_value") * units.velocity * scale,
+            "torque": of("torque_actual_value") * 0.1,
+            "following_error": of("following_error_actual_value") * units.position * scale,
+            "target": of("target_position") * units.position * scale,
+            "homed": None,
+            "homing_method": of("homing_method"),
+            "fault": fault_named(model, code) or "unknown fault" if faulty else "",
+            "faults": (),
+            "remedy": remedy_of(model, code) if faulty else "",
+            "refused": unheeded(model, word, told) if state is not None else "",
+            "limits": ["internal limit active, statusword bit 11"] if acts else [],
+            "inputs": of("digital_inputs"),
+            "injected": 0,
+            "rpdo": images["rx"],
+            "tpdo": images["tx"],
+        }  # fmt: skip
+
+
+def _decoded(row: Object, data: bytes) -> float | str:
+    """The value of an object's bytes."""
+    if row.format and len(data) == row.size:
+        return struct.unpack("<" + row.format, data)[0]
+    if row.format:
+        return f"({len(data)} bytes, the model has {row.size})"
+    return data.decode("latin-1").rstrip("\0")
+
+
+class _Tap(CanOpenPort):
+    """The nodes; whatever passes is heard as well."""
+
+    hear: Callable[[Frame], None] = staticmethod(lambda frame: None)
+
+    def exchange(self, frames: Iterable[Frame] = ()) -> list[Frame]:
+        """As before."""
+        received = super().exchange(frames)
+        for frame in received:
+            self.hear(frame)
+        return received
+
+
+class _Port:
+    """The nodes as masters reach them; time passes through the bench."""
+
+    def __init__(self, bus: CanOpenPort, bench: BusBench):
+        self._bus, self._bench = bus, bench
+        self.models = bus.models
+        self.latency = bus.latency
+        self.now, self.units = bus.now, bus.units
+
+    def upload(self, axis: str, name: str) -> int | float:
+        """By SDO."""
+        self._may()
+        return self._bus.upload(axis, name)
+
+    read = upload
+
+    def write(self, axis: str, name: str, value: int | float) -> None:
+        """By SDO."""
+        self._may()
+        self._bus.write(axis, name, value)
+
+    def exchange(self) -> None:
+        """Some time of the bench."""
+        self._bench.exchange()
+
+    def _may(self) -> None:
+        if not self._bench.commands:
+            raise Refused("command", LISTENS, "start it without --listen")
