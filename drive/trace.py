@@ -5,12 +5,14 @@
 
 A channel is an object by name (drive units), or ``axis.`` and a field of the record (SI units).
 Without a trigger every sample is kept, or the last `depth`. With one, `before` samples ahead of the
-event and `depth` in all are kept; then `done` is True and further samples are ignored.
+event and `depth` in all are kept; then `done` is True and further samples are ignored. A node on a
+bus and a log fill a `Recording` in the same way (`servogym.drive.wire.recording`).
 """
 
 import csv
+import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -48,7 +50,9 @@ class Watch:
         self._last: float | None = None
 
     def event(self, value: float) -> bool:
-        """Whether the event comes with this sample."""
+        """Whether the event comes with this sample; nan is none, its value is not known yet."""
+        if math.isnan(value):
+            return False
         last, self._last = self._last, value
         if self._edge == Edge.ABOVE:
             return value >= self._level
@@ -61,47 +65,54 @@ class Watch:
         return value != last
 
 
-class Trace:
-    """Samples of channels of one drive. Raises ValueError for an unknown channel."""
+class Recording:
+    """Samples of channels around a trigger, row by row from wherever they come.
+
+    Args:
+        units: of the channels by name.
+        depth: samples that are kept; without it all.
+        trigger: the event that is waited for.
+        before: samples that are kept ahead of it.
+
+    Raises:
+        ValueError: a depth below 1, a trigger without ``depth > before >= 0``.
+    """
 
     def __init__(
         self,
-        drive: Drive,
-        channels: Iterable[str],
+        units: Mapping[str, str],
         *,
         depth: int | None = None,
         trigger: Trigger | None = None,
         before: int = 0,
     ):
-        self.channels = tuple(channels)
-        self._readers = [reader(drive, name) for name in self.channels]
-        self.units = {"time": "s"} | {name: unit_of(drive, name) for name in self.channels}
-        self._trigger = trigger
-        self._watched = reader(drive, trigger.channel) if trigger else None
+        self.channels = tuple(units)
+        self.units = {"time": "s"} | dict(units)
+        self.trigger = trigger
         self._watch = Watch(trigger) if trigger else None
         if depth is not None and depth < 1:
             raise ValueError(f"depth = {depth} samples is out of range 1..")
         if trigger is not None and (depth is None or not 0 <= before < depth):
             raise ValueError(f"a trigger needs depth > before >= 0, not {depth} and {before}")
         self._depth = depth
-        self._before = before
         self._rows: deque[tuple] = deque(maxlen=before if trigger else depth)
         self.triggered = trigger is None
+        self.trigger_time: float | None = None  # s
         self.done = False
 
     def __len__(self) -> int:
         return len(self._rows)
 
-    def sample(self, time: float) -> None:
-        """Take one sample at `time` (s)."""
+    def add(self, time: float, values: Iterable[float], watched: float = math.nan) -> None:
+        """Take a row at `time` (s); `watched` is the channel of the trigger, nan: not known yet."""
         if self.done:
             return
-        if self._watch is not None and self._watched is not None and not self.triggered:
-            self.triggered = self._watch.event(self._watched())
+        if self._watch is not None and not self.triggered:
+            self.triggered = self._watch.event(watched)
             if self.triggered:
-                self._rows = deque(self._rows)
-        self._rows.append((time, *[read() for read in self._readers]))
-        if self._trigger is not None and self.triggered and len(self._rows) >= (self._depth or 0):
+                self._rows, self.trigger_time = deque(self._rows), time
+        self._rows.append((time, *values))
+        if self.trigger is not None and self.triggered and len(self._rows) >= (self._depth or 0):
             self.done = True
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -123,6 +134,31 @@ class Trace:
         if path.suffix not in _WRITERS:
             raise ValueError(f"{path}: use one of the suffixes {', '.join(_WRITERS)}")
         _WRITERS[path.suffix](path, self)
+
+
+class Trace(Recording):
+    """Samples of channels of one drive. Raises ValueError for an unknown channel."""
+
+    def __init__(
+        self,
+        drive: Drive,
+        channels: Iterable[str],
+        *,
+        depth: int | None = None,
+        trigger: Trigger | None = None,
+        before: int = 0,
+    ):
+        names = tuple(dict.fromkeys(channels))
+        self._readers = [reader(drive, name) for name in names]
+        self._watched = reader(drive, trigger.channel) if trigger else None
+        units = {name: unit_of(drive, name) for name in names}
+        super().__init__(units, depth=depth, trigger=trigger, before=before)
+
+    def sample(self, time: float) -> None:
+        """Take one sample at `time` (s)."""
+        if not self.done:
+            watched = self._watched() if self._watched and not self.triggered else math.nan
+            self.add(time, [read() for read in self._readers], watched)
 
 
 def reader(drive: Drive, name: str) -> Callable[[], float]:
@@ -153,18 +189,18 @@ def unit_of(drive: Drive, name: str) -> str:
     return UNITS[f"od.{name}"]
 
 
-def _write_csv(path: Path, trace: Trace) -> None:
+def _write_csv(path: Path, trace: Recording) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([f"{n} ({u})" if u else n for n, u in trace.units.items()])
         writer.writerows(trace._rows)
 
 
-def _write_npz(path: Path, trace: Trace) -> None:
+def _write_npz(path: Path, trace: Recording) -> None:
     np.savez_compressed(path, **trace.arrays())  # type: ignore[arg-type]
 
 
-def _write_parquet(path: Path, trace: Trace) -> None:
+def _write_parquet(path: Path, trace: Recording) -> None:
     try:
         import pyarrow
         import pyarrow.parquet

@@ -183,6 +183,17 @@ class RemoteObjects:
         self.synchronous = any(pdo.synchronous for pdo in (*rpdos, *tpdos))
         self.nmt(NmtCommand.START)
 
+    def listen(self) -> None:
+        """Hear the valid TPDOs from now on, as the node says what they are; command nothing."""
+        self._tpdos = self.pdos("tx")
+
+    def poll(self, names: Iterable[str]) -> dict[str, int | float]:
+        """Values (drive units) of the PDOs heard since the last poll, else by SDO."""
+        values = {name: self.read(name) for name in names}
+        for pdo in self._tpdos:
+            pdo.heard = False
+        return values
+
     def default_pdos(self, direction: str) -> list[Pdo]:
         """The valid PDOs of a direction, rx or tx, as the model has them at power-on."""
         names, pdos = self._names(), []

@@ -8,11 +8,12 @@ are told. A frame on its way out is remembered, because slaves overwrite what a 
 
 import functools
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..kernel.words import Mode, decode_controlword, decode_statusword
-from ..model.model import DriveModel, load, model_names
+from ..model.model import DriveModel, Object, load, model_names
 from ..objects.abort import TEXT
 from .al import AlState, AlStatusCode
 from .coe_header import Service
@@ -66,6 +67,8 @@ class _Slave:
     values: dict[tuple[int, int], int] = field(default_factory=dict)  # as told last
     polled: dict[int, bytes] = field(default_factory=dict)
     word: int = -1  # of the EEPROM that is read
+    vendor: bytes = b""
+    written: tuple[int, int, bytes] | None = None  # by SDO, waits for the answer
     mode: int = 0
 
     def entries(self, manager: int) -> list[int]:
@@ -123,12 +126,19 @@ class EtherCatDecoder:
 
     Args:
         model: drive model of slaves whose identity does not pass; None: they stay numbers.
+        heard: is told slave, object and value (drive units) of each number that passes, in process
+            data or by SDO; a write when the slave has confirmed it.
 
     Raises:
         ValueError: unknown model.
     """
 
-    def __init__(self, model: str | Path | DriveModel | None = None):
+    def __init__(
+        self,
+        model: str | Path | DriveModel | None = None,
+        heard: Callable[[str, Object, float], None] = lambda slave, row, value: None,
+    ):
+        self._told = heard
         self._given = load(model, "ethercat") if model else None
         self._stations: dict[int, _Slave] = {}
         self._positions: dict[int, _Slave] = {}
@@ -269,9 +279,12 @@ class EtherCatDecoder:
 
     def _identity(self, slave: _Slave, data: bytes) -> list[str]:
         word, slave.word = slave.word, -1
-        if word != IDENTITY or len(data) < 4:
+        if word == IDENTITY + 2 and slave.vendor and len(data) >= 4:  # four bytes at a time
+            data = slave.vendor + data[:4]
+        elif word != IDENTITY or len(data) < 4:
             return []
         if len(data) < 8:
+            slave.vendor = data[:4]
             return [f"{slave.name}: vendor {int.from_bytes(data[:4], 'little'):08X}h"]
         vendor, product = struct.unpack_from("<II", data)
         if (vendor, product) in self._known:
@@ -313,12 +326,16 @@ class EtherCatDecoder:
             if kind == 1:
                 data = _content(body, command)
                 self._follow(slave, index, subindex, data)
+                slave.written = index, subindex, data
                 return [f"write {slave.tell(index, subindex, data)}"]
             return [f"segment {body[:1].hex()}"]
         if kind == 2:
             data = _content(body, command)
             self._follow(slave, index, subindex, data)
+            self._hear(slave, index, subindex, data)
             return [slave.tell(index, subindex, data)]
+        if kind == 3 and slave.written and slave.written[:2] == (index, subindex):
+            self._hear(slave, *slave.written)
         return [] if kind == 3 else [f"segment {len(body) - 1} bytes"]
 
     def _follow(self, slave: _Slave, index: int, subindex: int, data: bytes) -> None:
@@ -346,12 +363,17 @@ class EtherCatDecoder:
                 if not 0 <= at <= len(back.data) - fmmu.length or not fmmu.kind:
                     continue
                 data = sent.data if fmmu.kind == 2 else back.data
-                lines += self._image(slave, fmmu, data[at : at + fmmu.length])
+                lines += self._image(slave, fmmu, data[at : at + fmmu.length], bool(back.wkc))
         if not back.wkc:
             lines.append(f"process data {back.logical:08X}h: nobody (working counter 0)")
         return lines
 
-    def _image(self, slave: _Slave, fmmu: _Fmmu, data: bytes) -> list[str]:
+    def _hear(self, slave: _Slave, index: int, subindex: int, data: bytes) -> None:
+        row = slave.model.objects.get((index, subindex)) if slave.model else None
+        if row is not None and row.format and len(data) == row.size:
+            self._told(slave.name, row, struct.unpack("<" + row.format, data)[0])
+
+    def _image(self, slave: _Slave, fmmu: _Fmmu, data: bytes, valid: bool) -> list[str]:
         manager = next(
             (n for n, (start, _) in slave.managers.items() if start == fmmu.physical), None
         )
@@ -363,6 +385,8 @@ class EtherCatDecoder:
             part = data[at : at + size]
             at += size
             value = int.from_bytes(part, "little")
+            if valid:
+                self._hear(slave, index, subindex, part)
             if not index or slave.values.get((index, subindex)) == value:
                 continue
             slave.values[index, subindex] = value

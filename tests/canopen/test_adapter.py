@@ -234,18 +234,18 @@ def test_keywords_that_an_interface_takes_without_naming_them_are_known():
     from can.interfaces.kvaser import KvaserBus
     from can.interfaces.pcan import PcanBus
 
-    from servogym.training.cli.node import _keywords
+    from servogym.training.cli.bus import _keywords
 
     assert {"f_clock_mhz", "nom_brp", "state"} <= _keywords(PcanBus.__init__)
     assert {"accept_virtual", "tseg1"} <= _keywords(KvaserBus.__init__)
 
 
 def test_without_options_the_bus_needs_no_hardware_and_speaks_classical_can():
-    from servogym.training.cli.node import _open
+    from servogym.training.cli.bus import opened
 
     options = cli.parser().parse_args(["node"])
     try:
-        bus = _open(options)
+        bus = opened(options)
     except ValueError as error:
         pytest.skip(str(error))
     with bus:

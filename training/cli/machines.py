@@ -20,11 +20,12 @@ GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives":
 NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """The machine, its drive, and where it stands."""
+def add(parser: argparse.ArgumentParser, others: str = "") -> None:
+    """The machine, its drive, and where it stands; what else than a machine may be named."""
     parser.add_argument(
         "machine", nargs="?", default="rigid",
-        help=f"{', '.join(NAMES)}, or an MJCF file (rigid)",
+        help=f"{', '.join(NAMES)}, {'' if others else 'or '}an MJCF file{others and ', '}{others} "
+        "(rigid)",
     )  # fmt: skip
     parser.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     parser.add_argument("--axis", help="drive of the machine (the first); joint of an MJCF")

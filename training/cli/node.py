@@ -1,27 +1,19 @@
 """`servogym node`."""
 
 import argparse
-import inspect
-import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from ...drive.model.near import near
-
-INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
+from . import bus as buses
 
 
 def add(commands) -> None:
     """Its row in the table of commands."""
-    from can.cli import add_bus_arguments
-
     node = commands.add_parser(
         "node",
         help="serve drives as CANopen nodes on a bus, in real time",
-        epilog=f"without -i: -i {INTERFACE} -c {CHANNEL}, which needs no hardware",
+        epilog=f"without -i: -i {buses.INTERFACE} -c {buses.CHANNEL}, which needs no hardware",
     )
     node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
@@ -30,8 +22,7 @@ def add(commands) -> None:
         default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
     )
-    add_bus_arguments(node, group_title="bus, as python-can has it")
-    node.add_argument("--bus-config", help="section of the configuration file of python-can")
+    buses.add(node)
     node.add_argument("--log", help="file for all frames; .log candump, .asc, .blf ...")
     node.add_argument(
         "--parameter-file", type=Path,
@@ -39,85 +30,6 @@ def add(commands) -> None:
         "with the node-id in its name",
     )  # fmt: skip
     node.set_defaults(run=_node, files=("log", "parameter_file"))
-
-
-def _open(options: argparse.Namespace):
-    """The bus that the options say. Raises ValueError with all there is to say in a line."""
-    import can
-    from can.cli import create_bus_from_namespace
-
-    given: dict[str, Any] = {}
-    if options.bus_config:
-        given["config_context"] = options.bus_config
-    elif "interface" not in options:
-        given = {"interface": INTERFACE} | ({} if "channel" in options else {"channel": CHANNEL})
-    if "bitrate" not in options and "timing" not in options and not options.bus_config:
-        given["bitrate"] = BITRATE
-    if given.get("interface", getattr(options, "interface", "")) == "udp_multicast":
-        given["fd"] = False  # a node speaks classical CAN; its bus is FD by default
-    _check_keywords(options, given)
-    try:
-        return create_bus_from_namespace(options, **given)
-    except Exception as error:
-        reason = error.__cause__ or error  # python-can and its back-ends raise anything
-        where = _where(options)
-        kind = "" if isinstance(reason, (can.CanError, OSError)) else f"{type(reason).__name__}: "
-        said = re.sub(r"^.Errno -?[0-9]+. ", "", " ".join(str(reason).split()))
-        raise ValueError(
-            f"no bus on {where or 'the default'}: {kind}{said}; "
-            f"without hardware use -i {INTERFACE} -c {CHANNEL}"
-        ) from None
-
-
-def _where(options: argparse.Namespace) -> str:
-    """What the options say of the bus, as they were given."""
-    names = ("bus_config", "interface", "channel", "bitrate", "bus_kwargs")
-    given = {name: getattr(options, name, None) for name in names}
-    if isinstance(given["bus_kwargs"], dict):
-        given["bus_kwargs"] = " ".join(f"{k}={v}" for k, v in given["bus_kwargs"].items())
-    return " ".join(f"--{name.replace('_', '-')} {v}" for name, v in given.items() if v)
-
-
-def _keywords(constructor: Callable[..., Any]) -> set[str]:
-    """What a constructor takes by name: in its signature, its documentation, or asked of kwargs."""
-    parameters = inspect.signature(constructor).parameters.values()
-    documented = re.findall(r":param\b[^:]*?(\w+):", constructor.__doc__ or "")
-    code = getattr(constructor, "__code__", None)
-    asked = {text for text in getattr(code, "co_consts", ()) if isinstance(text, str)}
-    named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
-    return (named | {*documented} | {text for text in asked if text.isidentifier()}) - {"self"}
-
-
-def _check_keywords(options: argparse.Namespace, given: dict[str, Any]) -> None:
-    """Raises ValueError for a keyword of --bus-kwargs that the interface does not know.
-
-    Many back-ends take any (**kwargs) and drop what they do not know, so the constructors of all
-    their classes are asked.
-    """
-    from can.interface import _get_class_for_interface
-    from can.util import load_config
-
-    keywords = getattr(options, "bus_kwargs", None)
-    if not keywords:
-        return
-    interface = getattr(options, "interface", given.get("interface"))
-    try:
-        interface = load_config(
-            config={"interface": interface} if interface else None,
-            context=given.get("config_context"),
-        )["interface"]
-        classes = _get_class_for_interface(interface).__mro__
-    except Exception:  # the bus itself tells it better
-        return
-    known: set[str] = set()
-    for cls in classes:
-        if "__init__" in vars(cls) and cls is not object:
-            known |= _keywords(vars(cls)["__init__"])
-    for keyword in keywords:
-        if keyword not in known:
-            raise ValueError(
-                f"--bus-kwargs {keyword}: -i {interface} does not know it; {near(keyword, known)}"
-            )
 
 
 def _node(options: argparse.Namespace, console: Console) -> int:
@@ -136,12 +48,12 @@ def _node(options: argparse.Namespace, console: Console) -> int:
             options.drive, options.node_id or [1], options.axis, options.parameter_file
         )
     log = LogFile(options.log, tell) if options.log else None
-    bus = _open(options)
-    server = Server(bus, machines, log, reopen=lambda: _open(options), tell=tell)
+    bus = buses.opened(options)
+    server = Server(bus, machines, log, reopen=lambda: buses.opened(options), tell=tell)
     nodes = ", ".join(str(node.node_id) for node in server.nodes)
     shown = bus.channel_info  # "unknown" of interfaces that do not tell it
     if shown == can.BusABC.channel_info:
-        shown = _where(options) or f"--interface {INTERFACE} --channel {CHANNEL}"
+        shown = buses.where(options) or f"--interface {buses.INTERFACE} --channel {buses.CHANNEL}"
     tell(f"{options.drive} as node {nodes} on {shown}")
     try:
         server.run()

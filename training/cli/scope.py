@@ -2,50 +2,57 @@
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
+from . import bus as buses
 from . import machines
 
-CHANNELS = (
+CHANNELS = [
     "position_demand_value", "position_actual_value", "following_error_actual_value",
-    "axis.torque_command", "statusword",
-)  # fmt: skip
+    "torque_actual_value", "statusword",
+]  # fmt: skip
+OF_A_MACHINE = [*CHANNELS[:3], "axis.torque_command", "statusword"]
+BUS = "bus"
+MOST = 6  # panels of a log without any of them
+DEPTH, BEFORE, RATE, DURATION = 4000, 100, 50.0, 10.0
 
 
 def add(commands) -> None:
     """Its row in the table of commands."""
-    scope = commands.add_parser("scope", help="an oscilloscope on a move: channels, trigger, CSV")
-    machines.add(scope)
+    scope = commands.add_parser(
+        "scope",
+        help="an oscilloscope on a move, a running node or a log: channels, trigger, CSV, PNG",
+        epilog=f"`{BUS}` polls a running node: TPDOs as they are heard, what is in none by SDO; it "
+        "commands nothing. A log is one of `servogym decode`, or a scope.csv.",
+    )
+    machines.add(scope, f"`{BUS}` for a running node, or a log (.log, .asc, .blf, .pcapng ...)")
     scope.add_argument(
-        "--channels", default=",".join(CHANNELS),
-        help="objects by name or as 6064h and 60F9h:01, axis.FIELD of the record; with commas",
+        "--channels", help="objects by name or as 6064h and 60F9h:01, with commas; of a machine "
+        "axis.FIELD of the record as well",
     )  # fmt: skip
     scope.add_argument(
         "--trigger", help="CHANNEL:EDGE:LEVEL, EDGE of rising, falling, above, change"
     )
-    scope.add_argument("--before", type=int, default=100, help="samples ahead of it (100)")
-    scope.add_argument("--depth", type=int, default=4000, help="samples in all (4000)")
+    scope.add_argument("--before", type=int, default=BEFORE, help=f"samples ahead of it ({BEFORE})")
+    scope.add_argument("--depth", type=int, default=DEPTH, help=f"samples in all ({DEPTH})")
     scope.add_argument("--move", type=float, default=0.1, help="distance, m or rad (0.1)")
+    scope.add_argument("--node-id", type=int, help="of the node, on a bus or in a log (1)")
+    scope.add_argument("--rate", type=float, default=RATE, help=f"polls a second ({RATE:g})")
+    scope.add_argument(
+        "--duration", type=float, default=DURATION, help=f"of a bus at most, s ({DURATION:g})"
+    )
+    buses.add(scope)
     scope.add_argument(
         "--out", type=Path, default=Path("out"), help="folder: scope.csv, .png (out)"
     )
-    scope.set_defaults(run=_scope)
+    scope.set_defaults(run=_scope, drive=None)
 
 
-def _name(drive, text: str) -> str:
-    """A channel as `Trace` knows it."""
-    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9A-Fa-f]{2}))?", text.strip())
-    if not match:
-        return text.strip()
-    address = int(match[1], 16), int(match[2] or "0", 16)
-    if address not in drive.model.objects:
-        raise ValueError(f"{text}: drive {drive.model.name} has no such object")
-    return drive.model.objects[address].name
-
-
-def _trigger(drive, text: str | None):
+def _trigger(text: str | None, named: Callable[[str], str]):
     from ...drive.trace import Edge, Trigger
 
     if text is None:
@@ -53,31 +60,115 @@ def _trigger(drive, text: str | None):
     match = re.fullmatch(r"(.+):(rising|falling|above|change)(?::(-?[\d.]+(?:e-?\d+)?))?", text)
     if not match:
         raise ValueError(f"--trigger = {text!r}: use CHANNEL:EDGE:LEVEL, as 6064h:rising:300000")
-    return Trigger(_name(drive, match[1]), Edge[match[2].upper()], float(match[3] or 0))
+    return Trigger(named(match[1]), Edge[match[2].upper()], float(match[3] or 0))
+
+
+def _asked(options: argparse.Namespace) -> list[str]:
+    return [x.strip() for x in (options.channels or "").split(",") if x.strip()]
+
+
+def _window(options: argparse.Namespace, trigger: Any) -> dict[str, Any]:
+    before = min(options.before, options.depth - 1) if options.before == BEFORE else options.before
+    return {"depth": options.depth, "trigger": trigger, "before": before if trigger else 0}
 
 
 def _scope(options: argparse.Namespace, console: Console) -> int:
+    from ..pictures.traces import draw
+
+    if options.machine == BUS:
+        recording, said, during = _of_node(options)
+    elif options.machine not in machines.NAMES and Path(options.machine).suffix != ".xml":
+        recording, said, during = _of_log(options)
+    else:
+        recording, said, during = _of_machine(options), "", "during the move"
+    if not recording.triggered:
+        raise ValueError(f"--trigger = {options.trigger!r}: it did not come {during}")
+    if not len(recording):
+        raise ValueError(f"no sample {during}: none of the channels came")
+    options.out.mkdir(parents=True, exist_ok=True)
+    recording.save(options.out / "scope.csv")
+    draw(recording, options.out / "scope.png")
+    print(f"{len(recording)} samples{said}: {options.out / 'scope.csv'}, "
+          f"{options.out / 'scope.png'}")  # fmt: skip
+    return 0
+
+
+def _of_machine(options: argparse.Namespace):
     from ...drive.kernel.words import Mode
     from ...drive.master import Master
     from ...drive.trace import Trace
+    from ...drive.wire.recording import address_of, channel_of
     from ...envs.masters.port import MachinePort
-    from ..pictures.traces import draw
 
+    options.drive = options.drive or "generic"
     machine, name = machines.made(options)
     drive = machine.drives[name]
-    trigger = _trigger(drive, options.trigger)
+
+    def named(channel: str) -> str:
+        return channel_of(drive.model, channel) if address_of(channel) else channel
+
     trace = Trace(
-        drive, [_name(drive, x) for x in options.channels.split(",") if x.strip()],
-        depth=options.depth, trigger=trigger, before=options.before if trigger else 0,
+        drive, [named(channel) for channel in _asked(options) or OF_A_MACHINE],
+        **_window(options, _trigger(options.trigger, named)),
     )  # fmt: skip
     master = Master(MachinePort(machine, lambda: trace.sample(machine.time)), name)
     master.set_mode(Mode.PROFILE_POSITION)
     master.enable()
     master.move_to(options.move, relative=True)
-    if trigger and not trace.triggered:
-        raise ValueError(f"--trigger = {options.trigger!r}: it did not come during the move")
-    options.out.mkdir(parents=True, exist_ok=True)
-    trace.save(options.out / "scope.csv")
-    draw(trace, options.out / "scope.png")
-    print(f"{len(trace)} samples: {options.out / 'scope.csv'}, {options.out / 'scope.png'}")
-    return 0
+    return trace
+
+
+def _of_log(options: argparse.Namespace):
+    from ...drive.trace import Recording
+    from ...drive.wire.recording import Source, record
+
+    log = Path(options.machine)
+    if not log.is_file():
+        known = f"{', '.join(machines.NAMES)}, an MJCF file, {BUS}, or a log"
+        raise ValueError(f"machine {options.machine!r} is unknown, and no such file: {known}")
+    source = Source(log, options.drive)
+    asked = _asked(options)
+    node = options.axis or (None if options.node_id is None else str(options.node_id))
+    watched = _trigger(options.trigger, lambda channel: channel)
+    who = source.drive(node, [*asked, *([watched.channel] if watched else [])])
+    names = [source.name(who, channel) for channel in asked]
+    names = names or [name for name in CHANNELS if name in source.units[who]]
+    names = names if asked or len(names) > 1 else source.often(who, MOST)
+    trigger = _trigger(options.trigger, lambda channel: source.name(who, channel))
+    recording = Recording(
+        {name: source.units[who][name] for name in names}, **_window(options, trigger)
+    )
+    record(recording, source.groups(who))
+    return recording, f" of {who}", f"in {log}"
+
+
+def _of_node(options: argparse.Namespace):
+    from ...drive.canopen.remote import CanOpenPort
+    from ...drive.master.errors import ServoError
+    from ...drive.trace import Recording
+    from ...drive.wire.bus import CanPort
+    from ...drive.wire.recording import NodeScope, record
+
+    node_id = 1 if options.node_id is None else options.node_id
+    bus = buses.opened(options)
+    try:
+        port = CanOpenPort(CanPort(bus), node_id, options.drive or "generic")
+        asked = _asked(options)
+        scope = NodeScope(port, options.rate, asked or CHANNELS, optional=not asked)
+        shown = {**scope.units}
+        trigger = _trigger(options.trigger, scope.watch)
+        recording = Recording(shown, **_window(options, trigger))
+        ended = ""
+        try:
+            record(recording, scope.groups(options.duration))
+        except KeyboardInterrupt:
+            ended = ", interrupted"
+        except ServoError as error:
+            if not len(recording):
+                raise
+            ended = f", ended by {error}"
+    finally:
+        bus.shutdown()
+    late = f", {scope.late} polls late: ask for less" if scope.late else ""
+    said = f" of node {node_id}{late}{ended}"
+    return recording, said, f"within {options.duration:g} s"

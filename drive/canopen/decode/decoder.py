@@ -6,10 +6,10 @@ the mode of operation last seen. Not named are the two statusword bits that stan
 a drive on a bus, voltage_enabled and remote.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from ...model.model import DriveModel, load
+from ...model.model import DriveModel, Object, load
 from ..frame import Base, Frame
 from ..node import NmtCommand
 from . import lss
@@ -30,13 +30,18 @@ class Decoder:
     Args:
         model: the drive model of the nodes.
         node_ids: the nodes that are such a drive; what others send is shown as bytes.
+        heard: is told node-id, object and value (drive units) of each number that passes, in a PDO
+            or by SDO; a write when the drive has confirmed it.
 
     Raises:
         ValueError: unknown model, a node-id out of range.
     """
 
     def __init__(
-        self, model: str | Path | DriveModel = "generic", node_ids: Iterable[int] = range(1, 128)
+        self,
+        model: str | Path | DriveModel = "generic",
+        node_ids: Iterable[int] = range(1, 128),
+        heard: Callable[[int, Object, float], None] = lambda node_id, row, value: None,
     ):
         drive = Known(load(model))
         self._nodes: dict[int, Node] = {}
@@ -44,7 +49,7 @@ class Decoder:
         for node_id in dict.fromkeys(node_ids):
             if not 1 <= node_id <= 127:
                 raise ValueError(f"node_id = {node_id} is out of range 1..127")
-            self._nodes[node_id] = Node(drive, node_id, self._listen)
+            self._nodes[node_id] = Node(drive, node_id, self._listen, heard)
 
     def decode(self, frame: Frame) -> str:
         """One line about a frame; never raises, what it does not know it gives as bytes."""

@@ -53,9 +53,14 @@ class Node:
     """What the log has shown of one node."""
 
     def __init__(
-        self, drive: Known, node_id: int, changed: Callable[["Node", Iterable[int]], None]
+        self,
+        drive: Known,
+        node_id: int,
+        changed: Callable[["Node", Iterable[int]], None],
+        heard: Callable[[int, Object, float], None],
     ):
         self._drive = drive
+        self._heard = heard
         self._changed = changed  # told the identifiers that this node had before
         self.id = node_id
         self.alive = False  # has sent something
@@ -124,7 +129,10 @@ class Node:
     def learn(self, index: int, subindex: int, data: bytes) -> None:
         """The object has this value from now on."""
         row = self._drive.rows.get((index, subindex))
-        if row is None or row.format in ("", "f") or len(data) != row.size:
+        if row is None or not row.format or len(data) != row.size:
+            return
+        self._heard(self.id, row, struct.unpack("<" + row.format, data)[0])
+        if row.format == "f":
             return
         value = int.from_bytes(data, "little")
         if index in (MODE, MODE_DISPLAY):
@@ -248,4 +256,7 @@ class Node:
         row = self._drive.rows.get((index, subindex))
         if row is None or bits != 8 * row.size:
             return f"{index:04X}h:{subindex:02X}={value:0{-(-bits // 4)}X}h"
-        return f"{row.name}={self.text(index, subindex, value.to_bytes(row.size, 'little'))}"
+        data = value.to_bytes(row.size, "little")
+        if row.format:
+            self._heard(self.id, row, struct.unpack("<" + row.format, data)[0])
+        return f"{row.name}={self.text(index, subindex, data)}"
