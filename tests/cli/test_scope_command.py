@@ -2,6 +2,7 @@
 
 import csv
 import threading
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -122,9 +123,16 @@ def test_a_running_node_is_polled_and_left_alone(node, tmp_path):
     server, bus = node
     (drive,) = server.machines[0].drives.values()
     before = drive.read("controlword"), server.nodes[0].state
-    threading.Timer(0.3, drive.inject, ["overvoltage"]).start()
+
+    def fault_while_it_looks():
+        while server.statistics.received < 120:  # the channels were found, and ten polls and more
+            time.sleep(0.001)
+        drive.inject("overvoltage")
+
+    threading.Thread(target=fault_while_it_looks, daemon=True).start()
     assert main(["scope", "bus", *bus, "--rate", "100", "--trigger", "6041h:change",
-                 "--before", "5", "--depth", "20", "--out", str(tmp_path)]) == 0  # fmt: skip
+                 "--before", "5", "--depth", "20", "--duration", "60",
+                 "--out", str(tmp_path)]) == 0  # fmt: skip
     names, rows = columns(tmp_path)
     word = names.index("statusword")
     assert len(rows) == 20

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from .node import CHANNEL, INTERFACE, _open, _where
+from .bus import CHANNEL, INTERFACE, opened, where
 
 PORT = 8402  # as `envs.panel.server`
 RATE = 20.0  # as `envs.panel.bus`
@@ -105,13 +105,13 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
         if not (0 < position < 1 and 0 < velocity_unit < 1):
             raise ValueError(f"--units {options.units}: a unit is more than 0 and less than 1 m")
         units = Units(position, velocity_unit, "m")
-    adapter = Adapter(_open(options), lambda: _open(options), tell)
+    adapter = Adapter(opened(options), lambda: opened(options), tell)
     nodes = {f"node {number}": number for number in options.node_id}
-    where = _where(options) or f"{INTERFACE} {CHANNEL}"
+    place = where(options) or f"{INTERFACE} {CHANNEL}"
     try:
         return BusBench(
             AdapterPort(adapter), nodes, options.drive, rate=options.samples, units=units,
-            listen=options.listen, title=f"{', '.join(nodes)} on {where}",
+            listen=options.listen, title=f"{', '.join(nodes)} on {place}",
         ), adapter  # fmt: skip
     except ValueError:
         adapter.shutdown()
