@@ -189,10 +189,11 @@ def declared(monkeypatch):
     }
     real = metadata.entry_points
 
-    def entry_points(group, name=None):
+    def entry_points(group="", name=None, **chosen):
         own = rows.get(group)
-        if own is None:
-            return real(group=group)
+        if own is None:  # of others: what is imported first now may ask for all, or for a name
+            asked = {"group": group, "name": name}
+            return real(**chosen, **{key: value for key, value in asked.items() if value})
         return [
             metadata.EntryPoint(each, f"{HERE}:{value}", group)
             for each, value in own.items()
