@@ -7,13 +7,17 @@ OUT ?= out
 NOT_THE_DRIVE := cli docs engine evaluate learn pictures plants masters tasks view policies \
 	canopen/test_interop.py canopen/test_bus.py
 
-.PHONY: demo test docs lint types stub format bench coverage slow clean
+.PHONY: demo test tests docs lint types stub format bench coverage slow clean
 
 demo: $(VENV)/run
 	$(BIN)/servogym demo --out $(OUT)
 
-test: lint
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest -n auto --dist loadfile
+test: $(VENV)/test # lint beside the tests: mypy knows one core only
+	$(MAKE) --no-print-directory -j2 lint tests
+
+tests: $(VENV)/test # with byte code kept: each worker and each command would compile it again
+	env -u PYTHONDONTWRITEBYTECODE MUJOCO_GL=$${MUJOCO_GL:-egl} \
+		$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/test
 	$(BIN)/ruff check .
@@ -21,9 +25,10 @@ lint: $(VENV)/test
 	$(MAKE) --no-print-directory types
 	$(BIN)/lint-imports
 
-types: $(VENV)/test # the package as it is installed
-	rm -rf $(VENV)/typed build
-	$(BIN)/python -m pip install --quiet --no-deps --target $(VENV)/typed .
+types: $(VENV)/test # under the names of the installed package, which mypy remembers by file
+	rm -rf $(VENV)/typed
+	mkdir -p $(VENV)/typed/servogym
+	ln -s $(addprefix ../../../,drive envs assets training) $(VENV)/typed/servogym
 	MYPYPATH=$(VENV)/typed $(BIN)/mypy
 
 stub: $(VENV)/test # the record as types, after a change of its fields

@@ -23,4 +23,5 @@ exclude_patterns = ["_build"]
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_typehints = "description"
+autodoc_use_type_comments = False  # there are none, and looking for them takes a while
 suppress_warnings = ["myst.xref_missing"]  # links to files of the repository beside the pages
