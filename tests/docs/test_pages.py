@@ -40,7 +40,7 @@ def blocks(language):
 COMMANDS = [
     pytest.param(command, id=command)
     for command in dict.fromkeys(
-        line.partition("#")[0].strip()
+        line.partition("#")[0].strip().removesuffix(" &")
         for block in blocks("sh")
         for line in block.values[0].splitlines()
     )
