@@ -415,10 +415,14 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         return self._steps * self.step_time
 
     def faults(self, words: list[int]) -> str:
-        """Code and meaning of the first fault of a drive, empty without one."""
-        for drive, word in zip(self.drives, words, strict=True):
-            if word & FAULT:
-                return drive.fault
+        """Code and meaning of the first fault of a drive, of several with its name; else empty.
+
+        A bus may lose the frame with the statusword: then the drive itself is asked.
+        """
+        for n, (drive, word) in enumerate(zip(self.drives, words, strict=True)):
+            if word & FAULT or (self.line is not None and drive.axis.fault):
+                several = f" ({[*(self.DRIVES or self.machine.drives)][n]})"
+                return drive.fault + several * (len(self.drives) > 1)
         return ""
 
     def __init_subclass__(cls, **arguments: Any):

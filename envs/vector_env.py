@@ -223,10 +223,12 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             infos["frames_lost"] = np.array([env.line.lost for env in self.envs if env.line])
         infos |= {f"_{name}": self._all.copy() for name in infos}
         faulty = (batch.words & FAULT != 0).any(axis=1)
-        if faulty.any():
+        if faulty.any() or batch.lines:
             words = batch.words.tolist()
             faults = [env.faults(word) for env, word in zip(self.envs, words, strict=True)]
-            infos |= {"fault": np.array(faults, object), "_fault": faulty}
+            faulty = np.array([fault != "" for fault in faults])
+            if faulty.any():
+                infos |= {"fault": np.array(faults, object), "_fault": faulty}
         return infos
 
     def render(self) -> tuple[Any, ...] | None:

@@ -34,6 +34,7 @@ except ImportError:  # Windows: two processes may compile the same, and the late
 
 LARGEST_CACHE = 256 * 2**20  # bytes; what was used longest ago goes first
 SECONDS_A_FUNCTION = 0.08  # of compiling, to tell how long it will take
+LONG = 2.0  # s; what takes longer tells its end as well
 DISABLED = bool(config.DISABLE_JIT)  # type: ignore[attr-defined]
 
 _OPTIONS: Any = {"error_model": "numpy", "nogil": True}
@@ -68,11 +69,16 @@ def _temporary_directory() -> Path:
     return folder
 
 
+def _watched() -> bool:
+    """Whether a person sees what is said: at a terminal, or in a notebook."""
+    return sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel.")
+
+
 def _say(text: str, *, always: bool = False) -> None:
-    """A line for the person at the terminal; none with ``SERVOGYM_QUIET=1``."""
+    """A line for the person who waits; none with ``SERVOGYM_QUIET=1``."""
     if sys.stderr is None or os.environ.get("SERVOGYM_QUIET"):
         return
-    if always or sys.stderr.isatty():
+    if always or _watched():
         print(f"servogym: {text}", file=sys.stderr, flush=True)
 
 
@@ -207,12 +213,15 @@ class Entry(CPUDispatcher):
             if cache.holds(sig, context):
                 return super().compile(sig)
             with _only_one(cache.cache_path):
-                if not cache.holds(sig, context):
-                    about = max(round(SECONDS_A_FUNCTION * cache.functions), 1)
-                    name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
-                    _say(f"compiling {name} (once, about {about} s)")
+                about, new = SECONDS_A_FUNCTION * cache.functions, not cache.holds(sig, context)
+                name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+                if new:
+                    _say(f"compiling {name} (once, about {max(round(about), 1)} s)")
                 with linking_once(context.codegen()):
-                    return super().compile(sig)
+                    code = super().compile(sig)
+                if new and about > LONG:
+                    _say(f"compiled {name}; the next start is at once")
+                return code
 
 
 def _plain(kind: types.Type) -> types.Type:

@@ -15,6 +15,7 @@ from .bus import to_frame, to_message
 from .log import LogFile
 
 SDO_REQUESTS = range(0x601, 0x680)
+INITIATE = (1, 2)  # command specifiers of a download and an upload that begins
 WAIT = 0.0005  # s for a frame; what has a period of 1 ms is then in time
 ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
 
@@ -27,6 +28,7 @@ class Statistics:
     sent: int = 0
     cycles: int = 0
     missed: int = 0  # times the machine fell behind by more than `Server.TOLERANCE`
+    last_sdo: Frame | None = None  # the latest request that named an object
 
 
 class Server:
@@ -74,10 +76,14 @@ class Server:
         """Let `run` return; may be called from another thread."""
         self._stopped = True
 
-    def run(self) -> None:
-        """Serve until `stop`."""
+    def run(self, look: Callable[[], None] = lambda: None, every: float = 0.25) -> None:
+        """Serve until `stop`; `look` is called now and then, about `every` (s)."""
+        due = time.monotonic()
         while not self._stopped:
             self.serve(self.adapter.receive(WAIT))
+            if time.monotonic() >= due:
+                look()
+                due = time.monotonic() + every
 
     def serve(self, message: can.Message | None) -> None:
         """Handle a received message, let the due cycles pass, send what there is to send."""
@@ -88,6 +94,8 @@ class Server:
             frame = None
         if frame and SDO_REQUESTS.start <= frame.id < SDO_REQUESTS.stop:
             self._pass_a_cycle()
+            if frame.data and frame.data[0] >> 5 in INITIATE:
+                self.statistics.last_sdo = frame
         if message and frame:
             self.statistics.received += 1
             if self.log is not None:

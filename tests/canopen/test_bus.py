@@ -19,6 +19,7 @@ from servogym.drive.master import Master
 from servogym.drive.wire.bus import CanPort, to_frame, to_message
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
+from servogym.training.cli.node import Line
 
 GROUP = "239.74.163.78"
 PORT = 40_000 + os.getpid() % 20_000  # one port, one bus, whatever the group; pytest -n has several
@@ -84,6 +85,27 @@ def test_nodes_of_one_server_hear_each_other():
     while server.statistics.cycles < 20:
         serve(server)
     assert second.read("controlword") == first.read("statusword") != 0
+
+
+def test_the_live_line_has_state_frames_a_second_and_the_last_sdo_request():
+    server = Server(Echoing(), [axis_for("generic", 1)])
+    line = Line(server)
+    serve(server)
+    assert "0 frames/s" in line.text(10.0).plain
+    serve(server, "601#2B40600006000000")
+    serve(server, "601#0000000000000000")  # a part of a transfer names no object
+    while server.statistics.cycles < 20:
+        serve(server)
+    frames = server.statistics.received + server.statistics.sent - 1
+    told = line.text(12.0).plain
+    assert told.startswith("1 READY_TO_SWITCH_ON")
+    assert f"{frames / 2:.0f} frames/s" in told
+    assert told.endswith("write controlword (6040h:00) = 0006h SHUTDOWN")
+    server.nodes[0].drive.inject("overvoltage")
+    serve(server)
+    while server.statistics.cycles < 40:
+        serve(server)
+    assert line.text(13.0).plain.startswith("1 FAULT 3210h DC link over-voltage")
 
 
 def test_error_and_fd_frames_are_no_frames():

@@ -287,6 +287,20 @@ def test_who_waits_at_a_terminal_is_told_once(load, cache, monkeypatch):
     assert sys.stderr.getvalue().count("\n") == 1
 
 
+def test_a_notebook_is_told_before_and_after_a_long_compile(load, cache, monkeypatch):
+    """Its stderr is no terminal; ipykernel's `OutStream` is known by its module."""
+    stream = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})
+    monkeypatch.delenv("SERVOGYM_QUIET", raising=False)
+    monkeypatch.setattr(jit, "LONG", 0.0)
+    monkeypatch.setattr(sys, "stderr", stream())
+    load()(1.0)
+    load()(1.0)
+    assert sys.stderr.getvalue() == (
+        "servogym: compiling plant.main.run (once, about 1 s)\n"
+        "servogym: compiled plant.main.run; the next start is at once\n"
+    )
+
+
 @pytest.mark.parametrize(("stream", "quiet"), [(Terminal, "1"), (io.StringIO, "")])
 def test_nobody_is_told_who_does_not_look(load, cache, monkeypatch, stream, quiet):
     monkeypatch.setenv("SERVOGYM_QUIET", quiet)

@@ -129,6 +129,8 @@ def test_a_fault_of_any_drive_terminates_with_its_code(task):
             *_, terminated, _, info = env.step(np.zeros(env.action_space.shape))
         assert terminated
         assert info["fault"].startswith("7305h")
+        if len(env.drives) > 1:
+            assert info["fault"].endswith(f"({[*(env.DRIVES or env.machine.drives)][number]})")
 
 
 @task

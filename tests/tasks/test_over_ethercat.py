@@ -14,6 +14,7 @@ import pytest
 from servogym.drive.ethercat.faulty import KINDS, Fault
 from servogym.drive.model.model import load
 from servogym.envs.registry import task
+from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training.cli import main
 
 ENVS = ["LinearAxis-v0", "LinearAxisTracking-v0", "GantrySway-v0"]
@@ -97,6 +98,24 @@ def test_a_slave_that_retreats_stops_the_axis_and_the_next_episode_is_whole():
     _, info = episode(env, 4)
     assert info["state"] == "FAULT_REACTION_ACTIVE"  # 6007h: the connection is lost
     assert episode(env, 5, 15)[0] == episode(make(), 5, 15)[0]
+
+
+def test_a_fault_is_told_in_its_step_though_its_frame_is_lost():
+    env = make(faults=["drop at=cycle:20 count=0"])
+    env.reset(seed=4)
+    for step in range(30):
+        if step == 15:
+            env.unwrapped.drive.inject("encoder_loss")
+        *_, info = env.step(np.zeros(1))
+        assert (info["fault"] != "") == (step >= 15)
+    lost = {"faults": ["drop at=cycle:20 count=0"], "drive": load("kollmorgen_akd", "ethercat")}
+    vector = ServoVectorEnv(task("LinearAxis-v0"), 2, **lost)
+    vector.reset(seed=4)
+    for _ in range(14):
+        assert "fault" not in vector.step(np.zeros((2, 1)))[-1]
+    vector.envs[1].drive.inject("encoder_loss")
+    infos = vector.step(np.zeros((2, 1)))[-1]
+    assert [fault[:5] for fault in infos["fault"]] == ["", "7305h"]
 
 
 def test_a_master_that_is_silent_for_100_ms_meets_the_watchdog():

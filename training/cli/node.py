@@ -1,11 +1,17 @@
 """`servogym node`."""
 
 import argparse
+import time
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
+from rich.live import Live
+from rich.text import Text
 
 from . import bus as buses
+
+STYLE = {"OPERATION_ENABLED": "green", "FAULT": "red", "FAULT_REACTION_ACTIVE": "red"}
 
 
 def add(commands) -> None:
@@ -32,6 +38,42 @@ def add(commands) -> None:
     node.set_defaults(run=_node, files=("log", "parameter_file"))
 
 
+class Line:
+    """What a server does now, in a line: states, frames a second, the last SDO request."""
+
+    def __init__(self, server: Any):
+        from ...drive.canopen.decode import Decoder
+
+        self._server = server
+        self._decoders = {n.node_id: Decoder(n.drive.model, [n.node_id]) for n in server.nodes}
+        self._then, self._count = 0.0, 0
+
+    def text(self, now: float) -> Text:
+        """The line at the time `now` (s)."""
+        from ...drive.canopen.frame import Base
+        from ...drive.kernel.words import MODE_ABBREVIATION
+
+        s = self._server.statistics
+        line = Text(no_wrap=True, overflow="ellipsis")
+        for node in self._server.nodes:
+            drive = node.drive
+            style = STYLE.get(drive.state.name, "")
+            line.append(f"{node.node_id} {drive.state.name}", style)
+            mode = MODE_ABBREVIATION[drive.axis.mode]
+            line.append(f" {drive.fault or mode}  " if drive.fault or mode else "  ")
+        frames = s.received + s.sent
+        rate = (frames - self._count) / max(now - self._then, 1e-9) if self._then else 0.0
+        self._then, self._count = now, frames
+        line.append(f"{rate:.0f} frames/s")
+        if s.missed:
+            line.append(f", {s.missed} deadlines missed", "yellow")
+        if s.last_sdo is not None:
+            node_id = s.last_sdo.id - Base.SDO_REQUEST
+            if node_id in self._decoders:
+                line.append(f"  {self._decoders[node_id].decode(s.last_sdo)}")
+        return line
+
+
 def _node(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
     import can
@@ -56,7 +98,12 @@ def _node(options: argparse.Namespace, console: Console) -> int:
         shown = buses.where(options) or f"--interface {buses.INTERFACE} --channel {buses.CHANNEL}"
     tell(f"{options.drive} as node {nodes} on {shown}")
     try:
-        server.run()
+        if console.is_terminal:
+            with Live(console=console, auto_refresh=False, transient=True) as live:
+                line = Line(server)
+                server.run(lambda: live.update(line.text(time.monotonic()), refresh=True))
+        else:
+            server.run()
     except KeyboardInterrupt:
         pass
     finally:
