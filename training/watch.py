@@ -9,7 +9,7 @@ import gymnasium
 from rich.console import Console
 
 from .pictures.video import Recording
-from .policies import BuiltIn, Policy, make, needed
+from .policies import Bound, BuiltIn, Policy, make, needed
 from .report import progress
 
 FPS = 25  # images a second aimed at, each after a whole number of steps
@@ -54,9 +54,9 @@ def run(
         told = str(error).partition(" was raised from")[0]  # Gymnasium's, around every error
         raise ValueError(f"--argument: {told}") from None
     policy = make(policy_name, env.unwrapped, seed)
-    if isinstance(policy, BuiltIn):
+    if isinstance(policy, BuiltIn | Bound):
         raise ValueError(
-            f"policy {policy_name!r} runs in the drive, where there is nothing to watch step by "
+            f"policy {policy_name!r} gives no actions, there is nothing to watch step by "
             "step: use `servogym eval` or `servogym homing`"
         )
     if record is None:

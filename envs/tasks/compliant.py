@@ -194,9 +194,8 @@ class CompliantAxisEnv(ServoEnv):
     judge = staticmethod(judge)
 
     POLICIES = (
-        "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ff", "lqr",
-        "adaptive_lqr", "oracle",
-        "proportional",
+        "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch",
+        "ruckig+ff", "lqr", "adaptive_lqr", "mpc", "proportional", "oracle", "bound",
     )  # fmt: skip
     REFERENCE = "ruckig"
     METRIC = "settling_time"

@@ -235,7 +235,7 @@ steps × `feed` × step time |
     judge = staticmethod(judge)
     datasheet: GantryParameters
 
-    POLICIES = ("full_feed",)
+    POLICIES = ("constant_feed", "full_feed", "oracle")
     REFERENCE = "full_feed"
     SLOWEST = SLOWEST
     STROKE = tuple(AXES[name][0] for name in DRIVES)

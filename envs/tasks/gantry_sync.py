@@ -201,7 +201,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     datasheet: GantryParameters
 
     STROKE = (STROKE, STROKE)
-    POLICIES = ("squaring", "oracle")
+    POLICIES = ("squaring_slow", "squaring", "oracle", "bound")
     REFERENCE = "squaring"
     METRIC = "settling_time"
     METRICS = {  # noqa: RUF012

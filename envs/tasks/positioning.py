@@ -179,7 +179,7 @@ class LinearAxisEnv(ServoEnv):
 
     POLICIES = (
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "proportional", "pd",
-        "oracle",
+        "oracle", "bound",
     )  # fmt: skip
     REFERENCE = "ruckig"
     METRIC = "settling_time"

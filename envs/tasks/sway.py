@@ -226,15 +226,9 @@ class GantrySwayEnv(ServoEnv):
     act = staticmethod(act)
 
     POLICIES = (
-        "trapezoid",
-        "jerk_limited",
-        "ruckig",
-        "ruckig+zv",
-        "ruckig+zvd",
-        "lqr",
-        "adaptive_lqr",
-        "oracle",
-    )
+        "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch", "lqr",
+        "adaptive_lqr", "mpc", "oracle", "bound",
+    )  # fmt: skip
     REFERENCE = "ruckig+zvd"  # plain ruckig leaves the load swinging, as holding still does
     METRIC = "settling_time"
     CHANNELS = (

@@ -203,7 +203,10 @@ class LinearAxisTrackingEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
-    POLICIES = ("feed_forward", "adaptive_feed_forward", "oracle")
+    POLICIES = (
+        "feed_forward", "disturbance_observer", "adaptive_feed_forward", "iterative_learning",
+        "oracle",
+    )  # fmt: skip
     REFERENCE = "feed_forward"
     METRIC = "load_error"
     METRICS = {  # noqa: RUF012

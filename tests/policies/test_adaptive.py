@@ -8,8 +8,8 @@ import pytest
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.contour import GantryContourEnv
 from servogym.envs.tasks.gantry_sync import GantrySyncEnv
-from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
 from servogym.training.policies import make
 from servogym.training.policies.datasheet import datasheet
@@ -111,4 +111,4 @@ def test_the_oracle_of_a_heavy_load_is_slower_than_that_of_a_light_one():
 
 def test_a_task_without_a_law_that_could_be_told_anything_says_so():
     with pytest.raises(ValueError, match="oracle"):
-        make("oracle", HomingEnv())
+        make("oracle", RotaryAxisEnv())

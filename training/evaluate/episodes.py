@@ -20,7 +20,7 @@ from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
 from ..pictures.episode import Recorder, Recording
-from ..policies import BuiltIn, label, make, trainings
+from ..policies import Bound, BuiltIn, label, make, trainings
 from ..policies.residual import PUBLIC
 from .metrics import METRICS, metrics
 
@@ -145,6 +145,8 @@ class Evaluator:
         observations, infos = self._reset()
         if isinstance(first, BuiltIn):
             return self._built_in(policy, first)
+        if isinstance(first, Bound):
+            return self._bound(policy, observations)
         made: list[Any] = [first]
         made += [
             make(policy, self.vector.envs[i], self.seeds[i]) for i in range(1, len(self.seeds))
@@ -254,6 +256,14 @@ class Evaluator:
         trace = recorder.trace(policy, math.nan) if recorder else None
         faults = [""] * len(self.seeds)
         return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
+
+    def _bound(self, policy: str, observations: np.ndarray) -> Evaluation:
+        """The least times to settle of the same episodes; nothing is played."""
+        values = self._empty()
+        for i, env in enumerate(self.vector.envs):
+            values["settling_time"][i] = Bound(env).seconds(observations[i])
+        faults = [""] * len(self.seeds)
+        return Evaluation(policy, self.seeds, values, faults, None, metrics=self.metrics)
 
     def _empty(self) -> dict[str, np.ndarray]:
         return {name: np.full(len(self.seeds), math.nan) for name in self.metrics}

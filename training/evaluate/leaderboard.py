@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 
 from ...envs.registry import task
-from ..policies import POLICIES, make, needed
+from ..policies import POLICIES, Bound, make, needed
 from ..report import PACKAGES, markdown, number, origin, write_text
 from ..scale.work import ALONE, Work
 from .matrix import Matrix
@@ -109,7 +109,8 @@ def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
         own = played(policy, env)
         try:
             nominal = task(env)(drive=part.drive, **needed(own))
-            make(own, nominal)
+            if isinstance(make(own, nominal), Bound):
+                raise ValueError(f"policy {own!r} is a limit and plays nothing")
             nominal.close()
         except (ValueError, TypeError) as error:  # an argument the task does not have
             reasons[env] = str(error)

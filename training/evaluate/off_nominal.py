@@ -47,7 +47,7 @@ def run(
         found = [result and summaries([result]) for result in results]
         table[name] = [each[metric][0] if each and metric in each else None for each in found]
         successes[name] = [
-            s.mean if each and (s := each["success"][0]) else np.nan for each in found
+            s[0].mean if each and (s := each.get("success")) else np.nan for each in found
         ]
         against = against or best({metric: table[name]}, labels, metric, row_of[metric].better)
         base = results[labels.index(against)]
@@ -133,7 +133,7 @@ def _cell(summary: Summary | None, found: Difference | None, success: float, bet
         return GAP
     text = f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]"
     text = f"**{text}**" if found is not None and ahead(found, better) else text
-    return f"{text}, {100 * success:.0f} %"
+    return f"{text}, {100 * success:.0f} %" if np.isfinite(success) else text
 
 
 def _panels(

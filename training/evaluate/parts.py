@@ -105,7 +105,7 @@ class Episodes:
 
     def _training(self, parts: Sequence[Result]) -> Evaluation:
         names = [name for name in parts[0] if name.startswith("values/")]
-        (seen,) = (part for part in parts if "time" in part)
+        seen = next((part for part in parts if "time" in part), None)
         return Evaluation(
             label(self._policy),
             self._seeds,
@@ -114,7 +114,7 @@ class Episodes:
                 for name in names
             },
             [fault for part in parts for fault in part["faults"]],
-            Recording(
+            seen and Recording(
                 label(self._policy), self._channels, self._words, seen["time"], seen["samples"],
                 seen["done"], seen["ended"],
             ),

@@ -1,8 +1,9 @@
 """Policies through one door: `make` gives an object with `reset` and `act`, by its name.
 
 A policy is made for one environment from what may be known of it (`datasheet.Datasheet`), sees
-observations and gives actions. It never touches the physics nor what was drawn at random. `BuiltIn`
-alone is no such object: it stands for a homing method of the drive, which runs instead of an agent.
+observations and gives actions. It never touches the physics nor what was drawn at random. Two are
+no such objects: `BuiltIn` stands for a homing method of the drive, which runs instead of an agent,
+and `Bound` for the least time anything could take.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,25 +21,29 @@ from ...envs.faces import PDO, SETPOINT
 from ...envs.servo_env import ServoEnv
 from .adaptive import AdaptiveLqr
 from .adaptive_feed_forward import AdaptiveFeedForward
+from .bound import Bound
 from .datasheet import datasheet
+from .disturbance_observer import DisturbanceObserver
 from .feed_forward import FeedForward, RuckigFeedForward
 from .file import SUFFIX, from_file, policy_of
-from .gantry import FullFeed, Squaring
+from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring
 from .homing import BuiltIn, search_policy
 from .idle import Chance, Hold
 from .learned import Learned
 from .lqr import Lqr
 from .oracle import oracle
-from .pd import ProportionalDifferential
-from .plc import plc_policy
+from .pd import Proportional, ProportionalDifferential
+from .plc import plc_policy, timed_policy
+from .predictive import Predictive
 from .profiles import (
     Trapezoid,
     jerk_limited_policy,
+    ruckig_notch_policy,
     ruckig_policy,
     ruckig_zv_policy,
     ruckig_zvd_policy,
 )
-from .proportional import Proportional
+from .repeated import repeated
 
 
 class Policy(Protocol):
@@ -58,7 +63,8 @@ class Baseline(NamedTuple):
     what: str
     arguments: Mapping[str, Any] = MappingProxyType({})  # that its environment has to have
     face: str = SETPOINT  # of the actions it gives
-    told: bool = False  # makes of the environment itself, of which it knows what was drawn
+    # makes of the environment itself: knows what was drawn, or rehearses it; no rival of others
+    told: bool = False
 
 
 POLICIES: dict[str, Baseline] = {
@@ -69,14 +75,22 @@ POLICIES: dict[str, Baseline] = {
     "ruckig": Baseline(ruckig_policy, "time-optimal at the drive's limits"),
     "ruckig+zv": Baseline(ruckig_zv_policy, "the same, shaped for the nominal resonance"),
     "ruckig+zvd": Baseline(ruckig_zvd_policy, "shaped twice, less particular about it"),
+    "ruckig+notch": Baseline(ruckig_notch_policy, "through a notch filter at that resonance"),
     "ruckig+ff": Baseline(RuckigFeedForward, "ruckig with inertia and friction feed-forward"),
     "lqr": Baseline(Lqr, "state feedback from the sensor of the load"),
     "adaptive_lqr": Baseline(AdaptiveLqr, "the same, with the resonance identified as it moves"),
+    "mpc": Baseline(Predictive, "model predictive control with the limits, by OSQP"),
     "proportional": Baseline(Proportional, "velocity from the distance"),
     "pd": Baseline(ProportionalDifferential, "torque from distance and velocity", {"mode": "cst"}),
     "feed_forward": Baseline(FeedForward, "inertia and friction of the datasheet"),
     "adaptive_feed_forward": Baseline(
         AdaptiveFeedForward, "the same with mass and friction identified, and an outer loop"
+    ),
+    "disturbance_observer": Baseline(
+        DisturbanceObserver, "what the nominal model does not explain fed forward, an outer loop"
+    ),
+    "iterative_learning": Baseline(
+        repeated, "corrections learned in rehearsals of the same motion", told=True
     ),
     "search": Baseline(search_policy, "fast, back off, slow"),
     "built_in": Baseline(
@@ -88,9 +102,15 @@ POLICIES: dict[str, Baseline] = {
         "the quickest method to it, at the task's limits; built_in_fast:N another one",
     ),
     "squaring": Baseline(Squaring, "over the home switches slowly, square on the way to the goal"),
+    "squaring_slow": Baseline(SlowSquaring, "the same as gently as it is commissioned"),
+    "constant_feed": Baseline(ConstantFeed, "the path at full feed, no correction"),
     "full_feed": Baseline(FullFeed, "the path ahead of the drives' lag, slower at corners"),
     "oracle": Baseline(oracle, "the best law, told what was drawn: an upper limit", told=True),
+    "bound": Baseline(
+        Bound, "least time with all parameters known: a limit, nothing that could act", told=True
+    ),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
+    "plc_timed": Baseline(timed_policy, "the same by the clock, without looking", face=PDO),
 }
 ANYWHERE = ("hold", "random")  # want nothing of a task
 BUILT_IN = ("built_in", "built_in_fast")  # of which a method can be asked for
@@ -147,8 +167,8 @@ def label(policy: Any) -> str:
     return policy if isinstance(policy, str) else getattr(policy, "__name__", repr(policy))
 
 
-def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
-    """A policy for `env`.
+def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
+    """A policy for `env`; of those without ``act`` none acts at the steps of the environment.
 
     Args:
         name: of `POLICIES`, "learned", ``built_in:N`` with a homing method, a folder of
@@ -186,7 +206,8 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn:
         raise ValueError(
             f"policy {name!r} is for {others}: for {task} choose of {', '.join(names(env))}"
         )
-    if not anywhere and env.face == PDO != row.face:
+    controls = row.face == PDO or "plc" in env.POLICIES  # there all of them do
+    if not anywhere and env.face == PDO and not controls:
         raise ValueError(f'policy {name!r} moves set-points: make {task} with action="setpoint"')
     if not anywhere:
         for argument, value in ({"mode": MODE} | needed(name)).items():

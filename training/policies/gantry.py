@@ -24,6 +24,8 @@ CORNER = 0.7  # cosine: a turn of more than 45 degrees within the preview
 class Squaring:
     """Both sides of the bridge of `GantrySync-v0`; x1 is right, x2 is wrong by the skew."""
 
+    OVER, SHARE = OVER, 0.4  # over the switches (m/s), of the acceleration commissioned
+
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._known, self._axis = datasheet, datasheet.axis
         self._dt = datasheet.step_time
@@ -52,7 +54,7 @@ class Squaring:
         velocity = min(velocity, way / dt)
         if apart is None:
             way = max(HOME - ZONE - self._place, 0.0)
-            velocity = min(velocity, math.sqrt(OVER**2 + 2.0 * rate * way))
+            velocity = min(velocity, math.sqrt(self.OVER**2 + 2.0 * rate * way))
         self._velocity = velocity
         self._place += velocity * dt
         most = UNTWIST * dt
@@ -63,7 +65,27 @@ class Squaring:
 
     @property
     def _rate(self) -> float:
-        return 0.4 * self._axis.profile.acceleration
+        return self.SHARE * self._axis.profile.acceleration
+
+
+class SlowSquaring(Squaring):
+    """As a gantry is commissioned: a quarter of the speed over the switches and on the ramps."""
+
+    OVER, SHARE = 0.25 * OVER, 0.1
+
+
+class ConstantFeed:
+    """The path at full feed as it is: what the drives' lag makes of it stays."""
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        self._action = datasheet.action(override=1.0)
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Nothing is remembered."""
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """The same action always."""
+        return self._action
 
 
 class FullFeed:
@@ -82,6 +104,7 @@ class FullFeed:
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest on the path, whose first point is the origin here."""
         self._ways, self._places = [0.0], [np.zeros(2)]  # of the path, as seen (m)
+        self.lead = np.zeros(2)  # of the path over where the axes shall be (m)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Corrections and feed override."""
@@ -103,9 +126,11 @@ class FullFeed:
         self._places.append(at(np.array(self._ways[-1])))
         late = len(self._ways) - 1 - self._lag / self._dt
         if late <= 0.0:
+            self.lead = self._places[-1]
             return self._known.action(override=self._override(override))
         times = np.clip(late + np.array([-0.5, 0.0, 0.5]), 0.0, None)
         before, then, after = at(np.interp(times, np.arange(len(self._ways)), self._ways))
+        self.lead = self._places[-1] - then
         target = then + self._lag * (after - before) / (times[2] - times[0]) / self._dt
         share = np.clip((target - self._places[-1]) / self._range, -1.0, 1.0)
         return self._known.action(correction=share, override=self._override(override))

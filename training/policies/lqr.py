@@ -37,8 +37,10 @@ def model(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray]:
     return a, np.array([[dt], [1.0], [0.0], [0.0], [1.0]])
 
 
-def gain(vibration: Vibration, dt: float) -> np.ndarray:
-    """Of the state, shape ``(5,)``: change of velocity per state.
+def weights(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the state and of the input in a step, and the cost of a state from then on.
+
+    Shapes ``(5, 5)``, ``(1, 1)``, ``(5, 5)``.
 
     Raises:
         ImportError: scipy is missing; the message has the command.
@@ -53,7 +55,13 @@ def gain(vibration: Vibration, dt: float) -> np.ndarray:
     speed = np.array([[0.0, 1.0, 0.0, 1.0, 0.0]]) / frequency
     q = load.T @ load + VELOCITY * speed.T @ speed
     r = np.array([[EFFORT / (frequency**2 * dt) ** 2]])
-    p = solve_discrete_are(a, b, q, r)
+    return q, r, solve_discrete_are(a, b, q, r)
+
+
+def gain(vibration: Vibration, dt: float) -> np.ndarray:
+    """Of the state, shape ``(5,)``: change of velocity per state. Raises as `weights` does."""
+    a, b = model(vibration, dt)
+    _, r, p = weights(vibration, dt)
     return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)[0]
 
 

@@ -1,5 +1,6 @@
 """Upper limits: the best law of a task, told what was drawn at random. No controller knows that.
 
+On `GantryContour-v0`, where nothing is drawn, it is the best law after rehearsals of the motion.
 What lies between an oracle and the best baseline is what identifying, adapting or learning can
 gain with the same law; a law of another kind may still be better.
 """
@@ -14,7 +15,12 @@ from .adaptive_feed_forward import AdaptiveFeedForward
 from .datasheet import Datasheet, datasheet
 from .gantry import Squaring
 from .lqr import Lqr
-from .profiles import ruckig_policy
+from .plc import chain
+from .profiles import of_the_drive, ruckig_policy, time_optimal
+from .repeated import repeated
+from .script import Script
+
+SPARE = 0.95  # of the top speed of a homing, the rest holds the path
 
 
 class Told:
@@ -67,11 +73,58 @@ class KnownSkew(Squaring):
         return self._square
 
 
+class KnownHome:
+    """Homing with the true home told: there as fast as the task allows, and declared."""
+
+    STIFF = 80.0  # 1/s, of the position loop
+    NEAR, SLOW = 0.3, 3e-3  # of the tolerance and m/s, within which it declares
+
+    def __init__(self, env: ServoEnv, seed: int):
+        self._env, self._known = env, datasheet(env)
+        axis = self._known.axis
+        top = self._known.constant("max_velocity")
+        bounds = of_the_drive(axis)
+        self._top, self._stroke = top, axis.stroke
+        self._bounds = bounds._replace(velocity=SPARE * top)
+        self._times = np.arange(self._known.steps + 1) * self._known.step_time
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Plan."""
+        episode = self._env.episode
+        self._way = float(episode._home - episode.start)
+        self._path = time_optimal(self._way, self._bounds)(self._times)
+        self._step = 0
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Velocity along the path; at its end home is here."""
+        seen, known = self._known.seen(observation), self._known
+        place = float(seen.displacement) * self._stroke
+        near = abs(self._way - place) <= self.NEAR * known.tolerance
+        standing = abs(float(seen.velocity)) * self._top <= self.SLOW
+        now = min(self._step, len(self._path) - 2)
+        self._step += 1
+        slope = (self._path[now + 1] - self._path[now]) / known.step_time
+        velocity = (slope + self.STIFF * (self._path[now] - place)) / self._top
+        there = near and standing and self._path[now] == self._path[-1]
+        return known.action(
+            velocity=0.0 if there else min(max(velocity, -1.0), 1.0),
+            torque_limit=1.0, reference=1.0 if there else -1.0,
+        )  # fmt: skip
+
+
+def known_outage(env: ServoEnv, seed: int) -> Script:
+    """The step chain, told when the cause of the fault goes: it resets in that very step."""
+    return Script(lambda: chain(datasheet(env), gone=int(env.episode.outage) - 1))
+
+
 ORACLES: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is told
     "adaptive_feed_forward": KnownMass,
     "squaring": KnownSkew,
     "lqr": lambda env, seed: Told(Lqr, env, seed),
     "ruckig": lambda env, seed: Told(ruckig_policy, env, seed),
+    "full_feed": repeated,
+    "search": KnownHome,
+    "plc": known_outage,
 }
 
 

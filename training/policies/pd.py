@@ -1,4 +1,6 @@
-"""A position controller in the master: torque by proportional and differential action (PD).
+"""Position controllers in the master: velocity in proportion to the distance, or torque by PD.
+
+Torque by proportional and differential action:
 
     force = mass · (ω² · distance - 2 ω · velocity) + weight + friction
 
@@ -17,6 +19,8 @@ import numpy as np
 
 from .datasheet import Datasheet
 from .profiles import of_the_drive
+
+GAIN = 15.0  # 1/s, of `Proportional`
 
 
 class ProportionalDifferential:
@@ -45,3 +49,25 @@ class ProportionalDifferential:
         force = self._mass * (rate**2 * near - 2.0 * rate * velocity)
         force += axis.weight + axis.coulomb_friction * towards
         return self._known.action(torque=min(max(force / axis.force, -1.0), 1.0))
+
+
+class Proportional:
+    """Velocity of the set-point = gain × distance, with 6081h and 6083h as its limits."""
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        self._known, self._axis = datasheet, datasheet.axis
+        self._velocity_limit = datasheet.axis.profile.velocity
+        self._change = datasheet.axis.profile.acceleration * datasheet.step_time
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Begin at rest."""
+        self._velocity = 0.0
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """From the distance."""
+        wanted = GAIN * float(self._known.seen(observation).distance) * self._axis.stroke
+        wanted = min(max(wanted, -self._velocity_limit), self._velocity_limit)
+        low, high = self._velocity - self._change, self._velocity + self._change
+        self._velocity = min(max(wanted, low), high)
+        share = self._velocity / self._axis.speed
+        return self._known.action(velocity=min(max(share, -1.0), 1.0))

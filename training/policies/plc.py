@@ -13,6 +13,8 @@ from .script import Script, Steps
 
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models show this one in FAULT
 SET, CLEAR = 1.0, -1.0
+UP = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
+WAIT, HOMING_TIME = 20, 600  # steps; the farthest search takes 2 s
 SHOWN = {-0.5: Mode.HOMING, 0.5: Mode.PROFILE_POSITION}  # modes as observed
 
 
@@ -23,10 +25,15 @@ def action(datasheet: Datasheet, control: int, mode: Mode, target: float) -> np.
     return datasheet.action(target_position=target, control=[*bits, chosen])
 
 
-def chain(datasheet: Datasheet) -> Steps:
-    """Reset the fault, enable, home, move: each when the statusword allows it."""
+def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
+    """Reset the fault, enable, home, move: each when the statusword allows it.
+
+    `gone`: the step in which the cause of the fault goes, as far as that is known.
+    """
     homed = start = reset = False
     seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
+    for _ in range(gone - 1):
+        seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     while True:
         status = seen.status[0]
         word = sum(1 << bit for bit in range(STATUS_BITS) if status.statusword[bit] > 0.5)
@@ -45,6 +52,31 @@ def chain(datasheet: Datasheet) -> Steps:
         seen = datasheet.seen((yield action(datasheet, control, mode, seen.goal)))
 
 
+def timed(datasheet: Datasheet) -> Steps:
+    """The same chain by the clock, never looking: long enough for each step.
+
+    Homing twice, because the search may end in a following error at the limit switch; from there
+    the second one begins.
+    """
+    seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
+    for _ in range(int(datasheet.constant("outage"))):
+        yield action(datasheet, 0, Mode.HOMING, seen.goal)
+    enabled = TO_ENABLED[State.OPERATION_ENABLED]
+    start = enabled | C.NEW_SET_POINT
+    up = [(TO_ENABLED[state], WAIT) for state in UP]
+    home = [(C.FAULT_RESET, WAIT), (0, WAIT), *up, (start, HOMING_TIME)]
+    for control, steps in (*home, *home, (enabled, WAIT)):
+        for _ in range(steps):
+            yield action(datasheet, control, Mode.HOMING, seen.goal)
+    for control in (*[enabled] * WAIT, start):
+        yield action(datasheet, control, Mode.PROFILE_POSITION, seen.goal)
+
+
 def plc_policy(datasheet: Datasheet, seed: int = 0) -> Script:
     """The step chain."""
     return Script(partial(chain, datasheet))
+
+
+def timed_policy(datasheet: Datasheet, seed: int = 0) -> Script:
+    """The chain by the clock."""
+    return Script(partial(timed, datasheet))

@@ -7,6 +7,7 @@
 | ruckig | of action 1 | what the maximum torque 6072h leaves for the heaviest payload | in 10 ms |
 | ruckig+zv | as ruckig, through a zero-vibration shaper for the nominal resonance | | |
 | ruckig+zvd | through it twice: slower, and less particular about the resonance (ZVD) | | |
+| ruckig+notch | as ruckig, through a notch filter of the set-point at the nominal resonance | | |
 """
 
 import math
@@ -21,6 +22,7 @@ from .datasheet import Axis, Bounds, Datasheet, Vibration
 Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the move (m)
 # What the controller needs to hold the path is left to it.
 TORQUE_SHARE = 0.8
+NOTCH_CYCLE = 1e-3  # s
 JERK_TIME = 0.01  # s, in which the acceleration builds up; two set-points
 
 
@@ -89,6 +91,34 @@ def shaped(path: Path, frequency: float, ratio: float) -> Path:
     return lambda times: (path(times) + share * path(times - half)) / (1.0 + share)
 
 
+def notched(path: Path, frequency: float, ratio: float) -> Path:
+    """Notch filter of the set-point, ``(s² + 2 ζ ω s + ω²) / (s + ω)²``: zeros where it swings.
+
+    Sampled at 1 ms by Tustin's rule, exact at the resonance.
+
+    Args:
+        path: to be filtered, at rest at 0 before.
+        frequency: of the vibration, undamped (rad/s).
+        ratio: its damping ratio.
+    """
+    k = frequency / math.tan(0.5 * frequency * NOTCH_CYCLE)
+    middle, damping = 2.0 * (frequency**2 - k**2), 2.0 * ratio * frequency * k
+    b = np.array([k**2 + damping + frequency**2, middle, k**2 - damping + frequency**2])
+    a = np.array([(k + frequency) ** 2, middle, (k - frequency) ** 2])
+    (b0, b1, b2), (_, a1, a2) = (b / a[0]).tolist(), (a / a[0]).tolist()
+
+    def filtered(times: np.ndarray) -> np.ndarray:
+        grid = np.arange(0.0, times[-1] + NOTCH_CYCLE, NOTCH_CYCLE)
+        out, one, two = [], 0.0, 0.0
+        for x in path(grid).tolist():  # direct form II, transposed
+            y = b0 * x + one
+            one, two = b1 * x - a1 * y + two, b2 * x - a2 * y
+            out.append(y)
+        return np.interp(times, grid, out)
+
+    return filtered
+
+
 def resonance(datasheet: Datasheet, axis: Axis) -> Vibration:
     """Nominal vibration against an axis that is held. Raises ValueError where nothing swings."""
     if axis.vibration is None:
@@ -106,9 +136,14 @@ class Profile:
         datasheet: of the environment.
         bounds: axis -> what the path keeps to.
         shapers: how often it goes through a shaper for the nominal resonance.
+        shape: the shaper: of a path, frequency and damping ratio.
     """
 
-    def __init__(self, datasheet: Datasheet, bounds: Callable[[Axis], Bounds], shapers: int = 0):
+    def __init__(
+        self, datasheet: Datasheet, bounds: Callable[[Axis], Bounds], shapers: int = 0,
+        shape: Callable[[Path, float, float], Path] = shaped,
+    ):  # fmt: skip
+        self._shape = shape
         self._known = datasheet
         self._plans = [
             (axis, bounds(axis), [resonance(datasheet, axis) for _ in range(shapers)])
@@ -128,7 +163,7 @@ class Profile:
         for (axis, bounds, shapers), seen in zip(self._plans, seen_of_axes, strict=True):
             path = self.plan(float(seen.distance) * axis.stroke, bounds)
             for shaper in shapers:
-                path = shaped(path, *shaper)
+                path = self._shape(path, *shaper)
             self._places.append(path(self._times))
         self._step, self._place = 0, [0.0] * len(self._places)
 
@@ -172,3 +207,8 @@ def ruckig_zv_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
 def ruckig_zvd_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
     """Shaped twice."""
     return Profile(datasheet, of_the_drive, shapers=2)
+
+
+def ruckig_notch_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
+    """Through a notch filter."""
+    return Profile(datasheet, of_the_drive, shapers=1, shape=notched)

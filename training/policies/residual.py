@@ -13,6 +13,7 @@ import numpy as np
 from ...envs import fields
 from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
+from .bound import Bound
 from .homing import BuiltIn
 
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
@@ -40,10 +41,9 @@ def baseline(name: str, env: ServoEnv, seed: int = 0) -> Any:
     from . import make
 
     policy = make(name, env, seed)
-    if isinstance(policy, BuiltIn):
+    if isinstance(policy, BuiltIn | Bound):
         raise ValueError(
-            f"residual {name!r} runs in the drive and gives no actions that could be corrected: "
-            "choose another policy"
+            f"residual {name!r} gives no actions that could be corrected: choose another policy"
         )
     return policy
 

@@ -15,7 +15,7 @@ from ...drive.master import Master
 from ...envs import POINT_TO_POINT
 from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
-from . import BuiltIn, make, needed
+from . import Bound, BuiltIn, make, needed
 
 METRE = 1e6  # position units
 SETTLED = 50e-6  # m
@@ -106,8 +106,8 @@ class TakeOver:
 
         self.env = Here(drive.model, **needed(policy))
         made = make(policy, self.env, 0)
-        if isinstance(made, BuiltIn):
-            raise ValueError(f"policy {policy!r} runs in the drive, there is nothing to take over")
+        if isinstance(made, BuiltIn | Bound):
+            raise ValueError(f"policy {policy!r} gives no actions, there is nothing to take over")
         self.policy = made
         here = float(drive.axis.od.position_actual_value) / METRE
         options = {"start": min(max(here, 0.0), 0.5), "goal": goal}

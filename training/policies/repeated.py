@@ -1,0 +1,113 @@
+"""Iterative learning control: the same motion again and again, each time with less error.
+
+In machines the same move is made a thousand times; what went wrong at a moment is put right in
+front of that moment the next time (Arimoto 1984; Bristow, Tharayil, Alleyne 2006, A survey of
+iterative learning control). Here the move is rehearsed `REHEARSALS` times on a twin of the
+environment as it was drawn, with noise of its own, and then played: with more knowledge than a
+policy has that sees an episode for the first time, so a row to know the limits by, and no rival.
+
+    u ← Q (u + gain · e, `LEAD` steps earlier)
+
+with Q a smoothing of three steps, without a shift. Tuned by hand: seven laws on 6 episodes of
+evaluation seed 11, gains of 0.3 to 0.8, leads of 1 and 2, of each neighbour 0 to 0.2.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ...envs.servo_env import ServoEnv
+from .datasheet import datasheet
+from .feed_forward import FeedForward
+from .gantry import FullFeed
+
+REHEARSALS = 8
+GAIN, LEAD, NEIGHBOUR = 0.5, 1, 0.05
+OTHER_NOISE = 0x9E3779B97F4A7C15  # added to the state of a generator
+
+
+class Repeated:
+    """A law and a table of corrections of its set-points, learned on a twin before each episode."""
+
+    ERROR: str  # of what is seen, to be brought to 0, in the unit of the correction
+
+    def __init__(self, law: Any, env: ServoEnv):
+        self._law, self._env, self._known = law, env, datasheet(env)
+        args, arguments = env._arguments
+        self._twin = type(env)(*args, **arguments)
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Rehearse."""
+        self._law.reset(observation, info)
+        axes = len(self._errors(observation))
+        self.table = np.zeros((self._known.steps, axes))
+        kept = self._env.kept()
+        for rehearsal in range(REHEARSALS):
+            self._twin.resume(kept)
+            states = self._twin.machine.couplings["noise_state"]
+            states[:] = [(int(s) + OTHER_NOISE * (rehearsal + 1)) % 2**64 for s in states]
+            self._begin(observation, info)
+            errors, seen = np.zeros_like(self.table), observation
+            for step in range(len(self.table)):
+                seen, _, terminated, _, _ = self._twin.step(self.act(seen))
+                errors[step] = self._errors(seen)
+                if terminated:
+                    break
+            self.learn(errors)
+        self._begin(observation, info)
+
+    def learn(self, errors: np.ndarray) -> None:
+        """One iteration, of the errors at the end of each step."""
+        ahead = np.concatenate([errors[LEAD:], np.repeat(errors[-1:], LEAD, axis=0)])
+        table = np.pad(self.table + GAIN * ahead, ((1, 1), (0, 0)), "edge")
+        sides = NEIGHBOUR * (table[:-2] + table[2:])
+        self.table = np.clip((1.0 - 2.0 * NEIGHBOUR) * table[1:-1] + sides, -1.0, 1.0)
+
+    def _begin(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        self._step = 0
+        self._law.reset(observation, info)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """That of the law, and the correction learned for this step."""
+        learned = self.table[min(self._step, len(self.table) - 1)]
+        self._step += 1
+        action = self._law.act(observation)
+        return np.clip(action + self._known.action(correction=learned), -1.0, 1.0)
+
+    def _errors(self, observation: np.ndarray) -> np.ndarray:
+        """In units of the correction, one an axis."""
+        raise NotImplementedError
+
+
+class RepeatedTracking(Repeated):
+    """On top of `feed_forward`; the tracking error has the unit of the correction."""
+
+    def _errors(self, observation: np.ndarray) -> np.ndarray:
+        return np.array([float(self._known.seen(observation).error)])
+
+
+class RepeatedContour(Repeated):
+    """On top of `full_feed`, against where that law wants the axes to be at the end of a step."""
+
+    def __init__(self, law: FullFeed, env: ServoEnv):
+        super().__init__(law, env)
+        self._share = env._window / self._known.constant("correction")
+
+    def _errors(self, observation: np.ndarray) -> np.ndarray:
+        axes = self._known.seen_of_axes(observation)
+        behind = self._share * np.array([float(axis.distance) for axis in axes])
+        return behind - self._law.lead / self._known.constant("correction")
+
+
+REPEATED = {  # by the policy that is repeated
+    "feed_forward": (FeedForward, RepeatedTracking),
+    "full_feed": (FullFeed, RepeatedContour),
+}
+
+
+def repeated(env: ServoEnv, seed: int) -> Repeated:
+    """That of the task. Raises ValueError where there is none."""
+    for name, (law, kind) in REPEATED.items():
+        if name in env.POLICIES:
+            return kind(law(datasheet(env), seed), env)
+    raise ValueError(f"no motion of {env.ID} is repeated; those of {', '.join(REPEATED)} are")
