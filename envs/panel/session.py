@@ -1,7 +1,7 @@
 """Session: the panel without a browser, on a machine in this process."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 
@@ -116,6 +116,27 @@ class Session(Bench):
     def channel_unit(self, axis: str, name: str) -> str:
         """Of an object, or of a field of the record."""
         return unit_of(self.machine.drives[axis], name)
+
+    # ------------------------------------------------------------------ gains
+
+    def gains(self, axis: str, names: Iterable[str]) -> dict[str, int]:
+        """What a drive has of these now, objects or what a maker's tool sets (drive units)."""
+        drive = self.machine.drives[axis]
+        return {
+            name: int(drive.read(name) if name in drive.objects.names else drive.axis.od[name])
+            for name in names
+        }
+
+    def commission(self, axis: str, values: Mapping[str, float]) -> str:
+        """Give a drive gains, all or none; -> why they are refused."""
+        drive, before = self.machine.drives[axis], self.gains(axis, values)
+        try:
+            drive.commission(values)
+        except SdoAbort as error:
+            drive.commission(before)
+            return self._failed(f"{axis}: gains", str(error))
+        self.tell("done", f"{axis}: gains set")
+        return ""
 
     # ------------------------------------------------------ snapshots, agents
 

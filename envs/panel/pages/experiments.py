@@ -2,7 +2,6 @@
 
 import asyncio
 import copy
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from nicegui import ui
 
 from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
 from ..session import Session
+from .charts import course_chart
 from .desk import Desk, refuse
 from .widgets import Entry, Tag, button, card
 
@@ -17,7 +17,6 @@ CAUSES = (  # offered first, where a model has them
     "encoder_loss", "overvoltage", "undervoltage", "following_error", "motor_temperature",
     "drive_temperature", "i2t", "short_circuit", "index_missing", "external",
 )  # fmt: skip
-COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
 MOST = 4  # policies side by side
 
 
@@ -100,7 +99,12 @@ class ExperimentsPage:
     def _policies(self) -> None:
         with card("Policy takes over", "policy"):
             if self.laboratory is None:
-                ui.label("This machine has no policies: serve a linear axis.").classes("prose")
+                ui.label(
+                    "The policies here are those of servogym/LinearAxis-v0: each observes and "
+                    "commands one linear axis with one drive. This machine "
+                    f"{'has several drives' if len(self.desk.bench.axes) > 1 else 'turns'}; serve "
+                    "--axis linear to hand over. Faults, disturbances and snapshots work here too."
+                ).classes("prose").props("data-test=no-policies")
                 return
             with ui.element("div").classes("cluster"):
                 self.policy = ui.input(
@@ -119,7 +123,8 @@ class ExperimentsPage:
                     label="Policies, on copies of this machine, to the same goal",
                 ).props("dense outlined use-chips").classes("entry grow")  # fmt: skip
                 self.compare = button("Compare", self._compare, "run-compare", "main")
-            self.chart = ui.echart(_chart([])).classes("chart")
+            self.chart = ui.echart(course_chart([])).classes("chart")
+            self.chart.set_visibility(False)
             self.table = ui.element("div").classes("results").props("data-test=courses")
 
     # ----------------------------------------------------------------- what is done
@@ -179,7 +184,8 @@ class ExperimentsPage:
         finally:
             self.compare.props(remove="loading")
         self.chart.options.clear()
-        self.chart.options.update(_chart(courses))
+        self.chart.options.update(course_chart(courses))
+        self.chart.set_visibility(True)
         self.chart.update()
         self.table.clear()
         with self.table:
@@ -210,32 +216,3 @@ class ExperimentsPage:
                 for name in names:
                     button(f"Back to {name}", lambda _, name=name: self._back(name),
                            f"back-{name}")  # fmt: skip
-
-
-def _chart(courses: Sequence[Any]) -> dict[str, Any]:
-    """Position and torque over time, one colour a policy."""
-    quiet = "#8a94a3"
-    series = []
-    for number, course in enumerate(courses):
-        stride = max(len(course.time) // 600, 1)
-        for grid, values in ((0, course.position * 1e3), (1, course.torque)):
-            points = np.stack((course.time, values), axis=1)[::stride].round(4).tolist()
-            series.append(
-                {
-                    "name": course.policy, "type": "line", "showSymbol": False, "data": points,
-                    "xAxisIndex": grid, "yAxisIndex": grid, "color": COLOURS[number],
-                    "lineStyle": {"width": 2}, "animation": False,
-                }
-            )  # fmt: skip
-    axis = {"type": "value", "axisLabel": {"color": quiet}, "nameTextStyle": {"color": quiet},
-            "splitLine": {"lineStyle": {"color": "#8a94a333"}}}  # fmt: skip
-    return {
-        "grid": [{"left": 60, "right": 16, "top": 40, "height": "38%"},
-                 {"left": 60, "right": 16, "bottom": 40, "height": "30%"}],
-        "legend": {"top": 0, "textStyle": {"color": quiet}},
-        "tooltip": {"trigger": "axis"},
-        "xAxis": [axis | {"gridIndex": 0}, axis | {"gridIndex": 1, "name": "s"}],
-        "yAxis": [axis | {"gridIndex": 0, "name": "position (mm)", "scale": True},
-                  axis | {"gridIndex": 1, "name": "torque (% rated)"}],
-        "series": series,
-    }  # fmt: skip

@@ -1,18 +1,24 @@
-"""Loops: the Bode plot of a drive's loops, measured on a copy of the machine, with margins."""
+"""Loops: Bode with margins, measured on a copy of the machine; autotuning, taken over or not."""
 
 import asyncio
 import copy
+import math
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from nicegui import ui
 
 from ...autotune.bode import bode
+from ...autotune.margins import Margins
 from ...autotune.response import Response
-from .desk import Desk
+from ...autotune.trial import Trial
+from ...autotune.tune import Tuned, tune
+from ...engine.machine import Machine
+from .charts import SMALL, bode_chart, move_chart, step_chart
+from .desk import Desk, refuse
 from .widgets import Entry, Tag, button, card
 
-COLOURS = {"velocity loop": "#3987e5", "position loop": "#e0762b", "plant": "#8a94a3"}
+VIEWS = {"bode": "Bode", "step": "Step", "move": "Move"}
 
 
 class LoopsPage:
@@ -22,86 +28,201 @@ class LoopsPage:
 
     def __init__(self, desk: Desk):
         self.desk = desk
-        with ui.element("div").classes("columns scope-columns"):
+        self.responses: list[Response] = []
+        self.tuned: Tuned | None = None
+        self.taken: dict[str, int] | None = None  # what the drive had before
+        with ui.element("div").classes("columns loop-columns"):
             with card("Open loops, measured", "bode"):
-                self.chart = ui.echart(_chart(None)).classes("chart tall")
+                self.view = ui.toggle(VIEWS, value="bode", on_change=self._draw)
+                self.view.props("no-caps unelevated data-test=loop-view")
+                self.view.set_visibility(False)
+                self.hint = ui.label("Measure the loops, or tune a copy.").classes("prose quiet")
+                self.chart = ui.echart(bode_chart([])).classes("chart tall")
+                self.chart.set_visibility(False)
             with ui.element("div").classes("stack"):
-                with card("Measurement"):
-                    self.amplitude = Entry("Amplitude", "% rated", 0.5, 100, 10, test="amplitude")
-                    self.measure = button("Measure", self._measure, "measure", "main")
-                    ui.label(
-                        "A multisine is added to the torque while the axis travels to and fro, on "
-                        "a copy of the machine with the present gains. It takes some seconds."
-                    ).classes("prose quiet")
-                    self.wrong = ui.label("").classes("bad").props("data-test=bode-wrong")
+                self._measurement()
+                self._tuning()
                 with card("Margins"):
                     self.margins = ui.element("div").classes("results margins")
                     self.margins.props("data-test=margins")
+                    with self.margins:
+                        Tag("span", "Nothing has been measured yet.").classes("whole quiet")
 
-    async def _measure(self) -> None:
-        amplitude = self.amplitude.number()
-        if amplitude is None:
-            return
-        axis = self.desk.axis
+    def _measurement(self) -> None:
+        with card("Measurement"):
+            with ui.element("div").classes("cluster"):
+                self.amplitude = Entry("Amplitude", "% rated", 0.5, 100, 10, test="amplitude")
+                self.measure = button("Measure", self._measure, "measure", "main")
+            ui.label(
+                "A multisine is added to the torque while the axis travels to and fro, on a copy "
+                "of the machine with the present gains."
+            ).classes("prose quiet")
+            self.wrong = ui.label("").classes("bad").props("data-test=bode-wrong")
+
+    def _tuning(self) -> None:
+        with card("Autotuning", "tuning"):
+            with ui.element("div").classes("cluster"):
+                self.gain = Entry("Gain margin", "dB", 2, 40, 6, test="gain-margin")
+                self.phase = Entry("Phase margin", "°", 10, 80, 35, test="phase-margin")
+                self.tune = button("Tune a copy", self._tune, "tune", "main")
+            ui.label(
+                "Measures the plant and fits gains that keep these margins; the machine itself "
+                "gets them when they are taken over."
+            ).classes("prose quiet")
+            self.verdict = ui.label("").classes("prose").props("data-test=tune-verdict")
+            self.gains = ui.element("div").classes("results gains").props("data-test=gains")
+            with ui.element("div").classes("cluster"):
+                self.take = button("Take over", self._take, "take-gains", "main")
+                self.discard = button("Discard", self._discard, "discard-gains")
+            self._buttons()
+
+    # --------------------------------------------------------------- on a copy
+
+    async def _on_a_copy(self, made: ui.button, work: Callable[[Machine], Any]) -> Any:
+        """What comes of it; None where it is refused, which is then said."""
         self.wrong.set_text("")
-        self.measure.props("loading")
+        made.props("loading")
         try:
             twin = await self.desk.ask(lambda session: copy.deepcopy(session.machine))
-            response = await asyncio.to_thread(bode, twin, axis, amplitude=amplitude / 100)
+            return await asyncio.to_thread(work, twin)
         except (ValueError, RuntimeError, ImportError) as error:
             self.wrong.set_text(str(error))
-            return
+            return None
         finally:
-            self.measure.props(remove="loading")
-        self.chart.options.clear()
-        self.chart.options.update(_chart(response))
-        self.chart.update()
+            made.props(remove="loading")
+
+    async def _measure(self) -> None:
+        amplitude, axis = self.amplitude.number(), self.desk.axis
+        if amplitude is None:
+            return
+        response = await self._on_a_copy(
+            self.measure, lambda twin: bode(twin, axis, amplitude=amplitude / 100)
+        )
+        if response is not None:
+            self._show_response([response])
+            self.wrong.set_text(response.note)
+
+    async def _tune(self) -> None:
+        amplitude, axis = self.amplitude.number(), self.desk.axis
+        gain, phase = self.gain.number(), self.phase.number()
+        if amplitude is None or gain is None or phase is None:
+            return
+        tuned = await self._on_a_copy(
+            self.tune,
+            lambda twin: tune(
+                twin, axis, gain_margin=gain, phase_margin=phase, amplitude=amplitude / 100
+            ),
+        )
+        if tuned is None:
+            return
+        self.tuned, self.taken = tuned, None
+        self._show_response([tuned.before, tuned.after], tuned)
+        self.verdict.set_text(
+            "The margins are reached." if tuned.reached
+            else f"The margins are not reached: {tuned.reason}"
+        )  # fmt: skip
+        before = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
+        self.gains.clear()
+        with self.gains:
+            for text in ("object", "now", "tuned", "unit"):
+                Tag("b", text)
+            for address, name, value, unit in tuned.table:
+                short = name.partition(" (")[0]
+                Tag("span", short.replace("_", " "), title=address)
+                Tag("span", f"{before.get(short, 0)}")
+                Tag("span", f"{value}").classes("strong")
+                Tag("span", unit).classes("quiet")
+        self._buttons()
+
+    # ----------------------------------------------------------- taken, or not
+
+    async def _take(self) -> None:
+        tuned, axis = self.tuned, self.desk.axis
+        if tuned is None:
+            return
+        if self.taken is None:
+            before = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
+            words = await self.desk.command(lambda s: s.commission(axis, tuned.objects))
+            taken: dict[str, int] | None = before
+        else:
+            back, taken = self.taken, None
+            words = await self.desk.command(lambda s: s.commission(axis, back))
+        refuse(words)
+        if words:
+            return
+        self.taken = taken
+        self.verdict.set_text(
+            "The drive has the gains; 1010h stores them." if taken
+            else "The drive has the gains it had before."
+        )  # fmt: skip
+        self._buttons()
+
+    def _discard(self) -> None:
+        self.tuned = self.taken = None
+        self.verdict.set_text("")
+        self.gains.clear()
+        self._show_response(self.responses[:1])
+        self._buttons()
+
+    def _buttons(self) -> None:
+        self.take.set_visibility(self.tuned is not None)
+        self.discard.set_visibility(self.tuned is not None and self.taken is None)
+        self.take.set_text("Put back" if self.taken else "Take over")
+        self.view.set_visibility(self.tuned is not None)
+        if self.tuned is None:
+            self.view.set_value("bode")
+
+    # ----------------------------------------------------------------- drawing
+
+    def _show_response(self, responses: list[Response], tuned: Tuned | None = None) -> None:
+        self.responses = responses
+        self.hint.set_visibility(False)
+        self.chart.set_visibility(True)
+        self._draw()
         self.margins.clear()
         with self.margins:
             for text in ("loop", "crossover", "phase margin", "gain margin"):
                 Tag("b", text)
-            for name, margins in (("velocity", response.velocity_margins),
-                                  ("position", response.position_margins)):  # fmt: skip
-                Tag("span", name)
-                Tag("span", f"{margins.crossover:.1f} Hz")
-                Tag("span", f"{margins.phase:.0f}°")
-                Tag("span", f"{margins.gain:.1f} dB")
-        if response.note:
-            self.wrong.set_text(response.note)
+            for number, response in enumerate(responses):
+                when = ("", " before")[number == 0] if len(responses) > 1 else ""
+                for name, margins in (("velocity", response.velocity_margins),
+                                      ("position", response.position_margins)):  # fmt: skip
+                    self._margin_row(f"{name}{when}", margins)
+            if tuned is not None:
+                for text in ("greatest following error", "before", "after"):
+                    Tag("b", text).classes("pair" if "greatest" in text else "")
+                Tag("span", "on a move").classes("pair")
+                for trial in (tuned.trial_before, tuned.trial_after):
+                    Tag("span", _error(trial, tuned.unit))
+
+    def _margin_row(self, name: str, margins: Margins) -> None:
+        Tag("span", name)
+        Tag("span", f"{margins.crossover:.1f} Hz")
+        if margins.stable:
+            Tag("span", f"{margins.phase:.0f}°")
+            Tag("span", f"{margins.gain:.1f} dB")
+        else:
+            Tag("span", "unstable").classes("bad")
+            Tag("span", "")
+
+    def _draw(self) -> None:
+        view, tuned = self.view.value, self.tuned
+        if view == "bode" or tuned is None:
+            chart = bode_chart(self.responses)
+        elif view == "step":
+            chart = step_chart(tuned.trial_before, tuned.trial_after)
+        else:
+            chart = move_chart(tuned.trial_before, tuned.trial_after, tuned.unit)
+        self.chart.options.clear()
+        self.chart.options.update(chart)
+        self.chart.update()
 
     def show(self) -> None:
         """Nothing changes by itself."""
 
 
-def _chart(response: Response | None) -> dict[str, Any]:
-    """Magnitude and phase over frequency."""
-    quiet = "#8a94a3"
-    series = []
-    if response is not None:
-        for name, loop in (("velocity loop", response.velocity_loop),
-                           ("position loop", response.position_loop)):  # fmt: skip
-            magnitude = 20 * np.log10(np.abs(loop))
-            phase = np.degrees(np.unwrap(np.angle(loop)))
-            phase -= 360 * np.round((phase[0] + 90) / 360)
-            for grid, values in ((0, magnitude), (1, phase)):
-                points = np.stack((response.frequencies, values), axis=1).round(3).tolist()
-                series.append(
-                    {
-                        "name": name, "type": "line", "showSymbol": False, "data": points,
-                        "xAxisIndex": grid, "yAxisIndex": grid, "color": COLOURS[name],
-                        "lineStyle": {"width": 2}, "animation": False,
-                    }
-                )  # fmt: skip
-    axis = {"axisLabel": {"color": quiet}, "nameTextStyle": {"color": quiet},
-            "splitLine": {"lineStyle": {"color": "#8a94a333"}}}  # fmt: skip
-    frequency = axis | {"type": "log", "min": 2, "minorSplitLine": {"show": False}}
-    return {
-        "grid": [{"left": 60, "right": 20, "top": 40, "height": "40%"},
-                 {"left": 60, "right": 20, "bottom": 45, "height": "36%"}],
-        "legend": {"top": 0, "textStyle": {"color": quiet}},
-        "tooltip": {"trigger": "axis"},
-        "xAxis": [frequency | {"gridIndex": 0}, frequency | {"gridIndex": 1, "name": "Hz"}],
-        "yAxis": [axis | {"type": "value", "gridIndex": 0, "name": "magnitude (dB)"},
-                  axis | {"type": "value", "gridIndex": 1, "name": "phase (°)"}],
-        "series": series,
-    }  # fmt: skip
+def _error(trial: Trial, unit: str) -> str:
+    small, scale = SMALL[unit]
+    if not math.isfinite(trial.following_error):
+        return "not moved"
+    return f"{trial.following_error * scale:.3g} {small}"

@@ -101,7 +101,7 @@ class MotionPage:
         with card("Now"):
             with ui.element("div").classes("readouts"):
                 self.position = Readout("Position", self.unit, "position")
-                self.velocity = Readout("Velocity", f"{self.unit}/s")
+                self.velocity = Readout("Velocity", f"{self.unit}/s", "velocity")
                 self.torque = Readout("Torque", "% rated")
                 self.error = Readout("Following error", self.unit)
             self.stroke = _Stroke(self.desk)

@@ -42,6 +42,7 @@ class ObjectsPage:
                         .props("dense outlined clearable data-test=search")
                         .classes("entry grow")
                     )
+                    self.search.on("keydown.enter", self._choose_first)
                     self.found = ui.label("").classes("quiet")
                 columns = [
                     {"name": n, "field": n, "label": text, "align": side, "sortable": n != "value"}
@@ -100,7 +101,14 @@ class ObjectsPage:
         self._count = 0
 
     def _choose(self, event: events.GenericEventArguments) -> None:
-        self.chosen = str(event.args[1]["address"])
+        self._take(str(event.args[1]["address"]))
+
+    def _choose_first(self) -> None:
+        if self.table.rows:
+            self._take(self.table.rows[0]["address"])
+
+    def _take(self, address: str) -> None:
+        self.chosen = address
         row = self.rows[self.chosen]
         self.head.set_text(f"{self.chosen} {row.name.replace('_', ' ')}")
         default = f"default {row.default}" if row.format else ""

@@ -70,7 +70,8 @@ class ScopePage:
                 self.plot = Plot()
                 self.plot.on("ready", self._ready, [])
                 ui.label(
-                    "Drag to zoom, double-click to zoom out; A and B set cursors at the pointer."
+                    "Drag to zoom, double-click to zoom out. Keys a and b set cursors at the "
+                    "pointer, ← and → move the last one, Delete removes them."
                 ).classes("prose quiet")
             with ui.element("div").classes("stack"):
                 with card("Channels"):

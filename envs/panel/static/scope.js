@@ -145,11 +145,19 @@ export default {
     mark(name) {
       const u = this.plot_;
       if (!u) return;
-      const left = u.cursor.left;
-      const middle = (u.scales.x.min + u.scales.x.max) / 2;
-      this.marks_[name] = left != null && left >= 0 ? u.posToVal(left, "x") : middle;
+      const { min, max } = u.scales.x, left = u.cursor.left;
+      this.marks_[name] = left >= 0 ? u.posToVal(left) : min + (max - min) * (name === "a" ? 0.35 : 0.65);
+      this.held_ = name;
       this.table();
       u.redraw(false);
+    },
+    step(samples) {
+      const x = this.marks_[this.held_], xs = this.data_[0];
+      if (x == null || xs.length < 2) return;
+      const at = x + samples * (xs[xs.length - 1] - xs[0]) / (xs.length - 1), { min, max } = this.plot_.scales.x;
+      this.marks_[this.held_] = Math.min(Math.max(at, min), max);
+      this.table();
+      this.plot_.redraw();
     },
     unmark() {
       this.marks_ = { a: null, b: null };
@@ -176,9 +184,13 @@ export default {
         row(c.name, ia == null ? null : this.data_[i + 1][ia], ib == null ? null : this.data_[i + 1][ib], c.colour))];
     },
     key(e) {
+      const way = { ArrowLeft: -1, ArrowRight: 1 }[e.key];
       if (e.key === "a") this.mark("a");
       else if (e.key === "b") this.mark("b");
-      else if (e.key === "Escape") { this.unmark(); this.unzoom(); }
+      else if (way) this.step(way * (e.shiftKey ? 10 : 1));
+      else if (e.key === "Delete") { this.unmark(); this.unzoom(); }
+      else return;
+      e.preventDefault();
     },
     png(title) {
       const u = this.plot_;

@@ -1,0 +1,127 @@
+"""Charts: Bode, a step of the velocity, the following error on a move, policies side by side."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...autotune.response import Response
+from ...autotune.trial import Trial
+
+QUIET = "#8a94a3"
+VELOCITY, POSITION = "#3987e5", "#e0762b"
+BEFORE, AFTER = "#8a94a3", "#3987e5"
+FONT = {"fontFamily": "Roboto, system-ui, sans-serif", "fontSize": 13}
+AXIS = {
+    "axisLine": {"onZero": False, "show": True, "lineStyle": {"color": "#8a94a388"}},
+    "axisTick": {"lineStyle": {"color": "#8a94a388"}},
+    "axisLabel": {"color": QUIET, "fontSize": 13}, "nameTextStyle": {"color": QUIET},
+    "splitLine": {"lineStyle": {"color": "#8a94a333"}},
+}  # fmt: skip
+COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
+MOST = 800  # points of a line
+SMALL = {"m": ("µm", 1e6), "rad": ("mrad", 1e3)}
+
+
+def bode_chart(responses: Sequence[Response]) -> dict[str, Any]:
+    """Magnitude and phase over frequency; of two responses the first is dashed."""
+    series = []
+    for number, measured in enumerate(responses):
+        old = len(responses) > 1 and number == 0
+        low, high = measured.frequencies[0], measured.frequencies[-1]
+        response = measured.wide
+        there = (response.frequencies >= low) & (response.frequencies <= high)
+        for name, colour, loop in (
+            ("velocity loop", VELOCITY, response.velocity_loop),
+            ("position loop", POSITION, response.position_loop),
+        ):
+            magnitude = 20 * np.log10(np.abs(loop))
+            phase = np.degrees(np.unwrap(np.angle(loop)))
+            phase -= 360 * np.round((phase[0] + 90) / 360)
+            for grid, values in ((0, magnitude), (1, phase)):
+                series.append(
+                    _line(f"{name} before" if old else name, response.frequencies[there],
+                          values[there], colour, grid, dashed=old)
+                )  # fmt: skip
+    frequency = AXIS | {"type": "log", "min": 2, "minorSplitLine": {"show": False}}
+    return _two(
+        frequency, "Hz", AXIS | {"type": "value", "name": "magnitude (dB)"},
+        AXIS | {"type": "value", "name": "phase (°)"}, series,
+    )  # fmt: skip
+
+
+def step_chart(before: Trial, after: Trial) -> dict[str, Any]:
+    """A step of the velocity, and the following error on the move."""
+    series = []
+    for name, trial, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+        series.append(_line(name, trial.step_time * 1e3, trial.step_velocity, colour, 0))
+    return _one("velocity, share of the step", "ms", series)
+
+
+def move_chart(before: Trial, after: Trial, unit: str) -> dict[str, Any]:
+    """The following error on a move, and the torque."""
+    small, scale = SMALL[unit]
+    series = []
+    for name, trial, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+        series.append(_line(name, trial.time, trial.error * scale, colour, 0))
+        series.append(_line(name, trial.time, trial.torque, colour, 1))
+    value = AXIS | {"type": "value"}
+    return _two(
+        value, "s", value | {"name": f"following error ({small})"},
+        value | {"name": "torque (Nm)"}, series,
+    )  # fmt: skip
+
+
+def course_chart(courses: Sequence[Any]) -> dict[str, Any]:
+    """Position and torque of policies over time, one colour each."""
+    series = []
+    for course, colour in zip(courses, COLOURS, strict=False):
+        series.append(_line(course.policy, course.time, course.position * 1e3, colour, 0))
+        series.append(_line(course.policy, course.time, course.torque, colour, 1))
+    value = AXIS | {"type": "value"}
+    return _two(
+        value, "s", value | {"name": "position (mm)", "scale": True},
+        value | {"name": "torque (% rated)"}, series,
+    )  # fmt: skip
+
+
+def _line(
+    name: str, x: np.ndarray, y: np.ndarray, colour: str, grid: int, *, dashed: bool = False
+) -> dict[str, Any]:  # fmt: skip
+    stride = -(-len(x) // MOST)
+    points = np.stack((x, y), axis=1)[::stride].round(4).tolist()
+    return {
+        "name": name, "type": "line", "showSymbol": False, "data": points, "xAxisIndex": grid,
+        "yAxisIndex": grid, "color": colour, "animation": False,
+        "lineStyle": {"width": 1.5 if dashed else 2, "type": "dashed" if dashed else "solid"},
+    }  # fmt: skip
+
+
+def _one(name: str, along: str, series: list[dict[str, Any]]) -> dict[str, Any]:
+    value = AXIS | {"type": "value"}
+    return {
+        "textStyle": FONT,
+        "grid": [{"left": 64, "right": 34, "top": 50, "bottom": 45}],
+        "legend": {"top": 0, "icon": "roundRect", "itemHeight": 4, "textStyle": {"color": QUIET}},
+        "tooltip": {"trigger": "axis"},
+        "xAxis": [value | {"name": along}],
+        "yAxis": [value | {"name": name, "nameTextStyle": {"color": QUIET, "align": "left"}}],
+        "series": series,
+    }  # fmt: skip
+
+
+def _two(
+    x: dict[str, Any], along: str, upper: dict[str, Any], lower: dict[str, Any],
+    series: list[dict[str, Any]],
+) -> dict[str, Any]:  # fmt: skip
+    left = {"nameTextStyle": {"color": QUIET, "align": "left"}}
+    return {
+        "textStyle": FONT,
+        "grid": [{"left": 64, "right": 34, "top": 50, "height": "38%"},
+                 {"left": 64, "right": 34, "bottom": 45, "height": "34%"}],
+        "legend": {"top": 0, "icon": "roundRect", "itemHeight": 4, "textStyle": {"color": QUIET}},
+        "tooltip": {"trigger": "axis"},
+        "xAxis": [x | {"gridIndex": 0}, x | {"gridIndex": 1, "name": along}],
+        "yAxis": [upper | left | {"gridIndex": 0}, lower | left | {"gridIndex": 1}],
+        "series": series,
+    }  # fmt: skip
