@@ -245,6 +245,8 @@ def test_a_snapshot_brings_the_axis_back(page):
 
 def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(page):
     ready(page)
+    move(page, "100")
+    expect(at(page, "position")).to_have_text(near(100))
     open_page(page, "experiments")
     before = at(page, "header-position").inner_text()
     at(page, "goal").fill("180")
@@ -252,8 +254,8 @@ def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(pa
     cells = at(page, "courses").locator("span")
     expect(cells).to_have_count(10)
     told = cells.all_inner_texts()
-    settled = {told[n]: float(told[n + 1].removesuffix(" ms")) for n in (0, 5)}
-    assert settled["ruckig"] < settled["proportional"]
+    settled = {told[n]: told[n + 1].removesuffix(" ms") for n in (0, 5)}  # "–": it has not
+    assert float(settled["ruckig"]) < float(settled["proportional"].replace("–", "inf"))
     assert at(page, "header-position").inner_text() == before
     at(page, "hand-over").click()
     expect(at(page, "agent")).to_contain_text("ruckig has the machine.")

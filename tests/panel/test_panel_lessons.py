@@ -176,6 +176,12 @@ def test_a_policy_that_does_not_fit_is_refused_in_words(homed, policy, goal, sai
         TakeOver(homed.machine, policy, goal)
 
 
+def test_an_axis_beyond_the_stroke_is_not_handed_over(session):
+    session.enable("x"), session.home("x", 17)  # ends 5 mm behind the software limit
+    with pytest.raises(ValueError, match=r"stands at -4\.9\d mm.*move it there first"):
+        TakeOver(session.machine, "ruckig", 0.3)
+
+
 def test_an_axis_without_reference_is_not_handed_over(session):
     with pytest.raises(ValueError, match="home it first"):
         TakeOver(session.machine, "ruckig", 0.3)

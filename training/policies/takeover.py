@@ -19,6 +19,7 @@ from . import Bound, BuiltIn, make, needed
 
 METRE = 1e6  # position units
 SETTLED = 50e-6  # m
+STROKE = (0.0, 0.5)  # m, of LinearAxis-v0
 
 
 class Course(NamedTuple):
@@ -77,6 +78,12 @@ class TakeOver:
         ((axis, drive),) = machine.drives.items()
         if not drive.axis.homed:
             raise ValueError("the axis is not referenced: home it first")
+        here = float(drive.axis.od.position_actual_value) / METRE
+        if not STROKE[0] - SETTLED <= here <= STROKE[1] + SETTLED:
+            raise ValueError(  # a policy would begin with a jump to the nearest place it knows
+                f"the axis stands at {here * 1e3:.2f} mm, a policy works within "
+                f"{STROKE[0] * 1e3:g}..{STROKE[1] * 1e3:g} mm: move it there first"
+            )
         self.name, self.machine, self.drive = policy, machine, drive
         passing: Callable[[], None] = cycle or machine.step
         self._before = drive.rpdos.copy(), drive.tpdos.copy()
@@ -109,8 +116,7 @@ class TakeOver:
         if isinstance(made, BuiltIn | Bound):
             raise ValueError(f"policy {policy!r} gives no actions, there is nothing to take over")
         self.policy = made
-        here = float(drive.axis.od.position_actual_value) / METRE
-        options = {"start": min(max(here, 0.0), 0.5), "goal": goal}
+        options = {"start": min(max(here, STROKE[0]), STROKE[1]), "goal": goal}
         self._observation, info = self.env.reset(seed=0, options=options)
         self.policy.reset(self._observation, info)
 

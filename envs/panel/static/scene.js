@@ -126,7 +126,8 @@ export default {
       }
       this.home_ = () => {
         this.controls_.target.copy(c);
-        this.camera_.position.set(c.x + 0.25 * e, c.y - 1.6 * e, c.z + 0.65 * e);
+        const far = Math.max(1, 1.9 / this.camera_.aspect) * e; // all of it, in a narrow window too
+        this.camera_.position.set(c.x + 0.25 * far, c.y - 1.6 * far, c.z + 0.65 * far);
         this.controls_.update();
         this.render();
       };
