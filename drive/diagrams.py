@@ -4,11 +4,12 @@ Tables for those who show a drive to people and need nothing of its cycle.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from .kernel.device_control import TRANSITIONS, Event
 from .kernel.encoder import Event as Edge
-from .kernel.homing import END, HERE, METHODS
+from .kernel.homing import END, HERE, METHODS, SLOW
 from .kernel.words import (
     BIT_4,
     ENABLED,
@@ -27,8 +28,8 @@ from .kernel.words import (
 
 __all__ = [
     "ENABLED", "MODE_ABBREVIATION", "TO_ENABLED", "Bit", "Controlword", "Limit", "Mode", "State",
-    "Statusword", "Transition", "controlword_bits", "homing_path", "limits", "state_of",
-    "statusword_bits", "transitions",
+    "Statusword", "Transition", "controlword_bits", "homing_path", "homing_words", "limits",
+    "state_of", "statusword_bits", "transitions",
 ]  # fmt: skip
 
 
@@ -179,6 +180,50 @@ def homing_path(method: int, start: float) -> list[float]:
         if leg == END:
             return path
     return []
+
+
+_EVENTS = {
+    Edge.NEGATIVE_LIMIT_ON: "the negative limit switch comes on",
+    Edge.NEGATIVE_LIMIT_OFF: "the negative limit switch goes off",
+    Edge.POSITIVE_LIMIT_ON: "the positive limit switch comes on",
+    Edge.POSITIVE_LIMIT_OFF: "the positive limit switch goes off",
+    Edge.HOME_ON: "the home switch comes on",
+    Edge.HOME_OFF: "the home switch goes off",
+    Edge.INDEX: "the first index pulse",
+    Edge.STOP: "the mechanical stop",
+}
+
+
+def homing_words(method: int) -> str:
+    """What a homing method does, leg by leg; left is the negative direction.
+
+    Raises ValueError for a method that is not known.
+    """
+    if method in HERE:
+        return "The position where the axis stands becomes home; nothing moves."
+    if method not in METHODS:
+        raise ValueError(f"homing method {method} is unknown")
+    off, on, legs = METHODS[method]
+    told: dict[int, None] = {}
+    said = [_way(legs, off, told)]
+    if on != off:
+        said.append(f"beginning on the home switch: {_way(legs, on, told)}")
+    turns = [leg[4] for leg in (legs[n] for n in [*told]) if leg[4] >= 0]
+    for turn in dict.fromkeys(turns):
+        said.append(f"turning at a limit switch: {_way(legs, turn, told)}")
+    text = "; ".join(said)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _way(legs: Sequence[tuple[int, ...]], leg: int, told: dict[int, None]) -> str:
+    """The legs from one on, as far as they are not told yet."""
+    parts: list[str] = []
+    while leg != END and (not parts or leg not in told):
+        told[leg] = None
+        direction, speed, event, leg, _ = legs[leg]
+        side = "left" if direction < 0 else "right"
+        parts.append(f"{'slowly ' * (speed == SLOW)}{side} until {_EVENTS[Edge(event)]}")
+    return ", ".join(parts) + (": home" if leg == END else ", then as before")
 
 
 def _place(

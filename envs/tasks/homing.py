@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...drive.kernel.homing import METHODS
 from ...drive.kernel.jit import block, entry
 from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
@@ -143,8 +144,8 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
 
 
 def _home(env: Any) -> float:
-    """Where the reference really is (m)."""
-    return float(env.episode._home)
+    """Where the reference really is, or the home of the drive's method that runs (m)."""
+    return float(env.episode._home) if env.aim is None else env.aim
 
 
 class HomingEnv(ServoEnv):
@@ -294,6 +295,7 @@ the positive one; -1 the negative, 0 none |
     }
 
     datasheet: LinearAxisParameters
+    aim: float | None = None  # m, while a method of the drive runs that looks for another home
 
     def __init__(
         self,
@@ -388,10 +390,15 @@ the positive one; -1 the negative, 0 none |
         the start and after each step, with the time since then (s). See
         `servogym.envs.masters.homing_figures.built_in` for errors.
         """
-        return built_in(
-            self.machine, method, self.episode.start, stride=self.cycles_per_step,
-            objects={"max_torque": self._max_torque} | (objects or {}), observer=observer,
-        )  # fmt: skip
+        if method in METHODS:
+            self.aim = true_home(self.machine, method, self.episode.start)
+        try:
+            return built_in(
+                self.machine, method, self.episode.start, stride=self.cycles_per_step,
+                objects={"max_torque": self._max_torque} | (objects or {}), observer=observer,
+            )  # fmt: skip
+        finally:
+            self.aim = None
 
     def judged(
         self, method: int, objects: dict[str, int] | None = None,

@@ -19,7 +19,7 @@ from ..fields import action, observation
 from ..plants.gantry import GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
 from ..vector_env import ServoVectorEnv
-from ..view.channels import MM, Channel, joint, tolerance
+from ..view.channels import MM, Channel, drives, joint, tolerance
 from .rewards import closeness, decades
 
 STROKE = (0.8, 0.5)  # m, of X and Y
@@ -129,11 +129,31 @@ def judge(worlds, episodes, rpdos, tpdos, observations):
         _judge(worlds[w], episode, tpdos[w])
 
 
-def _hanging(env: Any) -> tuple[float, float]:
-    """Position (m) and velocity (m/s) in X of the load."""
-    (bridge, velocity), (angle, rate) = joint(env, "x"), joint(env, "sway_x")
+def _hanging(env: Any, axis: str) -> tuple[float, float]:
+    """Position (m) and velocity (m/s) of the load along an axis."""
+    (bridge, velocity), (angle, rate) = joint(env, axis), joint(env, f"sway_{axis}")
     length = env.episode._length
     return bridge + length * math.sin(angle), velocity + length * math.cos(angle) * rate
+
+
+def _channels(d: int) -> tuple[Channel, ...]:
+    """What a picture shows of the load along an axis."""
+    axis, of = "xy"[d], f" {'XY'[d]}"
+    return (
+        Channel(
+            f"load in{of}\n(mm)", lambda env: MM * _hanging(env, axis)[0],
+            lambda env: MM * env.episode._goal[d],
+        ),
+        Channel(
+            f"load beyond\nthe goal in{of} (mm)",
+            lambda env: MM * (_hanging(env, axis)[0] - env.episode._goal[d]),
+            window=tolerance, nearest=15.0,
+        ),
+        Channel(f"velocity of the\nload in{of} (m/s)", lambda env: _hanging(env, axis)[1]),
+        Channel(
+            f"sway in{of}\n(degrees)", lambda env: math.degrees(joint(env, f"sway_{axis}")[0])
+        ),
+    )  # fmt: skip
 
 
 class GantrySwayEnv(ServoEnv):
@@ -231,19 +251,7 @@ class GantrySwayEnv(ServoEnv):
     )  # fmt: skip
     REFERENCE = "ruckig+zvd"  # plain ruckig leaves the load swinging, as holding still does
     METRIC = "settling_time"
-    CHANNELS = (
-        Channel(
-            "load in X\n(mm)", lambda env: MM * _hanging(env)[0],
-            lambda env: MM * env.episode.goal_x,
-        ),
-        Channel(
-            "load beyond\nthe goal (mm)",
-            lambda env: MM * (_hanging(env)[0] - env.episode.goal_x),
-            window=tolerance, nearest=15.0,
-        ),
-        Channel("velocity of the\nload (m/s)", lambda env: _hanging(env)[1]),
-        Channel("sway in X\n(degrees)", lambda env: math.degrees(joint(env, "sway_x")[0])),
-    )  # fmt: skip
+    CHANNELS = _channels(0)
     STROKE = STROKE
     SENSOR = "sway_sensor"
     HYPERPARAMETERS = {"PPO": {"learning_rate": [1e-3, 0.0], "gamma": 0.99}}  # noqa: RUF012
@@ -325,6 +333,11 @@ class GantrySwayEnv(ServoEnv):
         """At the hook, as far as there is one, as lengths of the nominal cable."""
         widest, natural = WIDEST * CABLE, math.sqrt(9.81 / CABLE)
         return Sensor("sway", "sway_rate", widest, widest * natural) if self.sway_sensor else None
+
+    def channels(self) -> tuple[Channel, ...]:
+        """The load along each axis that the agent moves, and what the drives do."""
+        along = [channel for d in range(len(self.DRIVES)) for channel in _channels(d)]
+        return tuple(along) + drives(len(self.drives) > 1)
 
     def figures(self) -> dict[str, float]:
         """How far the load came beyond the goal."""

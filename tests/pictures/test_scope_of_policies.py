@@ -71,6 +71,24 @@ def test_a_fault_ends_a_trace():
     assert trace.outcome(one) == f": fault 8611h after {one.time[-1]:.3f} s (cross)"
 
 
+def test_a_method_for_another_reference_is_drawn_with_its_own_home():
+    """The edge of the negative limit switch lies 0.2 m from the home switch."""
+    one = Evaluator("Homing-v0", episodes=1, traced=0).run("built_in:17").trace
+    carriage, beyond = column(one, "carriage"), column(one, "beyond the true reference")
+    assert (np.abs(carriage[:, AIM]) < 20).all()
+    assert abs(beyond[-1, VALUE]) < beyond[-1, WINDOW] == 0.1
+
+
+def test_a_load_that_two_axes_move_is_drawn_along_both():
+    evaluator = Evaluator("GantrySway-v0", episodes=1, traced=0, axes="xy")
+    one = evaluator.run("hold").trace
+    for name, goal in zip("XY", evaluator.vector.envs[0].episode._goal, strict=True):
+        assert (column(one, f"load in {name}")[:, AIM] == 1e3 * goal).all()
+        beyond = column(one, f"load beyond the goal in {name}")
+        away = column(one, f"load in {name}")[:, VALUE] - 1e3 * goal
+        np.testing.assert_allclose(beyond[:, VALUE], away, atol=1e-9)
+
+
 def test_a_built_in_homing_is_recorded_to_the_moment_home_is_declared():
     result = Evaluator("Homing-v0", episodes=2, traced=1).run("built_in")
     one = result.trace

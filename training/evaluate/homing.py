@@ -144,7 +144,22 @@ def run(drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE
     write_csv(out / "homing.csv", source, rows)
     write_page(out / "homing.md", f"Homing, drive {drive}", markdown(heading, table), source, notes)
     panels = {"time (s)": time, "3σ (µm)": spread, "largest impact (J)": impact}
-    draw(out / "homing.png", f"homing methods, drive {drive}", methods, family, panels, failures)
+
+    def why(panel: str, i: int, k: int) -> str:
+        if panel == "3σ (µm)" and near[i, k]:
+            return "the index pulse lies near the edge, so home may jump by a turn (index warning)"
+        if failures[i, k]:
+            some = next(r for r in rows if r["failure"]
+                        and (r["method"], r["mechanics"]) == (methods[i], family[k]))  # fmt: skip
+            return str(some["failure"])
+        if methods[i] in ON_A_STOP:
+            return "it pushes against the stop, and the transmission gives way"
+        if panel == "time (s)":
+            return "all the way at the slower speed"
+        return f"worst error {number(bias[i, k])} µm; what is elastic or plays lies in between"
+
+    title = f"homing methods, drive {drive}"
+    draw(out / "homing.png", title, methods, family, panels, failures, why)
     done = sum(row["attained"] for row in rows)
     console.print(f"{done} of {len(rows)} runs found a reference; {out / 'homing'}.csv, .md, .png")
     work.clear(todo, out)

@@ -131,7 +131,14 @@ def run(drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE
         "rms torque / rated": means["rms_torque_share_of_rated"].T,
     }
     path = out / "positioning.png"
-    draw(path, f"positioning strategies, drive {drive}", columns, STRATEGIES, panels, failures.T)
+
+    def why(panel: str, k: int, i: int) -> str:
+        swing, late = means["residual_vibration_um"][i, k], failures[i, k]
+        said = f"it swings by {number(swing)} µm afterwards"
+        return said + (f", and {late} moves did not settle" if late else "")
+
+    title = f"positioning strategies, drive {drive}"
+    draw(path, title, columns, STRATEGIES, panels, failures.T, why)
     console.print(f"{len(rows)} moves; {out / 'positioning'}.csv, .md, .png")
     work.clear(todo, out)
     return 0

@@ -1,7 +1,7 @@
 """A picture of many figures: a panel a quantity, named rows and columns."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -13,10 +13,35 @@ from matplotlib.colors import LogNorm
 
 from ..report import number
 
+FAR, MOST = 10.0, 6  # times the median of a panel is an outlier; so many are told
+
+
+def outliers(values: np.ndarray) -> list[tuple[int, int]]:
+    """Rows and columns of the values far above the median of all, the farthest first."""
+    known = values[np.isfinite(values) & (values > 0)]
+    far = np.argwhere(np.nan_to_num(values) > FAR * np.median(known)) if len(known) else []
+    return sorted(((int(i), int(k)) for i, k in far), key=lambda place: -values[place])
+
+
+def _told(rows, columns, panels, why) -> list[str]:
+    """A line an outlier, or for what cannot be told that it was left out."""
+    lines = []
+    for name, values in panels.items():
+        found = outliers(values)
+        for i, k in found[:MOST]:
+            reason = why(name, i, k)
+            lines.append(
+                f"{name} {number(float(values[i, k]))}, {rows[i]} on {columns[k]}: {reason}"
+            )
+        if len(found) > MOST:
+            lines.append(f"{name}: {len(found) - MOST} more above {FAR:g} times the median")
+    return lines
+
 
 def draw(
     path: Path, title: str, rows: Sequence[object], columns: Sequence[str],
     panels: Mapping[str, np.ndarray], failures: np.ndarray | Mapping[str, np.ndarray],
+    why: Callable[[str, int, int], str] | None = None,
 ) -> None:  # fmt: skip
     """Draw.
 
@@ -28,6 +53,8 @@ def draw(
         panels: values by quantity with unit, shape ``(rows, columns)``.
         failures: runs that failed, same shape, of all panels or by panel; cells with any have a
             red frame.
+        why: gives the reason of an outlier by panel, row and column; below the picture these are
+            told in words, the farthest first.
     """
     width = 1.0 + 0.85 * len(columns)
     figure, places = plt.subplots(
@@ -58,6 +85,10 @@ def draw(
         panel.set_yticks(range(len(rows)), [str(row) for row in rows], fontsize=8)
     heading = f"{title}; red frame: at least one run failed"
     figure.suptitle(textwrap.fill(heading, int(10 * figure.get_figwidth())), fontsize=11)
+    if why and (told := _told(rows, columns, panels, why)):
+        lines = [textwrap.fill(line, int(13 * figure.get_figwidth())) for line in told]
+        figure.set_figheight(figure.get_figheight() + 0.16 * sum(t.count("\n") + 1 for t in lines))
+        figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
     plt.close(figure)

@@ -5,6 +5,7 @@ switches and index pulses below, the home position marked.
 """
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from ...drive.kernel.homing import HERE, NUMBERS
+from ...drive.diagrams import homing_words
+from ...drive.kernel.homing import NUMBERS
 from ...drive.kernel.words import State
 from ...drive.master import HomingFailed, Master, Timeout
 from ...envs.engine import loop
@@ -25,7 +27,8 @@ from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
 from ...envs.plants.linear_axis import linear_axis
 
-STARTS = {"left": 0.1, "on the switch": 0.215, "right": 0.35}  # m
+STARTS = {"left": 0.1, "on the switch": 0.205, "right": 0.37}  # m
+SWITCH = (0.155, 0.27)  # m; it is wider than the 60 mm between two index pulses
 COLOURS = ("#1f5fa8", "#d9822b", "#2f8f5b")
 # methods whose home switch goes on to the end of the axis: which end of it, and where (m)
 TO_THE_END = {3: ("switch_to", 2.0), 4: ("switch_to", 2.0)}
@@ -61,7 +64,7 @@ def home_switch(machine: Machine) -> tuple[float, float]:
 def machine_for(method: int) -> Machine:
     """The axis for a method: with a home switch that goes on to the end, where it has to."""
     machine = linear_axis()
-    fit_home_switch(machine, method, home_switch(machine))
+    fit_home_switch(machine, method, SWITCH)
     x = machine.drives["x"]
     x.write("homing_method", method)
     if method in (-1, -2, -17, -18):  # on a stop: all the way at the slower speed
@@ -96,7 +99,7 @@ def home(machine: Machine, start: float, name: str = "") -> Run:
 def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None:
     """One diagram to `path`; the suffix chooses the format."""
     figure, (panel, strip) = plt.subplots(
-        2, 1, figsize=(8, 6), sharex=True, layout="constrained",
+        2, 1, figsize=(8, 6.4), sharex=True, layout="constrained",
         gridspec_kw={"height_ratios": [4, 1.3]},
     )  # fmt: skip
     for run, colour in zip(runs, COLOURS, strict=False):
@@ -109,7 +112,8 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
     panel.set_ylabel("time (s), downwards")
     panel.legend(fontsize=8, title="start", loc="best")
     panel.grid(alpha=0.3)
-    panel.set_title(f"homing method {method}", fontweight="bold")
+    panel.set_title(textwrap.fill(homing_words(method), 108), fontsize=8, loc="left")
+    figure.suptitle(f"homing method {method}", fontweight="bold")
     coupling = machine.couplings[0]
     switches = ("negative limit", "positive limit", "home switch")
     places = np.linspace(-25, 525, 2000)
@@ -138,8 +142,7 @@ def run(folder: Path, methods: list[int] | None, suffix: str, console: Console) 
     folder.mkdir(parents=True, exist_ok=True)
     for method in track(chosen, "homing", console=console):
         machine = machine_for(method)
-        starts = {"here": 0.1} if method in HERE else STARTS
-        runs = [home(machine, start, name) for name, start in starts.items()]
+        runs = [home(machine, start, name) for name, start in STARTS.items()]
         draw(method, machine, runs, folder / f"method_{method:+d}.{suffix}")
     console.print(f"{len(chosen)} diagrams in {folder}")
     return 0
