@@ -16,7 +16,7 @@ from rich.table import Table
 
 from ...envs.about import Metric
 from ...envs.registry import short, task
-from ..pictures import episode as trace
+from ..pictures.recording import Recording
 from ..policies import POLICIES, needed
 from ..report import (
     GRID,
@@ -222,22 +222,23 @@ def ahead(found: Difference, better: str) -> bool:
     return found.low > 0.0 if better == "high" else found.high < 0.0 and better == "low"
 
 
-def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
-    """Interquartile means with their intervals, a panel a metric."""
-    import matplotlib
+def draw(
+    path: Path, title: str, results: Sequence[Evaluation],
+    table: Mapping[str, Sequence[Summary | None]],
+) -> None:  # fmt: skip
+    """Interquartile means with their intervals, a panel a metric; `table` is of `summaries`."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
+    metrics = {"score": SCORE, **results[0].metrics}
     own = [metric for metric in metrics if metric not in METRICS and metric != "score"]
     shown = [metric for metric in (*SHOWN, *own) if metric in table][:6]
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
-    figure, panels = plt.subplots(
-        rows, columns, figsize=(4.2 * columns, 0.8 + rows * (1.1 + 0.3 * len(results))),
-        layout="constrained", squeeze=False, sharey=True,
-    )  # fmt: skip
+    height = 0.8 + rows * (1.1 + 0.3 * len(results))
+    figure = Figure((4.2 * columns, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     names = [_label(result.policy) for result in results]
     for panel, metric in zip(panels.flat, shown, strict=False):
         for y, (name, s) in enumerate(zip(names, table[metric], strict=True)):
@@ -260,7 +261,6 @@ def draw(path: Path, title: str, results: Sequence[Evaluation]) -> None:
     figure.suptitle(f"{title}: interquartile mean, 95 % interval; arrow: better", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
 
 
 def run(
@@ -334,9 +334,11 @@ def run(
     title = f"{env}, drive {drive}"
     write_page(out / f"{command}.md", title, pages, source, notes)
     write_json(out / f"{command}.json", _data(source, env, drive, results, table, against, apart))
-    draw(out / f"{command}.png", title, results)
+    draw(out / f"{command}.png", title, results, table)
+    from ..pictures import episode as pictured  # matplotlib, which no job needs
+
     episode = f"episode {traced} of seed {seed}"
-    trace.draw(out / f"{command}_trace.png", f"{title}, {episode}", _traces(results))
+    pictured.draw(out / f"{command}_trace.png", f"{title}, {episode}", _traces(results))
     console.print(f"{out / command}.md, .json, .png and _trace.png")
     work.clear(comparison.jobs, out)
     return 0
@@ -347,7 +349,7 @@ def folder_of(env: str) -> str:
     return short(task(env).ID).replace("/", "-")
 
 
-def _traces(results: Sequence[Evaluation]) -> list[trace.Recording]:
+def _traces(results: Sequence[Evaluation]) -> list[Recording]:
     """By their labels; idle policies only where there is no other."""
     moving = [result for result in results if result.policy not in IDLE] or results
     traces = [(result.trace, _label(result.policy)) for result in moving]

@@ -19,7 +19,7 @@ from ...envs.engine import probe
 from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
-from ..pictures.episode import Recorder, Recording
+from ..pictures.recording import Recorder, Recording
 from ..policies import Bound, BuiltIn, label, make, trainings
 from ..policies.residual import PUBLIC
 from .metrics import METRICS, metrics

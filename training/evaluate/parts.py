@@ -12,7 +12,7 @@ import numpy as np
 
 from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
-from ..pictures.episode import Recording
+from ..pictures.recording import Recording
 from ..policies import label, make, trainings
 from ..policies.file import SUFFIX
 from ..scale.job import Job, Result

@@ -9,7 +9,7 @@ import numpy as np
 from ...envs.servo_env import ServoEnv
 from . import weights
 from .residual import baseline, checked, corrected
-from .saved import ABOUT, read, stable_baselines3
+from .saved import ABOUT, read
 
 BEST = "best"
 
@@ -17,7 +17,6 @@ BEST = "best"
 @lru_cache(maxsize=32)
 def _opened(folder: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, Any]:
     """What a checkpoint is, its weights and its network: one for all who play it."""
-    stable_baselines3()
     about, arrays = read(folder), weights.load(folder)
     return about, arrays, arrays.actor(about)
 
@@ -41,7 +40,7 @@ class Learned:
 
     Raises:
         ValueError: no checkpoint, or one of another environment or with other spaces.
-        ImportError: stable-baselines3 is missing; the message has the command.
+        ImportError: its network needs stable-baselines3; the message has the command.
     """
 
     def __init__(self, folder: Path, env: ServoEnv, seed: int = 0):
