@@ -159,3 +159,8 @@ def test_the_bench_compares_the_same_motion():
     assert result["mj_step_ns"] > 0
     low, high = result["ratio_quartiles"]
     assert low <= result["ratio"] <= high
+
+
+def test_the_table_of_commands_names_what_each_module_adds():
+    for names in cli.COMMANDS.values():
+        assert tuple(cli.parser(names[0]).commands) == names

@@ -42,3 +42,15 @@ def threads():
     from servogym.envs.checks import threads as granted
 
     return {"threads": granted()}
+
+
+def loaded():
+    """What the process has that this one was forked from."""
+    from servogym.envs.tasks import positioning
+
+    compiled = positioning.LinearAxisEnv.judge.signatures
+    return {
+        "played": bool(compiled),
+        "given": os.environ.get("SERVOGYM_TEMPLATE", ""),
+        "blas": os.environ.get("OPENBLAS_NUM_THREADS", ""),
+    }

@@ -2,6 +2,8 @@
 
 import errno
 import io
+import subprocess
+import sys
 from pathlib import Path
 
 import deeds
@@ -199,3 +201,21 @@ def test_the_files_of_two_workers_are_those_of_none(command, tmp_path):
 def test_workers_out_of_range_are_one_line(capsys):
     assert cli.main(["eval", "LinearAxis-v0", "--policy", "hold", "--workers", "0"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_workers_are_forked_from_a_process_that_has_loaded_what_they_need():
+    code = """
+import sys
+from servogym.training.scale import template
+played = {"env": "LinearAxis-v0", "drive": "generic"}
+assert template.prepare([("servogym.training.evaluate.parts:once", played)])
+assert not [name for name in sys.modules if name.startswith(("numpy", "numba"))], "at once"
+assert not template.prepare([("deeds:square", {"x": 1})]), "started for something else"
+import deeds
+from servogym.training.scale.job import Job
+from servogym.training.scale.work import Work
+(found,) = Work(workers=1).map([Job("", deeds.loaded, {})])
+assert found == {"played": True, "given": "", "blas": "1"}, found
+"""
+    folder = Path(__file__).parent
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=folder)

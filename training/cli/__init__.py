@@ -1,6 +1,7 @@
 """The command line ``servogym``: a module a command, each with its row of the table."""
 
 import argparse
+import importlib
 import os
 import re
 import signal
@@ -12,36 +13,16 @@ from typing import NoReturn
 
 from rich.console import Console
 
-from ...drive.model.near import near
-from ...drive.objects.abort import SdoAbort
-from ...envs.checks import place_of, told
-from ..report import writable
-from . import (
-    bench,
-    benchmark,
-    bode,
-    compare,
-    decode,
-    demo,
-    drives,
-    eds,
-    esi,
-    ethercat,
-    homing,
-    node,
-    panel,
-    results,
-    scope,
-    sweep,
-    train,
-    tune,
-    watch,
-)
-
-COMMANDS = (
-    demo, bench, drives, node, ethercat, eds, esi, decode, bode, tune, scope, homing, watch, panel,
-    train, compare, results, benchmark, sweep,
-)  # fmt: skip
+COMMANDS = {  # by the modules that add them, which are loaded when they are asked for
+    "demo": ("demo",), "bench": ("bench",), "drives": ("drives",), "node": ("node",),
+    "ethercat": ("ethercat",), "eds": ("eds",), "esi": ("esi",), "decode": ("decode",),
+    "bode": ("bode",), "tune": ("tune",), "scope": ("scope",), "homing": ("homing",),
+    "watch": ("watch",), "panel": ("panel",), "train": ("train", "curves"),
+    "compare": ("eval", "compare"), "results": ("results",), "benchmark": ("benchmark",),
+    "sweep": ("sweep",),
+}  # fmt: skip
+# threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
+BLAS = "OPENBLAS_NUM_THREADS"
 
 
 class Parser(argparse.ArgumentParser):
@@ -51,6 +32,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Usage, what is wrong, and near names; exit status 2."""
+        from ...drive.model.near import near
+
         if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             known = re.findall(r"[^\s,']+", wrong[2])
             hint = near(wrong[1], known)
@@ -59,6 +42,8 @@ class Parser(argparse.ArgumentParser):
 
     def refuse(self, unknown: list[str]) -> NoReturn:
         """Options and words that no command has."""
+        from ...drive.model.near import near
+
         known = [*self._option_string_actions]
         options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
         hints = [near(option, known) for option in options if option.startswith("--")]
@@ -66,16 +51,17 @@ class Parser(argparse.ArgumentParser):
         self.error(f"unrecognized: {' '.join(unknown)}{hints[0] if hints else ''}")
 
 
-def parser() -> Parser:
-    """All commands with their options."""
+def parser(asked: str = "") -> Parser:
+    """All commands with their options; those of one module where `asked` is a command."""
     parser = Parser(
         prog="servogym",
         description="A laboratory for motion control: axes in MuJoCo, moved by an emulated drive.",
     )
     parser.add_argument("--version", action="version", version=f"servogym {version('servogym')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
-    for command in COMMANDS:
-        command.add(commands)
+    one = [module for module, names in COMMANDS.items() if asked in names]
+    for module in one or COMMANDS:
+        importlib.import_module(f".{module}", __name__).add(commands)
     parser.commands = commands.choices
     return parser
 
@@ -92,16 +78,21 @@ def _joined(words: list[str]) -> list[str]:
 
 
 def _parsed(words: list[str]) -> argparse.Namespace:
-    own = parser()
+    own = parser(next((word for word in words if not word.startswith("-")), ""))
     options, unknown = own.parse_known_args(words)
     if unknown:
         own.commands[options.command].refuse(unknown)
     return options
 
 
-def _plain(error: Exception) -> str:
-    """What an error says in one line, of the system's without its number."""
-    if isinstance(error, OSError) and error.strerror:
+def _told(error: Exception) -> str:
+    """An error of the user, their task or policy in a line; empty for one of ours."""
+    from ...drive.objects.abort import SdoAbort
+    from ...envs.checks import place_of, told
+
+    if not isinstance(error, (ValueError, OSError, RuntimeError, ImportError, SdoAbort)):
+        return told(error) if place_of(error) else ""
+    if isinstance(error, OSError) and error.strerror:  # what the system says, without its number
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split())
 
@@ -111,6 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     SIGTERM ends a command as Ctrl-C does.
     """
+    os.environ.setdefault(BLAS, "1")
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # modules with tasks of your own, as `python -m` finds them
     options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
@@ -121,15 +113,15 @@ def main(arguments: list[str] | None = None) -> int:
         for kind in ("files", "folders"):
             for name in getattr(options, kind, ()):
                 if (path := getattr(options, name)) is not None:
+                    from ..report import writable
+
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
         return options.run(options, console)
-    except (ValueError, OSError, TimeoutError, RuntimeError, ImportError, SdoAbort) as error:
-        print(f"servogym {options.command}: {_plain(error)}", file=sys.stderr)
-        return 2
-    except Exception as error:  # of a task or policy of the user's own; else it is a fault of ours
-        if not place_of(error):
+    except Exception as error:
+        line = _told(error)
+        if not line:
             raise
-        print(f"servogym {options.command}: {told(error)}", file=sys.stderr)
+        print(f"servogym {options.command}: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -3,12 +3,13 @@
 import argparse
 import inspect
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
-from ..scale.work import Work
+if TYPE_CHECKING:
+    from ..scale.work import Work
 
 POLICY = "name, FILE.py:function, or folder of a training"
 LISTED = "help"  # instead of NAME=VALUE
@@ -33,9 +34,20 @@ def add_work(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="only what is missing in --out")
 
 
-def work(options: argparse.Namespace) -> Work:
+def work(options: argparse.Namespace) -> "Work":
     """Who does the jobs."""
+    from ..scale.work import Work
+
     return Work(options.workers, options.ray, options.resume)
+
+
+def prepare(options: argparse.Namespace) -> None:
+    """Have workers on this machine loaded while the command loads itself."""
+    if options.workers and options.workers > 0 and options.ray is None:
+        from ..scale.template import prepare
+
+        played = {"env": options.env, "drive": options.drive}
+        prepare([("servogym.training.evaluate.parts:once", played)])
 
 
 def _named(text: str) -> tuple[str, Any]:

@@ -33,6 +33,7 @@ def add(commands) -> None:
 
 
 def _compare(options: argparse.Namespace, console: Console) -> int:
+    arguments.prepare(options)
     from ..evaluate import compare
 
     if arguments.asked(options):

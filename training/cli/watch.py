@@ -5,7 +5,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from ..report import writable
 from . import arguments
 
 
@@ -29,6 +28,8 @@ def _watch(options: argparse.Namespace, console: Console) -> int:
     if arguments.asked(options):
         return arguments.listing(options.env, console)
     if options.record is not None:
+        from ..report import writable
+
         writable("--record", options.record, file=bool(options.record.suffix))
     return watch.run(
         options.env, options.policy, options.drive, options.episodes, options.seed,

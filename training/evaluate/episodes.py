@@ -140,6 +140,13 @@ class Evaluator:
             return pooled(policy, [self._run(folder) for folder in folders])
         return self._run(policy)
 
+    def first_step(self) -> None:
+        """All that is compiled, once."""
+        self._reset()
+        self.vector.step(np.zeros((len(self.seeds), self._actions), np.float32))
+        for env in self.vector.envs:
+            self._measured(env, "")
+
     def _run(self, policy: Any) -> Evaluation:
         first = make(policy, self.env, self.seeds[0])
         observations, infos = self._reset()

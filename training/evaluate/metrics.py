@@ -6,6 +6,7 @@ tables.
 """
 
 import math
+from functools import lru_cache
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -65,6 +66,8 @@ def iqm(values: np.ndarray) -> np.ndarray:
     """
     values = np.sort(values, axis=-1)  # what is not a number comes last
     n = np.isfinite(values).sum(axis=-1, keepdims=True)
+    if n.size and n.min() == n.max():
+        n = n[(slice(1),) * n.ndim]  # the same weights for all
     rank = np.arange(1, values.shape[-1] + 1)
     weights = np.clip(np.minimum(rank, n + 1 - rank) - n / 4, 0.0, 1.0)
     total = np.where(weights > 0.0, values * weights, 0.0).sum(axis=-1)
@@ -149,12 +152,17 @@ def difference(one: np.ndarray, other: np.ndarray, *, share: bool = False) -> Di
 
 def _drawn(values: np.ndarray, stream: int) -> np.ndarray:
     """Resamples, shape ``(RESAMPLES, trainings × episodes)``; each stream draws other trainings."""
-    trainings, episodes = values.shape
+    return values.ravel()[_chosen(*values.shape, stream)]
+
+
+@lru_cache(maxsize=4)
+def _chosen(trainings: int, episodes: int, stream: int) -> np.ndarray:
+    """What `_drawn` draws, the same for all metrics."""
     chosen = np.random.default_rng([BOOTSTRAP_SEED, 0])
     of_episodes = chosen.integers(0, episodes, (RESAMPLES, 1, episodes))
     chosen = np.random.default_rng([BOOTSTRAP_SEED, 1 + stream])
     of_trainings = chosen.integers(0, trainings, (RESAMPLES, trainings, 1))
-    return values[of_trainings, of_episodes].reshape(RESAMPLES, -1)
+    return (of_trainings * episodes + of_episodes).reshape(RESAMPLES, -1)
 
 
 def _interval(estimates: np.ndarray) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from ..pictures.recording import Recording
 from ..policies import label, make, trainings
 from ..policies.file import SUFFIX
 from ..scale.job import Job, Result
-from .episodes import Evaluation, Evaluator, fixed, pooled
+from .episodes import Evaluation, Evaluator, pooled
 from .metrics import metrics
 
 PART = 10  # episodes of a job
@@ -124,11 +124,15 @@ class Episodes:
 
 def warm(env: str, drive: str) -> Job:
     """A small job that needs all that is compiled for an environment."""
-    return Job(
-        f"compiling for {env}", play,
-        {"env": env, "drive": drive, "arguments": {}, "policy": "hold", "training": None,
-         "seeds": fixed(0, 1), "traced": None},
-    )  # fmt: skip
+    return Job(f"compiling for {env}", once, {"env": env, "drive": drive})
+
+
+def once(env: str, drive: str) -> Result:
+    """The job: the first step of an episode."""
+    evaluator = Evaluator(env, drive=drive, episodes=1)
+    evaluator.first_step()
+    evaluator.close()
+    return {}
 
 
 def watched(

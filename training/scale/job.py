@@ -47,11 +47,15 @@ class Job(NamedTuple):
         """Do it here."""
         return self.function(**self.arguments)
 
+    @property
+    def place(self) -> str:
+        """Of the function: ``module:name``."""
+        return f"{self.function.__module__}:{self.function.__qualname__}"
+
     def digest(self) -> str:
         """Of all that its result depends on."""
-        function = f"{self.function.__module__}.{self.function.__qualname__}"
         arguments = sorted(self.arguments.items())
-        found = hashlib.sha256(repr((stamp(), self.name, function, arguments)).encode())
+        found = hashlib.sha256(repr((stamp(), self.name, self.place, arguments)).encode())
         for path in map(Path, self.watched):
             _read(found, path)
         return found.hexdigest()[:32]

@@ -10,6 +10,7 @@ from typing import Any
 
 from ...envs.checks import cores
 from .job import Done, Job, do, result, stamp
+from .template import prepare
 
 DEATHS = 3  # of the processes of one job, until it is given up
 
@@ -22,20 +23,21 @@ def processes(
     Args:
         jobs: to be done.
         workers: how many processes.
-        warm: done here before they start, so that nothing is compiled twice.
+        warm: done before they start, so that nothing is compiled twice.
 
     Raises:
         RuntimeError: the processes of one job died one after the other.
         Exception: of a job, as it was raised there.
     """
     payloads = [job.sent() for job in jobs]
-    for job in warm:
-        job()
+    if not prepare([(job.place, dict(job.arguments)) for job in warm]):
+        for job in warm:
+            job()
     workers = min(workers, len(jobs))
     threads = max(cores() // max(workers, 1), 1)
     waiting, deaths = deque(range(len(jobs))), [0] * len(jobs)
     busy: dict[Connection, tuple[int, _Worker]] = {}
-    idle = [_Worker({job.function.__module__ for job in jobs}) for _ in range(workers)]
+    idle = [_Worker() for _ in range(workers)]
     try:
         while waiting or busy:
             while waiting and idle:
@@ -57,7 +59,7 @@ def processes(
                         f"{worker.end()}"
                     )
                 waiting.appendleft(i)
-                idle.append(_Worker({jobs[i].function.__module__}))
+                idle.append(_Worker())
     finally:
         for worker in [*idle, *(worker for _, worker in busy.values())]:
             worker.close()
@@ -66,11 +68,9 @@ def processes(
 class _Worker:
     """A process and the pipe to it; it ends when the pipe does."""
 
-    def __init__(self, modules: set[str]):
+    def __init__(self):
         methods = get_all_start_methods()
         context: Any = get_context("forkserver" if "forkserver" in methods else "spawn")
-        if context.get_start_method() == "forkserver":
-            context.set_forkserver_preload([__name__, *sorted(modules)])
         self.connection, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other,), daemon=True)
         self.process.start()
