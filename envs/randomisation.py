@@ -12,7 +12,8 @@
 | delay | of an RPDO on its way to the drives | position cycles |
 | encoder_noise | standard deviation of the measured joint position | m or rad |
 
-A range is ``(low, high)``, drawn uniformly, or one number that is always taken.
+A range is ``(low, high)``, drawn uniformly, or one number that is always taken. One with a share,
+``(low, high, share)``, is drawn in that share of the episodes; the others have the nominal.
 """
 
 import math
@@ -47,6 +48,7 @@ class Knob(NamedTuple):
     high: float
     unit: str
     turn: Callable[[Machine, Nominal, float], None]
+    nominal: Callable[[Machine], float]  # of a machine as it was built
 
 
 def _payload(machine: Machine, nominal: Nominal, mass: float) -> None:
@@ -100,16 +102,28 @@ def _encoder_noise(machine: Machine, nominal: Nominal, deviation: float) -> None
     machine.couplings["noise"] = deviation
 
 
+def _one(machine: Machine) -> float:
+    """Of a share of the nominal."""
+    return 1.0
+
+
+def _none(machine: Machine) -> float:
+    """Of what a machine does not have by itself."""
+    return 0.0
+
+
 KNOBS = {
-    "payload": Knob(1e-3, 100.0, "kg", _payload),
-    "cable_length": Knob(0.05, 10.0, "m", _cable_length),
-    "friction": Knob(0.0, 10.0, "of the nominal friction", _friction),
-    "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness),
-    "backlash": Knob(0.0, 0.01, "m", _backlash),
-    "structural_damping": Knob(0.0, 10.0, "of the nominal damping", _structural_damping),
-    "gains": Knob(0.1, 3.0, "of the nominal gains", _gains),
-    "delay": Knob(0.0, 1000.0, "position cycles", _delay),
-    "encoder_noise": Knob(0.0, 1e-2, "m or rad", _encoder_noise),
+    "payload": Knob(1e-3, 100.0, "kg", _payload, lambda m: float(m.model.body(PAYLOAD).mass[0])),
+    "cable_length": Knob(
+        0.05, 10.0, "m", _cable_length, lambda m: -float(m.model.body(PAYLOAD).ipos[2])
+    ),
+    "friction": Knob(0.0, 10.0, "of the nominal friction", _friction, _one),
+    "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness, _one),
+    "backlash": Knob(0.0, 0.01, "m", _backlash, lambda m: float(m.mechanics["backlash"].max())),
+    "structural_damping": Knob(0.0, 10.0, "of the nominal damping", _structural_damping, _one),
+    "gains": Knob(0.1, 3.0, "of the nominal gains", _gains, _one),
+    "delay": Knob(0.0, 1000.0, "position cycles", _delay, _none),
+    "encoder_noise": Knob(0.0, 1e-2, "m or rad", _encoder_noise, _none),
 }
 
 
@@ -118,7 +132,7 @@ class Randomisation:
 
     Args:
         machine: as it was built; what it has now is the nominal.
-        ranges: numbers or ``(low, high)`` by name.
+        ranges: numbers, ``(low, high)`` or ``(low, high, share)`` by name.
         cycles: position cycles of a step, the longest delay there can be.
 
     Raises:
@@ -126,7 +140,7 @@ class Randomisation:
     """
 
     def __init__(
-        self, machine: Machine, ranges: Mapping[str, float | tuple[float, float]], cycles: int
+        self, machine: Machine, ranges: Mapping[str, float | tuple[float, ...]], cycles: int
     ):
         self._machine = machine
         model = machine.model
@@ -171,6 +185,7 @@ class Randomisation:
             ],
             model.body_inertia[body] / mass if mass > 0.0 else np.zeros(3),
         )
+        self._usual = {name: KNOBS[name].nominal(machine) for name in ranges}
 
     def draw(self, generator: np.random.Generator) -> dict[str, float]:
         """Draw a value for each name and set it; -> the values. The machine has to be reset."""
@@ -178,10 +193,11 @@ class Randomisation:
         if scattered.any():
             seeds = generator.integers(1, 2**63, len(scattered), dtype=np.uint64)
             self._machine.mechanics["switch_seed"] = seeds
-        values = {
-            name: float(generator.uniform(low, high)) if low < high else low
-            for name, (low, high) in self.ranges.items()
-        }
+        values = {}
+        for name, (low, high, *share) in self.ranges.items():
+            values[name] = float(generator.uniform(low, high)) if low < high else low
+            if share and generator.random() >= share[0]:
+                values[name] = self._usual[name]
         if "encoder_noise" in values:
             for coupling in self._machine.couplings:
                 coupling.noise_state = generator.integers(1, 2**63)
@@ -196,17 +212,19 @@ class Randomisation:
             mujoco.mj_setConst(self._machine.model, self._machine.data)
 
 
-def _range(name: str, given: float | tuple[float, float]) -> tuple[float, float]:
+def _range(name: str, given: float | tuple[float, ...]) -> tuple[float, ...]:
     if name not in KNOBS:
         raise ValueError(f"randomise: unknown name {name!r}: {near(name, KNOBS)}")
     knob = KNOBS[name]
     try:
-        low, high = (float(given),) * 2 if np.ndim(given) == 0 else map(float, given)  # type: ignore
+        low, high, *share = (float(given),) * 2 if np.ndim(given) == 0 else map(float, given)  # type: ignore
     except (TypeError, ValueError):
-        low = high = math.nan
-    if not knob.low <= low <= high <= knob.high:
+        low, high, share = math.nan, math.nan, []
+    if not knob.low <= low <= high <= knob.high or len(share) > 1:
         raise ValueError(
-            f"randomise[{name!r}] = {given!r} must be a number or (low, high) within "
-            f"{knob.low:g}..{knob.high:g} {knob.unit}"
+            f"randomise[{name!r}] = {given!r} must be a number, (low, high) or (low, high, share) "
+            f"within {knob.low:g}..{knob.high:g} {knob.unit}"
         )
-    return low, high
+    if share and not 0.0 <= share[0] <= 1.0:
+        raise ValueError(f"randomise[{name!r}] = {given!r}: the share of the episodes is 0..1")
+    return low, high, *share

@@ -130,7 +130,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         action: str = "setpoint",
         history: int = 1,
         previous_action: bool = False,
-        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         faults: Faults = None,
         render_mode: str | None = None,
     ):

@@ -217,7 +217,7 @@ class CompliantAxisEnv(ServoEnv):
         parameters: LinearAxisParameters = PARAMETERS,
         tolerance: float = 100e-6,
         following_error_window: float = 0.02,
-        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         **arguments: Any,
     ):
         if not (parameters.stiffness > 0.0 and parameters.payload > 0.0):

@@ -232,7 +232,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         skew_tolerance: float = 0.2e-3,
         speed: float = 0.2,
         following_error_window: float = 5e-3,
-        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         **arguments: Any,
     ):
         self.max_twist = in_range("max_twist", max_twist, 1e-3, MAX_SKEW, "m")

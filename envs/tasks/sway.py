@@ -268,7 +268,7 @@ class GantrySwayEnv(ServoEnv):
         tolerance: float = 5e-3,
         resting: float = 0.02,
         following_error_window: float = 0.02,
-        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         **arguments: Any,
     ):
         if axes not in ("x", "xy"):

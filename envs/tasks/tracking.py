@@ -238,7 +238,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         parameters: LinearAxisParameters | str | None = None,
         tolerance: float = 20e-6,
         following_error_window: float = 5e-3,
-        randomise: Mapping[str, float | tuple[float, float]] | None = None,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         **arguments: Any,
     ):
         self.reference = None if reference is None else choice("reference", reference, REFERENCES)

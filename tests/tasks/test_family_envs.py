@@ -54,3 +54,24 @@ def test_a_vector_of_belts_is_bit_for_bit_the_belts_one_by_one():
 def test_an_unknown_member_is_named():
     with pytest.raises(ValueError, match="rigid, toothed_belt, ball_screw, linear_motor, vertical"):
         LinearAxisEnv(parameters="rubber_band")
+
+
+def test_a_share_of_a_range_leaves_the_other_episodes_nominal():
+    """With share 0.25 as many of 400 as a binomial distribution allows, 5 standard deviations."""
+    env = LinearAxisEnv(
+        payload=4.0, randomise={"delay": (1.0, 3.0, 0.25), "payload": (6.0, 8.0, 0.0), "gains": 0.9}
+    )
+    generator = np.random.default_rng(5)
+    drawn = [env.randomisation.draw(generator) for _ in range(400)]
+    delays = np.array([values["delay"] for values in drawn])
+    assert abs((delays > 0.0).sum() - 100) < 5 * (400 * 0.25 * 0.75) ** 0.5
+    assert ((delays == 0.0) | ((delays >= 1.0) & (delays <= 3.0))).all()
+    assert {(values["payload"], values["gains"]) for values in drawn} == {(4.0, 0.9)}
+    assert env.machine.model.body("payload").mass[0] == 4.0
+    assert env.machine.world["delay"][0] == round(delays[-1] * env.machine.physics_steps)
+
+
+@pytest.mark.parametrize("given", [(1.0, 2.0, 1.5), (1.0, 2.0, 0.5, 0.5), (1.0, 2.0, "half")])
+def test_a_share_that_is_none_is_named(given):
+    with pytest.raises(ValueError, match=r"randomise\['delay'\] = "):
+        LinearAxisEnv(randomise={"delay": given})

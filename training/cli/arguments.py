@@ -18,7 +18,7 @@ LISTED = "help"  # instead of NAME=VALUE
 def add(parser: argparse.ArgumentParser) -> None:
     """``--argument NAME=VALUE`` of an environment."""
     parser.add_argument(
-        "--argument", action="append", metavar="NAME=VALUE", type=_named, nargs="?",
+        "--argument", action="append", metavar="NAME=VALUE", type=named, nargs="?",
         const=(LISTED, None),
         help="of the environment, VALUE in JSON or text; repeatable; without a value: lists them",
     )  # fmt: skip
@@ -50,7 +50,7 @@ def prepare(options: argparse.Namespace) -> None:
         prepare([("servogym.training.evaluate.parts:once", played)])
 
 
-def _named(text: str) -> tuple[str, Any]:
+def named(text: str) -> tuple[str, Any]:
     """``"payload=3"`` -> ``("payload", 3)``."""
     name, equals, value = text.partition("=")
     name = name.strip().replace("-", "_")

@@ -23,6 +23,13 @@ def add(commands) -> None:
     train.add_argument(
         "--bounds", type=_bounds, help="largest correction of each action: 0.05,0.05"
     )
+    train.add_argument(
+        "--start", type=Path, metavar="FOLDER", help="begin with the weights of this training"
+    )
+    train.add_argument(
+        "--setting", action="append", metavar="NAME=VALUE", type=arguments.named,
+        help="hyper-parameter, VALUE in JSON; repeatable",
+    )  # fmt: skip
     train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
     train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
     train.add_argument("--checkpoint-every", type=int, help="steps")
@@ -50,7 +57,9 @@ def _train(options: argparse.Namespace, console: Console) -> int:
         options.env, options.out, console, resume=options.resume, drive=options.drive,
         algorithm=options.algorithm, seed=options.seed, envs=options.envs,
         arguments=dict(options.argument) if options.argument else None,
-        residual=options.residual, bounds=options.bounds, progress=console.is_terminal, **given,
+        settings=dict(options.setting) if options.setting else None,
+        residual=options.residual, bounds=options.bounds, start=options.start,
+        progress=console.is_terminal, **given,
     )  # fmt: skip
 
 

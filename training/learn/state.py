@@ -61,6 +61,32 @@ def load(model, folder: Path) -> None:
         ) from None
 
 
+def begin(model, first: weights.Weights, steps: int) -> None:
+    """Give a new algorithm the weights and the means of observations of another training.
+
+    Args:
+        model: the algorithm, with its environments.
+        first: of the other training.
+        steps: of the other training, by which its means count.
+
+    Raises ValueError where they are of another network.
+    """
+    seen = tuple(model.observation_space.shape)
+    if first.shape[:1] != seen:
+        raise ValueError(
+            f"the weights to start from see {first.shape[0]} numbers, here {seen[0]} are shown: "
+            "history and previous_action have to be those of that training"
+        )
+    try:
+        arrays = {name: torch.from_numpy(array) for name, array in first.network.items()}
+        model.policy.load_state_dict(arrays)
+    except (RuntimeError, TypeError) as error:
+        raise ValueError(f"the weights to start from are of another network: {error}") from None
+    if (statistics := model.get_vec_normalize_env()) is not None and first.mean is not None:
+        means = statistics.obs_rms
+        means.mean, means.var, means.count = first.mean.copy(), first.variance.copy(), float(steps)
+
+
 def _restore(model, arrays: dict[str, np.ndarray], network: dict[str, np.ndarray]) -> None:
     optimizers, variables = _names(model)
     model.policy.load_state_dict({name: torch.from_numpy(a) for name, a in network.items()})

@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from ...envs.checks import whole
 from ...envs.registry import short, task
-from ..policies import saved
+from ..policies import saved, weights
 from . import checkpoint, hyperparameters, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
@@ -46,6 +46,7 @@ class Run:
         hyperparameters: as in `servogym.training.learn.hyperparameters`.
         residual: a policy whose actions are corrected; none: the actions are the policy's own.
         bounds: the largest correction of each component of an action, 0..1.
+        start: what the checkpoint says whose weights it began with; none: random ones.
 
     Raises:
         ValueError: naming the argument, its value and what is possible.
@@ -60,6 +61,7 @@ class Run:
     hyperparameters: dict[str, Any]
     residual: str | None = None
     bounds: list[float] | None = None
+    start: dict[str, Any] | None = None
 
     def __post_init__(self):
         whole("seed", self.seed, 0, 2**31 - 1)
@@ -87,6 +89,29 @@ def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | No
     return Run(
         kind.ID, asked["drive"] or "generic", algorithm, asked["seed"] or 0,
         chosen.pop("n_envs"), asked["arguments"] or {}, chosen, residual, asked["bounds"],
+    )  # fmt: skip
+
+
+def _started(
+    folder: Path, env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None
+) -> Run:
+    """A new run that begins with the weights of a checkpoint: what is not given is as it was there.
+
+    Raises ValueError where what the weights mean would be another: task, algorithm, residual.
+    """
+    about = saved.read(folder)
+    wanted = {"env_id": task(env_id).ID, **asked}
+    for name in ("env_id", "algorithm", "residual", "bounds"):
+        if wanted[name] is not None and wanted[name] != about.get(name):
+            raise ValueError(
+                f"--start {folder} has {name} = {about.get(name)!r}, asked for is "
+                f"{wanted[name]!r}: leave it out, or start from another checkpoint"
+            )
+    return Run(
+        about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
+        asked["envs"] or about["envs"], about["arguments"] | (asked["arguments"] or {}),
+        about["hyperparameters"] | dict(settings or {}), about.get("residual"),
+        about.get("bounds"), about,
     )  # fmt: skip
 
 
@@ -126,6 +151,7 @@ def train(
     settings: Mapping[str, Any] | None = None,
     residual: str | None = None,
     bounds: Sequence[float] | None = None,
+    start: Path | None = None,
     checkpoint_every: int = 50_000,
     evaluate_every: int = 25_000,
     progress: bool = False,
@@ -146,6 +172,8 @@ def train(
         settings: hyper-parameters that differ from the table, for a new run.
         residual: a policy whose actions are corrected by what is learned.
         bounds: the largest correction of each component of an action, 0..1.
+        start: a training or a checkpoint whose weights this run begins with; what is not given is
+            as it was there, arguments one by one.
         checkpoint_every: steps from one to the next.
         evaluate_every: steps from one to the next.
         progress: show a bar, where tqdm is installed.
@@ -175,16 +203,24 @@ def train(
         raise ValueError(
             f"{out} has a run already: --resume continues it, another --out begins a new one"
         )
+    if resume and start is not None:
+        raise ValueError("--start is for a new run, --resume goes on with one: give one of them")
     last = found[-1] if found else None
-    run = _continued(last, env_id, asked, console) if last else _run(env_id, asked, settings)
+    if last:
+        run, first = _continued(last, env_id, asked, console), None
+    elif start is not None:
+        start = saved.folder(start)
+        run, first = _started(start, env_id, asked, settings), weights.load(start)
+    else:
+        run, first = _run(env_id, asked, settings), None
     with checkpoint.alone(out), sb3.one_thread():
         return _train(run, last, out, int(steps), checkpoint_every, evaluate_every, progress,
-                      console)  # fmt: skip
+                      console, first)  # fmt: skip
 
 
 def _train(
     run: Run, last: Path | None, out: Path, steps: int, checkpoint_every: int,
-    evaluate_every: int, progress: bool, console: Console,
+    evaluate_every: int, progress: bool, console: Console, first: weights.Weights | None,
 ) -> tuple[Score, Score]:  # fmt: skip
     env, judged = run.vector(run.envs), run.vector(EPISODES)
     settings = dict(run.hyperparameters)
@@ -197,6 +233,8 @@ def _train(
         model = ALGORITHMS[run.algorithm]("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
     except TypeError as error:
         raise ValueError(f"hyper-parameters of {run.algorithm}: {error}") from None
+    if first and run.start:
+        state.begin(model, first, run.start["steps"])
     evaluation = EvaluationCallback(judged, asdict(run), out, evaluate_every, console)
     if last:
         state.load(model, last)

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from ...envs.servo_env import ServoEnv
-from . import weights
+from . import saved, weights
 from .residual import baseline, checked, corrected
 from .saved import ABOUT, read
-
-BEST = "best"
 
 
 @lru_cache(maxsize=32)
@@ -44,8 +42,7 @@ class Learned:
     """
 
     def __init__(self, folder: Path, env: ServoEnv, seed: int = 0):
-        if not (folder / ABOUT).is_file():
-            folder = folder / BEST
+        folder = saved.folder(folder)
         about, self._weights, self._actor = _opened(folder, _stamp(folder))
         if about["env_id"] != env.ID:
             raise ValueError(

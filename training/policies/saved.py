@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+BEST = "best"  # of a run, the policy of the best evaluation
 ABOUT, MODEL, STATISTICS = "checkpoint.json", "model.zip", "vecnormalize.pkl"
 
 
@@ -24,6 +25,11 @@ def stable_baselines3() -> ModuleType:
             f"training needs stable-baselines3 ({error}): pip install 'servogym[train]'"
         ) from None
     return stable_baselines3
+
+
+def folder(of: Path) -> Path:
+    """Of a checkpoint, or of a run its best one."""
+    return of if (of / ABOUT).is_file() else of / BEST
 
 
 def read(folder: Path) -> dict[str, Any]:
