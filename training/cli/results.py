@@ -18,6 +18,10 @@ def add(commands) -> None:
         "--again", action="store_true", help="run the comparison of each folder anew before"
     )
     results.add_argument(
+        "--train", nargs="?", const="", metavar="OUT",
+        help="train all again into this folder; without it only tell the commands and CPU-seconds",
+    )  # fmt: skip
+    results.add_argument(
         "--suite",
         help="of a benchmark: checks the submissions in the folder, writes the leaderboard",
     )
@@ -38,6 +42,8 @@ def _results(options: argparse.Namespace, console: Console) -> int:
         return _leaderboard(options, console)
     if options.run_code:
         raise ValueError("--run-code is for the submissions of a benchmark: add --suite")
+    if options.train is not None:
+        return _train(options, console)
     if options.again:
         if options.folder is None:
             raise ValueError("--again writes into the folder: name one of yours")
@@ -47,11 +53,23 @@ def _results(options: argparse.Namespace, console: Console) -> int:
     return results.run(options.folder, options.out, console)
 
 
+def _train(options: argparse.Namespace, console: Console) -> int:
+    from ..evaluate import repeat
+    from ..policies import SHIPPED
+
+    if options.again or options.ray is not None or options.resume:
+        raise ValueError(
+            "--train takes --workers alone; it goes on by itself where it was interrupted"
+        )
+    out = Path(options.train) if options.train else None
+    return repeat.run(options.folder or SHIPPED, out, options.workers, console)
+
+
 def _leaderboard(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import leaderboard, suite
 
-    if options.folder is None or options.again:
-        raise ValueError("--suite: name the folder of the submissions, without --again")
+    if options.folder is None or options.again or options.train is not None:
+        raise ValueError("--suite: name the folder of the submissions, without --again and --train")
     return leaderboard.rank(
         suite.read(options.suite), options.folder, options.out or options.folder / "README.md",
         console, arguments.work(options), run_code=options.run_code,

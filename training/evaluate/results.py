@@ -17,8 +17,10 @@ from ...envs.about import Metric
 from ...envs.registry import task
 from ..policies import LEARNED, SHIPPED
 from ..report import markdown, number
+from . import repeat
 from .compare import SHARES, ahead
 from .metrics import METRICS, Difference, Summary, metrics
+from .repeat import folders, text
 
 FILE, PAGE, HONEST = "compare.json", "README.md", "**Where the baseline is better**"
 PICTURES = {  # as far as they are there
@@ -38,6 +40,12 @@ trainings and episodes are resampled, and the difference on the same episodes, i
 interval is on the better side of 0. Beside them the worst training and the worst 5 % of the
 episodes of the learned policy. Shares are means over the episodes, of the learned policy and of
 that baseline. One episode is drawn under each policy, of several trainings under the first.
+
+"""
+AGAIN = """## All trainings once more
+
+`servogym results --train out/again --workers 2` trains all of them anew, and goes on where it was
+interrupted; without a folder it tells the commands. `trainings.json` of each folder has them.
 
 """
 FOOT = """Written by `servogym results` from the `compare.json` of each folder.
@@ -64,15 +72,7 @@ def page(folder: Path, at: str = ".") -> str:
                 path, path.name if at == "." else f"{at}/{path.name}", data, own, baseline, known
             )
         )
-    return HEAD + markdown(HEADING, rows) + "\n" + "".join(sections) + FOOT
-
-
-def folders(folder: Path) -> list[Path]:
-    """Those of tasks. Raises ValueError where there are none."""
-    found = sorted(path for path in folder.glob("*-v*") if path.is_dir())
-    if not found:
-        raise ValueError(f"{folder} has no folder of a task, such as CompliantAxis-v0")
-    return found
+    return HEAD + markdown(HEADING, rows) + "\n" + "".join(sections) + _again(folder) + FOOT
 
 
 def run(folder: Path | None, out: Path | None, console: Console) -> int:
@@ -94,6 +94,14 @@ def run(folder: Path | None, out: Path | None, console: Console) -> int:
     page_at.write_text(text, encoding="utf-8")
     console.print(f"{page_at}", soft_wrap=True)
     return 0
+
+
+def _again(folder: Path) -> str:
+    """How to train all of them once more, and what that costs, where every folder says it."""
+    if not all((path / repeat.FILE).is_file() for path in folders(folder)):
+        return ""
+    trainings = repeat.plan(folder, Path("out"))
+    return AGAIN + repeat.table(trainings) + f"\n{repeat.told(trainings)}\n\n"
 
 
 class _Policy(NamedTuple):
@@ -189,10 +197,3 @@ def _section(
         f"## {path.name}\n\n{pictures}\n{loses}\n\n{intervals}\n\nHow it was trained: {link}\n\n"
         f"```sh\n{data['command']}\n```\n\n"
     )
-
-
-def text(path: Path, name: str, maker: str) -> str:
-    """Of a file of a folder. Raises ValueError naming what makes it where it is not there."""
-    if not (path / name).is_file():
-        raise ValueError(f"{path} has no {name}: write it there with {maker}")
-    return (path / name).read_text(encoding="utf-8")

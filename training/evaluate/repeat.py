@@ -1,0 +1,153 @@
+"""`servogym results --train`: the trainings behind the committed rows once more, with one command.
+
+`trainings.json` in the folder of a task has the lines, one a stage, with ``{seed}``, ``{steps}``
+and ``{out}`` left open, and the steps of each seed. Where the checkpoints do not say how many
+CPU-seconds a training took, it has what they can have been, of the time on two cores: inferred.
+"""
+
+import json
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from ...envs.checks import whole
+from ..policies.saved import read
+from ..report import markdown
+
+FILE, MAKER = "trainings.json", "the commands of its trainings"
+HEADING = ("task", "trainings", "stages", "steps each", "CPU-s each", "CPU-s")
+CORES = 2  # of the machine for which the sum is told
+
+
+def folders(folder: Path) -> list[Path]:
+    """Those of tasks. Raises ValueError where there are none."""
+    found = sorted(path for path in folder.glob("*-v*") if path.is_dir())
+    if not found:
+        raise ValueError(f"{folder} has no folder of a task, such as CompliantAxis-v0")
+    return found
+
+
+def text(path: Path, name: str, maker: str) -> str:
+    """Of a file of a folder. Raises ValueError naming what makes it where it is not there."""
+    if not (path / name).is_file():
+        raise ValueError(f"{path} has no {name}: write it there with {maker}")
+    return (path / name).read_text(encoding="utf-8")
+
+
+class Training(NamedTuple):
+    """Of one seed: commands one after the other, and what they took."""
+
+    task: str
+    seed: str
+    commands: list[list[str]]  # arguments of `servogym`
+    out: Path  # of the last stage
+    steps: int  # of all stages
+    cpu_seconds: float
+    inferred: bool  # an upper bound, because it was not kept
+
+
+def plan(folder: Path, out: Path) -> list[Training]:
+    """All trainings behind the folders of tasks in `folder`, to be made again in `out`.
+
+    Raises ValueError where a folder has no `trainings.json`, or one that is none.
+    """
+    found = []
+    for path in folders(folder):
+        data = json.loads(text(path, FILE, MAKER))
+        try:
+            found += list(_trainings(path, data, out))
+        except (KeyError, TypeError, IndexError, AttributeError) as error:
+            raise ValueError(
+                f"{path / FILE} says no trainings ({error!r}): commands, steps"
+            ) from None
+    return found
+
+
+def _trainings(path: Path, data: dict[str, Any], out: Path) -> Iterator[Training]:
+    for seed, given in data["steps"].items():
+        stages = given if isinstance(given, list) else [given]
+        own = out / path.name
+        commands = [
+            shlex.split(line.format(seed=seed, steps=steps, out=own))[1:]
+            for line, steps in zip(data["commands"], stages, strict=True)
+        ]
+        took, inferred = _cpu_seconds(
+            path / f"seed_{seed}", stages, data.get("cpu_us_per_step_at_most")
+        )
+        yield Training(path.name, seed, commands, own / f"seed_{seed}", sum(stages), took, inferred)
+
+
+def _cpu_seconds(folder: Path, stages: Sequence[int], rate: float | None) -> tuple[float, bool]:
+    """Of all stages to their end: the checkpoint kept is the best one, which may be earlier."""
+    if rate is not None:
+        return 1e-6 * rate * sum(stages), True
+    about: dict[str, Any] | None = read(folder)
+    total = 0.0
+    for steps in reversed(stages):
+        if about is None:
+            raise KeyError("start")
+        total += about["cpu_seconds"] * steps / about["steps"]
+        about = about.get("start")
+    return total, False
+
+
+def table(trainings: Sequence[Training]) -> str:
+    """What the trainings took, a row a task, and the sum."""
+    rows = []
+    for task in dict.fromkeys(training.task for training in trainings):
+        own = [training for training in trainings if training.task == task]
+        each = [training.cpu_seconds for training in own]
+        most = "at most " if any(training.inferred for training in own) else ""
+        steps = sorted({training.steps for training in own})
+        rows.append([
+            task, str(len(own)), str(len(own[0].commands)), " to ".join(f"{n:,}" for n in steps),
+            f"{most}{sum(each) / len(each):.0f}", f"{most}{sum(each):.0f}",
+        ])  # fmt: skip
+    total = sum(training.cpu_seconds for training in trainings)
+    rows.append(["all", str(len(trainings)), "", "", "", f"{total:.0f}"])
+    return markdown(HEADING, rows)
+
+
+def told(trainings: Sequence[Training]) -> str:
+    """The sum as a sentence."""
+    total = sum(training.cpu_seconds for training in trainings)
+    return (
+        f"Together {total:.0f} CPU-seconds, {total / 60 / CORES:.0f} minutes of {CORES} cores. At "
+        "most: they were not kept, and are inferred from the time a training took on two cores."
+    )
+
+
+def run(folder: Path, out: Path | None, workers: int | None, console: Console) -> int:
+    """Show the plan; with `out` do it, in as many processes side by side; -> exit status."""
+    trainings = plan(folder, out or Path("out"))
+    for training in trainings:
+        for command in training.commands:
+            console.print(f"servogym {shlex.join(command)}", soft_wrap=True, highlight=False)
+    console.print(table(trainings), highlight=False, markup=False)
+    console.print(told(trainings), highlight=False)
+    if out is None:
+        return 0
+    workers = whole("--workers", 1 if workers is None else workers, 1, 1000)
+    with ThreadPoolExecutor(workers) as pool:
+        states = list(pool.map(lambda training: _train(training, console), trainings))
+    return max(states)
+
+
+def _train(training: Training, console: Console) -> int:
+    """One after the other, each going on where it was interrupted; -> exit status."""
+    for command in training.commands:
+        out = Path(command[command.index("--out") + 1])
+        if (out / "checkpoints").is_dir():  # the rest is as it was; `--start` is of a new run
+            steps = command[command.index("--steps") + 1]
+            command = ["train", command[1], "--resume", "--steps", steps, "--out", str(out)]
+        done = subprocess.run([sys.executable, "-m", "servogym.training.cli", *command])
+        if done.returncode:
+            return done.returncode
+    console.print(f"{training.task}, seed {training.seed}: {training.out}", soft_wrap=True)
+    return 0
