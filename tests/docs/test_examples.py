@@ -28,6 +28,14 @@ FACTS = {
     "09_talk_to_it_with_ethercat": lambda g: (
         abs(g["places"][-1] - 0.1) < 1e-4 and not g["master"].wrong
     ),
+    # a velocity loop with a gain on the distance travels behind by speed over gain
+    "10_write_your_own_task": lambda g: (
+        [*g["lags"].values()] == pytest.approx([10.0, 0.0], abs=0.3)
+    ),
+    # CiA 301: value too low; value range
+    "11_write_your_own_drive": lambda g: (
+        [int(code) >> 8 for code in g["refused"]] == [0x060900] * 2
+    ),
 }
 
 
