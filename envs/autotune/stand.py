@@ -183,16 +183,21 @@ class Stand:
         Raises:
             RuntimeError: a drive has left OPERATION_ENABLED, with its fault.
         """
-        machine, axis = self.machine, self.drive.axis
-        od, per_mille = axis.od, float(axis.rated_torque) * 1e-3
+        machine, axes, axis = self.machine, self.drive.axes, self.drive.index
+        per_mille = float(self.drive.axis.rated_torque) * 1e-3
+        # fields as arrays: by name in each step they took longer than the step
+        offset, changed = axes["od"]["torque_offset"], axes["parameters_changed"]
+        excited, commanded = axes["torque_offset"], axes["torque_command"]
+        velocity, position, limits = axes["velocity"], axes["position"], axes["limits"]
+        limited = int(Limit.TORQUE)
         samples = np.empty((len(offsets), 5))
-        for n, value in enumerate(np.rint(offsets / per_mille).astype(int)):
-            od.torque_offset = value
-            axis.parameters_changed = 1
+        for sample, value in zip(samples, np.rint(offsets / per_mille).astype(int), strict=True):
+            offset[axis] = value
+            changed[axis] = 1
             machine.step()
-            samples[n] = (
-                axis.torque_offset, axis.torque_command, axis.velocity, axis.position,
-                bool(axis.limits & Limit.TORQUE),
+            sample[:] = (
+                excited[axis], commanded[axis], velocity[axis], position[axis],
+                bool(limits[axis] & limited),
             )  # fmt: skip
         for name in self.movers:
             drive = machine.drives[name]
