@@ -98,9 +98,10 @@ def test_every_pdo_starts_with_the_mapping_and_identifier_of_the_model(name):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_every_fault_the_manual_numbers_can_be_injected(name):
-    model = load(name)
-    for fault in {f.name: f for f in reversed(model.faults) if f.name}.values():
-        drive = Drive(model)
+    drive = Drive(load(name))
+    new = drive.snapshot()
+    for fault in {f.name: f for f in reversed(drive.model.faults) if f.name}.values():
+        drive.restore(new)
         drive.inject(fault.name)
         for _ in range(3):
             drive.cycle(0.0)
