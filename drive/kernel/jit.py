@@ -24,7 +24,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache,
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
-from .link import linking_once
+from .compiler import Pipeline, compiling
 from .reach import reach
 
 try:
@@ -33,7 +33,7 @@ except ImportError:  # Windows: two processes may compile the same, and the late
     fcntl = None  # type: ignore[assignment]
 
 LARGEST_CACHE = 256 * 2**20  # bytes; what was used longest ago goes first
-SECONDS_A_FUNCTION = 0.08  # of compiling, to tell how long it will take
+SECONDS_A_FUNCTION = 0.05  # of compiling, to tell how long it will take
 LONG = 2.0  # s; what takes longer tells its end as well
 DISABLED = bool(config.DISABLE_JIT)  # type: ignore[attr-defined]
 
@@ -217,7 +217,7 @@ class Entry(CPUDispatcher):
                 name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
                 if new:
                     _say(f"compiling {name} (once, about {max(round(about), 1)} s)")
-                with linking_once(context.codegen()):
+                with compiling(context.codegen()):
                     code = super().compile(sig)
                 if new and about > LONG:
                     _say(f"compiled {name}; the next start is at once")
@@ -241,6 +241,15 @@ class Block(CPUDispatcher):
         kws = {name: _plain(kind) for name, kind in kws.items()}
         return super().get_call_template(tuple(map(_plain, args)), kws)
 
+    def compile(self, sig):
+        """Without the clocks of Numba, each of which hears all that is below it."""
+        with global_compiler_lock:
+            args, result = sigutils.normalize_signature(sig)
+            if tuple(args) not in self.overloads:
+                with self._compiling_counter:
+                    self.add_overload(self._compiler.compile(args, result))
+            return self.overloads[tuple(args)].entry_point
+
     @functools.cached_property
     def _alone(self):
         return entry(self.py_func)
@@ -255,9 +264,10 @@ def block(function):
     if DISABLED:
         return function
     options = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return Block(function, targetoptions=options)
+    return Block(function, targetoptions=options, pipeline_class=Pipeline)
 
 
 def entry(function):
     """Compile `function` at its first call and keep the result in `cache_directory`."""
-    return function if DISABLED else Entry(function, targetoptions=_OPTIONS | {"nopython": True})
+    options = _OPTIONS | {"nopython": True}
+    return function if DISABLED else Entry(function, targetoptions=options, pipeline_class=Pipeline)

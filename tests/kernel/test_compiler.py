@@ -1,11 +1,18 @@
-"""Linking: a block is optimised with the entry that reaches it; it is machine code nowhere else."""
+"""A block is optimised with the entry that reaches it, and is machine code nowhere else.
 
+What is left out of the compiling changes neither what compiled code does nor Numba itself.
+"""
+
+import gc
 import math
 
 import numba
+import numpy as np
 import pytest
+from numba.core import postproc
 
-from servogym.drive.kernel import jit, link
+from servogym.drive.kernel import jit
+from servogym.drive.kernel.compiler import Library
 
 pytestmark = pytest.mark.skipif(jit.DISABLED, reason="nothing is compiled")
 
@@ -48,19 +55,19 @@ def test_only_the_entry_becomes_machine_code():
     assert run(4.0) == expected(4.0)
     assert library(run)._finalized
     for block in (root, twice):
-        assert isinstance(library(block), link.Library)
+        assert isinstance(library(block), Library)
         assert not library(block)._finalized
 
 
 def test_what_is_deep_below_is_optimised_once(monkeypatch):
     optimised = []
-    original = link.Library._optimize_final_module
+    original = Library._optimize_final_module
 
     def count(self):
         optimised.append(self.name)
         original(self)
 
-    monkeypatch.setattr(link.Library, "_optimize_final_module", count)
+    monkeypatch.setattr(Library, "_optimize_final_module", count)
     *_, run = make()
     run(4.0)
     assert [name.rpartition(".")[2] for name in optimised] == ["run"]
@@ -98,17 +105,73 @@ def test_what_others_compile_is_linked_as_numba_does():
         return x + 1.0
 
     foreign(1.0)
-    assert not isinstance(library(foreign), link.Library)
+    assert not isinstance(library(foreign), Library)
 
 
-def test_a_compile_that_fails_leaves_numba_as_it_was():
+def numba_as_it_is(function):
+    """What is another while an entry is compiled."""
+    codegen, record, functions = function.targetctx.codegen(), numba.types.Record, numba.types
+    return (
+        codegen._library_class, record.__repr__, functions.BaseFunction.get_call_type,
+        postproc.PostProcessor.run, gc.isenabled(),
+    )  # fmt: skip
+
+
+def test_a_compile_leaves_numba_as_it_was_also_when_it_fails():
     *_, run = make()
-    codegen = run.targetctx.codegen()
-    before = codegen._library_class
+    before = numba_as_it_is(run)
     with pytest.raises(numba.TypingError):
         run("text")
-    assert codegen._library_class is before
+    assert numba_as_it_is(run) == before
     assert run(4.0) == expected(4.0)
+    assert numba_as_it_is(run) == before
+
+
+def test_who_collects_no_garbage_is_not_made_to():
+    gc.disable()
+    try:
+        assert make()[-1](4.0) == expected(4.0)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def compiled_as_numba_does(function):
+    """The same function with all of Numba's passes."""
+    return numba.njit(error_model="numpy")(function)
+
+
+def closures(x, n):
+    def power(k):
+        return x**k
+
+    return sum([power(k) for k in range(n)])
+
+
+def whole_arrays(x, n):
+    values = np.arange(n) * x + 1.0
+    return (np.sqrt(values) / np.array([x, 2.0, 3.0, 4.0])).sum()
+
+
+def words_as_keys(x, n):
+    total = 0.0
+    for row in np.zeros(n, PAIR):
+        row.a, row.b = 2.5, n
+        total += row["a"] * x + row["b"]
+    return total
+
+
+def tuples_and_powers(x, n):
+    pair = (n, x)
+    return pair[1] ** 2 + x**3 + pair[0] if isinstance(n, int) else 0.0
+
+
+PAIR = np.dtype([("a", "f8"), ("b", "i4")])
+
+
+@pytest.mark.parametrize("function", [closures, whole_arrays, words_as_keys, tuples_and_powers])
+def test_what_blocks_do_not_do_works_as_with_all_passes(function):
+    assert jit.entry(function)(1.7, 4) == compiled_as_numba_does(function)(1.7, 4)
 
 
 def test_a_block_called_from_python_is_kept_like_an_entry(tmp_path):
