@@ -5,14 +5,16 @@ observation. A step of some rows is three compiled calls: the task makes RPDO im
 the loop latches them, runs and collects TPDO images, and the task judges what came back.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..drive.drive import Drive
 from ..drive.kernel.record import accessible
+from ..drive.model.near import named, near
 from . import fields
+from .checks import in_range
 from .engine import loop
 from .engine.guard import Turn
 from .engine.machine import Machine
@@ -26,12 +28,32 @@ COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
 REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO image
 # what every task keeps of an episode
 JUDGED = [("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?")]
+# What a step may cost beside what a task judges, taken off its reward: price × the mean over the
+# drives. torque: (6077h / rated torque)² at the end of the step, in proportion to the loss in the
+# winding. jerk: (its change in the step / rated torque)², since what is moved has one mass.
+PRICES = ("torque", "jerk")
+DEAREST = 1000.0
+TORQUE = "torque_actual_value"
 JUDGED_NAMES = tuple(name for name, _ in JUDGED)
 
 
 def shown(name: str) -> bool:
     """Whether the infos have a field; a step gives the reward, libraries keep theirs in infos."""
     return name != "reward" and not name.startswith("_")
+
+
+def priced(prices: Mapping[str, float] | None) -> tuple[float, float]:
+    """Those of `PRICES`, 0 where none is given.
+
+    Raises ValueError for another name, or a price out of range.
+    """
+    given = named("prices", prices, '{"torque": 0.01}')
+    for name, price in given.items():
+        if name not in PRICES:
+            raise ValueError(f"prices: there is none of {name!r}: {near(name, PRICES)}")
+        in_range(f"prices[{name!r}]", price, 0.0, DEAREST, "of the reward")
+    torque, jerk = (float(given.get(name, 0.0)) for name in PRICES)
+    return torque, jerk
 
 
 def episode(*fields: tuple) -> np.dtype:
@@ -93,14 +115,21 @@ class Batch:
         modes: that the agent chooses from with ``action="pdo"``; none: it moves set-points only.
         history: observations kept, the latest first.
         previous_action: whether the action taken last is observed.
+        prices: of torque and jerk.
+
+    Raises ValueError for a price without the object 6077h among those the task sees.
     """
 
     def __init__(
         self, task, n: int, *, drives: int, rpdo: np.dtype, tpdo: np.dtype, ticks: int,
         modes: Sequence[int] = (), history: int = 1, previous_action: bool = False,
+        prices: tuple[float, float] = (0.0, 0.0),
     ):  # fmt: skip
         self.task = task
         self.ticks = ticks
+        self.prices = prices
+        if any(prices) and TORQUE not in (tpdo.names or ()):
+            raise ValueError(f"prices: the task does not see {TORQUE}, take it into its TPDO")
         self.lines: dict[int, EtherCatLine] = {}  # by world, where images go in frames
         self.stopped = False  # set by another thread: a step ends as soon as it can
         self.modes = np.array(modes, np.int8)
@@ -157,8 +186,22 @@ class Batch:
             self.task.act(part.worlds, part.episodes, part.commands, part.rpdos)
             if len(self.modes):
                 control(part.worlds, part.controls, self.modes, part.rpdos)
+            before = self._torque(part) if any(self.prices) else None
             self._exchange(part)
             self._judge(part)
+            if before is not None:
+                self._charge(part, before)
+
+    def _torque(self, part: Part) -> np.ndarray:
+        """Of each drive, as a share of the rated one, shape ``(n, drives)``, a copy."""
+        return 1e-3 * np.asarray(part.tpdos[TORQUE], float)
+
+    def _charge(self, part: Part, before: np.ndarray) -> None:
+        """Take torque and jerk off the rewards of the rows that have stepped."""
+        torque = self._torque(part)
+        terms = (torque**2).mean(axis=1), ((torque - before) ** 2).mean(axis=1)
+        cost = sum(price * term for price, term in zip(self.prices, terms, strict=True))
+        part.episodes["reward"] -= np.where(part.worlds != 0, cost, 0.0)
 
     def _exchange(self, part: Part) -> None:
         """Images against a step of the machines."""

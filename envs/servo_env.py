@@ -20,7 +20,7 @@ from ..drive.model.near import named, near
 from ..drive.objects.abort import SdoAbort
 from . import fields
 from .about import Metric, Sensor
-from .batch import COMMANDED, JUDGED_NAMES, REPORTED, Batch, image_type, mapping, shown
+from .batch import COMMANDED, JUDGED_NAMES, REPORTED, Batch, image_type, mapping, priced, shown
 from .checks import Options, accepted, choice, whole
 from .engine.machine import Machine
 from .engine.rates import interpolation_period, step_cycles
@@ -70,6 +70,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         action: "setpoint", or "pdo" for controlword, mode and set-points: `servogym.envs.faces`.
         history: number of observations shown, the latest first, 1..100.
         previous_action: whether the action taken last is shown, after the observations.
+        prices: of torque and jerk in the reward: `servogym.envs.batch.PRICES`; none if not given.
         randomise: ranges by name, drawn for each episode: `servogym.envs.randomisation`.
         faults: probability per step of causes of faults to be injected: ``{"encoder_loss": 1e-4}``
             into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one; and
@@ -130,6 +131,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         action: str = "setpoint",
         history: int = 1,
         previous_action: bool = False,
+        prices: Mapping[str, float] | None = None,
         randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         faults: Faults = None,
         render_mode: str | None = None,
@@ -165,6 +167,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         )
         self._history = whole("history", history, 1, MAX_HISTORY)
         self._previous_action = bool(previous_action)
+        self.prices = priced(prices)
         self._configure()
         self.line: EtherCatLine | None = None
         if bus_faults:
@@ -264,7 +267,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             self, n, drives=len(self.drives), rpdo=rpdo, tpdo=tpdo,
             ticks=self.cycles_per_step * self.machine.physics_steps,
             modes=self.MODES if self.face == PDO else (),
-            history=self._history, previous_action=self._previous_action,
+            history=self._history, previous_action=self._previous_action, prices=self.prices,
         )  # fmt: skip
 
     def join(self, batch: Batch, row: int) -> None:

@@ -1,0 +1,42 @@
+"""`examples/learning/ppo.py`: the lesson in one file trains, and is the same every time."""
+
+import csv
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FILE = Path(__file__).parents[2] / "examples" / "learning" / "ppo.py"
+
+
+@pytest.fixture
+def ppo(monkeypatch):
+    spec = importlib.util.spec_from_file_location("ppo", FILE)
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "ppo", module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_it_trains_twice_alike_and_keeps_curve_and_weights(ppo, tmp_path):
+    small = {"steps": 64, "envs": 4, "rollout": 8, "batch": 16, "epochs": 1, "evaluate": 32}
+    curves = [ppo.train(ppo.Arguments(out=str(tmp_path / n), **small)) for n in ("a", "b")]
+    assert curves[0] == curves[1]
+    assert [steps for steps, _ in curves[0]] == [0, 32, 64]
+    with (tmp_path / "a" / "curve.csv").open(encoding="utf-8") as file:
+        assert [float(row[1]) for row in [*csv.reader(file)][1:]] == [r for _, r in curves[0]]
+    one, other = (np.load(tmp_path / n / "weights.npz", allow_pickle=False) for n in ("a", "b"))
+    for name in one.files:
+        np.testing.assert_array_equal(one[name], other[name])
+    assert one["mean"].shape == (8,), "seven of the task and the last action"
+    assert (tmp_path / "a" / "curve.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_running_mean_and_variance_are_those_of_all_that_was_seen(ppo):
+    running, rows = ppo.Running((2,)), np.random.default_rng(1).normal(3.0, 2.0, (90, 2))
+    for part in np.array_split(rows, 7):
+        running.update(part)
+    np.testing.assert_allclose(running.mean, rows.mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(running.variance, rows.var(axis=0), rtol=1e-3)
