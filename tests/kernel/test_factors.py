@@ -3,18 +3,17 @@
 import math
 from fractions import Fraction
 
-import numba
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import TURN, Shaft
 from servogym.drive.drive import Drive
-from servogym.drive.kernel import factors, record
+from servogym.drive.kernel import factors, jit, record
 from servogym.drive.objects.abort import Abort, SdoAbort
 
 
-@numba.njit
+@jit.entry
 def units_of(axis, increments):
     factors.receive(axis)
     return factors.increments_to_units(axis, increments)

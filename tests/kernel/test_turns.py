@@ -42,7 +42,7 @@ def test_a_target_on_a_turn_is_reached_by_the_way_60f2h_says(option):
     random = np.random.default_rng(option)
     axis = record.make(1)[0]
     axis.rad_per_position_unit = UNIT
-    for case in range(200 if jit.DISABLED else 20_000):
+    for case in range(200 if jit.DISABLED else 5_000):
         size = int(10 ** random.uniform(0.5, 7))
         low = int(random.integers(-size, size))
         turns = int(random.integers(-200, 200))
