@@ -172,11 +172,18 @@ class Drive:
         feed-forward; they are kept over resets. A name that is neither is left out, so one list may
         serve models with different units. Values are rounded.
 
-        Raises SdoAbort where the drive refuses a value.
+        Raises ValueError where the model refuses a value, with its range.
         """
         for name, value in named("values", values, '{"max_torque": 3000}').items():
             if name in self.objects.names:
-                self.write(name, round(value))
+                try:
+                    self.write(name, round(value))
+                except SdoAbort as error:
+                    row = self.objects.slot(name).row
+                    raise ValueError(
+                        f"drive model {self.model.name!r} refuses {name} = {round(value)}, which "
+                        f"its axis needs: {error}; {row.minimum:g}..{row.maximum:g} in its objects"
+                    ) from None
             elif name in record.OD.names:  # type: ignore[operator]
                 self._commissioned[name] = int(round(value))
                 setattr(self.axis.od, name, round(value))

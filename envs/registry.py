@@ -94,10 +94,14 @@ def _registry() -> dict[str, Any]:
 def _import(module: str, name: str) -> None:
     try:
         importlib.import_module(module)
-    except Exception as error:
+    except ModuleNotFoundError as error:
         raise ValueError(
             f"environment {name!r}: module {module!r} cannot be imported "
             f"({told(error)}); install its package, or set PYTHONPATH"
+        ) from error
+    except Exception as error:
+        raise ValueError(
+            f"environment {name!r}: module {module!r} ends with an error of its own: {told(error)}"
         ) from error
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...drive.objects.abort import SdoAbort
 from ..checks import in_range
 from ..engine.machine import Machine
 from .bode import HIGHEST, calm, measured
@@ -165,8 +164,6 @@ def tune(
             before=before, after=after, trial_before=trial_before, trial_after=trial_after,
             parameters=own.parameters.export(),
         )  # fmt: skip
-    except SdoAbort as error:
-        raise RuntimeError(f"drive {stand.name!r} refuses its gains: {error}") from None
     finally:
         stand.put_back()
 

@@ -13,7 +13,6 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.model.model import load
 from ...drive.model.near import near
-from ...drive.objects.abort import SdoAbort
 from ..engine.machine import Machine
 from .linear_axis import MOTOR, factor_group
 from .tuning import gains
@@ -91,7 +90,7 @@ def commission_joint(
             | _places(machine, drive, coupling, position_unit)
         )
         drive.commission(gains(drive, inertia))
-    except (SdoAbort, OverflowError) as error:
+    except (ValueError, OverflowError) as error:
         raise ValueError(
             f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "
             f"shaft {inertia:.3g} kg·m², {speed:.4g} rad/s, position_unit {position_unit:g}: "

@@ -346,6 +346,18 @@ def test_a_broken_checkpoint_says_what_to_do(made, tmp_path):
         brief(tmp_path, resume=True)
 
 
+def test_a_run_shorter_than_the_way_to_an_evaluation_has_a_best_policy_all_the_same(tmp_path):
+    brief(tmp_path, steps=128, evaluate_every=10**6)
+    with np.load(tmp_path / "evaluations.npz") as found:
+        assert found["timesteps"].tolist() == [128]
+    assert saved.read(tmp_path / "best")["steps"] == 128
+
+
+def test_a_run_that_was_never_evaluated_says_what_there_is(tmp_path):
+    with pytest.raises(ValueError, match=r"has no best/, .*: go on with --resume, or give one of"):
+        make(str(tmp_path), LinearAxisEnv())
+
+
 def test_a_wrong_hyper_parameter_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"hyper-parameters of PPO: .*learning_speed"):
         brief(tmp_path, settings=SMALL | {"learning_speed": 1})
@@ -414,7 +426,7 @@ def test_a_trained_policy_comes_through_the_same_door(tmp_path):
         np.testing.assert_array_equal(*actions)
         observations = [e.step(a)[0] for e, a in zip((plain, shown), actions, strict=True)]
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="no checkpoint of a training run"):
+    with pytest.raises(ValueError, match="is no checkpoint and has no best/"):
         make(str(tmp_path / "empty"), env)
 
 

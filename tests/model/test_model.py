@@ -11,6 +11,7 @@ from servogym.drive.kernel.faults import Cause
 from servogym.drive.kernel.homing import NUMBERS
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load, model_names
+from servogym.envs import linear_axis
 
 
 @pytest.fixture
@@ -114,6 +115,18 @@ def test_one_row_adds_an_object_to_a_model_and_leaves_all_others(based, base):
     assert same == {a: replace(row, where="") for a, row in generic.objects.items()}
     assert (own.rpdos, own.tpdos, own.faults) == (generic.rpdos, generic.tpdos, generic.faults)
     assert Drive(own).read(0x5000) == 3
+
+
+def test_a_range_that_does_not_let_the_axis_be_commissioned_is_refused_by_its_name(based):
+    own = based("0x607F,0x00,,,,,,,,1000000,,,,,,,\n")
+    says = r"model 'mine' refuses max_profile_velocity = 2000000, .*; 0..1e\+06 in its objects"
+    with pytest.raises(ValueError, match=says):
+        linear_axis(own)
+
+
+def test_a_default_of_the_toml_goes_before_that_of_the_csv(based):
+    toml = 'based_on = "generic"\n[defaults]\nmy_parameter = 4\n'
+    assert Drive(based(ONE_MORE, toml)).read(0x5000) == 4
 
 
 def test_a_row_without_data_type_says_only_what_differs_from_the_base(based):

@@ -32,8 +32,8 @@ def add(commands) -> None:
     )  # fmt: skip
     train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
     train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
-    train.add_argument("--checkpoint-every", type=int, help="steps")
-    train.add_argument("--evaluate-every", type=int, help="steps")
+    train.add_argument("--checkpoint-every", type=int, help="steps (50000)")
+    train.add_argument("--evaluate-every", type=int, help="steps (25000, and at the end)")
     train.set_defaults(run=_train, folders=("out",))
 
     curves = commands.add_parser("curves", help="draw the learning curves of trainings")

@@ -76,6 +76,12 @@ class EvaluationCallback(EvalCallback):
         means = [float(np.mean(rewards)) for rewards in self.evaluations_results]
         self.best_mean_reward = max(means, default=-np.inf)
 
+    def _on_training_end(self) -> None:
+        """Evaluate a run once that was shorter than the steps from one evaluation to the next."""
+        if not self.evaluations_timesteps:
+            self.eval_freq = self.n_calls
+            self._on_step()
+
     def _on_step(self) -> bool:
         if self.n_calls % self.eval_freq:
             return True

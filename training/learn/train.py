@@ -175,7 +175,7 @@ def train(
         start: a training or a checkpoint whose weights this run begins with; what is not given is
             as it was there, arguments one by one.
         checkpoint_every: steps from one to the next.
-        evaluate_every: steps from one to the next.
+        evaluate_every: steps from one to the next; a shorter run is evaluated at its end.
         progress: show a bar, where tqdm is installed.
         console: where to tell.
 

@@ -28,8 +28,15 @@ def stable_baselines3() -> ModuleType:
 
 
 def folder(of: Path) -> Path:
-    """Of a checkpoint, or of a run its best one."""
-    return of if (of / ABOUT).is_file() else of / BEST
+    """Of a checkpoint, or of a run its best one. Raises ValueError where there is neither."""
+    if (of / ABOUT).is_file():
+        return of
+    if not (of / BEST).is_dir():
+        raise ValueError(
+            f"{of} is no checkpoint and has no {BEST}/, that of a run's best evaluation: go on "
+            "with --resume, or give one of its checkpoints/"
+        )
+    return of / BEST
 
 
 def read(folder: Path) -> dict[str, Any]:
