@@ -179,10 +179,9 @@ class Drive:
                 try:
                     self.write(name, round(value))
                 except SdoAbort as error:
-                    row = self.objects.slot(name).row
                     raise ValueError(
                         f"drive model {self.model.name!r} refuses {name} = {round(value)}, which "
-                        f"its axis needs: {error}; {row.minimum:g}..{row.maximum:g} in its objects"
+                        f"its axis needs: {error}"
                     ) from None
             elif name in record.OD.names:  # type: ignore[operator]
                 self._commissioned[name] = int(round(value))

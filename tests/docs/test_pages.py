@@ -42,7 +42,7 @@ COMMANDS = [
     for command in dict.fromkeys(
         line.partition("#")[0].strip().removesuffix(" &")
         for block in blocks("sh")
-        for line in block.values[0].splitlines()
+        for line in block.values[0].replace("\\\n", " ").splitlines()
     )
     if command
 ]

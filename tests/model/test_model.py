@@ -118,8 +118,8 @@ def test_one_row_adds_an_object_to_a_model_and_leaves_all_others(based, base):
 
 
 def test_a_range_that_does_not_let_the_axis_be_commissioned_is_refused_by_its_name(based):
-    own = based("0x607F,0x00,,,,,,,,1000000,,,,,,,\n")
-    says = r"model 'mine' refuses max_profile_velocity = 2000000, .*; 0..1e\+06 in its objects"
+    own = based("0x607F,0x00,,,,,,,,1000000,1000000,,,,,,\n")
+    says = r"model 'mine' refuses max_profile_velocity = 2000000, .*: 607Fh:00h: .* 0..1000000"
     with pytest.raises(ValueError, match=says):
         linear_axis(own)
 
