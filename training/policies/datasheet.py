@@ -114,8 +114,10 @@ class Datasheet:
     def axis(self) -> Axis:
         """The first. Raises ValueError where there is none."""
         if not self.axes:
-            raise ValueError(f"{self.task} has no data sheet of its axes: give the task `datasheet` and "
-                "`STROKE`, or use hold or random")
+            raise ValueError(
+                f"{self.task} has no data sheet of its axes: give the task `datasheet` and "
+                "`STROKE`, or use hold or random"
+            )
         return self.axes[0]
 
 
