@@ -21,6 +21,7 @@ from .trial import Friction, Trial, friction, trial
 
 TRIES = 3  # with less gain each, where what was measured afterwards is less than asked for
 EASE = 0.8
+WORSE = 1.1  # times the following error it had: then gains that keep the margins stay
 FEED_FORWARD = "acceleration_feed_forward"
 
 
@@ -147,12 +148,8 @@ def tune(
             ease *= EASE
         trial_after = trial(stand, move)
         reason = "" if reached else why_not(after, asked)
-        if math.isinf(trial_after.following_error) > math.isinf(trial_before.following_error):
-            reached = False
-            reason = (
-                f"the move is not made with them ({trial_after.note}), so the drive keeps what it "
-                "had; what was measured is no guide, as with much backlash or little excitation"
-            )
+        if refusal := _no_better(asked, before, trial_before, trial_after):
+            reached, reason = False, refusal
             stand.put_back()
             objects = original
             own.commission(objects)
@@ -166,6 +163,26 @@ def tune(
         )  # fmt: skip
     finally:
         stand.put_back()
+
+
+def _no_better(asked: Asked, before: Response, had: Trial, found: Trial) -> str:
+    """Why the gains that the drive had are kept; empty where they are not."""
+    if math.isinf(found.following_error) > math.isinf(had.following_error):
+        return (
+            f"the move is not made with them ({found.note}), so the drive keeps what it "
+            "had; what was measured is no guide, as with much backlash or little excitation"
+        )
+    if asked.kept(before) and found.following_error > WORSE * had.following_error:
+        return (
+            f"what the drive had keeps the margins and follows better ({_micro(had)} against "
+            f"{_micro(found)} µm), so it keeps it; what was measured is no guide, as where another "
+            "drive holds the same body"
+        )
+    return ""
+
+
+def _micro(trial: Trial) -> str:
+    return f"{1e6 * trial.following_error:.0f}"
 
 
 def _look(stand: Stand, amplitude: float, seed: int, ride: bool) -> tuple[Response, Any]:

@@ -132,6 +132,10 @@ def test_every_member_with_a_resonance(name, frequency, factor):
 def test_every_drive_of_a_gantry(drives, name, factor):
     tuned, commissioned, cpu = judged(in_the_middle(gantry(x_drives=drives)), name, factor)
     report(f"gantry {drives}", name, f"x{factor:g}", tuned, commissioned, cpu)
+    if drives == 2 and not tuned.reached:  # the other drive holds the beam: one alone is no guide
+        assert tuned.reason
+        assert tuned.trial_after.following_error <= 1.1 * tuned.trial_before.following_error
+        return
     holds(tuned, commissioned)
 
 
