@@ -204,9 +204,9 @@ class BusBench(Bench):
         for axis, node in self.bus.nodes.items():
             if frame.id == Base.EMCY + node.node_id and len(frame.data) == 8:
                 code = int.from_bytes(frame.data[:2], "little")
-                row = self._named.get("error_code")
-                if row is not None:
-                    self._known[axis, row.index, row.subindex] = code
+                told = self._named.get("error_code")
+                if told is not None:
+                    self._known[axis, told.index, told.subindex] = code
                 self.tell(
                     "info", f"{axis}: EMCY {fault_named(self.model(axis), code) or 'no error'}"
                 )

@@ -62,7 +62,9 @@ def play(
         played = matrix.results([next(found) for _ in matrix.jobs])
         table[env] = {}
         for condition, (result,) in played.items():
-            kept = {name: result and result.by_training(name) for name in _told(env)}
+            kept = {
+                name: None if result is None else result.by_training(name) for name in _told(env)
+            }
             table[env][condition] = {
                 name: [[_plain(value) for value in row] for row in values]
                 for name, values in kept.items()

@@ -47,11 +47,11 @@ def run(
         found = [result and summaries([result]) for result in results]
         table[name] = [each[metric][0] if each and metric in each else None for each in found]
         successes[name] = [
-            s[0].mean if each and (s := each.get("success")) else np.nan for each in found
+            s[0].mean if each and (s := each.get("success")) and s[0] else np.nan for each in found
         ]
         against = against or best({metric: table[name]}, labels, metric, row_of[metric].better)
         base = results[labels.index(against)]
-        other = base and base.by_training(metric)
+        other = None if base is None else base.by_training(metric)
         apart[name] = [
             None
             if other is None

@@ -114,7 +114,7 @@ class Episodes:
                 for name in names
             },
             [fault for part in parts for fault in part["faults"]],
-            seen and Recording(
+            None if seen is None else Recording(
                 label(self._policy), self._channels, self._words, seen["time"], seen["samples"],
                 seen["done"], seen["ended"],
             ),

@@ -82,9 +82,11 @@ def begin(model, first: weights.Weights, steps: int) -> None:
         model.policy.load_state_dict(arrays)
     except (RuntimeError, TypeError) as error:
         raise ValueError(f"the weights to start from are of another network: {error}") from None
-    if (statistics := model.get_vec_normalize_env()) is not None and first.mean is not None:
+    mean, variance = first.mean, first.variance
+    statistics = model.get_vec_normalize_env()
+    if statistics is not None and mean is not None and variance is not None:
         means = statistics.obs_rms
-        means.mean, means.var, means.count = first.mean.copy(), first.variance.copy(), float(steps)
+        means.mean, means.var, means.count = mean.copy(), variance.copy(), float(steps)
 
 
 def _restore(model, arrays: dict[str, np.ndarray], network: dict[str, np.ndarray]) -> None:

@@ -19,7 +19,9 @@ FAR, MOST = 10.0, 6  # times the median of a panel is an outlier; so many are to
 def outliers(values: np.ndarray) -> list[tuple[int, int]]:
     """Rows and columns of the values far above the median of all, the farthest first."""
     known = values[np.isfinite(values) & (values > 0)]
-    far = np.argwhere(np.nan_to_num(values) > FAR * np.median(known)) if len(known) else []
+    if not len(known):
+        return []
+    far = np.argwhere(np.nan_to_num(values) > FAR * np.median(known))
     return sorted(((int(i), int(k)) for i, k in far), key=lambda place: -values[place])
 
 

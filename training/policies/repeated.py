@@ -99,7 +99,7 @@ class RepeatedContour(Repeated):
         return behind - self._law.lead / self._known.constant("correction")
 
 
-REPEATED = {  # by the policy that is repeated
+REPEATED: dict[str, tuple[Any, Any]] = {  # by the policy that is repeated
     "feed_forward": (FeedForward, RepeatedTracking),
     "full_feed": (FullFeed, RepeatedContour),
 }

@@ -10,6 +10,8 @@ from ...engine.machine import Machine
 from ..bench import Bench
 from ..clock import Clock
 
+Request = Callable[[Any], Any]  # of the bench, or of the session where a page needs one
+
 
 class Desk:
     """A tab in front of a session.
@@ -50,11 +52,11 @@ class Desk:
         """Whether this tab commands."""
         return self.shown["holder"] == self.tab
 
-    async def ask(self, request: Callable[[Bench], Any]) -> Any:
+    async def ask(self, request: Request) -> Any:
         """What a session says; for looking only."""
         return await asyncio.wrap_future(self.clock.ask(request))
 
-    async def command(self, request: Callable[[Bench], Any]) -> Any:
+    async def command(self, request: Request) -> Any:
         """Let the session do something that takes no time; words, where it is refused."""
 
         def checked(session: Bench) -> Any:
@@ -63,7 +65,7 @@ class Desk:
 
         return await self._told(self.clock.ask(checked))
 
-    async def motion(self, motion: Callable[[Bench], Any]) -> Any:
+    async def motion(self, motion: Request) -> Any:
         """Let the session carry out a motion; words, where it fails."""
         if not self.in_control:  # a motion under way is not ended by who may not command
             return await self.command(lambda session: "")

@@ -8,7 +8,6 @@ import numpy as np
 from nicegui import ui
 
 from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
-from ..session import Session
 from .charts import course_chart
 from .desk import Desk, refuse
 from .widgets import Entry, Tag, button, card
@@ -59,7 +58,7 @@ class ExperimentsPage:
             self.injected = ui.label("").classes("prose quiet").props("data-test=injected")
 
     def _disturbances(self) -> None:
-        session = self.desk.clock.session
+        session: Any = self.desk.clock.session
         place = session.axes.index(self.desk.axis)
         self.rows: list[tuple[Disturbance, ui.label, int]] = []
         with card("Disturbances"), ui.element("div").classes("parameters"):
@@ -201,7 +200,7 @@ class ExperimentsPage:
 
     def show(self) -> None:
         """The present."""
-        session: Session = self.desk.clock.session
+        session: Any = self.desk.clock.session
         for row, value, place in self.rows:
             value.set_text(f"{row.read(session, place) / row.scale:.4g}")
         injected = self.desk.seen["injected"]

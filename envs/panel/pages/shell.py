@@ -219,7 +219,7 @@ class Shell:
         name = state.name.replace("_", " ").lower() if state is not None else "state not known"
         self.state.set_text(name if seen.get("answers", True) else "no answer")
         kind = {State.OPERATION_ENABLED: "good", State.FAULT: "bad",
-                State.FAULT_REACTION_ACTIVE: "bad"}.get(state, "calm")  # fmt: skip
+                State.FAULT_REACTION_ACTIVE: "bad", None: "calm"}.get(state, "calm")  # fmt: skip
         kind = kind if seen.get("answers", True) else "bad"
         for name in ("good", "bad", "calm"):
             self.state.classes(**({"add": name} if name == kind else {"remove": name}))
