@@ -1,70 +1,31 @@
 """The panel in a real browser, by clicks: Debian's Chromium, driven by Playwright."""
 
-import io
-import os
 import re
-import shutil
-import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from PIL import Image
+from browser import (
+    Server,
+    at,
+    chromium,
+    expect,
+    move,
+    near,
+    needs_chromium,
+    open_page,
+    picture,
+    ready,
+    shows,
+    sync_api,
+    tab,
+)  # fmt: skip
 
-pytest.importorskip("nicegui", reason="the panel needs servogym[panel]")
-sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright here")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
-expect = sync_api.expect
-expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
-
-# pages are drawn without a GPU at a tenth of the work; WebGL alone is emulated
-ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-
-
-class Server:
-    """`servogym panel` in a process of its own."""
-
-    def __init__(self, *arguments):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
-        self.arguments = arguments
-        self.url = f"http://localhost:{self.port}/"
-        self.start()
-
-    def start(self):
-        command = [
-            sys.executable,
-            "-m",
-            "servogym.training.cli",
-            "panel",
-            "--no-browser",
-            "--pictures",
-            "8",
-        ]
-        # nicegui looks whether pytest runs it
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
-        self.process = subprocess.Popen(
-            [*command, "--port", str(self.port), *self.arguments], stdout=subprocess.PIPE,
-            env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
-        )  # fmt: skip
-        for line in self.process.stdout:
-            if self.url[:-1] in line:
-                return
-        self.process.stdout.close()
-        raise AssertionError(f"the server ended with {self.process.wait()}")
-
-    def kill(self):
-        self.process.kill()
-        self.process.wait()
-        self.process.stdout.close()
+pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
 def server():
-    server = Server()
+    server = Server("--pictures", "8")
     yield server
     server.kill()
 
@@ -72,7 +33,7 @@ def server():
 @pytest.fixture(scope="module")
 def browser():
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        browser = chromium(playwright)
         yield browser
         browser.close()
 
@@ -82,62 +43,6 @@ def page(server, browser):
     page = tab(browser, server)
     yield page
     page.context.close()
-
-
-def tab(browser, server, width=1280, height=800):
-    context = browser.new_context(viewport={"width": width, "height": height})
-    context.set_default_timeout(60_000)
-    page = context.new_page()
-    page.goto(server.url)
-    expect(at(page, "state")).to_be_visible()
-    if at(page, "control").inner_text() != "In control":
-        at(page, "control").click()
-    expect(at(page, "control")).to_have_text("In control")
-    return page
-
-
-def at(page, name):
-    return page.locator(f"[data-test={name}]")
-
-
-def shows(page, name, text):
-    expect(at(page, name)).to_have_text(text)
-
-
-def open_page(page, name):
-    at(page, f"go-{name}").click()
-    expect(at(page, f"page-{name}")).to_be_visible()
-
-
-def ready(page):
-    """Enabled and referenced, by clicks, from wherever the last test has left the axis."""
-    open_page(page, "motion")
-    at(page, "motion-reset").click()
-    at(page, "enable").click()
-    shows(page, "state", "operation enabled")
-    if at(page, "homed").inner_text() != "The axis is referenced.":
-        at(page, "home").click()
-    shows(page, "homed", "The axis is referenced.")
-    shows(page, "doing", "")
-
-
-def picture(page, name):
-    """Of a part, for the documentation where SERVOGYM_PICTURES names a folder for it."""
-    image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    assert len(image.getcolors(1 << 24)) > 50
-    if folder := os.environ.get("SERVOGYM_PICTURES"):
-        small = image.quantize(96, dither=Image.Dither.NONE)
-        small.save(Path(folder) / f"panel_{name}.png", optimize=True)
-
-
-def near(position):
-    """A readout within the position window 6067h, 20 µm."""
-    return re.compile(rf"^({position - 1}\.9[89]|{position}\.0[012])\d$")
-
-
-def move(page, target):
-    at(page, "target").fill(target)
-    at(page, "move-to").click()
 
 
 def test_enable_home_move_by_clicks(page):
@@ -274,7 +179,6 @@ def test_gains_are_tuned_on_a_copy_taken_over_and_put_back(page):
     at(page, "tune").click()
     shows(page, "tune-verdict", "The margins are reached.")
     expect(at(page, "margins")).to_contain_text("position before")
-    picture(page, "loops")
     tuned = at(page, "gains").locator(".strong").nth(2).inner_text()
     assert int(tuned) > int(before)
     open_page(page, "motion")
@@ -286,6 +190,8 @@ def test_gains_are_tuned_on_a_copy_taken_over_and_put_back(page):
         open_page(page, "motion")
         expect(gain).to_have_text(after)
     open_page(page, "loops")
+    expect(at(page, "take-gains")).to_have_text("Take over")
+    picture(page, "loops")
     at(page, "discard-gains").click()
     expect(at(page, "take-gains")).not_to_be_visible()
 
@@ -296,17 +202,18 @@ def test_the_keyboard_reaches_everything_in_order_and_shows_where_it_is(page):
     seen = []
     for _ in range(9):
         page.keyboard.press("Tab")
-        seen.append(
-            page.evaluate(
-                "(e => [e.closest('[data-test]')?.dataset.test, getComputedStyle("
-                "e.closest('.q-field') || e).outlineStyle])(document.activeElement)"
-            )
+        page.wait_for_function(
+            """() => {
+                const e = document.activeElement;
+                const seen = getComputedStyle(e.closest('.q-field') || e);
+                return seen.outlineStyle === 'solid' || seen.boxShadow !== 'none';
+            }"""
         )
-    assert [name for name, _ in seen] == [
+        seen.append(page.evaluate("document.activeElement.closest('[data-test]')?.dataset.test"))
+    assert seen == [
         "pause", "single", "speed", "control", "theme", "quick-stop", "go-state", "go-motion",
         "go-scope",
     ]  # fmt: skip
-    assert {outline for _, outline in seen} == {"solid"}
     page.keyboard.press("Enter")
     expect(at(page, "page-scope")).to_be_visible()
 

@@ -37,7 +37,8 @@ def bode_chart(responses: Sequence[Response]) -> dict[str, Any]:
         ):
             magnitude = 20 * np.log10(np.abs(loop))
             phase = np.degrees(np.unwrap(np.angle(loop)))
-            phase -= 360 * np.round((phase[0] + 90) / 360)
+            crossover = np.argmin(np.abs(magnitude[there]))  # there it is known best
+            phase -= 360 * np.round((phase[there][crossover] + 130) / 360)
             for grid, values in ((0, magnitude), (1, phase)):
                 series.append(
                     _line(f"{name} before" if old else name, response.frequencies[there],
@@ -117,8 +118,8 @@ def _two(
     left = {"nameTextStyle": {"color": QUIET, "align": "left"}}
     return {
         "textStyle": FONT,
-        "grid": [{"left": 64, "right": 34, "top": 50, "height": "38%"},
-                 {"left": 64, "right": 34, "bottom": 45, "height": "34%"}],
+        "grid": [{"left": 64, "right": 34, "top": 50, "bottom": "56%"},
+                 {"left": 64, "right": 34, "top": "58%", "bottom": 45}],
         "legend": {"top": 0, "icon": "roundRect", "itemHeight": 4, "textStyle": {"color": QUIET}},
         "tooltip": {"trigger": "axis"},
         "xAxis": [x | {"gridIndex": 0}, x | {"gridIndex": 1, "name": along}],

@@ -8,7 +8,7 @@ from ....drive.diagrams import MODE_ABBREVIATION
 from ....drive.model.rows import Object
 from .desk import Desk, refuse
 from .homing_diagram import homing_svg
-from .widgets import Entry, Readout, Tag, button, card, told
+from .widgets import Entry, Readout, Tag, button, card, live, told
 
 # what shapes a motion, by kind; objects a model does not have are left out
 PARAMETERS = {
@@ -270,7 +270,7 @@ class _Parameter:
     def show(self) -> None:
         """The value of now."""
         value = self.desk.bench.value(self.desk.axis, self.name)
-        self.value.set_text("…" if value is None else f"{value}")
+        live(self.value, "…" if value is None else f"{value}")
 
 
 class _Stroke:

@@ -1,6 +1,7 @@
 """The frame around the pages: who commands, what the drive does, time, the way to each page."""
 
 import inspect
+import json
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,10 +20,16 @@ from .motion import MotionPage
 from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
-from .widgets import Readout, Tag, button, card, told
+from .widgets import Readout, Tag, button, card, live, pending, told
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
+SHOW = """const texts = %s;
+for (const id in texts) {
+  const element = document.getElementById(id);
+  if (element?.firstChild) element.firstChild.nodeValue = texts[id];
+}
+return 1"""
 SLOWEST = 20.0  # s that a browser may take for a picture
 PAGES: Sequence[type[Any]] = (
     StatePage, MotionPage, ScopePage, MachinePage, LoopsPage, ExperimentsPage, ObjectsPage,
@@ -245,16 +252,15 @@ class Shell:
         self.pause.props(f"icon={'play_arrow' if clock.paused else 'pause'}")
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)
-        self.measured.set_text(
-            self.desk.bench.pulse()
-            or ("paused" if clock.paused else f"{told(clock.achieved, 2)}× real time")
-        )
+        pulse = "paused" if clock.paused else f"{told(clock.achieved, 2)}× real time"
+        live(self.measured, self.desk.bench.pulse() or pulse)
         self._messages(shown["messages"])
         result = self.pages[self.present].show()
         if inspect.isawaitable(result):
             await result
+        texts = json.dumps(pending(ui.context.client.id))
         with suppress(TimeoutError):  # a slow browser gets fewer pictures, not older ones
-            await ui.run_javascript("return 1", timeout=SLOWEST)
+            await ui.run_javascript(SHOW % texts, timeout=SLOWEST)
 
     def _messages(self, messages: list[tuple[int, str, str]]) -> None:
         for number, kind, text in messages:
@@ -312,3 +318,4 @@ async def build(clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGE
     await shell.arrive()
     client.on_disconnect(shell.lose)
     client.on_delete(shell.leave)
+    client.on_delete(lambda: pending(client.id))

@@ -10,6 +10,8 @@ from nicegui.element import Element
 from ....drive.diagrams import Bit
 from .. import entry
 
+_PENDING: dict[str, dict[str, str]] = {}
+
 
 def card(title: str, name: str = "") -> ui.column:
     """A framed part of a page with its title."""
@@ -42,6 +44,26 @@ class Tag(Element):
             self.classes(name) if on else self.classes(remove=name)
 
 
+def live(label: ui.label, text: str) -> None:
+    """Another text of a label that changes with each picture.
+
+    It goes to the browser as it is, with the next `pending`: an update of an element would let the
+    browser look through all elements of all pages, which takes longer than a picture lasts.
+    """
+    if text == label._text:
+        return
+    if not (text and label._text):  # there has to be a text node
+        label.set_text(text)
+        return
+    label._text = text
+    _PENDING.setdefault(label.client.id, {})[label.html_id] = text
+
+
+def pending(client_id: str) -> dict[str, str]:
+    """Texts that this browser has not got yet, by the id of their element; they are handed over."""
+    return _PENDING.pop(client_id, {})
+
+
 class Readout:
     """A name, a live number, a unit."""
 
@@ -56,7 +78,7 @@ class Readout:
 
     def show(self, value: float | str, unit: str | None = None) -> None:
         """The value of now."""
-        self._value.set_text(value if isinstance(value, str) else told(value))
+        live(self._value, value if isinstance(value, str) else told(value))
         if unit is not None:
             self._unit.set_text(unit)
 

@@ -78,7 +78,7 @@ export default {
           const alone = this.channels_.filter((c) => c.axis === unit).length === 1;
           axes.push({ scale: "u" + i, side: i % 2 ? 1 : 3, stroke: alone ? first.colour : ink, font, size: 62, label: (alone ? first.name.replaceAll("_", " ") + ", " : "") + first.unit, labelFont: font, labelSize: 16,
             grid: { show: i === 0, stroke: grid, width: 1 }, ticks: { stroke: grid },
-            values: (u, vs) => vs.map((v) => (Math.abs(v) >= 1e5 ? (v / 1e3).toFixed(0) + "k" : +v.toPrecision(6) + "")) });
+            values: (u, vs) => vs.map((v) => (Math.abs(v) >= 1e5 ? +(v / 1e3).toPrecision(6) + "k" : +v.toPrecision(6) + "")) });
         }
       });
       const series = [{ label: "t (s)", value: (u, v) => nice(v) }].concat(this.channels_.map((c) => ({

@@ -1,0 +1,117 @@
+"""The panel in a real browser, for its tests: a server, a tab, clicks by name."""
+
+import io
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+pytest.importorskip("nicegui", reason="the panel needs servogym[panel]")
+sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright here")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+expect = sync_api.expect
+expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
+
+# pages are drawn without a GPU at a tenth of the work; WebGL alone is emulated
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
+
+
+class Server:
+    """`servogym panel` in a process of its own."""
+
+    def __init__(self, *arguments, prefix=(), log=None):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.arguments, self.prefix, self.log = arguments, prefix, log
+        self.url = f"http://localhost:{self.port}/"
+        self.start()
+
+    def start(self):
+        command = [
+            *self.prefix, sys.executable, "-m", "servogym.training.cli", "panel", "--no-browser",
+        ]  # fmt: skip
+        # nicegui looks whether pytest runs it
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
+        self.process = subprocess.Popen(
+            [*command, "--port", str(self.port), *self.arguments], stdout=subprocess.PIPE,
+            stderr=self.log, env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
+        )  # fmt: skip
+        for line in self.process.stdout:
+            if self.url[:-1] in line:
+                return
+        self.process.stdout.close()
+        raise AssertionError(f"the server ended with {self.process.wait()}")
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+def chromium(playwright):
+    """A browser."""
+    return playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+
+
+def tab(browser, server, width=1280, height=800):
+    context = browser.new_context(viewport={"width": width, "height": height})
+    context.set_default_timeout(60_000)
+    page = context.new_page()
+    page.goto(server.url)
+    expect(at(page, "state")).to_be_visible()
+    if at(page, "control").inner_text() != "In control":
+        at(page, "control").click()
+    expect(at(page, "control")).to_have_text("In control")
+    return page
+
+
+def at(page, name):
+    return page.locator(f"[data-test={name}]")
+
+
+def shows(page, name, text):
+    expect(at(page, name)).to_have_text(text)
+
+
+def open_page(page, name):
+    at(page, f"go-{name}").click()
+    expect(at(page, f"page-{name}")).to_be_visible()
+
+
+def ready(page):
+    """Enabled and referenced, by clicks, from wherever the last test has left the axis."""
+    open_page(page, "motion")
+    at(page, "motion-reset").click()
+    at(page, "enable").click()
+    shows(page, "state", "operation enabled")
+    if at(page, "homed").inner_text() != "The axis is referenced.":
+        at(page, "home").click()
+    shows(page, "homed", "The axis is referenced.")
+    shows(page, "doing", "")
+
+
+def picture(page, name):
+    """Of a part, for the documentation where SERVOGYM_PICTURES names a folder for it."""
+    image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    assert len(image.getcolors(1 << 24)) > 50
+    if folder := os.environ.get("SERVOGYM_PICTURES"):
+        small = image.quantize(96, dither=Image.Dither.NONE)
+        small.save(Path(folder) / f"panel_{name}.png", optimize=True)
+
+
+def near(position):
+    """A readout within the position window 6067h, 20 µm."""
+    return re.compile(rf"^({position - 1}\.9[89]|{position}\.0[012])\d$")
+
+
+def move(page, target):
+    at(page, "target").fill(target)
+    at(page, "move-to").click()
