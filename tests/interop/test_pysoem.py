@@ -24,10 +24,19 @@ def test_31_reaches_op_and_every_working_counter_is_right():
     assert result["wrong"] == 0
 
 
-def test_32_homes_and_moves_bit_identically_in_five_runs():
-    runs = [on_the_wire("pysoem_master", "home_and_move", *AKD) for _ in range(5)]
-    assert runs == runs[:1] * 5
+def check_runs(count):
+    runs = [on_the_wire("pysoem_master", "home_and_move", *AKD) for _ in range(count)]
+    assert runs == runs[:1] * count
     assert runs[0]["end"] - runs[0]["homed"] == pytest.approx(100_000, abs=100)
+
+
+def test_32_homes_and_moves_bit_identically_in_two_runs():
+    check_runs(2)
+
+
+@pytest.mark.slow
+def test_32_homes_and_moves_bit_identically_in_five_runs():
+    check_runs(5)
 
 
 # line -> working counters that the cycles 58 and following see, AL status and code of the second
