@@ -11,7 +11,7 @@ from PIL import Image
 
 from servogym.envs.view import picture
 from servogym.training import cli, watch
-from servogym.training.pictures.video import Recording
+from servogym.training.pictures.video import Gif, Recording
 from servogym.training.policies import make
 
 STEERING = "def steer(seen):\n    return (4 * seen[:1]).clip(-0.4, 0.4)\n\nnumber = 3\n"
@@ -35,6 +35,22 @@ def steering(tmp_path):
     file = tmp_path / "steering.py"
     file.write_text(STEERING)
     return file
+
+
+def test_a_small_part_keeps_its_colour_among_many_greys(tmp_path):
+    grey = np.linspace(40, 230, 960)[None, :, None] * np.linspace(0.7, 1.0, 540)[:, None, None]
+    image = np.repeat(grey, 3, axis=2).astype(np.uint8)
+    image[300:310, 300:310] = orange = (201, 134, 26)
+    gif = Gif(tmp_path / "run.gif", 25)
+    for _ in range(2):
+        gif.add(image)
+    gif.close()
+    with Image.open(tmp_path / "run.gif") as found:
+        seen = np.asarray(found.convert("RGB"), float)
+    np.testing.assert_allclose(seen[300:310, 300:310].mean((0, 1)), orange, atol=12)
+    rows, columns = 4 * 130, 4 * 235  # whole rasters; what is dithered is right on average
+    blocks = [x[:rows, :columns].reshape(130, 4, 235, 4, 3).mean((1, 3)) for x in (seen, image)]
+    assert np.abs(blocks[0] - blocks[1]).max(axis=2)[:70].max() < 12
 
 
 def test_a_gif_shows_each_25th_of_a_second_and_the_end(gl, tmp_path, capsys):

@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from PIL import Image
 
+from ...envs.view.overlay import STATE_COLOUR
+
 NO_DITHER = Image.Dither.NONE  # that of Pillow would flicker
 # Bayer's, in place of bands of colour in what goes from light to dark
 RASTER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 2.0 - 3.75
@@ -22,6 +24,9 @@ class Writer(Protocol):
         """Finish the file."""
 
 
+VIVID, PLACES = 48, 96  # difference of the primaries; colours of a palette for what has more
+
+
 class Gif:
     """An animated GIF; a frame lasts a whole number of 10 ms, as the format has it."""
 
@@ -33,7 +38,7 @@ class Gif:
     def add(self, image: np.ndarray) -> None:
         """Keep the image in the 256 colours of the first, with a raster that stands still."""
         if self._palette is None:
-            self._palette = Image.fromarray(image).quantize(256, Image.Quantize.MEDIANCUT)
+            self._palette = _palette(image)
         height, width = image.shape[:2]
         raster = np.tile(RASTER, (-(-height // 4), -(-width // 4)))[:height, :width, None]
         rastered = np.clip(image + raster, 0, 255).astype(np.uint8)
@@ -47,6 +52,25 @@ class Gif:
             first.save(
                 self._path, save_all=True, append_images=others, duration=self._duration, loop=0
             )
+
+
+def _palette(image: np.ndarray) -> Image.Image:
+    """256 colours of an image: of all of it, of its vivid parts, however small, and of states."""
+    pixels = image.reshape(-1, 3)
+    vivid = pixels[np.ptp(pixels, axis=1) > VIVID]
+    colours = _colours(pixels, 256 - PLACES - len(STATE_COLOUR)) + _colours(vivid, PLACES)
+    colours += [value for text in STATE_COLOUR.values() for value in bytes.fromhex(text[1:])]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours)
+    return palette
+
+
+def _colours(pixels: np.ndarray, most: int) -> list[int]:
+    """Red, green and blue of the colours that pixels are cut down to."""
+    if not len(pixels):
+        return []
+    strip = Image.fromarray(np.ascontiguousarray(pixels[None])).quantize(most)
+    return list(strip.getpalette() or [])[: 3 * most]
 
 
 class Mp4:
