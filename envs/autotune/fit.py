@@ -105,6 +105,13 @@ def _gains(response: Response, crossover: float, shape: float, position: float) 
 
 def why_not(response: Response, asked: Asked) -> str:
     """What stands in the way of the margins, in words."""
+    loops = {"velocity": response.velocity_margins, "position": response.position_margins}
+    turning = [name for name, found in loops.items() if not found.stable]
+    if turning and all(m.gain >= asked.gain and m.phase >= asked.phase for m in loops.values()):
+        return (
+            f"the {' and the '.join(turning)} loop as measured goes round -1 (Nyquist), so its "
+            "margins are no proof; measure with a larger amplitude"
+        )
     assert response.fitted is not None
     delay = response.fitted.delay + 1.5 * response.cycle
     found = ", ".join(map(str, response.fitted.resonances)) or "none"
