@@ -83,8 +83,8 @@ class Shaft:
             self.step()
         raise AssertionError(f"not within {cycles} cycles: {self.drive.describe()}")
 
-    def bit(self, mask):
-        return bool(int(self.axis.od.statusword) & mask)
+    def bit(self, mask):  # of the array: attributes of a record in a record take a while
+        return bool(int(self.drive.axes["od"]["statusword"][self.drive.index]) & mask)
 
     def read(self, name):
         return self.drive.read(name)
