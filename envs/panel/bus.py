@@ -67,6 +67,7 @@ class BusBench(Bench):
         ValueError: node-id or rate out of range, unknown model.
     """
 
+    real_time = True
     seats_who_comes = False
     sampling = "Asked over the bus {rate} times a second, less often where the node is slow."
     absent = ABSENT

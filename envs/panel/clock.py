@@ -143,6 +143,8 @@ class Clock:
             now = time.monotonic()
             if now - self._drawn >= PICTURE:
                 self._show(now)
+            if self.session.real_time:
+                return
             if self.paused:
                 if self._single:
                     self._single -= 1

@@ -1,5 +1,7 @@
 """The panel on a running node: watched by SDO, commanded if asked to, and without a word sent."""
 
+import time
+
 import pytest
 
 from servogym.drive.canopen.node import NmtCommand, Node
@@ -164,6 +166,15 @@ def test_the_bytes_of_the_pdos_that_pass_are_seen(bench):
     bench.advance(0.1)
     assert [row.name for row in bench.mapped(AXIS, "tx")] == ["statusword"]
     assert seen(bench)["tpdo"] == bytes.fromhex("3102")  # ready to switch on, voltage, remote
+
+
+def test_the_clock_does_not_pace_a_bus(bench):
+    clock = Clock(bench)
+    clock._rebase()
+    bench.time += 4.0  # its time is not that of the clock
+    begin = time.monotonic()
+    clock._pace()
+    assert time.monotonic() - begin < 2.0
 
 
 def test_time_of_a_bus_is_not_ours(bench):

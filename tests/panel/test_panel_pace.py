@@ -182,7 +182,7 @@ def test_any_text_in_any_field_is_refused_beside_it_and_nothing_is_sent(page, tm
                 tried += 1
             if words:
                 continue
-            beside = page.locator(".q-field", has=field).locator(".q-field__messages")
+            beside = page.locator(".q-field", has=at(page, test)).locator(".q-field__messages")
             expect(beside).to_contain_text(re.compile("number|range"))
             told = beside.inner_text()
             assert len(told) < 160, told
