@@ -15,7 +15,7 @@ import copy, faulthandler, gc, os, pickle, signal, sys, threading, time, warning
 import mujoco
 import numpy as np
 faulthandler.enable()
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may start what runs beside it deaf
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever started us
 from servogym.drive.drive import Drive
 from servogym.drive.kernel import record
 from servogym.envs import Machine, linear_axis, gantry
