@@ -2,13 +2,12 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 
 import can
 
-from ..canopen.frame import Frame
-from .bus import to_frame, to_message
+from .bus import CanPort
 
 QUEUE = 256  # messages that wait for the bus; then the oldest is lost
 PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus anew
@@ -111,7 +110,7 @@ class Adapter:
         self.bus.shutdown()
 
 
-class AdapterPort:
+class AdapterPort(CanPort):
     """An adapter as a master needs it, in real time; what fails is tried again.
 
     Args:
@@ -120,19 +119,4 @@ class AdapterPort:
     """
 
     def __init__(self, adapter: Adapter, wait: float = 0.002):
-        self._adapter, self._wait = adapter, wait
-
-    def now(self) -> float:
-        """The clock (s)."""
-        return time.monotonic()
-
-    def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
-        """Send `frames`, -> what has been received since."""
-        for frame in frames:
-            self._adapter.send(to_message(frame))
-        received = []
-        message = self._adapter.receive(self._wait)
-        while message is not None:
-            received.append(to_frame(message))
-            message = self._adapter.receive(0)
-        return [frame for frame in received if frame is not None]
+        self._send, self._receive, self._wait = adapter.send, adapter.receive, wait

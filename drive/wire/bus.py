@@ -5,7 +5,7 @@
 """
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import can
 
@@ -42,9 +42,11 @@ class CanPort:
         wait: for the first frame, where none has come yet (s).
     """
 
+    _send: Callable[[can.Message], None]
+    _receive: Callable[[float], can.Message | None]
+
     def __init__(self, bus: can.BusABC, wait: float = 0.002):
-        self._bus = bus
-        self._wait = wait
+        self._send, self._receive, self._wait = bus.send, bus.recv, wait
 
     def now(self) -> float:
         """The clock (s)."""
@@ -53,10 +55,10 @@ class CanPort:
     def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
         """Send `frames`, -> what has been received since."""
         for frame in frames:
-            self._bus.send(to_message(frame))
+            self._send(to_message(frame))
         received = []
-        message = self._bus.recv(self._wait)
+        message = self._receive(self._wait)
         while message is not None:
             received.append(to_frame(message))
-            message = self._bus.recv(0)
+            message = self._receive(0)
         return [frame for frame in received if frame is not None]

@@ -77,9 +77,7 @@ def named():
     folders = ("ethercat", "interop", "tasks", "cli")
     for path in sorted(path for folder in folders for path in (TESTS / folder).glob("test_*.py")):
         text = path.read_text(encoding="utf-8")
-        for match in re.finditer(
-            r"((?:^@.*\n(?:^ .*\n|^\).*\n|^\].*\n)*)*)^def test_(\d\d)_(\w+)", text, re.M
-        ):
+        for match in re.finditer(TEST, text, re.M):
             slow = re.search(r"^@pytest\.mark\.slow", match[1], re.M)
             name = f"{path.parent.name}/{path.stem.removeprefix('test_')}: {match[3]}"
             found[int(match[2])].append(f"*{name}*" if slow else name)
