@@ -43,6 +43,8 @@ def play(env, seen):
         assert env.observation_space.contains(seen)
         for name in MILESTONES:
             got[name] += info[f"reward_{name}"]
+        if info["milestones"] >= 2:
+            assert not info["fault"].startswith("8611h"), "the search ran against the end stop"
         if info["reward_moving"]:
             assert SHOWN[float(seen[22])] == Mode.PROFILE_POSITION
             assert abs(seen[2]) > 0

@@ -14,7 +14,7 @@ from .script import Script, Steps
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models show this one in FAULT
 SET, CLEAR = 1.0, -1.0
 UP = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
-WAIT, HOMING_TIME = 20, 600  # steps; the farthest search takes 2 s
+WAIT, HOMING_TIME = 20, 600  # steps; the farthest search takes 2 s, with some drives more
 SHOWN = {-0.5: Mode.HOMING, 0.5: Mode.PROFILE_POSITION}  # modes as observed
 
 
@@ -53,11 +53,7 @@ def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
 
 
 def timed(datasheet: Datasheet) -> Steps:
-    """The same chain by the clock, never looking: long enough for each step.
-
-    Homing twice, because the search may end in a following error at the limit switch; from there
-    the second one begins.
-    """
+    """The same chain by the clock, never looking: long enough for each step."""
     seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     for _ in range(int(datasheet.constant("outage"))):
         yield action(datasheet, 0, Mode.HOMING, seen.goal)
@@ -65,7 +61,7 @@ def timed(datasheet: Datasheet) -> Steps:
     start = enabled | C.NEW_SET_POINT
     up = [(TO_ENABLED[state], WAIT) for state in UP]
     home = [(C.FAULT_RESET, WAIT), (0, WAIT), *up, (start, HOMING_TIME)]
-    for control, steps in (*home, *home, (enabled, WAIT)):
+    for control, steps in (*home, (enabled, WAIT)):
         for _ in range(steps):
             yield action(datasheet, control, Mode.HOMING, seen.goal)
     for control in (*[enabled] * WAIT, start):
