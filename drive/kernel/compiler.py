@@ -8,6 +8,9 @@ of another kind, which copies it. Then everything below is linked, and optimised
 
 Passes. A `Pipeline` leaves out those that would find nothing in a block, and their protocol.
 
+Loading. Numba imports all of SciPy's linear algebra before it loads or compiles anything, only to
+see that it is there: 0.2 s of each start. `without_linear_algebra` asks whether it is installed.
+
 While an entry is compiled (`compiling`), Numba does without what costs much and leaves the code as
 it is: writing out the type of a record, hundreds of fields, for each pass and each field that is
 read; asking all implementations of ``+`` again for each addition; working out after each pass where
@@ -15,7 +18,9 @@ variables die, which is needed once; looking for garbage. The optimised code sta
 """
 
 import contextlib
+import functools
 import gc
+import importlib.util
 from collections.abc import Iterator
 from types import CodeType
 from typing import Any, ClassVar
@@ -183,6 +188,20 @@ def _instead(owner: Any, name: str, value: Any) -> Iterator[None]:
         yield
     finally:
         setattr(owner, name, before)
+
+
+def _has_blas() -> None:
+    if importlib.util.find_spec("scipy") is None:
+        raise ImportError("scipy is required for linear algebra")
+
+
+@functools.cache
+def without_linear_algebra() -> None:
+    """Load what Numba has for arrays; a function that needs SciPy imports it when compiled."""
+    from numba.np import linalg
+
+    with _instead(linalg, "ensure_blas", _has_blas):
+        from numba.np import arraymath  # noqa: F401
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache,
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
-from .compiler import Pipeline, compiling
+from .compiler import Pipeline, compiling, without_linear_algebra
 from .reach import reach
 
 try:
@@ -205,6 +205,7 @@ class Entry(CPUDispatcher):
     def compile(self, sig):
         """Load the code for a signature, or compile and keep it."""
         with global_compiler_lock:
+            without_linear_algebra()
             if isinstance(self._cache, NullCache):  # now all the code it reaches is there
                 self._cache = _Cache(self.py_func)
             cache, context = self._cache, self.targetctx

@@ -93,6 +93,7 @@ class DriveModel:
 
     name: str
     folder: Path
+    based_on: Path | None  # folder of the model whose files hold where this one says nothing
     title: str
     standard: str
     cycle_time: dict[str, float]  # "current", "velocity", "position" (s)
@@ -342,6 +343,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     return DriveModel(
         name=folder.name,
         folder=folder,
+        based_on=ancestors[1][0] if len(ancestors) > 1 else None,
         title=toml.get("title", folder.name),
         standard=toml.get("standard", ""),
         cycle_time={name: value * 1e-6 for name, value in microseconds.items()},

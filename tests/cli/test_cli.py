@@ -1,5 +1,6 @@
 """The command line: what each command prints, and how it ends."""
 
+import re
 import subprocess
 import sys
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from servogym import training
+from servogym.drive.model.model import load
 from servogym.training import cli
 from servogym.training.bench import drive as bench
 from servogym.training.pictures import demo
@@ -98,6 +100,29 @@ def test_drives_tells_about_one(capsys):
         assert fact in out
 
 
+def test_drives_tells_what_a_folder_changes_of_the_model_it_is_based_on(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "drive.toml").write_text(
+        'based_on = "generic"\nwithout = ["6081h"]\n[defaults]\nfollowing_error_window = 5000\n'
+    )
+    columns, _ = (load("generic").folder / "objects.csv").read_text().split("\n", 1)
+    (tmp_path / "objects.csv").write_text(
+        f"{columns}\n0x5000,0,my_parameter,VAR,INTEGER32,rw,,mm,-5,5,3,yes,mine,,,,\n"
+        "0x6065,0,,,,,,,,70000,,,,,,,\n"
+    )
+    assert cli.main(["drives", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    rows = {key.strip(): value.strip() for key, value in re.findall("│([^│]*)│([^│]*)│", out)}
+    assert rows["based on"] == "generic"
+    assert rows["objects added"] == "5000h:00h my_parameter -5..5"
+    assert rows["objects left out"] == "6081h"
+    was = load("generic").objects[0x6065, 0]
+    assert f"0..70000, was 0..{was.maximum:.0f}" in out
+    assert f"5000, was {was.default}" in out
+
+
 def test_the_demo_runs_as_a_command_and_draws_its_picture(tmp_path):
     result = servogym("demo", "--out", str(tmp_path / "new" / "out"))
     assert result.returncode == 0, result.stderr
@@ -161,6 +186,18 @@ def test_the_bench_compares_the_same_motion():
     assert low <= result["ratio"] <= high
 
 
-def test_the_table_of_commands_names_what_each_module_adds():
-    for names in cli.COMMANDS.values():
-        assert tuple(cli.parser(names[0]).commands) == names
+def test_who_asks_for_a_version_or_the_commands_loads_no_drive():
+    code = (
+        "import sys; from servogym.training import cli\n"
+        "try: cli.main([sys.argv[1]])\n"
+        "finally: print('numpy' in sys.modules, file=sys.stderr)"
+    )
+    for option in ("--version", "--help"):
+        done = subprocess.run([sys.executable, "-c", code, option], capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, "False\n")
+    assert all(name in done.stdout for name in cli.COMMANDS)
+
+
+def test_every_command_does_something():
+    for name in cli.COMMANDS:
+        assert callable(cli.parser(name).commands[name].get_default("run")), name

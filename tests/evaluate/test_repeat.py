@@ -1,6 +1,5 @@
 """`servogym results --train`: the trainings of committed rows, from their commands."""
 
-import argparse
 import json
 from itertools import pairwise
 from types import SimpleNamespace
@@ -8,7 +7,6 @@ from types import SimpleNamespace
 import pytest
 
 from servogym.training import cli
-from servogym.training.cli.train import add
 from servogym.training.evaluate import repeat
 from servogym.training.policies import SHIPPED, saved
 
@@ -28,8 +26,7 @@ def task(path, commands, steps, **more):
 
 def test_all_committed_trainings_can_be_repeated_within_two_hours_of_two_cores(tmp_path):
     """Each command is one `servogym train` takes, and makes what the checkpoint beside it was."""
-    parser = argparse.ArgumentParser()
-    add(parser.add_subparsers())
+    parser = cli.parser("train")
     trainings = repeat.plan(SHIPPED, tmp_path)
     kept = {path.parent for path in SHIPPED.glob("*-v*/seed_*/checkpoint.json")}
     assert kept == {SHIPPED / each.task / f"seed_{each.seed}" for each in trainings}

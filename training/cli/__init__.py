@@ -1,4 +1,4 @@
-"""The command line ``servogym``: a module a command, each with its row of the table."""
+"""The command line ``servogym``: a module a command, found by the table."""
 
 import argparse
 import importlib
@@ -7,19 +7,35 @@ import re
 import signal
 import sys
 import threading
-from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
 from rich.console import Console
 
-COMMANDS = {  # by the modules that add them, which are loaded when they are asked for
-    "demo": ("demo",), "bench": ("bench",), "drives": ("drives",), "node": ("node",),
-    "ethercat": ("ethercat",), "eds": ("eds",), "esi": ("esi",), "decode": ("decode",),
-    "bode": ("bode",), "tune": ("tune",), "scope": ("scope",), "homing": ("homing",),
-    "watch": ("watch",), "panel": ("panel",), "train": ("train", "curves"),
-    "compare": ("eval", "compare"), "results": ("results",), "benchmark": ("benchmark",),
-    "sweep": ("sweep",),
+COMMANDS = {  # the module of each, which is loaded when it is asked for, and what it does
+    "demo": ("demo", "enable, home, move, follow ruckig, quick stop"),
+    "bench": ("bench", "cost of the drive beside mj_step, start times"),
+    "drives": ("drives", "list the drive models, or tell about one"),
+    "node": ("node", "serve drives as CANopen nodes on a bus, in real time"),
+    "ethercat": ("ethercat", "serve drives as EtherCAT slaves on a network interface"),
+    "eds": ("eds", "write the EDS or DCF of a drive model (CiA 306)"),
+    "esi": ("esi", "write the EtherCAT device description of a drive model (ESI)"),
+    "decode": ("decode", "print a log of CAN or EtherCAT by meaning"),
+    "bode": ("bode", "measure a drive's loops: Bode, margins, inertia"),
+    "tune": ("tune", "measure what a drive moves, fit and store its gains"),
+    "scope": (
+        "scope", "an oscilloscope on a move, a running node or a log: channels, trigger, CSV, PNG"
+    ),
+    "homing": ("homing", "draw the homing methods from real runs"),
+    "watch": ("watch", "see an environment move, in a window or recorded"),
+    "panel": ("panel", "a drive's commissioning tool in the browser"),
+    "train": ("train", "train a policy with stable-baselines3"),
+    "curves": ("train", "draw the learning curves of trainings"),
+    "eval": ("compare", "one policy on fixed episodes: table, data, picture"),
+    "compare": ("compare", "several policies: table, data, picture"),
+    "results": ("results", "write the page of what was learned"),
+    "benchmark": ("benchmark", "homing methods, positioning strategies, learned policies"),
+    "sweep": ("sweep", "tasks × drives × conditions × seeds × values"),
 }  # fmt: skip
 # threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
 BLAS = "OPENBLAS_NUM_THREADS"
@@ -51,17 +67,30 @@ class Parser(argparse.ArgumentParser):
         self.error(f"unrecognized: {' '.join(unknown)}{hints[0] if hints else ''}")
 
 
-def parser(asked: str = "") -> Parser:
-    """All commands with their options; those of one module where `asked` is a command."""
+class Version(argparse.Action):
+    """``--version``, looked up when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Tell it, and exit."""
+        from importlib.metadata import version
+
+        print(f"servogym {version('servogym')}")
+        parser.exit()
+
+
+def parser(asked: str | None = None) -> Parser:
+    """All commands by name, with the options of the one `asked` for; of all without a word."""
     parser = Parser(
         prog="servogym",
         description="A laboratory for motion control: axes in MuJoCo, moved by an emulated drive.",
     )
-    parser.add_argument("--version", action="version", version=f"servogym {version('servogym')}")
+    parser.add_argument("--version", action=Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
-    one = [module for module, names in COMMANDS.items() if asked in names]
-    for module in one or COMMANDS:
-        importlib.import_module(f".{module}", __name__).add(commands)
+    for name, (module, what) in COMMANDS.items():
+        command = commands.add_parser(name, help=what)
+        if asked in (None, name):
+            of = importlib.import_module(f".{module}", __name__)
+            getattr(of, f"add_{name}", of.add)(command)
     parser.commands = commands.choices
     return parser
 

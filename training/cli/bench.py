@@ -5,9 +5,8 @@ import argparse
 from rich.console import Console
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    bench = commands.add_parser("bench", help="cost of the drive beside mj_step, start times")
+def add(bench: argparse.ArgumentParser) -> None:
+    """Its options."""
     bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     bench.add_argument("--repeat", type=int, default=200, help="pairs of blocks (200)")
     bench.add_argument("--can", action="store_true", help="SDO servers, and drives in lock-step")

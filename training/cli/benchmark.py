@@ -13,11 +13,8 @@ SUITE, POLICY = "v1", "learned"
 OF_SUITES = ("suite", "policy", "entry", "tasks", "conditions")
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    benchmark = commands.add_parser(
-        "benchmark", help="homing methods, positioning strategies, learned policies"
-    )
+def add(benchmark: argparse.ArgumentParser) -> None:
+    """Its options."""
     benchmark.add_argument("what", choices=("homing", "positioning", "learned"))
     benchmark.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
     benchmark.add_argument("--quick", action="store_true", help="a small part of it")

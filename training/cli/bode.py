@@ -8,9 +8,8 @@ from rich.console import Console
 from . import machines
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    bode = commands.add_parser("bode", help="measure a drive's loops: Bode, margins, inertia")
+def add(bode: argparse.ArgumentParser) -> None:
+    """Its options."""
     machines.add(bode)
     bode.add_argument(
         "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"

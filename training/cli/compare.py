@@ -8,28 +8,34 @@ from rich.console import Console
 from . import arguments
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    for name, what in (("eval", "one policy on fixed episodes"), ("compare", "several policies")):
-        command = commands.add_parser(name, help=f"{what}: table, data, picture")
-        command.add_argument("env", help="environment, as LinearAxis-v0")
-        if name == "eval":
-            command.add_argument("--policy", help=arguments.POLICY)
-        else:
-            command.add_argument("--policies", help="names, separated by commas")
-            command.add_argument(
-                "--conditions", nargs="?", const="all", metavar="NAMES",
-                help="off nominal: delay, noise, friction, … (all), a list of names or axes, or "
-                "transfer: every drive, mechanics",
-            )  # fmt: skip
-        command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
-        command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
-        command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
-        command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
-        arguments.add(command)
-        arguments.add_work(command)
-        command.add_argument("--out", type=Path, help="folder (one of its own in out)")
-        command.set_defaults(run=_compare, folders=("out",))
+def add_eval(command: argparse.ArgumentParser) -> None:
+    """Options of `eval`."""
+    command.add_argument("env", help="environment, as LinearAxis-v0")
+    command.add_argument("--policy", help=arguments.POLICY)
+    _add_episodes(command)
+
+
+def add(command: argparse.ArgumentParser) -> None:
+    """Options of `compare`."""
+    command.add_argument("env", help="environment, as LinearAxis-v0")
+    command.add_argument("--policies", help="names, separated by commas")
+    command.add_argument(
+        "--conditions", nargs="?", const="all", metavar="NAMES",
+        help="off nominal: delay, noise, friction, … (all), a list of names or axes, or "
+        "transfer: every drive, mechanics",
+    )  # fmt: skip
+    _add_episodes(command)
+
+
+def _add_episodes(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
+    command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
+    command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
+    command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
+    arguments.add(command)
+    arguments.add_work(command)
+    command.add_argument("--out", type=Path, help="folder (one of its own in out)")
+    command.set_defaults(run=_compare, folders=("out",))
 
 
 def _compare(options: argparse.Namespace, console: Console) -> int:

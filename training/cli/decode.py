@@ -9,9 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    decode = commands.add_parser("decode", help="print a log of CAN or EtherCAT by meaning")
+def add(decode: argparse.ArgumentParser) -> None:
+    """Its options."""
     decode.add_argument(
         "log", type=Path,
         help=".log of candump, .asc, .blf, .trc, .csv; .pcapng and .pcap of EtherCAT",

@@ -6,9 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    demo = commands.add_parser("demo", help="enable, home, move, follow ruckig, quick stop")
+def add(demo: argparse.ArgumentParser) -> None:
+    """Its options."""
     demo.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     demo.add_argument("--out", type=Path, default=Path("out"), help="folder for scope.png")
     demo.add_argument("--payload", type=float, default=5.0, help="kg on the carriage (5)")

@@ -1,15 +1,15 @@
 """`servogym drives`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    drives = commands.add_parser("drives", help="list the drive models, or tell about one")
+def add(drives: argparse.ArgumentParser) -> None:
+    """Its options."""
     drives.add_argument("model", nargs="?", help="name or folder of a model")
     drives.add_argument("--from-eds", type=Path, metavar="FILE", help="make a model of an EDS")
     drives.add_argument("-o", "--out", type=Path, help="folder of the model made, new or empty")
@@ -27,6 +27,44 @@ def _modes(model) -> str:
     from ...drive.kernel.words import MODE_ABBREVIATION
 
     return " ".join(MODE_ABBREVIATION[mode] for mode in model.modes)
+
+
+def _changes(model) -> Iterator[tuple[str, str]]:
+    """What differs from the objects of the model it is based on, a row of the summary each."""
+    from ...drive.model.model import load
+
+    if model.based_on is None:
+        return
+    base = load(model.based_on)
+    if model.bus in base.buses:
+        base = load(base, model.bus)
+    yield "based on", base.name
+    added = [row for address, row in model.objects.items() if address not in base.objects]
+    yield "objects added", "\n".join(f"{_called(row)} {_limits(row)}".rstrip() for row in added)
+    gone = [f"{index:04X}h" for index in _indices(base) if index not in _indices(model)]
+    yield "objects left out", " ".join(gone)
+    both = [(row, base.objects[a]) for a, row in model.objects.items() if a in base.objects]
+    for what, of in (("limits", _limits), ("default", lambda row: str(row.default))):
+        changed = [(row, of(row), of(other)) for row, other in both if of(row) != of(other)]
+        lines = [
+            f"{_called(row)} {now or 'any'}, was {then or 'any'}" for row, now, then in changed
+        ]
+        yield f"{what} changed", "\n".join(lines)
+
+
+def _indices(model) -> list[int]:
+    return list(dict.fromkeys(index for index, _ in model.objects))
+
+
+def _called(row) -> str:
+    return f"{row.index:04X}h:{row.subindex:02X}h {row.name}"
+
+
+def _limits(row) -> str:
+    """What may be written: numbers where only some are allowed, else the range, empty for texts."""
+    if row.allowed is not None:
+        return ", ".join(map(str, sorted(row.allowed)))
+    return f"{row.minimum:.12g}..{row.maximum:.12g}" if row.format else ""
 
 
 def _import(options: argparse.Namespace) -> int:
@@ -78,6 +116,7 @@ def _drives(options: argparse.Namespace, console: Console) -> int:
         ("homing methods", " ".join(map(str, model.homing_methods))),
         *((f"{n} cycle", f"{t * 1e6:g} µs") for n, t in model.cycle_time.items()),
         ("objects", str(len(model.objects))),
+        *_changes(model),
         ("PDOs", f"{len(model.rpdos)} receive, {len(model.tpdos)} transmit"),
         ("faults", "\n".join(faults)),
         ("quirks", "\n".join(f"{n} = {q.value} ({q.source})" for n, q in model.quirks.items())),

@@ -6,9 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    eds = commands.add_parser("eds", help="write the EDS or DCF of a drive model (CiA 306)")
+def add(eds: argparse.ArgumentParser) -> None:
+    """Its options."""
     eds.add_argument("model", help="name or folder of a model")
     eds.add_argument("-o", "--out", type=Path, required=True, help="file .eds or .dcf")
     eds.add_argument("--dcf", action="store_true", help="with the values of one node")

@@ -6,11 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    esi = commands.add_parser(
-        "esi", help="write the EtherCAT device description of a drive model (ESI)"
-    )
+def add(esi: argparse.ArgumentParser) -> None:
+    """Its options."""
     esi.add_argument("model", help="name or folder of a model")
     esi.add_argument("-o", "--out", type=Path, required=True, help="file .xml, or .bin: its EEPROM")
     esi.set_defaults(run=_esi, files=("out",))

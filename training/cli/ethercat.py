@@ -14,11 +14,8 @@ if TYPE_CHECKING:
     from ...drive.wire.ethercat import EtherCatServer, Port
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    command = commands.add_parser(
-        "ethercat", help="serve drives as EtherCAT slaves on a network interface"
-    )
+def add(command: argparse.ArgumentParser) -> None:
+    """Its options."""
     command.add_argument(
         "-i", "--interface", action="append", default=[],
         help="such as veth1; a second one is the second port of the master (redundancy)",

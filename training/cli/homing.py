@@ -6,9 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    homing = commands.add_parser("homing", help="draw the homing methods from real runs")
+def add(homing: argparse.ArgumentParser) -> None:
+    """Its options."""
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
     homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
     homing.add_argument("--format", choices=("svg", "png"), default="svg")

@@ -14,13 +14,9 @@ from . import bus as buses
 STYLE = {"OPERATION_ENABLED": "green", "FAULT": "red", "FAULT_REACTION_ACTIVE": "red"}
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    node = commands.add_parser(
-        "node",
-        help="serve drives as CANopen nodes on a bus, in real time",
-        epilog=f"without -i: -i {buses.INTERFACE} -c {buses.CHANNEL}, which needs no hardware",
-    )
+def add(node: argparse.ArgumentParser) -> None:
+    """Its options."""
+    node.epilog = f"without -i: -i {buses.INTERFACE} -c {buses.CHANNEL}, which needs no hardware"
     node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
     node.add_argument(

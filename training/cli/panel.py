@@ -12,11 +12,10 @@ PORT = 8402  # as `envs.panel.server`
 RATE = 20.0  # as `envs.panel.bus`
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
+def add(panel: argparse.ArgumentParser) -> None:
+    """Its options."""
     from can.cli import add_bus_arguments
 
-    panel = commands.add_parser("panel", help="a drive's commissioning tool in the browser")
     panel.add_argument(
         "--axis",
         default="linear",

@@ -10,9 +10,8 @@ from rich.console import Console
 from . import arguments
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    results = commands.add_parser("results", help="write the page of what was learned")
+def add(results: argparse.ArgumentParser) -> None:
+    """Its options."""
     results.add_argument("folder", nargs="?", type=Path, help="with a folder a task (ours)")
     results.add_argument(
         "--again", action="store_true", help="run the comparison of each folder anew before"
@@ -79,13 +78,12 @@ def _leaderboard(options: argparse.Namespace, console: Console) -> int:
 def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:
     """Each folder's comparison as its `compare.json` says it was made."""
     from ..evaluate import compare, results
-    from .compare import add
+    from . import parser
 
-    parser = argparse.ArgumentParser(prog="servogym")
-    add(parser.add_subparsers(dest="command"))
+    compared = parser("compare")
     for path in results.folders(folder):
         data = json.loads(results.text(path, results.FILE, "servogym compare"))
-        then = parser.parse_args(shlex.split(data["command"])[1:])
+        then = compared.parse_args(shlex.split(data["command"])[1:])
         compare.run(
             then.command, then.env, then.policies.split(","), then.drive, then.episodes, then.seed,
             path, console, dict(then.argument or ()), then.trace, arguments.work(options),

@@ -21,13 +21,11 @@ MOST = 6  # panels of a log without any of them
 DEPTH, BEFORE, RATE, DURATION = 4000, 100, 50.0, 10.0
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    scope = commands.add_parser(
-        "scope",
-        help="an oscilloscope on a move, a running node or a log: channels, trigger, CSV, PNG",
-        epilog=f"`{BUS}` polls a running node: TPDOs as they are heard, what is in none by SDO; it "
-        "commands nothing. A log is one of `servogym decode`, or a scope.csv.",
+def add(scope: argparse.ArgumentParser) -> None:
+    """Its options."""
+    scope.epilog = (
+        f"`{BUS}` polls a running node: TPDOs as they are heard, what is in none by SDO; it "
+        "commands nothing. A log is one of `servogym decode`, or a scope.csv."
     )
     machines.add(scope, f"`{BUS}` for a running node, or a log (.log, .asc, .blf, .pcapng ...)")
     scope.add_argument(

@@ -14,9 +14,8 @@ from . import arguments
 RANGE = re.compile(r"([^.,]+(?:\.[^.,]+)?)\.\.(.+?)(:log)?$")  # LOW..HIGH, LOW..HIGH:log
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    sweep = commands.add_parser("sweep", help="tasks × drives × conditions × seeds × values")
+def add(sweep: argparse.ArgumentParser) -> None:
+    """Its options."""
     sweep.add_argument("envs", help="environments, separated by commas")
     sweep.add_argument("--policies", default="", help="that play in each cell")
     sweep.add_argument("--train", default="", choices=("PPO", "SAC"), type=str.upper,

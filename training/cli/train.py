@@ -9,9 +9,8 @@ from rich.console import Console
 from . import arguments
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    train = commands.add_parser("train", help="train a policy with stable-baselines3")
+def add(train: argparse.ArgumentParser) -> None:
+    """Options of `train`."""
     train.add_argument("env", help="id of an environment, as LinearAxis-v0")
     train.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
     train.add_argument("--algorithm", choices=("PPO", "SAC"), type=str.upper, help="(PPO)")
@@ -36,7 +35,9 @@ def add(commands) -> None:
     train.add_argument("--evaluate-every", type=int, help="steps (25000, and at the end)")
     train.set_defaults(run=_train, folders=("out",))
 
-    curves = commands.add_parser("curves", help="draw the learning curves of trainings")
+
+def add_curves(curves: argparse.ArgumentParser) -> None:
+    """Options of `curves`."""
     curves.add_argument("folder", type=Path, help="of a training, or with several in seed_*")
     curves.add_argument("-o", "--out", type=Path, default=Path("out/curves.png"), help="picture")
     curves.set_defaults(run=_curves, files=("out",))

@@ -8,9 +8,8 @@ from rich.console import Console
 from . import machines
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    tune = commands.add_parser("tune", help="measure what a drive moves, fit and store its gains")
+def add(tune: argparse.ArgumentParser) -> None:
+    """Its options."""
     machines.add(tune)
     tune.add_argument("--gain-margin", type=float, default=6.0, help="of both loops, dB (6)")
     tune.add_argument("--phase-margin", type=float, default=35.0, help="of both, degree (35)")

@@ -8,9 +8,8 @@ from rich.console import Console
 from . import arguments
 
 
-def add(commands) -> None:
-    """Its row in the table of commands."""
-    watch = commands.add_parser("watch", help="see an environment move, in a window or recorded")
+def add(watch: argparse.ArgumentParser) -> None:
+    """Its options."""
     watch.add_argument("env", metavar="ENV", help="such as LinearAxis-v0")
     watch.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
     watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
