@@ -9,9 +9,11 @@ import importlib
 import inspect
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -41,9 +43,12 @@ def write(folder: Path, pictures: bool) -> None:
         text = page(lesson.read_text(encoding="utf-8"))
         picture = folder / f"{lesson.stem}.png"
         if pictures and not (picture.exists() and picture.stat().st_mtime > lesson.stat().st_mtime):
-            command = [sys.executable, str(lesson), str(picture)]
             environment = {**os.environ, "NUMBA_DISABLE_JIT": "0", "MPLBACKEND": "Agg"}
-            subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
+            with TemporaryDirectory() as own:  # a lesson may leave more than its picture
+                drawn = Path(own, picture.name)
+                command = [sys.executable, str(lesson), str(drawn)]
+                subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
+                shutil.copyfile(drawn, picture)
         if picture.exists():
             text += f"\n![What the lesson draws]({picture.name})\n"
         text += f"\nThe script: `examples/{lesson.name}`.\n"

@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -138,6 +139,16 @@ def test_the_site_builds_without_a_warning(tmp_path):
     files = (tmp_path / "reference" / "drive_files.html").read_text()
     assert all(f">{name}<" in files for name in QUIRKS)
     assert "target_position" in (tmp_path / "reference" / "api_tasks.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_lesson_leaves_its_page_and_its_picture_in_the_tutorial_and_nothing_else(tmp_path):
+    pytest.importorskip("sphinx")
+    lessons = runpy.run_path(str(ROOT / "docs" / "lessons.py"))
+    lessons["write"](tmp_path, pictures=True)
+    names = [lesson.stem for lesson in (ROOT / "examples").glob("[0-9]*.py")]
+    expected = {f"{name}{ending}" for name in names for ending in (".md", ".png")}
+    assert {path.name for path in tmp_path.iterdir()} == expected
 
 
 def _numbers(text: str) -> list[int]:
