@@ -7,10 +7,11 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import carray, types
+from llvmlite import ir
+from numba import types
 from numba.extending import intrinsic
 
-from .kernel.jit import DISABLED, block
+from .kernel.jit import DISABLED
 from .kernel.record import accessible
 
 
@@ -27,20 +28,36 @@ def viewer(dtype: np.dtype) -> Callable[[int, int], np.ndarray]:
     """
     if DISABLED:
         return functools.partial(peek, dtype)
-    element = numba.from_dtype(dtype)
+    kind = types.Array(numba.from_dtype(dtype), 1, "C")
 
     @intrinsic
-    def pointer(context, address):
-        def build(context, builder, signature, arguments):
-            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+    def view(context, address, n):
+        return kind(types.intp, types.intp), array_at
 
-        return types.CPointer(element)(types.intp), build
+    compiled: Any = view
+    return compiled
 
-    @block
-    def view(address, n):
-        return carray(pointer(address), (n,))
 
-    return view
+def array_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Code for the array that begins at the first of the arguments, as long as the second says.
+
+    It asks nothing of Numba but the context, so that it serves a GPU as well.
+    """
+    place, n = arguments
+    array = context.make_array(signature.return_type)(context, builder)
+    array.data = builder.inttoptr(place, array.data.type)
+    size = context.get_abi_sizeof(context.get_data_type(signature.return_type.dtype))
+    itemsize = n.type(size)
+    array.nitems, array.itemsize = n, itemsize
+    array.shape, array.strides = _tuple(builder, n), _tuple(builder, itemsize)
+    array.meminfo, array.parent = (part.type(None) for part in (array.meminfo, array.parent))
+    return array._getvalue()
+
+
+def _tuple(builder: Any, value: Any) -> Any:
+    """Of one number, as shape and strides are."""
+    kind = ir.ArrayType(value.type, 1)
+    return builder.insert_value(ir.Constant(kind, ir.Undefined), value, 0)
 
 
 def address(array: np.ndarray) -> int:

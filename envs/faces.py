@@ -13,7 +13,7 @@ the mode displayed (6061h) on the same scale, 0 where it is none of them, ``stat
 """
 
 from ..drive.kernel.jit import block, entry
-from .engine.loop import world_at
+from .engine.tick import world_at
 from .fields import action, observation
 
 SETPOINT, PDO = "setpoint", "pdo"

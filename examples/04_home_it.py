@@ -21,7 +21,7 @@ import numpy as np
 from servogym.drive.master import Master
 from servogym.drive.trace import Trace
 from servogym.envs import linear_axis
-from servogym.envs.engine import loop
+from servogym.envs.engine import tick
 from servogym.envs.masters.homing_figures import built_in
 from servogym.envs.masters.port import MachinePort
 
@@ -89,7 +89,7 @@ for panel, (method, (data, places, zero)) in zip(panels, runs.items(), strict=Tr
     panel.plot(places * 1e3, data["time"], lw=2)
     panel.plot(START * 1e3, 0.0, "o", color="k", label="start")
     panel.plot(zero * 1e3, data["time"][-1], "v", ms=10, color="C3", zorder=3, label="home")
-    for switch, shade in ((loop.HOME, "0.85"), (0, "0.75")):
+    for switch, shade in ((tick.HOME, "0.85"), (0, "0.75")):
         low, high = coupling.switch_from[switch], coupling.switch_to[switch]
         panel.axvspan(max(low * 1e3, -25), high * 1e3, color=shade, lw=0)
     for pulse in np.arange(0.0, 241.0, 60.0):

@@ -18,11 +18,9 @@ into ``qfrc_passive``. Beside MuJoCo's own friction constraint it costs a third 
 """
 
 from ...drive.kernel.jit import block
-from ...drive.memory import floats_at
+from .arrays import reals_at
 from .mechanics import CARRIAGE, MOTOR, PLACES
 from .physics import mj_fwd_acceleration, mj_fwd_actuation, mj_solve_m
-
-FLOAT = 8  # bytes
 
 
 @block
@@ -44,9 +42,9 @@ def _along(vector, place, coupling, m):
 
 
 @block
-def _response(world, i, place):
+def response(world, i, place):
     """Accelerations that a friction of 1 N gives to all degrees of freedom."""
-    return floats_at(world.responses + (PLACES * i + place) * world.nv * FLOAT, world.nv)
+    return reals_at(world, world.responses + (PLACES * i + place) * world.response_row, world.nv)
 
 
 @block
@@ -54,16 +52,25 @@ def stick(world, couplings, joints, qvel):
     """Add the friction of all driven joints to the passive forces, between the halves of a step."""
     mj_fwd_actuation(world.mj_model, world.mj_data)
     mj_fwd_acceleration(world.mj_model, world.mj_data)
-    acceleration = floats_at(world.smooth_acceleration, world.nv)
     for i in range(len(joints)):
         for place in range(PLACES):
             if joints[i].friction_limit[place] > 0.0:
-                row = (PLACES * i + place) * world.nv * FLOAT
+                row = (PLACES * i + place) * world.response_row
                 solution, right = world.responses + row, world.directions + row
                 mj_solve_m(world.mj_model, world.mj_data, solution, right, 1)
-                response = _response(world, i, place)
+    grip(world, couplings, joints, qvel)
+
+
+@block
+def grip(world, couplings, joints, qvel):
+    """The part of `stick` that needs nothing of MuJoCo but its arrays."""
+    acceleration = reals_at(world, world.smooth_acceleration, world.nv)
+    for i in range(len(joints)):
+        for place in range(PLACES):
+            if joints[i].friction_limit[place] > 0.0:
+                answer = response(world, i, place)
                 for k in range(world.nv):
-                    acceleration[k] += response[k] * joints[i].friction_force[place]
+                    acceleration[k] += answer[k] * joints[i].friction_force[place]
     for i in range(len(joints)):
         for place in range(PLACES):
             if joints[i].friction_limit[place] > 0.0:
@@ -74,15 +81,15 @@ def stick(world, couplings, joints, qvel):
 
 @block
 def _grip(world, coupling, m, i, place, qvel, acceleration):
-    response = _response(world, i, place)
+    answer = response(world, i, place)
     after = _along(acceleration, place, coupling, m) + m.constraint[place]
     speed = _along(qvel, place, coupling, m) + world.timestep * after
     before, limit = m.friction_force[place], m.friction_limit[place]
-    stopping = before - speed / (world.timestep * _along(response, place, coupling, m))
+    stopping = before - speed / (world.timestep * _along(answer, place, coupling, m))
     force = min(max(stopping, -limit), limit)
     for k in range(world.nv):
-        acceleration[k] += response[k] * (force - before)
-    passive = floats_at(world.passive, world.nv)
+        acceleration[k] += answer[k] * (force - before)
+    passive = reals_at(world, world.passive, world.nv)
     passive[coupling.dof] += force
     if place == CARRIAGE and m.guide >= 0:
         passive[m.elastic_dof] += force
@@ -92,8 +99,8 @@ def _grip(world, coupling, m, i, place, qvel, acceleration):
 @block
 def remember(world, couplings, joints):
     """Note what constraints have added to the acceleration of this step, for the next one."""
-    smooth = floats_at(world.smooth_acceleration, world.nv)
-    final = floats_at(world.acceleration, world.nv)
+    smooth = reals_at(world, world.smooth_acceleration, world.nv)
+    final = reals_at(world, world.acceleration, world.nv)
     for i in range(len(joints)):
         for place in range(PLACES):
             whole = _along(final, place, couplings[i], joints[i])

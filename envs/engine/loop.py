@@ -6,7 +6,6 @@ mechanics and the friction of the driven joints join the passive forces. When a 
 longer finite the physics stops, and the drive's encoder fault says so.
 """
 
-import math
 import time
 from collections.abc import Callable
 from enum import IntEnum
@@ -19,23 +18,18 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ...drive.kernel.cycle import velocity_cycle
 from ...drive.kernel.jit import DISABLED, block, entry
-from ...drive.kernel.process_data import PDO, collect, latch
-from ...drive.kernel.record import AXIS
 from ...drive.memory import address, bytes_at, floats_at, integers_at, peek, viewer
-from . import friction, mechanics
+from . import friction, tick
+from .arrays import positions, velocities
 from .guard import JOB, guarded
-from .mechanics import MECHANICS
 from .physics import STATE, mj_get_state, mj_reset, mj_set_state, mj_step1, mj_step2
-from .probe import begin_step, notice, observe, probes_at
-from .world import COUPLING, FIELD, PDOS, WORLD
+from .probe import begin_step, probes_at
+from .tick import axes_at, coordinates, copy, couplings_at, mechanics_at, sense, speeds, world_at
+from .world import FIELD, WORLD
 
-AXIS_SIZE = AXIS.itemsize
 BREATH = 0.02  # s, after which a long step lets Python see to Ctrl-C
 FIRST_PACE = 64  # physics steps, before it is known how long they take
-FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
-NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
 
 
 class Status(IntEnum):
@@ -65,137 +59,21 @@ REFUSALS: dict[int, tuple[type[Exception], str]] = {
     ),
 }
 
-world_at = viewer(WORLD)
-axes_at = viewer(AXIS)
-couplings_at = viewer(COUPLING)
-mechanics_at = viewer(MECHANICS)
-directory_at = viewer(PDOS)
 fields_at = viewer(FIELD)
 job_at = viewer(JOB)
-pdos_at = viewer(PDO)
-
-
-@block
-def _normal(coupling):
-    """The next number of a normal distribution: xorshift64*, and the polar form of Box-Muller."""
-    while True:
-        u, v = _uniform(coupling), _uniform(coupling)
-        s = u * u + v * v
-        if 0.0 < s < 1.0:
-            return u * math.sqrt(-2.0 * math.log(s) / s)
-
-
-@block
-def load_noise(world):
-    """What the noise of the first drive's encoder is worth at a sensor of the load (m)."""
-    coupling = couplings_at(world.couplings, 1)[0]
-    return coupling.noise * _normal(coupling) if coupling.noise > 0.0 else 0.0
-
-
-@block
-def _uniform(coupling):
-    """In -1..1 (Vigna, An experimental exploration of Marsaglia's xorshift generators)."""
-    state = np.uint64(coupling.noise_state)
-    state ^= state >> np.uint64(12)
-    state ^= state << np.uint64(25)
-    state ^= state >> np.uint64(27)
-    coupling.noise_state = state
-    return (state >> np.uint64(11)) * 2.0**-52 - 1.0
-
-
-@block
-def sense(axis, coupling, m, qpos):
-    """Feed the shaft angle of a joint and the switches at its carriage to the drive."""
-    measured = qpos[coupling.qpos]
-    if coupling.noise > 0.0:
-        measured += coupling.noise * _normal(coupling)
-    axis.shaft_angle = measured * coupling.gear
-    place = mechanics.carriage(m, coupling, qpos)
-    axis.load_angle = (measured + place - qpos[coupling.qpos]) * coupling.gear
-    for i in range(3):
-        at = place - m.switch_offset[i] - m.switch_shift[i]
-        if m.switch_period > 0.0:
-            at -= m.switch_period * math.floor(at / m.switch_period)
-        slack = coupling.switch_hysteresis[i] if coupling.switch_active[i] else 0.0
-        inside = coupling.switch_from[i] - slack <= at <= coupling.switch_to[i] + slack
-        if m.switch_scatter > 0.0 and coupling.switch_active[i] and not inside:
-            m.switch_shift[i] = m.switch_scatter * _normal(m)
-        coupling.switch_active[i] = 1 if inside else 0
-    axis.negative_limit_switch = coupling.switch_active[NEGATIVE]
-    axis.positive_limit_switch = coupling.switch_active[POSITIVE]
-    axis.home_switch = coupling.switch_active[HOME]
-
-
-@block
-def coordinates(world):
-    """The joint coordinates of a machine (MjData.qpos), as the last `run` left them."""
-    return floats_at(world.qpos, world.nq)
-
-
-@block
-def speeds(world):
-    """The joint speeds of a machine (MjData.qvel), as the last `run` left them."""
-    return floats_at(world.qvel, world.nv)
-
-
-@block
-def _copy(source, target):
-    for i in range(len(target)):
-        target[i] = source[i]
 
 
 @block
 def _tick(world, axes, couplings, joints, qpos, qvel, ctrl):
     """One physics step and the control cycles that begin with it."""
-    sound = True
-    for i in range(len(axes)):
-        coupling = couplings[i]
-        sound = sound and abs(qpos[coupling.qpos]) < FARTHEST
-        if world.tick % coupling.velocity_steps == 0:
-            axis = axes[i]
-            sense(axis, coupling, joints[i], qpos)
-            velocity_cycle(axis)
-            ctrl[coupling.ctrl] = axis.torque
-    if sound:
+    if tick.control(world, axes, couplings, joints, qpos, ctrl):
         mj_step1(world.mj_model, world.mj_data)
-        for i in range(len(axes)):
-            mechanics.run(world, axes[i], couplings[i], joints[i], qpos, qvel)
+        tick.forces(world, axes, couplings, joints, qpos, qvel)
         if friction.limited(joints):
             friction.stick(world, couplings, joints, qvel)
         mj_step2(world.mj_model, world.mj_data)
-        friction.remember(world, couplings, joints)
-        for i in range(len(axes)):
-            mechanics.watch(world, couplings[i], joints[i], qpos, qvel)
-    notice(world, axes, couplings)
-    if world.probes != 0:
-        probes = probes_at(world.probes, world.drives)
-        for i in range(len(axes)):
-            observe(probes[i], axes[i], couplings[i], world.timestep, qpos, qvel)
-    world.tick += 1
-
-
-@block
-def _latch(world, axes, image):
-    """Write an RPDO image into the objects of all drives of a machine, one after the other."""
-    directory = directory_at(world.pdos, world.drives)
-    at = 0
-    for i in range(len(axes)):
-        pdos = pdos_at(directory[i].rpdos, directory[i].rpdo_count)
-        objects = bytes_at(world.axes + i * AXIS_SIZE, AXIS_SIZE)
-        at = latch(objects, axes[i], pdos, image, at)
-    return at
-
-
-@block
-def _collect(world, image):
-    """Copy the mapped objects of all drives of a machine into a TPDO image."""
-    directory = directory_at(world.pdos, world.drives)
-    at = 0
-    for i in range(world.drives):
-        pdos = pdos_at(directory[i].tpdos, directory[i].tpdo_count)
-        objects = bytes_at(world.axes + i * AXIS_SIZE, AXIS_SIZE)
-        at = collect(objects, pdos, image, at)
-    return at
+        tick.finish(world, couplings, joints, qpos, qvel)
+    tick.count(world, axes, couplings, qpos, qvel)
 
 
 @block
@@ -270,8 +148,7 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     world.status = RUNNING
     _enter(address, world)
     axes = axes_at(world.axes, world.drives)
-    qpos = floats_at(world.mj_qpos, world.nq)
-    qvel = floats_at(world.mj_qvel, world.nv)
+    qpos, qvel = positions(world), velocities(world)
     ctrl = floats_at(world.ctrl, world.nu)
     if len(rpdo) and begin == 0:
         begin_step(world, axes, couplings)
@@ -279,14 +156,14 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     latched, collected = len(rpdo), len(tpdo)
     for now in range(begin, end):
         if now == latched_at:
-            latched = _latch(world, axes, rpdo)
+            latched = tick.latch_image(world, axes, rpdo)
         _tick(world, axes, couplings, joints, qpos, qvel, ctrl)
     if latched_at == ticks == end:
-        latched = _latch(world, axes, rpdo)
+        latched = tick.latch_image(world, axes, rpdo)
     if len(tpdo) and end == ticks:
-        collected = _collect(world, tpdo)
-    _copy(qpos, coordinates(world))  # an assignment of slices takes Numba two seconds
-    _copy(qvel, speeds(world))
+        collected = tick.collect_image(world, tpdo)
+    copy(qpos, coordinates(world))
+    copy(qvel, speeds(world))
     world.status = SOUND
     return SOUND if latched == len(rpdo) and collected == len(tpdo) else MAPPING
 
@@ -482,7 +359,7 @@ def settle(axes, couplings, joints, qpos):
         m = joints[i]
         m.noise_state = m.switch_seed
         for k in range(3):
-            m.switch_shift[k] = m.switch_scatter * _normal(m) if m.switch_scatter > 0.0 else 0.0
+            m.switch_shift[k] = m.switch_scatter * tick.normal(m) if m.switch_scatter > 0.0 else 0.0
         for k in range(3):
             couplings[i].switch_active[k] = 0
         sense(axes[i], couplings[i], m, qpos)

@@ -25,6 +25,7 @@ from .mjcf import actuator_of, attach, read
 from .physics import STATE, addresses
 from .probe import PROBE
 from .rates import rates, whole_ratio
+from .world import COUPLING, FIELD, PDOS, WORLD
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 MOST = 10**12  # cycles of a step
@@ -107,14 +108,14 @@ class Machine:
         self._model, self._data = model, mujoco.MjData(model)
         self.drives = Drives(drives)
         self.axes = next(iter(drives.values())).axes
-        self.couplings = np.zeros(len(drives), record.accessible(loop.COUPLING))
+        self.couplings = np.zeros(len(drives), record.accessible(COUPLING))
         self.mechanics = np.zeros(len(drives), record.accessible(mechanics.MECHANICS))
-        self.world = np.zeros(1, record.accessible(loop.WORLD))
+        self.world = np.zeros(1, record.accessible(WORLD))
         self.addresses = np.array([address(self.world)])
         self.turn = Turn()
         self.probes = np.zeros(0, record.accessible(PROBE))
         self._coordinates = np.zeros(model.nq), np.zeros(model.nv)
-        self._directory = np.zeros(len(drives), loop.PDOS)
+        self._directory = np.zeros(len(drives), PDOS)
         for i, drive in enumerate(drives.values()):
             for name, pdos in (("rpdo", drive.rpdos), ("tpdo", drive.tpdos)):
                 self._directory[f"{name}s"][i] = address(pdos)
@@ -150,6 +151,7 @@ class Machine:
         ):  # fmt: skip
             world[name] = address(array)
         world["timestep"] = self._model.opt.timestep
+        world["response_row"] = self._responses.strides[0]
         world["nq"], world["nv"], world["nu"] = self._model.nq, self._model.nv, self._model.nu
         world["inertias"], world["guides"] = len(self._data.M), self._model.ntendon
         world["joints"], world["drives"] = self._model.njnt, len(self.axes)
@@ -353,7 +355,7 @@ class Machine:
             couplings, joints, variable, state = parts[len(drives) :]
             for drive, taken in zip(drives, opened, strict=True):
                 drive.take(taken)
-            self.couplings[:] = np.frombuffer(couplings, loop.COUPLING)
+            self.couplings[:] = np.frombuffer(couplings, COUPLING)
             self.mechanics[:] = np.frombuffer(joints, mechanics.MECHANICS)
             at, values = 0, np.frombuffer(variable)
             for array in _variable(self.model):
@@ -384,7 +386,7 @@ class Residence:
         self.turn = Turn()
         self.resident = np.zeros(1, np.int64)  # address of who lives there now
         arrays = _variable(self.model)
-        self.fields = np.zeros(len(arrays), loop.FIELD)
+        self.fields = np.zeros(len(arrays), FIELD)
         for field, array in zip(self.fields, arrays, strict=True):
             field["address"], field["length"] = address(array), array.size
         # who enters writes down the state of who lived there before, dropped or not
@@ -410,7 +412,7 @@ def _rebuild(
     return machine
 
 
-LAYOUT = zlib.crc32(repr((loop.COUPLING.descr, mechanics.MECHANICS.descr)).encode())
+LAYOUT = zlib.crc32(repr((COUPLING.descr, mechanics.MECHANICS.descr)).encode())
 
 
 def _variable(model: mujoco.MjModel) -> list[np.ndarray]:

@@ -45,7 +45,7 @@ import mujoco
 import numpy as np
 
 from ...drive.kernel.jit import block
-from ...drive.memory import floats_at
+from .arrays import reals_at
 
 CARRIAGE, MOTOR = 0, 1  # where friction acts; MOTOR: the brake before an elastic transmission
 PLACES = 2
@@ -115,7 +115,7 @@ def run(world, axis, coupling, m, qpos, qvel):
         angle = position * coupling.gear
         torque = m.cogging_torque * math.sin(m.cogging_order * angle)
         torque += m.torque_ripple * axis.torque * math.sin(m.ripple_order * angle)
-        floats_at(world.passive, world.nv)[coupling.dof] += torque * coupling.gear
+        reals_at(world, world.passive, world.nv)[coupling.dof] += torque * coupling.gear
     held = 0.0 if axis.brake_released else coupling.brake_friction
     if m.guide >= 0:
         if m.backlash > 0.0:
@@ -147,7 +147,7 @@ def watch(world, coupling, m, qpos, qvel):
     if stop != m.stop:
         m.stop = stop
         if stop != 0:
-            inertia = floats_at(world.inertia, m.inertia_at + 1)[m.inertia_at]
+            inertia = reals_at(world, world.inertia, m.inertia_at + 1)[m.inertia_at]
             _impact(m, 0.5 * inertia * velocity * velocity)
 
 
@@ -155,21 +155,21 @@ def watch(world, coupling, m, qpos, qvel):
 def _backlash(world, m, deflection, velocity):
     """Take back what spring and damper of the transmission do within the gap."""
     half = 0.5 * m.backlash
-    stiffness = floats_at(world.stiffness, m.elastic_joint + 1)[m.elastic_joint]
+    stiffness = reals_at(world, world.stiffness, m.elastic_joint + 1)[m.elastic_joint]
     force = stiffness * min(max(deflection, -half), half)
     if -half < deflection < half:
-        force += floats_at(world.damping, m.elastic_dof + 1)[m.elastic_dof] * velocity
-    floats_at(world.passive, world.nv)[m.elastic_dof] += force
+        force += reals_at(world, world.damping, m.elastic_dof + 1)[m.elastic_dof] * velocity
+    reals_at(world, world.passive, world.nv)[m.elastic_dof] += force
 
 
 @block
 def _carried(world, m, deflection, velocity):
     """Force in spring and damper of the transmission."""
     gap = min(max(deflection, -0.5 * m.backlash), 0.5 * m.backlash)
-    stiffness = floats_at(world.stiffness, m.elastic_joint + 1)[m.elastic_joint]
+    stiffness = reals_at(world, world.stiffness, m.elastic_joint + 1)[m.elastic_joint]
     force = stiffness * (deflection - gap)
     if deflection != gap or m.backlash == 0.0:
-        force += floats_at(world.damping, m.elastic_dof + 1)[m.elastic_dof] * velocity
+        force += reals_at(world, world.damping, m.elastic_dof + 1)[m.elastic_dof] * velocity
     return force
 
 

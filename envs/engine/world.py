@@ -42,6 +42,7 @@ WORLD = np.dtype(
         ("damping", "i8"),  # MjModel.dof_damping
         ("directions", "i8"),  # of the frictions, two rows a drive over the degrees of freedom
         ("responses", "i8"),  # accelerations they give, the same shape
+        ("response_row", "i8"),  # bytes from one of these rows to the next
         ("nq", "i8"),  # their lengths
         ("nv", "i8"),
         ("nu", "i8"),
@@ -67,6 +68,26 @@ WORLD = np.dtype(
         ("fields", "i8"),  # where these fields are
         ("field_count", "i8"),
         ("resident", "i8"),  # the number that is the address of who lives there now
+    ],
+    align=True,
+)
+
+# A machine whose physics is one of many in single precision on a device (`worlds`).
+SINGLE = np.dtype(
+    [
+        *WORLD.descr,
+        ("present", "i8"),  # address of a number that is 0 while it is left out
+        ("arrived", "i8"),  # its state comes from elsewhere, the physics has still to take it over
+        ("moves", "i8"),  # its physics is sound, and part of this physics step
+        ("kept_warmstart", "i8"),  # addresses of what it brings along, beside `qpos` and `qvel`
+        ("kept_ctrl", "i8"),
+        ("warmstart", "i8"),  # qacc_warmstart
+        ("ticks", "i8"),  # of a step of the agent
+        ("latch_at", "i8"),  # of these, when the RPDO image is latched; -1: it is not
+        ("rpdo", "i8"),  # addresses of the images, and their sizes; without bytes there are none
+        ("rpdo_bytes", "i8"),
+        ("tpdo", "i8"),
+        ("tpdo_bytes", "i8"),
     ],
     align=True,
 )

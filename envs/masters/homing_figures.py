@@ -19,8 +19,8 @@ from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
 from ...drive.kernel.words import Statusword as S
 from ...drive.master.master import Master
-from ..engine.loop import axes_at, coordinates, couplings_at, mechanics_at, world_at
 from ..engine.machine import Machine
+from ..engine.tick import axes_at, coordinates, couplings_at, mechanics_at, world_at
 from .port import MachinePort
 
 # what is measured; the fields with an underscore are set by `prepare`, or are of the last look

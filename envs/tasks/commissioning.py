@@ -12,8 +12,8 @@ from ...drive.kernel.words import Mode, State
 from ...drive.model.model import DriveModel
 from ..batch import episode
 from ..checks import in_range
-from ..engine.loop import axes_at, world_at
 from ..engine.machine import Machine
+from ..engine.tick import axes_at, world_at
 from ..faces import PDO, clip, limited
 from ..fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen

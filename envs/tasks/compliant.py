@@ -11,8 +11,8 @@ from ...drive.model.model import DriveModel
 from ..about import Sensor
 from ..batch import episode
 from ..checks import in_range
-from ..engine.loop import FARTHEST, coordinates, load_noise, speeds, world_at
 from ..engine.machine import Machine
+from ..engine.tick import FARTHEST, coordinates, load_noise, speeds, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.linear_axis import LinearAxisParameters, linear_axis

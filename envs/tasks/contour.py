@@ -11,8 +11,8 @@ from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
 from ..checks import choice, in_range
-from ..engine.loop import coordinates, world_at
 from ..engine.machine import Machine
+from ..engine.tick import coordinates, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.gantry import AXES, GantryParameters, gantry

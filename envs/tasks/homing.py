@@ -15,8 +15,8 @@ from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
 from ..batch import episode
 from ..checks import choice, in_range
-from ..engine.loop import HOME, NEGATIVE, POSITIVE, world_at
 from ..engine.machine import Machine
+from ..engine.tick import HOME, NEGATIVE, POSITIVE, world_at
 from ..faces import PDO, clip, faulted, limited
 from ..fields import action, observation
 from ..masters.homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home

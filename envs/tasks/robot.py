@@ -14,9 +14,9 @@ from ...drive.model.model import DriveModel
 from ...drive.model.near import named, near
 from ..batch import episode
 from ..checks import in_range
-from ..engine.loop import coordinates, world_at
 from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES, read
+from ..engine.tick import coordinates, world_at
 from ..engine.touch import obstacles
 from ..faces import clip, faulted, limited
 from ..fields import action, observation

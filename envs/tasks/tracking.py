@@ -13,9 +13,9 @@ from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
 from ..checks import choice, in_range
-from ..engine.loop import coordinates, speeds, world_at
 from ..engine.machine import Machine
 from ..engine.probe import elastic
+from ..engine.tick import coordinates, speeds, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen

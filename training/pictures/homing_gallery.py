@@ -22,7 +22,7 @@ from ...drive.diagrams import homing_words
 from ...drive.kernel.homing import NUMBERS
 from ...drive.kernel.words import State
 from ...drive.master import HomingFailed, Master, Timeout
-from ...envs.engine import loop
+from ...envs.engine import tick
 from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
 from ...envs.plants.linear_axis import linear_axis
@@ -49,16 +49,16 @@ class Run:
 def fit_home_switch(machine: Machine, method: int, own: tuple[float, float]) -> None:
     """The home switch at its `own` place (m), or on to the end of the axis for a method's sake."""
     coupling = machine.couplings[0]
-    coupling["switch_from"][loop.HOME], coupling["switch_to"][loop.HOME] = own
+    coupling["switch_from"][tick.HOME], coupling["switch_to"][tick.HOME] = own
     reach = TO_THE_END.get(method if method < 17 else method - 16)
     if reach:
-        coupling[reach[0]][loop.HOME] = reach[1]
+        coupling[reach[0]][tick.HOME] = reach[1]
 
 
 def home_switch(machine: Machine) -> tuple[float, float]:
     """Where the home switch is active (m)."""
     coupling = machine.couplings[0]
-    return float(coupling.switch_from[loop.HOME]), float(coupling.switch_to[loop.HOME])
+    return float(coupling.switch_from[tick.HOME]), float(coupling.switch_to[tick.HOME])
 
 
 def machine_for(method: int) -> Machine:

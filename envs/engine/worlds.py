@@ -1,0 +1,283 @@
+"""Worlds: many machines of one structure, stepped together by mujoco-warp, with their drives.
+
+The second back-end of the engine. What a machine consists of (WORLD, AXIS, COUPLING, MECHANICS and
+PDO records, coordinates) lies in one row of bytes on the device, and says by addresses where the
+arrays of mujoco-warp are. Between the halves of its steps run the `parts`, the same code as in
+`loop`: on its CPU device compiled by Numba, on a GPU by numba-cuda (`gpu`), on the same stream and
+memory. Single precision is all that differs: mujoco-warp has no other.
+
+A machine is set up, homed and reset as ever, alone on the CPU; `put` brings it here, `fetch` back.
+"""
+
+import copy
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...drive.kernel.process_data import PDO
+from ...drive.kernel.record import AXIS
+from . import loop, parts
+from .machine import VARIABLE, Machine
+from .mechanics import CARRIAGE, MECHANICS, PLACES
+from .world import COUPLING, PDOS, SINGLE
+
+ALIGNED = 8  # bytes
+
+
+class Worlds:
+    """Machines on a device of warp.
+
+    Args:
+        machines: of one structure; with `vary` they may differ in `machine.VARIABLE`.
+        device: "cuda", one such as "cuda:1", or "cpu".
+        ticks: physics steps of a step of the agent.
+        rpdo_bytes, tpdo_bytes: size of the process images of a machine; 0: there are none.
+        vary: whether masses, stiffnesses and the like are those of each machine.
+
+    Raises:
+        ImportError: a package of the extra ``servogym[gpu]`` is missing.
+        ValueError: there is no such device, or mujoco-warp cannot take the model.
+    """
+
+    def __init__(
+        self, machines: Sequence[Machine], device: str = "cuda", *, ticks: int = 1,
+        rpdo_bytes: int = 0, tpdo_bytes: int = 0, vary: bool = False,
+    ):  # fmt: skip
+        self._wp, self._mjw = packages()
+        self.device = found(self._wp, device)
+        self.machines = list(machines)
+        self.ticks = ticks
+        first, n = self.machines[0], len(self.machines)
+        model = _takeable(first.model)
+        with self._wp.ScopedDevice(self.device):
+            self._make_physics(model, first, n, vary)
+        self._rows = np.zeros(n, _row(first))
+        self._stride = self._rows.dtype.itemsize
+        self._memory = self._bytes(n * self._stride)
+        self.rpdos, self.tpdos = self._bytes(n * rpdo_bytes), self._bytes(n * tpdo_bytes)
+        self.rpdo_bytes, self.tpdo_bytes = rpdo_bytes, tpdo_bytes
+        self.present = self._wp.zeros(n, dtype=self._wp.int64, device=self.device)
+        self.addresses = self._memory.ptr + self._stride * np.arange(n)
+        for row in range(n):
+            self._address(row)
+        self._launch = self._launcher()
+        self._graph: Any = None
+        self.leave_out(np.zeros(n, bool))
+        self.put(range(n))
+
+    def _make_physics(self, model: mujoco.MjModel, first: Machine, n: int, vary: bool) -> None:
+        wp, mjw = self._wp, self._mjw
+        kinds = {field.name: field.type for field in dataclasses.fields(mjw.Model)}
+        batched = {
+            name for name, kind in kinds.items() if getattr(kind, "shape", ("",))[:1] == ("*",)
+        }
+        self._varied = [name for name in VARIABLE if name in batched] if vary else []
+        try:
+            self._model = mjw.put_model(model, batch_sizes=dict.fromkeys(self._varied, n))
+            self._data = mjw.put_data(model, first.data, nworld=n)
+        except (NotImplementedError, ValueError) as error:
+            raise ValueError(f"mujoco-warp cannot take this model: {error}") from None
+        wide = np.repeat(first._directions[:, None].astype(np.float32), n, axis=1)
+        self._directions = wp.array(wide, dtype=float)
+        self._responses = wp.zeros(wide.shape, dtype=float)
+        self._solved = [
+            PLACES * i + place
+            for i, joint in enumerate(first.mechanics)
+            for place in range(PLACES)
+            if place == CARRIAGE or joint["guide"] >= 0
+        ]
+
+    def _bytes(self, size: int) -> Any:
+        return self._wp.zeros(max(size, 1), dtype=self._wp.uint8, device=self.device)
+
+    def _launcher(self) -> Any:
+        first, stride, n = self._memory.ptr, self._stride, len(self.machines)
+        if self.device.is_cuda:
+            from . import gpu
+
+            return gpu.launcher(self._wp, self.device, first, stride, n)
+        return lambda part: parts.ON_CPU[part](first, stride, n)
+
+    def _address(self, row: int) -> None:
+        """Write down where everything of a machine is."""
+        d, m = self._data, self._model
+        world = self._rows["world"][row : row + 1]
+        own = int(self.addresses[row])
+        for name, field in (
+            ("axes", "axes"), ("couplings", "couplings"), ("mechanics", "mechanics"),
+            ("pdos", "directory"), ("qpos", "qpos"), ("qvel", "qvel"),
+            ("kept_warmstart", "warmstart"), ("kept_ctrl", "ctrl"),
+        ):  # fmt: skip
+            world[name] = own + self._rows.dtype.fields[field][1]  # type: ignore[index]
+        for name, array in (
+            ("mj_qpos", d.qpos), ("mj_qvel", d.qvel), ("ctrl", d.ctrl), ("inertia", d.M),
+            ("passive", d.qfrc_passive), ("acceleration", d.qacc), ("warmstart", d.qacc_warmstart),
+            ("smooth_acceleration", d.qacc_smooth), ("stiffness", m.jnt_stiffness),
+            ("damping", m.dof_damping), ("responses", self._responses[0]),
+            ("directions", self._directions[0]), ("present", self.present),
+        ):  # fmt: skip
+            world[name] = array.ptr + row % array.shape[0] * array.strides[0]
+        world["response_row"] = self._responses.strides[0]
+        world["rpdo"] = self.rpdos.ptr + row * self.rpdo_bytes
+        world["tpdo"] = self.tpdos.ptr + row * self.tpdo_bytes
+        world["rpdo_bytes"], world["tpdo_bytes"] = self.rpdo_bytes, self.tpdo_bytes
+        world["ticks"], world["latch_at"] = self.ticks, -1
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """Joint coordinates, shape ``(n, nq)`` float32, a copy where the device is no CPU."""
+        return self._data.qpos.numpy()
+
+    @property
+    def qvel(self) -> np.ndarray:
+        """Joint speeds, shape ``(n, nv)`` float32."""
+        return self._data.qvel.numpy()
+
+    @property
+    def ctrl(self) -> np.ndarray:
+        """Torques of the drives, and controls of other actuators, shape ``(n, nu)`` float32."""
+        return self._data.ctrl.numpy()
+
+    def leave_out(self, rows: np.ndarray) -> None:
+        """Which machines stand still from now on, a mask of shape ``(n,)``."""
+        self.present.assign(np.where(rows, 0, self.addresses))
+
+    def put(self, rows: Sequence[int]) -> None:
+        """Bring machines here as they are now."""
+        for row in rows:
+            self._pack(row)
+        whole = len(rows) == len(self.machines)
+        staged = self._wp.array(
+            self._rows.view(np.uint8), dtype=self._wp.uint8, device="cpu", copy=False
+        )
+        for begin, count in [(0, len(self._rows))] if whole else [(row, 1) for row in rows]:
+            at = begin * self._stride
+            self._wp.copy(self._memory, staged, at, at, count * self._stride)
+        for name in self._varied:
+            field = getattr(self._model, name)
+            values = field.numpy()
+            for row in rows:
+                values[row] = getattr(self.machines[row].model, name).reshape(values[row].shape)
+            field.assign(values)
+
+    def _pack(self, row: int) -> None:
+        machine, packed = self.machines[row], self._rows[row]
+        world, own = packed["world"], machine.world[0]
+        for name in ("timestep", "nq", "nv", "nu", "inertias", "guides", "joints", "drives"):
+            world[name] = own[name]
+        for name in ("tick", "delay", "step_ticks", "limited_ticks"):
+            world[name] = own[name]
+        world["status"], world["arrived"] = loop.SOUND, 1
+        packed["axes"], packed["couplings"] = machine.axes, machine.couplings
+        packed["mechanics"] = machine.mechanics
+        packed["qpos"], packed["qvel"] = machine.data.qpos, machine.data.qvel
+        packed["warmstart"], packed["ctrl"] = machine.data.qacc_warmstart, machine.data.ctrl
+        at, offset = 0, packed.dtype.fields["pdos"][1]
+        for drive, directory in zip(machine.drives.values(), packed["directory"], strict=True):
+            for name, pdos in (("rpdo", drive.rpdos), ("tpdo", drive.tpdos)):
+                packed["pdos"][at : at + len(pdos)] = pdos
+                directory[f"{name}s"] = self.addresses[row] + offset + at * PDO.itemsize
+                directory[f"{name}_count"] = len(pdos)
+                at += len(pdos)
+
+    def fetch(self, rows: Sequence[int]) -> None:
+        """Bring machines back as they are here, drives and physics, for whoever looks at them."""
+        if not len(rows):
+            return
+        packed = self._memory.numpy().view(self._rows.dtype)
+        for row in rows:
+            machine, own = self.machines[row], packed[row]
+            machine.axes[:], machine.couplings[:] = own["axes"], own["couplings"]
+            machine.mechanics[:] = own["mechanics"]
+            for name in ("tick", "step_ticks", "limited_ticks"):
+                machine.world[name] = own["world"][name]
+            machine.data.qpos[:], machine.data.qvel[:] = own["qpos"], own["qvel"]
+            with machine.turn:
+                mujoco.mj_forward(machine.model, machine.data)
+
+    def step(self, steps: int | None = None) -> None:
+        """A step of the agent, or any number of physics steps where there are no images."""
+        with self._wp.ScopedDevice(self.device):
+            self._launch("begin")
+            for _ in range(self.ticks if steps is None else steps):
+                self._tick()
+            self._launch("end")
+
+    def _tick(self) -> None:
+        """One physics step; on a GPU captured in a graph at the first."""
+        if self._graph is not None:
+            self._wp.capture_launch(self._graph)
+            return
+        self._physics_step()
+        if self.device.is_cuda and self._graph is None:
+            with self._wp.ScopedCapture(self.device) as capture:
+                self._physics_step()
+            self._graph = capture.graph
+
+    def _physics_step(self) -> None:
+        mjw, m, d = self._mjw, self._model, self._data
+        self._launch("control")
+        mjw.step1(m, d)
+        self._launch("forces")
+        mjw.fwd_actuation(m, d)
+        mjw.fwd_acceleration(m, d)
+        for row in self._solved:
+            mjw.solve_m(m, d, self._responses[row], self._directions[row])
+        self._launch("stick")
+        mjw.step2(m, d)
+        self._launch("finish")
+
+
+def packages() -> tuple[Any, Any]:
+    """Warp and mujoco-warp. Raises ImportError with the command that installs them."""
+    try:
+        import warp
+
+        if warp.config.log_level == warp.LOG_INFO:
+            warp.config.log_level = warp.LOG_WARNING  # or it names each kernel it loads
+        import mujoco_warp
+    except ImportError as error:
+        raise ImportError(f"{error}: pip install 'servogym[gpu]'") from None
+    return warp, mujoco_warp
+
+
+def found(wp: Any, device: str) -> Any:
+    """A device of warp. Raises ValueError in one line where there is none."""
+    names = [str(each) for each in wp.get_devices()]
+    wanted = "cuda:0" if device == "cuda" else device
+    if wanted not in names:
+        raise ValueError(
+            f"device = {device!r}: there is none, this machine has {', '.join(names)}; leave "
+            "device out for the loop on the CPU, which is faster than device='cpu'"
+        )
+    return wp.get_device(wanted)
+
+
+def _takeable(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy that mujoco-warp takes; it resets nothing by itself, and knows no flag for that."""
+    if model.na:
+        raise ValueError(
+            f"the model has {model.na} actuator activations, which a device does not carry yet: "
+            "leave device out"
+        )
+    model = copy.copy(model)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    return model
+
+
+def _row(machine: Machine) -> np.dtype:
+    """All of one machine, side by side."""
+    n, nq, nv = len(machine.axes), machine.model.nq, machine.model.nv
+    pdos = sum(len(drive.rpdos) + len(drive.tpdos) for drive in machine.drives.values())
+    return np.dtype(
+        [
+            ("world", SINGLE), ("axes", AXIS, (n,)), ("couplings", COUPLING, (n,)),
+            ("mechanics", MECHANICS, (n,)), ("directory", PDOS, (n,)), ("qpos", "f8", (nq,)),
+            ("qvel", "f8", (nv,)), ("warmstart", "f8", (nv,)), ("ctrl", "f8", (machine.model.nu,)),
+            ("pdos", PDO, (pdos,)), ("end", "i8"),
+        ],
+        align=True,
+    )  # fmt: skip
