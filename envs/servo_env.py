@@ -478,6 +478,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     def _show(self) -> None:
         if self.render_mode == "human":
             self._drawn().show()
+        elif self._picture is not None:
+            self._picture.follow()
 
     def _drawn(self) -> Picture:
         if self._picture is None:

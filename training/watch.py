@@ -83,7 +83,7 @@ def run(
         for episode in range(episodes):
             with progress(shown, f"episode {episode + 1}", env.spec.max_episode_steps) as advance:
                 ended, what = _episode(
-                    env, policy, None if episode else seed, stride, frame, advance
+                    env, policy, None if episode else seed, stride, frame, picture.follow, advance
                 )
             console.print(f"episode {episode + 1}: {what}", highlight=False)
             if not ended:
@@ -108,6 +108,7 @@ def _episode(
     seed: int | None,
     stride: int,
     frame: Callable[[], bool],
+    follow: Callable[[], None],
     advance: Callable[[float], None],
 ) -> tuple[bool, str]:
     """Whether an episode came to its end, and what happened; a frame each `stride` steps."""
@@ -117,6 +118,7 @@ def _episode(
     watched = frame()
     while watched and not ended:
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        follow()
         total, steps, ended = total + float(reward), steps + 1, terminated or truncated
         if ended or steps % stride == 0:
             watched = frame()

@@ -74,6 +74,7 @@ class Bench:
         self.pupil: Any = None  # `lessons.Pupil`: the lesson that is being done
         self.lessons: tuple[Any, ...] = ()  # `lessons.Lesson`: that are offered
         self.laboratory: Any = None  # `session.Laboratory`, given by who serves
+        self.no_policies = ""  # why there is none
         self.delay = 0.0  # s by which commands come late
         self.kept: dict[str, bytes] = {}  # snapshots of the machine by name
 
@@ -150,6 +151,10 @@ class Bench:
         """The unit people read positions in, and how many make one of the port's."""
         known = {"m": ("mm", 1e3), "rad": ("°", 180 / np.pi)}
         return known.get(self.port.units(axis).name, ("units", 1.0))
+
+    def acceleration(self, axis: str) -> float:
+        """What an acceleration unit is at the load, m/s² or rad/s²; 0: not known."""
+        return 0.0
 
     # --------------------------------------------------------------------- channels
 

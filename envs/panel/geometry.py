@@ -7,6 +7,8 @@ import numpy as np
 
 from ...drive.diagrams import Mode
 from ..engine.machine import SWITCHES, Machine
+from ..view.camera import beside, corners, floor, seen
+from ..view.decor import Part, parts
 
 PLACE = np.dtype("<f4")
 TARGETS = (Mode.PROFILE_POSITION, Mode.HOMING)
@@ -19,11 +21,19 @@ def scene(machine: Machine) -> dict[str, Any]:
     model = machine.model
     moving = [body for body in range(model.nbody) if model.body_weldid[body]]
     shapes = [shape for geom in range(model.ngeom) if (shape := _shape(model, geom))]
+    points = seen(model, machine.data)
+    bar = beside(model, points) if len(points) else []
+    decor = [*parts(model), *bar]
+    standing = [corners(part) for part in decor if not part.body]
+    points = np.concatenate([points, *standing]) if len(points) else np.zeros((1, 3))
+    low, high = points.min(axis=0), points.max(axis=0)
     return {
         "bodies": moving,
-        "shapes": shapes,
-        "center": model.stat.center.tolist(),
-        "extent": float(model.stat.extent),
+        "shapes": [*shapes, *map(_part, decor)],
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "view": [float(model.vis.global_.azimuth), float(model.vis.global_.elevation)],
+        "floor": floor(model),
         "marks": [mark for axis in range(len(machine.drives)) for mark in _marks(machine, axis)],
     }
 
@@ -52,6 +62,15 @@ def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any] | None:
             shape["vertices"] = model.mesh_vert[begin : begin + number].ravel().tolist()
             shape["faces"] = model.mesh_face[face : face + faces].ravel().tolist()
     return shape
+
+
+def _part(part: Part) -> dict[str, Any]:
+    """What is no geom, as a shape."""
+    kind = mujoco.mjtGeom(part.kind).name.removeprefix("mjGEOM_").lower()
+    return {
+        "kind": kind, "body": part.body, "pos": part.place, "quat": part.turned,
+        "size": part.size, "colour": part.colour, "label": part.label, "decor": True,
+    }  # fmt: skip
 
 
 def _marks(machine: Machine, axis: int) -> list[dict[str, Any]]:

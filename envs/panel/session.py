@@ -27,18 +27,17 @@ FIELDS = tuple(
 class Laboratory(Protocol):
     """What knows policies; `training` has one."""
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """That are offered."""
+    def fitting(self, axis: str) -> Any:
+        """What is offered at an axis: ``what``, ``names``, ``goal``, ``shown``."""
 
-    def prepare(self, machine: Machine, name: str, goal: float) -> None:
-        """Do on a copy what takes long. Raises what is wrong with the policy or the goal (m)."""
+    def prepare(self, machine: Machine, axis: str, name: str, goal: float) -> None:
+        """Do on a copy what takes long. Raises what is wrong with the policy or the goal."""
 
-    def agent(self, session: "Session", name: str, goal: float) -> Agent:
-        """A policy that brings the axis to a goal (m)."""
+    def agent(self, session: "Session", axis: str, name: str, goal: float) -> Agent:
+        """A policy that takes over; the goal is in the unit that is offered."""
 
-    def compare(self, machine: Machine, names: list[str], goal: float) -> Sequence[Any]:
-        """How each policy does it, on copies of a machine."""
+    def compare(self, machine: Machine, axis: str, names: list[str], goal: float) -> Sequence[Any]:
+        """How each policy does, on copies of a machine."""
 
 
 class Session(Bench):
@@ -96,6 +95,11 @@ class Session(Bench):
         except (SdoAbort, TypeError, ValueError) as error:
             return str(error)
         return ""
+
+    def acceleration(self, axis: str) -> float:
+        """What the factors and the mechanics make of it."""
+        record = self.machine.drives[axis].axis
+        return float(record.rad_s2_per_acceleration_unit) / self.machine.joint(axis)[0]
 
     def powered(self, axis: str) -> bool:
         """Whether the drive is in OPERATION_ENABLED."""

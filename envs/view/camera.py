@@ -5,8 +5,20 @@ import math
 import mujoco
 import numpy as np
 
+from .decor import Part, parts, scale
+
 MARGIN = 1.06  # around what has to be seen
 NEAR, FARTHER, STEPS = 0.2, 1.03, 200  # m, and how the distance grows until all is in sight
+POSES = 24  # of the joints that turn, looked at beside the present one
+
+
+CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).T.reshape(-1, 3)
+ROUND = tuple(
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"))
+    for kind in ("CYLINDER", "SPHERE", "CAPSULE", "ELLIPSOID")
+)
+RIMS = np.array([[np.cos(a), np.sin(a), z] for z in (-1, 1) for a in np.arange(8) * np.pi / 4])
+FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
 def framed(
@@ -22,9 +34,11 @@ def framed(
     """
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
-    points = _seen(model, data)
+    points = seen(model, data)
     if not len(points):
         return camera
+    standing = [part for part in parts(model) if not part.body]
+    points = np.concatenate([points, *map(corners, [*standing, *beside(model, points)])])
     turn, lift = math.radians(camera.azimuth), math.radians(camera.elevation)
     forward = np.array(
         [math.cos(lift) * math.cos(turn), math.cos(lift) * math.sin(turn), math.sin(lift)]
@@ -52,22 +66,53 @@ def framed(
     return camera
 
 
-def _seen(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Corners of all that is no floor, with each sliding joint at both its ends, ``(n, 3)``."""
+def seen(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """What all that is no floor reaches to, ``(n, 3)`` (m): now, and where the joints can bring it.
+
+    Sliding joints stand at both their ends, and those that turn anywhere, all at once.
+    """
     scratch = mujoco.MjData(model)
-    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).T.reshape(-1, 3)
-    planes = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)
-    geoms = [g for g in range(model.ngeom) if model.geom_type[g] not in planes]
+    geoms = np.flatnonzero(~np.isin(model.geom_type, FLOORS))
     slides = model.jnt_type == int(mujoco.mjtJoint.mjJNT_SLIDE)
     limited = np.flatnonzero(slides & (model.jnt_limited > 0))
+    arms = np.flatnonzero((model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)) & _drives(model))
+    low = np.where(model.jnt_limited > 0, model.jnt_range[:, 0], -np.pi)[arms]
+    high = np.where(model.jnt_limited > 0, model.jnt_range[:, 1], np.pi)[arms]
+    round_ones = np.isin(model.geom_type[geoms], ROUND)[:, None, None]
+    hulls = np.where(round_ones, RIMS, np.concatenate([CORNERS, CORNERS]))
+    generator = np.random.default_rng(0)  # the same picture each time
     found = []
-    for end in (None, 0, 1):
+    for number in range(3 + POSES * bool(len(arms))):
         scratch.qpos[:] = data.qpos
-        if end is not None:
-            scratch.qpos[model.jnt_qposadr[limited]] = model.jnt_range[limited, end]
+        if number in (1, 2):
+            scratch.qpos[model.jnt_qposadr[limited]] = model.jnt_range[limited, number - 1]
+        if number > 2:
+            scratch.qpos[model.jnt_qposadr[arms]] = generator.uniform(low, high)
         mujoco.mj_kinematics(model, scratch)
-        for geom in geoms:
-            centre, size = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-            turned = scratch.geom_xmat[geom].reshape(3, 3)
-            found.append((centre + corners * size) @ turned.T + scratch.geom_xpos[geom])
-    return np.concatenate(found) if found else np.zeros((0, 3))
+        turned = scratch.geom_xmat[geoms].reshape(-1, 3, 3)
+        boxes = model.geom_aabb[geoms, None, :3] + hulls * model.geom_aabb[geoms, None, 3:]
+        found.append(boxes @ turned.transpose(0, 2, 1) + scratch.geom_xpos[geoms, None])
+    return np.concatenate(found).reshape(-1, 3)
+
+
+def _drives(model: mujoco.MjModel) -> np.ndarray:
+    """Whether a joint is moved by an actuator, ``(njnt,)``."""
+    joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    return np.isin(np.arange(model.njnt), model.actuator_trnid[joints, 0])
+
+
+def beside(model: mujoco.MjModel, points: np.ndarray) -> list[Part]:
+    """The scale on the floor, where there is one."""
+    height = floor(model)
+    return [] if height is None else scale(points.min(axis=0), points.max(axis=0), height)
+
+
+def floor(model: mujoco.MjModel) -> float | None:
+    """Height of the first plane (m); None: there is none."""
+    planes = np.flatnonzero(model.geom_type == FLOORS[0])
+    return float(model.geom_pos[planes[0], 2]) if len(planes) else None
+
+
+def corners(part: Part) -> np.ndarray:
+    """Of a box of the world, ``(8, 3)`` (m)."""
+    return np.array(part.place) + CORNERS * np.array(part.size)

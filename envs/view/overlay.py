@@ -44,6 +44,7 @@ OPACITY = 205  # of the panels, of 255
 HEAD, TITLES, ROW = 32, 22, 28  # heights (px)
 NAME, STATE, MODE, BAR, ERROR, LIMIT = 12, 80, 272, 438, 594, 776  # left edges (px)
 BAR_WIDTH = 146  # px
+INSET, FRAME = 190, 28  # of the view from above (px)
 MODES = frozenset(map(int, Mode))
 SHARE = 0.86  # of half the bar is the window; beyond it the error is out
 TICKS = (0.01, 0.1)  # of the window
@@ -112,7 +113,9 @@ class Overlay:
             draw.text((x, 13), title, DIM, _font(13), "lm")
         for i, name in enumerate(drives):
             y = TITLES + ROW * i
-            _write(draw, (NAME, y + 14), name, STATE - NAME - 8, TEXT, _font(16, True))
+            room = STATE - NAME - 8
+            fits = (size for size in (16, 14, 12) if _font(size, True).getlength(name) <= room)
+            _write(draw, (NAME, y + 14), name, room, TEXT, _font(next(fits, 12), True))
             draw.rectangle((BAR, y + 6, BAR + BAR_WIDTH, y + 22), TRACK)
             draw.rectangle((_place(-1.0), y + 6, _place(1.0), y + 22), WINDOW)
             for tick in TICKS:
@@ -144,6 +147,38 @@ class Overlay:
         faults = [f"FAULT {line.name}: {line.fault}" for line in machine if line.fault]
         for i, fault in enumerate(faults):
             self._banner(image[HEAD + ROW * i : HEAD + ROW * (i + 1)], fault)
+
+    def inset(self, image: np.ndarray, wanted: np.ndarray, tracks: list[np.ndarray]) -> None:
+        """A contour from above in the upper right corner, X to the right.
+
+        Args:
+            image: drawn into, shape ``(height, width, 3)`` uint8.
+            wanted: the contour, ``(n, 2)`` (m).
+            tracks: what was driven, each ``(m, 2)`` (m).
+        """
+        left, top = self._width - INSET - 12, HEAD + 12
+        pixels = image[top : top + INSET, left : left + INSET]
+        draw, strip = self._open(pixels, Image.new("RGB", (INSET, INSET), PANEL))
+        low, high = wanted.min(axis=0), wanted.max(axis=0)
+        room = INSET - 2 * FRAME
+        zoom = room / max(float((high - low).max()), 1e-6)  # px/m
+
+        def seen(places: np.ndarray) -> list[tuple[float, float]]:
+            x, y = ((places - (low + high) / 2) * zoom).T
+            return list(zip(INSET / 2 + x, INSET / 2 - 6 - y, strict=True))
+
+        draw.line(seen(wanted), DIM, 4, "curve")
+        for track in tracks:
+            if len(track) > 1:
+                draw.line(seen(track), OUTSIDE, 2, "curve")
+            if len(track):
+                ((x, y),) = seen(track[-1:])
+                draw.ellipse((x - 4, y - 4, x + 4, y + 4), TEXT)
+        step = 10.0 ** math.floor(math.log10(room / zoom / 2))  # m
+        end = FRAME + step * zoom
+        draw.line([(FRAME, INSET - 12), (end, INSET - 12)], TEXT, 2)
+        draw.text((end + 6, INSET - 12), f"{1e3 * step:g} mm", TEXT, _font(13), "lm")
+        pixels[:] = strip
 
     def _open(
         self, pixels: np.ndarray, panel: Image.Image

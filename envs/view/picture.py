@@ -14,13 +14,17 @@ import numpy as np
 
 from ..engine.machine import Machine
 from ..engine.physics import STATE
-from .camera import framed
+from .camera import beside, floor, framed, seen
+from .decor import Part, parts
 from .overlay import Line, Overlay, lines
 
 HEIGHT, WIDTH = 540, 960
-LONGEST = 2000  # places of a path that are kept
+LONGEST = 400  # places of a path that are kept
+APART = 1.5e-3  # m between two of them
+THICK = 3.0  # px, of a line
 DRIVEN = np.array([0.85, 0.2, 0.15, 1.0], np.float32)
 WANTED = np.array([0.1, 0.1, 0.1, 0.6], np.float32)
+GUIDE = np.array([0.2, 0.2, 0.2, 0.5], np.float32)
 GHOST = np.array([0.2, 0.75, 0.3, 0.35], np.float32)
 INSTEAD = "use render_mode='rgb_array', or `servogym watch ENV --record out.gif`"
 
@@ -87,6 +91,7 @@ class Picture:
         self._overlay = Overlay(list(env.machine.drives), WIDTH)
         self._viewer: Any = None
         self._camera: mujoco.MjvCamera | None = None
+        self._parts: list[Part] | None = None
         self._path: list[dict[str, np.ndarray]] = []  # places of the bodies with a goal
         self._time = 0.0
 
@@ -102,16 +107,19 @@ class Picture:
                     "set the environment variable MUJOCO_GL to egl or osmesa before starting"
                 ) from error
         mujoco.mj_fwdPosition(machine.model, machine.data)
+        self.follow()
         if self._camera is None:
             panels = self._overlay.heights
             self._camera = framed(
                 machine.model, machine.data, WIDTH / HEIGHT, panels[1] / HEIGHT, panels[0] / HEIGHT
             )
         self._renderer.update_scene(machine.data, self._camera)
+        self._decorate(self._renderer.scene)
         self._ghosts(self._renderer.scene)
         self._driven(self._renderer.scene)
         image = self._renderer.render()
         self._overlay.draw(image, lines(machine), *self._head())
+        self._from_above(image)
         return image
 
     def show(self) -> None:
@@ -124,6 +132,9 @@ class Picture:
         if self.closed:
             return
         self._viewer.user_scn.ngeom = 0
+        self.follow()
+        self._decorate(self._viewer.user_scn)
+        self._driven(self._viewer.user_scn)
         self._ghosts(self._viewer.user_scn)
         self._viewer.set_texts(self._texts())
         self._viewer.sync()
@@ -196,20 +207,73 @@ class Picture:
                 )
                 scene.ngeom += 1
 
+    def _decorate(self, scene: mujoco.MjvScene) -> None:
+        """Add what makes the plant a machine, and the scale on the floor."""
+        model, data = self._env.machine.model, self._env.machine.data
+        if self._parts is None:
+            self._parts = [*parts(model), *beside(model, seen(model, data))]
+        turn, own = np.empty(9), np.empty(9)
+        for part in self._parts:
+            if scene.ngeom >= scene.maxgeom:
+                return
+            mujoco.mju_quat2Mat(own, np.array(part.turned))
+            body = data.xmat[part.body]
+            mujoco.mju_mulMatMat(turn.reshape(3, 3), body.reshape(3, 3), own.reshape(3, 3))
+            geom = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(
+                geom, part.kind, np.array(part.size),
+                data.xpos[part.body] + body.reshape(3, 3) @ np.array(part.place), turn,
+                np.array(part.colour, np.float32),
+            )  # fmt: skip
+            geom.label = part.label
+            scene.ngeom += 1
+
     def _driven(self, scene: mujoco.MjvScene) -> None:
-        """The way of each body that has a goal, and what it should follow, as lines."""
+        """The path of each body that has a goal, and what it should follow, as lines.
+
+        A contour lies on the floor below, where the machine does not hide it.
+        """
+        env = self._env
+        wanted = env.path()
+        here = self._here()
+        if len(wanted):
+            below = floor(env.machine.model)
+            height = float(wanted[0, 2]) if below is None else below + 2e-3
+            for place in here.values():
+                _line(scene, place, np.array([*place[:2], height]), GUIDE)
+            wanted = np.column_stack([wanted[:, :2], np.full(len(wanted), height)])
+        for before, now in pairwise(wanted):
+            _line(scene, before, now, WANTED)
+        for before, now in pairwise([*self._path, here]):
+            for body in before.keys() & now.keys():
+                ends = before[body].copy(), now[body].copy()
+                if len(wanted):
+                    ends[0][2] = ends[1][2] = height + 2e-3
+                _line(scene, *ends, DRIVEN)
+
+    def follow(self) -> None:
+        """Remember where bodies with a goal are; at each step, for a path without corners."""
         env = self._env
         if env.time < self._time:
             self._path.clear()  # another episode
         self._time = env.time
-        self._path.append({body: _tip(env.machine, body) for body in env.ghosts()})
+        mujoco.mj_kinematics(env.machine.model, env.machine.data)
+        here, last = self._here(), self._path[-1] if self._path else {}
+        if not last or any(np.linalg.norm(here[body] - last[body]) > APART for body in here):
+            self._path.append(here)
         del self._path[:-LONGEST]
-        for before, now in pairwise(self._path):
-            for body in before.keys() & now.keys():
-                _line(scene, before[body], now[body], DRIVEN)
-        wanted = env.path()
-        for before, now in pairwise(wanted):
-            _line(scene, before, now, WANTED)
+
+    def _here(self) -> dict[str, np.ndarray]:
+        """Places of the bodies with a goal (m)."""
+        return {body: _tip(self._env.machine, body) for body in self._env.ghosts()}
+
+    def _from_above(self, image: np.ndarray) -> None:
+        """A contour once more, large, in a corner."""
+        wanted = self._env.path()
+        if len(wanted):
+            tracks = [np.array([place[body][:2] for place in self._path if body in place])
+                      for body in self._env.ghosts()]  # fmt: skip
+            self._overlay.inset(image, wanted[:, :2], tracks)
 
     def close(self) -> None:
         """Close window and renderer."""
@@ -222,20 +286,18 @@ class Picture:
 
 
 def _tip(machine: Machine, body: str) -> np.ndarray:
-    """Of a body the middle of its last geom (m)."""
-    model, number = machine.model, machine.model.body(body).id
-    return machine.data.geom_xpos[
-        model.body_geomadr[number] + model.body_geomnum[number] - 1
-    ].copy()
+    """Of a body the middle of its first geom (m)."""
+    model = machine.model
+    return machine.data.geom_xpos[model.body_geomadr[model.body(body).id]].copy()
 
 
 def _line(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: np.ndarray) -> None:
-    """A stretch of a line, 3 mm thick."""
+    """A stretch of a line; it has no shadow."""
     if scene.ngeom >= scene.maxgeom or np.allclose(begin, end):
         return
-    geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+    geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_LINE
     mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), colour)
-    mujoco.mjv_connector(geom, kind, 0.0015, begin, end)
+    mujoco.mjv_connector(geom, kind, THICK, begin, end)
     scene.ngeom += 1
 
 

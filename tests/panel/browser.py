@@ -23,6 +23,17 @@ expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 
 
+NONSENSE = (
+    "1e999", "-1e999", "NaN", "nan", "inf", "−∞", "+", "-", ".", "e5", "1e", "0x", "0xGG", "h",
+    "1,2,3", "1.2.3", "--5", "1 000", "5 mm", "½", "²", "Ⅷ", "🙂", "é", "ﷺ", "\u202e12", "\u200b",
+    "<script>window.hacked=1</script>", "<img src=x onerror=window.hacked=1>", "'; DROP TABLE",
+    '"', "\\", "{{7*7}}", "${7}", "%s%n", "None", "true", "[]", "../../etc/passwd", "9" * 400,
+    "A" * 10_000,
+)  # fmt: skip
+FIELD_PAGES = ("motion", "scope", "loops", "experiments", "objects")
+TEXTS = ("snapshot-name", "policy", "search")  # fields for words
+
+
 class Server:
     """`servogym panel` in a process of its own."""
 
@@ -100,6 +111,8 @@ def ready(page):
 
 def picture(page, name):
     """Of a part, for the documentation where SERVOGYM_PICTURES names a folder for it."""
+    if os.environ.get("SERVOGYM_PICTURES"):  # what was said before belongs to another picture
+        expect(page.locator(".q-notification")).to_have_count(0)
     image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     assert len(image.getcolors(1 << 24)) > 50
     if folder := os.environ.get("SERVOGYM_PICTURES"):
@@ -115,3 +128,32 @@ def near(position):
 def move(page, target):
     at(page, "target").fill(target)
     at(page, "move-to").click()
+
+
+def parameters(page):
+    """All storable objects, as a file has them."""
+    open_page(page, "objects")
+    with page.expect_download() as download:
+        at(page, "save-parameters").click()
+    return Path(download.value.path()).read_bytes()
+
+
+def fields(page, name):
+    """The fields for numbers of a page."""
+    inputs = at(page, f"page-{name}").locator("input[data-test]:not([role=combobox]):visible")
+    return [test for field in inputs.all()
+            if (test := field.get_attribute("data-test")) not in TEXTS]  # fmt: skip
+
+
+def typed(page, test, text):
+    at(page, test).fill(text)
+    at(page, test).press("Enter")
+
+
+def refused(page, test, text):
+    """In words beside the field, which tell back what was typed."""
+    beside = page.locator(".q-field", has=at(page, test)).locator(".q-field__messages")
+    expect(beside).to_contain_text(text.strip()[:40] or "enter a number")
+    expect(beside).to_contain_text(re.compile("number|range"))
+    told = beside.inner_text()
+    assert len(told) < 160, told

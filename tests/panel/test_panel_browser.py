@@ -1,18 +1,27 @@
 """The panel in a real browser, by clicks: Debian's Chromium, driven by Playwright."""
 
+import http.client
+import os
 import re
+import subprocess
+import sys
+from itertools import cycle
 from pathlib import Path
 
 import pytest
 from browser import (
+    FIELD_PAGES,
+    NONSENSE,
     Server,
     at,
     chromium,
     expect,
+    fields,
     move,
     near,
     needs_chromium,
     open_page,
+    parameters,
     picture,
     ready,
     shows,
@@ -21,6 +30,20 @@ from browser import (
 )  # fmt: skip
 
 pytestmark = needs_chromium
+TYPE = """(told) => {
+    const value = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value");
+    for (const [name, text] of Object.entries(told)) {
+        const field = document.querySelector(`input[data-test=${name}]`);
+        value.set.call(field, text);
+        field.dispatchEvent(new Event("input", { bubbles: true }));
+        field.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+    }
+}"""
+REFUSED = """(told) => Object.entries(told).every(([name, text]) => {
+    const field = document.querySelector(`input[data-test=${name}]`).closest(".q-field");
+    const words = field.querySelector(".q-field__messages")?.textContent ?? "";
+    return words.includes(text) && /number|range/.test(words);
+})"""
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +105,20 @@ def test_what_is_no_target_is_refused_beside_the_field_and_nothing_moves(page):
         move(page, typed)
         expect(beside).to_contain_text(words)
     assert at(page, "position").inner_text() == before
+
+
+def test_each_field_refuses_a_text_beside_it_and_nothing_is_sent(page):
+    """A sample; all of it: test_panel_pace.py -k any_text."""
+    ready(page)
+    before, texts = parameters(page), cycle(NONSENSE)
+    for name in FIELD_PAGES:
+        open_page(page, name)
+        told = {test: next(texts) for test in fields(page, name)}
+        page.evaluate(TYPE, told)
+        shown = {test: text.strip()[:40] for test, text in told.items()}
+        page.wait_for_function(REFUSED, arg=shown)
+    assert parameters(page) == before
+    page.reload()  # fields as they were
 
 
 def test_the_scope_waits_for_its_trigger_and_shows_what_came_before(page):
@@ -329,14 +366,83 @@ def test_the_page_comes_back_when_the_server_was_killed_and_started_again(page, 
     ready(page)
 
 
-@pytest.mark.parametrize("header", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}])
-def test_strangers_are_refused(server, header):
-    import http.client
+@pytest.fixture
+def node():
+    """`servogym node` in a process of its own, and how a panel reaches it."""
+    can = pytest.importorskip("can")
+    pytest.importorskip("msgpack", reason="udp_multicast needs msgpack")
+    group, port = "239.74.163.80", 40_000 + os.getpid() % 9_000
+    try:
+        can.Bus(interface="udp_multicast", channel=group, port=port).shutdown()
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"udp_multicast does not work here: {error}")
+    way = ["-i", "udp_multicast", "-c", group, "--bus-kwargs", f"port={port}", "--node-id", "5"]
+    command = [sys.executable, "-m", "servogym.training.cli", "node", *way]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    while "as node" not in (line := process.stdout.readline()):
+        assert line, "the node ended"
+    yield way
+    process.kill()
+    process.communicate()
 
-    for path in ("/", "/_nicegui_ws/socket.io/?EIO=4&transport=polling"):
-        connection = http.client.HTTPConnection("localhost", server.port, timeout=60)
-        connection.request("GET", path, headers=header)
-        answer = connection.getresponse()
-        assert answer.status == 403
-        assert b"servogym panel" in answer.read()
-        connection.close()
+
+def test_a_node_on_a_bus_is_watched_commanded_and_says_what_a_bus_cannot_give(browser, node):
+    server = Server(*node, "--units", "1e-6", "--pictures", "8")
+    try:
+        page = tab(browser, server)  # nobody has control until a tab takes it
+        open_page(page, "motion")
+        at(page, "homing-method").click()
+        page.get_by_role("option", name="37 · the present position").click()
+        at(page, "enable").click()
+        shows(page, "state", "operation enabled")
+        at(page, "home").click()
+        expect(at(page, "doing")).to_have_text("")
+        move(page, "20")
+        expect(at(page, "position")).to_have_text(near(20))
+        open_page(page, "experiments")
+        expect(at(page, "absent")).to_contain_text("what is behind a bus may be a real one")
+        open_page(page, "state")
+        expect(at(page, "measured")).to_contain_text("samples/s")
+        picture(page, "bus")
+        page.context.close()
+    finally:
+        server.kill()
+
+
+UPGRADE = {
+    "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}  # fmt: skip
+SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport="
+
+
+def answer(server, path, headers):
+    """Status and body of a request over a connection of its own."""
+    connection = http.client.HTTPConnection("localhost", server.port, timeout=60)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    body = b"" if answer.status == 101 else answer.read()
+    connection.close()
+    return answer.status, body, answer.headers
+
+
+@pytest.mark.parametrize(
+    "header",
+    [{"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"},
+     {"Host": "evil.example", "Origin": "http://evil.example"}, {"Sec-Fetch-Site": "cross-site"}],
+)  # fmt: skip
+def test_strangers_are_refused(server, header):
+    """A page, a poll and a WebSocket; a link from elsewhere may open the page."""
+    for path in ("/", f"{SOCKET}polling") if "Sec-Fetch-Site" not in header else ():
+        status, body, _ = answer(server, path, header)
+        assert status == 403
+        assert b"servogym panel" in body
+    status, *_ = answer(server, f"{SOCKET}websocket", UPGRADE | header)
+    assert status == 403  # before there is a WebSocket, as RFC 6455 4.2.2 has it
+
+
+def test_the_page_itself_gets_its_websocket(server):
+    own = {"Origin": server.url[:-1], "Sec-Fetch-Site": "same-origin"}
+    status, _, headers = answer(server, f"{SOCKET}websocket", UPGRADE | own)
+    assert status == 101
+    assert headers["Sec-WebSocket-Accept"] == "s3pPLMBiTxaQ9kYGzzhZRbK+xOo="  # RFC 6455 1.3

@@ -8,14 +8,16 @@ import pytest
 from servogym.drive.diagrams import HOME, NEGATIVE, POSITIVE, homing_path, transitions
 from servogym.drive.kernel.homing import HERE, NUMBERS
 from servogym.drive.kernel.words import State
-from servogym.envs import gantry, rotary_axis
+from servogym.envs import Machine, commission_joint, gantry, rotary_axis
 from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
 from servogym.envs.panel.geometry import Poses, scene
 from servogym.envs.panel.lessons import SHIPPED, Pupil, load, load_all
 from servogym.envs.panel.pages.homing_diagram import homing_svg
 from servogym.envs.panel.session import Session
+from servogym.envs.plants.catalogue import AXES
 from servogym.envs.plants.linear_axis import linear_axis
-from servogym.training.policies.takeover import Laboratory, TakeOver
+from servogym.envs.tasks.robot import ARM
+from servogym.training.policies.takeover import FITTING, NONE, Laboratory, TakeOver, robot
 
 
 @pytest.fixture
@@ -139,7 +141,7 @@ def test_commands_come_late_by_their_delay_and_motions_still_end(homed):
 
 def test_a_policy_takes_over_brings_the_axis_to_the_goal_and_gives_back(homed):
     before = len(homed.shown()["axes"]["x"]["rpdo"])
-    homed.hand_over(Laboratory().agent(homed, "ruckig", 0.3))
+    homed.hand_over(Laboratory().agent(homed, "x", "ruckig", 300))
     assert "has the machine" in homed.move("x", 0.2)
     samples = homed.scope.count
     homed.advance(1.0)
@@ -150,8 +152,75 @@ def test_a_policy_takes_over_brings_the_axis_to_the_goal_and_gives_back(homed):
     assert homed.move("x", 0.2) == ""
 
 
+def test_a_table_is_turned_to_the_goal_the_shorter_way():
+    machine = rotary_axis()
+    machine.reset(positions={"x": 0.2})
+    session, laboratory = Session(machine), Laboratory(lambda axis: FITTING["rotary-table"])
+    assert session.enable("x") == session.home("x", 35) == ""
+    session.hand_over(laboratory.agent(session, "x", "ruckig", 350))
+    session.advance(1.0)
+    assert session.shown()["axes"]["x"]["position"] == pytest.approx(350, abs=0.03)
+    assert machine.data.qpos[0] == pytest.approx(0.2 - np.radians(10), abs=1e-3)
+    session.release()
+    assert session.move("x", np.radians(20)) == ""
+    ruckig, slower = laboratory.compare(machine, "x", ["ruckig", "proportional"], 100)
+    assert ruckig.settling_time < slower.settling_time
+    assert ruckig.value[-1] == pytest.approx(100, abs=0.03)
+
+
+def test_two_axes_of_a_gantry_drive_a_circle_and_are_given_back():
+    machine = gantry()
+    machine.reset(positions={"x": 0.3, "y": 0.2, "z": -0.1})
+    session, laboratory = Session(machine), Laboratory(lambda axis: FITTING["gantry"])
+    session.enable("x"), session.home("x", 17), session.enable("y")
+    with pytest.raises(ValueError, match="y: the axis is not referenced"):
+        laboratory.agent(session, "x", "full_feed", 40)
+    session.home("y", 37)
+    with pytest.raises(ValueError, match=r"y: the drive's zero .* home it with method 17"):
+        laboratory.agent(session, "x", "full_feed", 40)
+    session.home("y", 17)
+    session.hand_over(laboratory.agent(session, "x", "full_feed", 40))
+    session.advance(0.4)
+    for _ in range(8):
+        session.advance(0.15)
+        x, y = (session.shown()["axes"][name]["position"] for name in "xy")
+        assert np.hypot(x - 400, y - 250) == pytest.approx(40, abs=0.05)  # mm
+    session.release()
+    assert machine.drives["x"].read("following_error_window") == 1000
+    assert session.move("x", 0.2) == session.move("y", 0.1) == ""
+
+
+def test_a_policy_of_ones_own_file_moves_a_robot_of_ones_own(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "def nudge(observation):\n    return [0.0, 0.5 if observation[0] < 2 else 0.0]\n"
+    )
+    machine = Machine.from_mjcf(ARM, dict.fromkeys(("shoulder", "elbow"), "generic"))
+    for joint in machine.drives:
+        commission_joint(machine, joint)
+    machine.reset(positions={})
+    session = Session(machine)
+    for joint in session.axes:
+        assert session.enable(joint) == session.home(joint, 37) == ""
+    laboratory = Laboratory(lambda axis: robot(ARM, machine, axis))
+    before = {name: session.shown()["axes"][name]["position"] for name in session.axes}
+    session.hand_over(laboratory.agent(session, "elbow", f"{tmp_path}/own.py:nudge", 20))
+    session.advance(0.2)
+    session.release()
+    after = {name: session.shown()["axes"][name]["position"] for name in session.axes}
+    assert after["elbow"] > before["elbow"] + 2  # degrees
+    assert after["shoulder"] == pytest.approx(before["shoulder"], abs=0.5)
+    with pytest.raises(ValueError, match=r"goal 200 is out of range -130\.\.130 °"):
+        laboratory.agent(session, "elbow", "hold", 200)
+
+
+def test_each_axis_that_is_served_has_policies_or_the_reason_why_not():
+    assert {*FITTING, *NONE} == {*AXES}
+    for fitting in FITTING.values():
+        assert set(fitting.names) <= {*fitting.task.POLICIES, "learned"}
+
+
 def test_quick_stop_outranks_a_policy(homed):
-    homed.hand_over(Laboratory().agent(homed, "ruckig", 0.4))
+    homed.hand_over(Laboratory().agent(homed, "x", "ruckig", 400))
     homed.advance(0.05)
     assert homed.quick_stop() == ""
     assert homed.agent is None
@@ -160,16 +229,16 @@ def test_quick_stop_outranks_a_policy(homed):
 
 def test_side_by_side_leaves_the_machine_alone_and_judges_alike(homed):
     before = homed.machine.snapshot()
-    ruckig, proportional = Laboratory().compare(homed.machine, ["ruckig", "proportional"], 0.4)
+    ruckig, proportional = Laboratory().compare(homed.machine, "x", ["ruckig", "proportional"], 400)
     assert homed.machine.snapshot() == before
     assert ruckig.settling_time < proportional.settling_time
-    assert ruckig.position[0] == pytest.approx(0.1, abs=1e-3)
-    assert ruckig.position[-1] == pytest.approx(0.4, abs=5e-5)
+    assert ruckig.value[0] == pytest.approx(100, abs=1)  # mm
+    assert ruckig.value[-1] == pytest.approx(400, abs=0.05)
 
 
 @pytest.mark.parametrize(
     ("policy", "goal", "said"),
-    [("nonsense", 0.3, "unknown"), ("built_in", 0.3, "LinearAxis|is for"), ("ruckig", 9.0, "goal")],
+    [("nonsense", 300, "unknown"), ("built_in", 300, "LinearAxis|is for"), ("ruckig", 900, "goal")],
 )
 def test_a_policy_that_does_not_fit_is_refused_in_words(homed, policy, goal, said):
     with pytest.raises(ValueError, match=said):
@@ -179,12 +248,12 @@ def test_a_policy_that_does_not_fit_is_refused_in_words(homed, policy, goal, sai
 def test_an_axis_beyond_the_stroke_is_not_handed_over(session):
     session.enable("x"), session.home("x", 17)  # ends 5 mm behind the software limit
     with pytest.raises(ValueError, match=r"stands at -4\.9\d mm.*move it there first"):
-        TakeOver(session.machine, "ruckig", 0.3)
+        TakeOver(session.machine, "ruckig", 300)
 
 
 def test_an_axis_without_reference_is_not_handed_over(session):
     with pytest.raises(ValueError, match="home it first"):
-        TakeOver(session.machine, "ruckig", 0.3)
+        TakeOver(session.machine, "ruckig", 300)
 
 
 # ---------------------------------------------------------------- parameters

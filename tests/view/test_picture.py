@@ -12,14 +12,18 @@ import pytest
 
 from servogym.drive.kernel.words import Limit, State
 from servogym.drive.master import Master
-from servogym.envs import gantry
+from servogym.envs import gantry, linear_axis, rotary_axis
 from servogym.envs.masters.port import MachinePort
-from servogym.envs.tasks import LinearAxisEnv
+from servogym.envs.tasks import LinearAxisEnv, RobotEnv
 from servogym.envs.view import picture
+from servogym.envs.view.camera import framed, seen
+from servogym.envs.view.decor import BOX, parts
 from servogym.envs.view.overlay import (
     BAR,
     BAR_WIDTH,
+    FRAME,
     HEAD,
+    INSET,
     LIMIT,
     LIMIT_NAME,
     MODE,
@@ -231,6 +235,57 @@ def test_record_video_gets_every_image(gl, tmp_path, monkeypatch):
     assert clips == [(5, (HEIGHT, WIDTH, 3), 200)]
 
 
+def test_a_contour_is_seen_from_above_with_what_was_driven():
+    whole = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    angle = np.linspace(0, 2 * np.pi, 90)
+    circle = 0.04 * np.column_stack([np.cos(angle), np.sin(angle)]) + (0.4, 0.25)
+    overlay = Overlay(["x"], WIDTH)
+    overlay.inset(whole, circle, [circle[:45]])  # the upper half
+    red = (whole[..., 0] > 200) & (whole[..., 1] < 120)
+    rows, places = np.nonzero(red)
+    corner = HEAD + 12, WIDTH - INSET - 12
+    assert rows.min() > corner[0]
+    assert places.min() > corner[1]
+    assert rows.max() < corner[0] + INSET / 2
+    assert np.ptp(places) == pytest.approx(INSET - 2 * FRAME, abs=4)
+    assert not whole[:, : corner[1]].any()
+
+
+# ------------------------------------------------------------------------- the machine
+
+
+@pytest.mark.parametrize(
+    "make", [linear_axis, rotary_axis, gantry, lambda: RobotEnv().machine],
+    ids=["linear", "rotary", "gantry", "arm"],
+)  # fmt: skip
+def test_the_camera_has_the_machine_and_all_its_motion_in_sight(make):
+    machine = make()
+    model, below, above = machine.model, 0.25, 0.06
+    camera = framed(model, machine.data, WIDTH / HEIGHT, below, above)
+    turn, lift = np.radians([camera.azimuth, camera.elevation])
+    ahead = np.array([np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift)])
+    right = np.array([np.sin(turn), -np.cos(turn), 0])
+    half = np.tan(np.radians(float(model.vis.global_.fovy)) / 2)
+    away = seen(model, machine.data) - (camera.lookat - camera.distance * ahead)
+    depth = away @ ahead
+    across = (away @ right) / (depth * half * WIDTH / HEIGHT)
+    upward = (away @ np.cross(right, ahead)) / (depth * half)
+    assert np.abs(across).max() < 1
+    assert upward.max() < 1 - 2 * above
+    assert upward.min() > -1 + 2 * below
+    assert max(np.ptp(across), np.ptp(upward) / (1 - below - above)) > 0.8  # and fills it
+
+
+@pytest.mark.parametrize("make", [linear_axis, rotary_axis, gantry])
+def test_a_plant_is_decorated_at_its_bodies_and_weighs_what_it_did(make):
+    machine = make()
+    found = parts(machine.model)
+    assert {machine.model.body(part.body).name for part in found} > {"world"}
+    assert all(min(part.size[: 3 if part.kind == BOX else 2]) > 0 for part in found)
+    assert len(found) < 120  # each costs time in a picture
+    assert not parts(mujoco.MjModel.from_xml_string("<mujoco model='another'/>"))
+
+
 # ------------------------------------------------------------------------- the window
 
 
@@ -281,7 +336,9 @@ def test_a_window_shows_ghost_and_texts_and_changes_nothing(windows):
         np.testing.assert_array_equal(plain.step(FAST)[0], watched.step(FAST)[0])
     (window,) = windows
     assert window.syncs == 7
-    assert window.user_scn.ngeom == 1
+    drawn = [geom.rgba.tolist() for geom in window.user_scn.geoms[: window.user_scn.ngeom]]
+    assert drawn.count(picture.GHOST.tolist()) == 1
+    assert drawn.count(picture.DRIVEN.tolist()) > 1
     (_, _, title, _), (_, _, drives, limits) = window.texts
     assert "LinearAxis-v0" in title
     assert "carriage" in title
@@ -333,7 +390,7 @@ def test_without_opengl_the_next_step_is_named(monkeypatch):
 
 
 FIRST_OUR_PICTURE = """
-from servogym.envs.tasks import LinearAxisEnv
+from servogym.envs.tasks import LinearAxisEnv, RobotEnv
 env = LinearAxisEnv(render_mode="rgb_array")
 env.reset(seed=0)
 env.render()
@@ -345,7 +402,7 @@ model = mujoco.MjModel.from_xml_string("<mujoco/>")
 renderer = mujoco.Renderer(model)
 renderer.update_scene(mujoco.MjData(model))
 renderer.render()
-from servogym.envs.tasks import LinearAxisEnv
+from servogym.envs.tasks import LinearAxisEnv, RobotEnv
 env = LinearAxisEnv(render_mode="rgb_array")
 env.reset(seed=0)
 env.render()

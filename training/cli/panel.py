@@ -122,7 +122,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     from ...envs.panel import server
     from ...envs.panel.lessons import load_all
     from ...envs.panel.session import Session
-    from ..policies.takeover import Laboratory
+    from ..policies import takeover
 
     if not 1 <= options.port <= 65535:
         raise ValueError(f"--port = {options.port} is out of range 1..65535")
@@ -146,11 +146,17 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         machine = _machine(options)
         machine.step()
-    title = options.mjcf.stem if options.mjcf else options.axis.replace("-", " ") + " axis"
+    title = options.mjcf.stem if options.mjcf else options.axis.replace("-", " ")
+    title += " axis" * (title in ("linear", "vertical"))
     session = Session(machine, title)
     session.lessons = tuple(load_all(options.lessons) if options.lessons else load_all())
-    if len(machine.drives) == 1 and machine.joint(session.axes[0])[1] == "m":
-        session.laboratory = Laboratory()
+    if options.mjcf is not None:
+        mjcf = options.mjcf
+        session.laboratory = takeover.Laboratory(lambda axis: takeover.robot(mjcf, machine, axis))
+    elif options.axis in takeover.FITTING:
+        session.laboratory = takeover.Laboratory(lambda axis: takeover.FITTING[options.axis])
+    else:
+        session.no_policies = takeover.NONE[options.axis]
     server.serve(
         session, host=options.host, port=options.port,
         browser=not options.no_browser, pictures=options.pictures,

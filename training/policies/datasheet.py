@@ -174,10 +174,16 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) 
         hold=tuple(env.HOLD.items()),
         constants=tuple(
             (name, float(value))
-            for name, value in {**vars(type(env)), **task}.items()
+            for name, value in {**_of_class(type(env)), **task}.items()
             if not name.startswith("_") and type(value) in (int, float)
         ),
     )
+
+
+def _of_class(task: type[ServoEnv]) -> dict[str, Any]:
+    """What a task says in its class, or in those it inherits from."""
+    own = [each for each in task.__mro__ if issubclass(each, ServoEnv) and each is not ServoEnv]
+    return {name: value for each in reversed(own) for name, value in vars(each).items()}
 
 
 def _linear(env: ServoEnv, p: LinearAxisParameters, heaviest: float) -> Axis:

@@ -8,15 +8,22 @@ import numpy as np
 from ...autotune.response import Response
 from ...autotune.trial import Trial
 
-QUIET = "#8a94a3"
+QUIET = "#76808e"  # to be read on light and on dark ground
 VELOCITY, POSITION = "#3987e5", "#e0762b"
-BEFORE, AFTER = "#8a94a3", "#3987e5"
-FONT = {"fontFamily": "Roboto, system-ui, sans-serif", "fontSize": 13}
+BEFORE, AFTER = QUIET, "#3987e5"
+FONT = {"fontFamily": "Roboto, system-ui, sans-serif", "fontSize": 15}
 AXIS = {
     "axisLine": {"onZero": False, "show": True, "lineStyle": {"color": "#8a94a388"}},
     "axisTick": {"lineStyle": {"color": "#8a94a388"}},
-    "axisLabel": {"color": QUIET, "fontSize": 13}, "nameTextStyle": {"color": QUIET},
+    "axisLabel": {"color": QUIET, "fontSize": 15},
+    "nameTextStyle": {"color": QUIET, "fontSize": 15},
     "splitLine": {"lineStyle": {"color": "#8a94a333"}},
+}  # fmt: skip
+LEFT = {"color": QUIET, "align": "left", "fontSize": 15}
+ALONG = {"nameLocation": "middle", "nameGap": 30}
+LEGEND = {
+    "top": 0, "itemWidth": 32, "itemStyle": {"opacity": 0},
+    "textStyle": {"color": QUIET, "fontSize": 15},
 }  # fmt: skip
 COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
 MOST = 800  # points of a line
@@ -32,8 +39,8 @@ def bode_chart(responses: Sequence[Response]) -> dict[str, Any]:
         response = measured.wide
         there = (response.frequencies >= low) & (response.frequencies <= high)
         for name, colour, loop in (
-            ("velocity loop", VELOCITY, response.velocity_loop),
-            ("position loop", POSITION, response.position_loop),
+            ("velocity", VELOCITY, response.velocity_loop),
+            ("position", POSITION, response.position_loop),
         ):
             magnitude = 20 * np.log10(np.abs(loop))
             phase = np.degrees(np.unwrap(np.angle(loop)))
@@ -41,13 +48,13 @@ def bode_chart(responses: Sequence[Response]) -> dict[str, Any]:
             phase -= 360 * np.round((phase[there][crossover] + 130) / 360)
             for grid, values in ((0, magnitude), (1, phase)):
                 series.append(
-                    _line(f"{name} before" if old else name, response.frequencies[there],
+                    _line(f"{name}, before" if old else name, response.frequencies[there],
                           values[there], colour, grid, dashed=old)
                 )  # fmt: skip
     frequency = AXIS | {"type": "log", "min": 2, "minorSplitLine": {"show": False}}
     return _two(
-        frequency, "Hz", AXIS | {"type": "value", "name": "magnitude (dB)"},
-        AXIS | {"type": "value", "name": "phase (°)"}, series,
+        frequency, "frequency (Hz)", AXIS | {"type": "value", "name": "magnitude (dB)"},
+        AXIS | {"type": "value", "name": "phase (°)", "interval": 90} | _turns(series), series,
     )  # fmt: skip
 
 
@@ -56,7 +63,7 @@ def step_chart(before: Trial, after: Trial) -> dict[str, Any]:
     series = []
     for name, trial, colour in (("before", before, BEFORE), ("after", after, AFTER)):
         series.append(_line(name, trial.step_time * 1e3, trial.step_velocity, colour, 0))
-    return _one("velocity, share of the step", "ms", series)
+    return _one("velocity, share of the step", "time (ms)", series)
 
 
 def move_chart(before: Trial, after: Trial, unit: str) -> dict[str, Any]:
@@ -68,22 +75,28 @@ def move_chart(before: Trial, after: Trial, unit: str) -> dict[str, Any]:
         series.append(_line(name, trial.time, trial.torque, colour, 1))
     value = AXIS | {"type": "value"}
     return _two(
-        value, "s", value | {"name": f"following error ({small})"},
+        value, "time (s)", value | {"name": f"following error ({small})"},
         value | {"name": "torque (Nm)"}, series,
     )  # fmt: skip
 
 
-def course_chart(courses: Sequence[Any]) -> dict[str, Any]:
-    """Position and torque of policies over time, one colour each."""
+def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
+    """What is looked at, and the torque, of policies over time; one colour each."""
     series = []
     for course, colour in zip(courses, COLOURS, strict=False):
-        series.append(_line(course.policy, course.time, course.position * 1e3, colour, 0))
+        series.append(_line(course.policy, course.time, course.value, colour, 0))
         series.append(_line(course.policy, course.time, course.torque, colour, 1))
     value = AXIS | {"type": "value"}
     return _two(
-        value, "s", value | {"name": "position (mm)", "scale": True},
+        value, "time (s)", value | {"name": shown, "scale": True},
         value | {"name": "torque (% rated)"}, series,
     )  # fmt: skip
+
+
+def _turns(series: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """The range of the phases, in whole quarters of a turn."""
+    phases = [y for line in series if line["yAxisIndex"] == 1 for _, y in line["data"]] or [-180, 0]
+    return {"min": 90 * np.floor(min(phases) / 90), "max": 90 * np.ceil(max(phases) / 90)}
 
 
 def _line(
@@ -92,7 +105,7 @@ def _line(
     stride = -(-len(x) // MOST)
     points = np.stack((x, y), axis=1)[::stride].round(4).tolist()
     return {
-        "name": name, "type": "line", "showSymbol": False, "data": points, "xAxisIndex": grid,
+        "name": name, "type": "line", "symbol": "none", "data": points, "xAxisIndex": grid,
         "yAxisIndex": grid, "color": colour, "animation": False,
         "lineStyle": {"width": 1.5 if dashed else 2, "type": "dashed" if dashed else "solid"},
     }  # fmt: skip
@@ -102,11 +115,11 @@ def _one(name: str, along: str, series: list[dict[str, Any]]) -> dict[str, Any]:
     value = AXIS | {"type": "value"}
     return {
         "textStyle": FONT,
-        "grid": [{"left": 64, "right": 34, "top": 50, "bottom": 45}],
-        "legend": {"top": 0, "icon": "roundRect", "itemHeight": 4, "textStyle": {"color": QUIET}},
+        "grid": [{"left": 64, "right": 34, "top": 76, "bottom": 55}],
+        "legend": LEGEND,
         "tooltip": {"trigger": "axis"},
-        "xAxis": [value | {"name": along}],
-        "yAxis": [value | {"name": name, "nameTextStyle": {"color": QUIET, "align": "left"}}],
+        "xAxis": [value | ALONG | {"name": along}],
+        "yAxis": [value | {"name": name, "nameTextStyle": LEFT}],
         "series": series,
     }  # fmt: skip
 
@@ -115,14 +128,17 @@ def _two(
     x: dict[str, Any], along: str, upper: dict[str, Any], lower: dict[str, Any],
     series: list[dict[str, Any]],
 ) -> dict[str, Any]:  # fmt: skip
-    left = {"nameTextStyle": {"color": QUIET, "align": "left"}}
+    left = {"nameTextStyle": LEFT}
     return {
         "textStyle": FONT,
-        "grid": [{"left": 64, "right": 34, "top": 50, "bottom": "56%"},
-                 {"left": 64, "right": 34, "top": "58%", "bottom": 45}],
-        "legend": {"top": 0, "icon": "roundRect", "itemHeight": 4, "textStyle": {"color": QUIET}},
+        "grid": [{"left": 64, "right": 34, "top": 76, "bottom": "54%"},
+                 {"left": 64, "right": 34, "top": "57%", "bottom": 55}],
+        "legend": LEGEND,
         "tooltip": {"trigger": "axis"},
-        "xAxis": [x | {"gridIndex": 0}, x | {"gridIndex": 1, "name": along}],
+        "xAxis": [
+            x | {"gridIndex": 0, "axisLabel": {"show": False}},
+            x | ALONG | {"gridIndex": 1, "name": along},
+        ],
         "yAxis": [upper | left | {"gridIndex": 0}, lower | left | {"gridIndex": 1}],
         "series": series,
     }  # fmt: skip

@@ -4,7 +4,6 @@ import asyncio
 import copy
 from typing import Any
 
-import numpy as np
 from nicegui import ui
 
 from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
@@ -44,10 +43,8 @@ class ExperimentsPage:
         with card("Faults"):
             with ui.element("div").classes("cluster"):
                 for cause in first:
-                    button(
-                        cause.replace("_", " "), lambda _, cause=cause: self._inject(cause),
-                        f"inject-{cause}",
-                    )  # fmt: skip
+                    text = cause.replace("_", " ").replace("i2t", "I²t")
+                    button(text, lambda _, cause=cause: self._inject(cause), f"inject-{cause}")
             with ui.element("div").classes("cluster"):
                 self.other = ui.select(
                     [cause for cause in known if cause not in first], label="Another cause",
@@ -85,8 +82,10 @@ class ExperimentsPage:
     def _snapshots(self) -> None:
         with card("Snapshots"):
             with ui.element("div").classes("cluster"):
-                self.label = ui.input("Name", value="A").props(
-                    "dense outlined maxlength=24 data-test=snapshot-name"
+                self.label = ui.input(
+                    "Name", value="A", validation={"give it a name": lambda t: bool(t.strip())}
+                ).props(
+                    "dense outlined hide-bottom-space maxlength=24 data-test=snapshot-name"
                 ).classes("entry grow")  # fmt: skip
                 button("Keep", self._keep, "keep", "main")
             self.kept = ui.element("div").classes("cluster")
@@ -98,31 +97,34 @@ class ExperimentsPage:
     def _policies(self) -> None:
         with card("Policy takes over", "policy"):
             if self.laboratory is None:
-                ui.label(
-                    "The policies here are those of servogym/LinearAxis-v0: each observes and "
-                    "commands one linear axis with one drive. This machine "
-                    f"{'has several drives' if len(self.desk.bench.axes) > 1 else 'turns'}; serve "
-                    "--axis linear to hand over. Faults, disturbances and snapshots work here too."
-                ).classes("prose").props("data-test=no-policies")
+                ui.label(self.desk.bench.no_policies).classes("prose").props(
+                    "data-test=no-policies"
+                )
                 return
+            fitting = self.laboratory.fitting(self.desk.axis)
+            goal = fitting.goal
             with ui.element("div").classes("cluster"):
                 self.policy = ui.input(
-                    "Policy", value="ruckig", autocomplete=list(self.laboratory.names)
+                    "Policy", value=fitting.names[0], autocomplete=list(fitting.names)
                 ).props("dense outlined data-test=policy").classes("entry grow")  # fmt: skip
-                self.goal = Entry("Goal", "mm", 0, 500, 300, test="goal")
+                self.goal = Entry(goal.name, goal.unit, goal.low, goal.high, goal.value,
+                                  test="goal")  # fmt: skip
                 self.take = button("Hand over", self._hand_over, "hand-over", "main")
             ui.label(
-                f"{', '.join(self.laboratory.names)}; FILE.py:name, or the folder of a training."
+                f"{fitting.what} {', '.join(fitting.names)}; FILE.py:name, or the folder of a "
+                "training."
             ).classes("prose quiet")
             self.wrong = ui.label("").classes("bad").props("data-test=policy-wrong")
         with card("Side by side", "compare"):
             with ui.element("div").classes("cluster"):
+                offered = list(fitting.names)
+                chosen = [name for name in offered if name in (offered[0], "proportional")]
                 self.others = ui.select(
-                    list(self.laboratory.names), multiple=True, value=["ruckig", "proportional"],
+                    offered, multiple=True, value=chosen if len(chosen) > 1 else offered[:2],
                     label="Policies, on copies of this machine, to the same goal",
                 ).props("dense outlined use-chips").classes("entry grow")  # fmt: skip
                 self.compare = button("Compare", self._compare, "run-compare", "main")
-            self.chart = ui.echart(course_chart([])).classes("chart")
+            self.chart = ui.echart(course_chart([], fitting.shown)).classes("chart")
             self.chart.set_visibility(False)
             self.table = ui.element("div").classes("results").props("data-test=courses")
 
@@ -130,6 +132,9 @@ class ExperimentsPage:
 
     async def _inject(self, cause: str) -> None:
         axis = self.desk.axis
+        if not cause:
+            refuse("choose another cause first")
+            return
         refuse(await self.desk.command(lambda session: inject(session, axis, cause)))
 
     async def _clear(self) -> None:
@@ -138,8 +143,7 @@ class ExperimentsPage:
 
     async def _keep(self) -> None:
         name = str(self.label.value or "").strip()[:24]
-        if not name:
-            refuse("give the snapshot a name")
+        if not self.label.validate():
             return
         refuse(await self.desk.command(lambda session: session.keep(name)))
 
@@ -157,9 +161,10 @@ class ExperimentsPage:
         self.take.props("loading")
         try:
             twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
-            await asyncio.to_thread(self.laboratory.prepare, twin, name, goal / 1e3)
+            axis = self.desk.axis
+            await asyncio.to_thread(self.laboratory.prepare, twin, axis, name, goal)
             words = await self.desk.motion(
-                lambda s: s.hand_over(self.laboratory.agent(s, name, goal / 1e3))
+                lambda s: s.hand_over(self.laboratory.agent(s, axis, name, goal))
             )
         except Exception as error:  # a policy is a stranger's code
             words = str(error)
@@ -176,27 +181,24 @@ class ExperimentsPage:
         self.compare.props("loading")
         try:
             twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
-            courses = await asyncio.to_thread(self.laboratory.compare, twin, names, goal / 1e3)
+            axis = self.desk.axis
+            courses = await asyncio.to_thread(self.laboratory.compare, twin, axis, names, goal)
         except Exception as error:
             self.wrong.set_text(str(error))
             return
         finally:
             self.compare.props(remove="loading")
         self.chart.options.clear()
-        self.chart.options.update(course_chart(courses))
+        self.chart.options.update(course_chart(courses, self.laboratory.fitting(axis).shown))
         self.chart.set_visibility(True)
         self.chart.update()
         self.table.clear()
         with self.table:
-            for text in ("policy", "settled within 50 µm", "overshoot", "peak torque", "fault"):
+            for text in ("policy", *courses[0].figures, "fault"):
                 Tag("b", text)
             for course in courses:
-                settled = course.settling_time
-                Tag("span", course.policy)
-                Tag("span", "–" if np.isnan(settled) else f"{settled * 1e3:.0f} ms")
-                Tag("span", f"{course.overshoot * 1e6:.0f} µm")
-                Tag("span", f"{np.abs(course.torque).max():.0f} %")
-                Tag("span", course.fault or "none")
+                for text in (course.policy, *course.figures.values(), course.fault or "none"):
+                    Tag("span", text)
 
     def show(self) -> None:
         """The present."""

@@ -11,15 +11,20 @@ def homing_svg(method: int) -> str:
     """The picture, as text."""
     paths = [homing_path(method, start) for start in STARTS]
     here = all(len(path) == 1 for path in paths)
-    parts = ['<svg viewBox="0 0 440 236" class="homing" role="img">']
+    runs = paths[:1] if here else paths
+    y = 44 + sum(ROW + 8 * len(path) for path in runs)
+    switches = max(y - 8, 168)
+    indexed = method < 17 or method in (33, 34)
+    tall = switches + 58 + 26 * indexed
+    parts = [f'<svg viewBox="0 0 440 {tall}" class="homing" role="img">']
     parts += [_line(LEFT, 20, LEFT + WIDTH, 20, "rail")]
     for end in (0.0, 1.0):
         parts.append(f'<rect x="{_x(end) - 3}" y="10" width="6" height="20" class="stop"/>')
     y = 44
-    for number, path in enumerate(paths[:1] if here else paths):
+    for number, path in enumerate(runs):
         parts.append(_path(path, y, number))
         y += ROW + 8 * len(path)
-    y = 168
+    y = switches
     low, high = home_switch(method)
     for name, begin, end in (
         ("negative limit", 0.0, NEGATIVE),
@@ -35,7 +40,7 @@ def homing_svg(method: int) -> str:
         at = _x(begin) - 6 if begin > 0.8 else _x(end) + 6
         parts.append(f'<text x="{at}" y="{y + 5}" text-anchor="{anchor}">{name}</text>')
         y += 18
-    if method < 17 or method in (33, 34):
+    if indexed:
         parts += [_line(_x(n / 24), y, _x(n / 24), y + 8, "pulse") for n in range(1, 24)]
         parts.append(f'<text x="{LEFT}" y="{y + 20}">index pulses</text>')
     parts.append("</svg>")

@@ -205,17 +205,18 @@ class MotionPage:
         if top is not None and top != self._jog_speed:
             speed = max(float(top) * bench.units(axis).velocity * self.scale, 0.001)
             if not self._jog_speed:
-                self.jog.field.value = f"{speed * 0.05:.3g}"
+                self.jog.field.value = f"{float(f'{speed * 0.05:.3g}'):.10g}"
             self._jog_speed, self.jog.high = top, speed
 
     def show(self) -> None:
         """The present."""
         seen = self.desk.seen
         self._top_speed()
-        self.position.show(seen["position"])
-        self.velocity.show(seen["velocity"])
+        digits = 0 if self.unit == "units" else 3
+        self.position.show(told(seen["position"], digits))
+        self.velocity.show(told(seen["velocity"], digits))
         self.torque.show(told(seen["torque"], 1))
-        self.error.show(seen["following_error"])
+        self.error.show(told(seen["following_error"], digits))
         self.homed.set_text(
             "A bus does not tell whether the axis is referenced." if seen["homed"] is None
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."
@@ -246,11 +247,13 @@ class _Parameter:
     """An object of the drive: its live value, and a field for another one."""
 
     def __init__(self, desk: Desk, row: Object):
-        self.desk, self.name = desk, row.name
+        self.desk, self.name, self.row = desk, row.name, row
+        self.factor, self.unit = physical(desk, row)
+        self.address = f"{row.index:04X}h:{row.subindex:02X}"
         with ui.element("div").classes("parameter"):
             with ui.element("div").classes("parameter-name"):
                 ui.label(row.name.replace("_", " "))
-                ui.label(f"{row.index:04X}h:{row.subindex:02X} {row.unit}").classes("quiet")
+                self.plain = ui.label(f"{self.address} {row.unit}").classes("quiet")
             self.value = (
                 ui.label("").classes("parameter-value").props(f"data-test=value-{row.name}")
             )
@@ -271,6 +274,24 @@ class _Parameter:
         """The value of now."""
         value = self.desk.bench.value(self.desk.axis, self.name)
         live(self.value, "…" if value is None else f"{value}")
+        if value is not None and self.factor:
+            told = f"{float(value) * self.factor:.6g} {self.unit}"
+            live(self.plain, f"{self.address} = {told}")
+
+
+def physical(desk: Desk, row: Object) -> tuple[float, str]:
+    """What makes a drive unit one that people read, and that one; 0 where it is not known."""
+    unit, scale = desk.bench.unit(desk.axis)
+    units = desk.bench.units(desk.axis)
+    if unit == "units":
+        return 0.0, ""
+    known = {
+        "position unit": (units.position * scale, unit),
+        "velocity unit": (units.velocity * scale, f"{unit}/s"),
+        "acceleration unit": (desk.bench.acceleration(desk.axis) * scale, f"{unit}/s²"),
+        "rated torque/1000": (0.1, "% rated"),
+    }
+    return known.get(row.unit, (0.0, ""))
 
 
 class _Stroke:
@@ -279,12 +300,14 @@ class _Stroke:
     def __init__(self, desk: Desk):
         bench, axis = desk.bench, desk.axis
         named = {row.name for row in bench.rows(axis)}
-        names = [f"{end}_position_limit" for end in ("min", "max")]
+        names = [f"{end}_position_{limit}" for limit in ("limit", "range_limit")
+                 for end in ("min", "max")]  # fmt: skip
         scale = bench.units(axis).position * bench.unit(axis)[1]
 
         def ends() -> tuple[float, ...]:
             known = [bench.value(axis, name) if name in named else None for name in names]
-            return tuple(float(end or 0.0) * scale for end in known)
+            low, high, *turn = (float(end or 0.0) * scale for end in known)
+            return (low, high) if low < high else tuple(turn)  # 607Bh where places repeat
 
         self._ends = ends
         with ui.element("div").classes("stroke"):

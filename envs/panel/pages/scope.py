@@ -146,9 +146,13 @@ class ScopePage:
 
     async def _window(self, _: float) -> str:
         span, before = self.span.number(), self.before.number()
-        if span is None or before is None:
-            return ""
-        return str(await self.desk.command(lambda s: s.scope.set_window(span, before / 100)) or "")
+
+        def set_window(session: Bench) -> None:  # what is no number stays as it is
+            scope = session.scope
+            ahead = scope.before if before is None else before / 100
+            scope.set_window(scope.span if span is None else span, ahead)
+
+        return str(await self.desk.command(set_window) or "")
 
     async def _freeze(self) -> None:
         refuse(await self.desk.command(lambda s: s.scope.freeze(not s.scope.frozen)))

@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import app, ui
 
-from ....drive.diagrams import MODE_ABBREVIATION, Mode, State
+from ....drive.diagrams import MODE_ABBREVIATION, State
 from ..clock import Clock
 from .desk import Desk, refuse
 from .experiments import ExperimentsPage
@@ -23,6 +23,7 @@ from .state import StatePage
 from .widgets import Readout, Tag, button, card, live, pending, told
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
+MODES = {int(mode): name for mode, name in MODE_ABBREVIATION.items()} | {0: "no mode"}
 SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
 SHOW = """const texts = %s;
 for (const id in texts) {
@@ -78,7 +79,8 @@ class Shell:
             with ui.element("div").classes("brand"):
                 Tag("b", "servogym")
                 models = {session.model(axis).name for axis in session.axes}
-                Tag("span", f"{session.title} · {', '.join(sorted(models))}")
+                title = f"{session.title} · {', '.join(sorted(models))}"
+                Tag("span", title, title=title)
             if len(session.axes) > 1:
                 ui.toggle(
                     list(session.axes), value=self.desk.axis,
@@ -99,7 +101,7 @@ class Shell:
                     {speed: f"{speed:g}×" for speed in SPEEDS}, value=self.clock.speed,
                     on_change=self._speed,
                 )  # fmt: skip
-                self.speed.props("dense borderless data-test=speed aria-label=Speed")
+                self.speed.props("dense outlined options-dense data-test=speed aria-label=Speed")
                 self.speed.classes("speed")
                 if why := session.absent.get("time"):
                     for made in (self.pause, step, self.speed):
@@ -230,9 +232,9 @@ class Shell:
         kind = kind if seen.get("answers", True) else "bad"
         for name in ("good", "bad", "calm"):
             self.state.classes(**({"add": name} if name == kind else {"remove": name}))
-        self.mode.set_text(MODE_ABBREVIATION.get(Mode(seen["mode"]), "–"))
+        self.mode.set_text(MODES.get(seen["mode"], f"mode {seen['mode']}"))
         unit, _ = clock.session.unit(self.desk.axis)
-        self.position.show(seen["position"], unit)
+        self.position.show(told(seen["position"], 0 if unit == "units" else 3), unit)
         self.doing.set_text(seen["fault"] or shown["doing"])
         holds, holder = self.desk.in_control, shown["holder"]
         self.seat.set_text("In control" if holds else "Take control")

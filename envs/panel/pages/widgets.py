@@ -120,7 +120,7 @@ class Entry:
         self._send = send
         self.field = (
             ui.input(name, value="" if value is None else f"{value:g}", validation=self._wrong)
-            .props("dense outlined hide-bottom-space autocomplete=off")
+            .props("dense outlined hide-bottom-space stack-label autocomplete=off")
             .classes("entry")
         )
         self.field.without_auto_validation()
@@ -209,5 +209,5 @@ def button(text: str, click: Callable[..., Any], test: str = "", kind: str = "")
     made = ui.button(text, on_click=click, color=None).props("no-caps unelevated")
     made.classes(f"btn {kind}")
     if test:
-        made.props(f"data-test={test}")
+        made._props["data-test"] = test  # it may be what somebody has typed
     return made

@@ -22,8 +22,11 @@ export default {
     this.renderer_.shadowMap.enabled = true;
     this.controls_ = new OrbitControls(this.camera_, this.$refs.canvas);
     this.controls_.addEventListener("change", () => this.render());
-    this.scene_.add(new THREE.HemisphereLight(0xffffff, 0x8a93a0, 1.6));
-    this.sun_ = new THREE.DirectionalLight(0xffffff, 1.7);
+    this.scene_.add(new THREE.HemisphereLight(0xffffff, 0x9aa2ae, 1.5));
+    this.sun_ = new THREE.DirectionalLight(0xffffff, 1.6);
+    const lamp = new THREE.DirectionalLight(0xffffff, 0.9); // comes with the eye: no face is black
+    this.camera_.add(lamp);
+    this.scene_.add(this.camera_);
     this.sun_.castShadow = true;
     this.sun_.shadow.mapSize.set(1024, 1024);
     this.scene_.add(this.sun_, this.sun_.target);
@@ -45,7 +48,8 @@ export default {
     },
     theme() {
       this.scene_.background = new THREE.Color(this.colour("--card"));
-      this.floor_?.material.color.set(this.colour("--ground"));
+      if (this.scene_.fog) this.scene_.fog.color.set(this.colour("--card"));
+      this.floor_?.material.color.set(this.colour("--floor"));
       this.render();
     },
     fit() {
@@ -76,7 +80,8 @@ export default {
     },
     build(told) {
       if (!this.renderer_) return;
-      const e = told.extent, c = new THREE.Vector3(...told.center);
+      const low = new THREE.Vector3(...told.low), high = new THREE.Vector3(...told.high);
+      const e = Math.max(low.distanceTo(high) / 1.6, 0.05), c = low.clone().add(high).multiplyScalar(0.5);
       for (const id of told.bodies) {
         for (const [map, on] of [[this.bodies_, true], [this.ghosts_, false]]) {
           const group = new THREE.Group();
@@ -89,7 +94,7 @@ export default {
       for (const shape of told.shapes) {
         if (shape.kind === "plane") {
           if (this.floor_) continue;
-          this.floor_ = new THREE.Mesh(new THREE.PlaneGeometry(40 * e, 40 * e), new THREE.MeshLambertMaterial({ color: this.colour("--ground") }));
+          this.floor_ = this.floor(e);
           this.floor_.position.set(...shape.pos);
           this.floor_.quaternion.copy(quaternion(shape.quat));
           this.floor_.receiveShadow = true;
@@ -105,13 +110,14 @@ export default {
           const mesh = new THREE.Mesh(geometry, material);
           mesh.position.set(...shape.pos);
           mesh.quaternion.copy(quaternion(shape.quat));
-          mesh.castShadow = !ghost;
-          mesh.receiveShadow = !ghost;
+          if (shape.label) mesh.add(this.label(shape.label, e));
+          mesh.castShadow = !ghost && !(shape.decor && Math.max(...shape.size) < 0.02);
+          mesh.receiveShadow = !ghost && !shape.decor;
           return mesh;
         };
         if (this.bodies_.has(shape.body)) {
           this.bodies_.get(shape.body).add(make(false));
-          this.ghosts_.get(shape.body).add(make(true));
+          if (!shape.decor) this.ghosts_.get(shape.body).add(make(true));
         } else this.scene_.add(make(false));
       }
       const colours = { software_limit: "--warn", home_switch: "--good" };
@@ -126,11 +132,22 @@ export default {
       }
       this.home_ = () => {
         this.controls_.target.copy(c);
-        const far = Math.max(1, 1.9 / this.camera_.aspect) * e; // all of it, in a narrow window too
-        this.camera_.position.set(c.x + 0.25 * far, c.y - 1.6 * far, c.z + 0.65 * far);
+        const [turn, lift] = told.view.map((angle) => (angle * Math.PI) / 180);
+        const away = new THREE.Vector3(-Math.cos(lift) * Math.cos(turn), -Math.cos(lift) * Math.sin(turn), -Math.sin(lift));
+        const right = new THREE.Vector3(0, 0, 1).cross(away).normalize(), up = away.clone().cross(right);
+        const tall = Math.tan((this.camera_.fov * Math.PI) / 360) / 1.08, wide = tall * this.camera_.aspect;
+        let far = 0; // until each corner is in sight, in a narrow window too
+        for (let i = 0; i < 8; i++) {
+          const p = new THREE.Vector3(i & 1 ? high.x : low.x, i & 2 ? high.y : low.y, i & 4 ? high.z : low.z).sub(c);
+          far = Math.max(far, p.dot(away) + Math.max(Math.abs(p.dot(right)) / wide, Math.abs(p.dot(up)) / tall));
+        }
+        this.camera_.position.copy(c).addScaledVector(away, far);
         this.controls_.update();
         this.render();
       };
+      if (told.floor != null) {
+        this.scene_.fog = new THREE.Fog(this.colour("--card"), 4 * e, 9 * e);
+      }
       this.sun_.position.set(c.x - e, c.y - 1.5 * e, c.z + 3 * e);
       this.sun_.target.position.copy(c);
       const s = this.sun_.shadow.camera;
@@ -138,6 +155,31 @@ export default {
       s.updateProjectionMatrix();
       this.fit();
       this.home_();
+    },
+    floor(e) {
+      const size = 24 * e, step = e > 3 ? 1 : 0.1; // m, of a square
+      const canvas = document.createElement("canvas"), c = canvas.getContext("2d");
+      canvas.width = canvas.height = 64;
+      c.fillStyle = "#ffffff"; c.fillRect(0, 0, 64, 64);
+      c.fillStyle = "#ededed"; c.fillRect(0, 0, 32, 32); c.fillRect(32, 32, 32, 32);
+      const map = new THREE.CanvasTexture(canvas);
+      map.colorSpace = THREE.SRGBColorSpace;
+      map.wrapS = map.wrapT = THREE.RepeatWrapping;
+      map.repeat.setScalar(size / (2 * step));
+      map.anisotropy = 8;
+      return new THREE.Mesh(new THREE.PlaneGeometry(size, size), new THREE.MeshLambertMaterial({ color: this.colour("--floor"), map }));
+    },
+    label(text, e) {
+      const canvas = document.createElement("canvas"), c = canvas.getContext("2d");
+      canvas.width = 128; canvas.height = 48;
+      c.font = "600 34px Roboto, sans-serif"; c.textAlign = "center"; c.textBaseline = "middle";
+      c.lineWidth = 7; c.strokeStyle = "#ffffffdd"; c.strokeText(text, 64, 25);
+      c.fillStyle = "#10151c"; c.fillText(text, 64, 25);
+      const map = new THREE.CanvasTexture(canvas);
+      map.colorSpace = THREE.SRGBColorSpace;
+      const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthTest: false }));
+      sprite.scale.set(0.16 * e, 0.06 * e, 1);
+      return sprite;
     },
     home() {
       this.home_?.();

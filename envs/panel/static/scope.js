@@ -41,7 +41,7 @@ export default {
   methods: {
     size() {
       const box = this.$refs.plot.getBoundingClientRect();
-      return { width: Math.max(box.width, 50), height: Math.max(box.height - 58, 50) };
+      return { width: Math.max(box.width, 50), height: Math.max(box.height - 3.2 * parseFloat(getComputedStyle(document.documentElement).fontSize), 50) };
     },
     fit() {
       if (this.plot_ && this.$refs.plot.offsetParent) this.plot_.setSize(this.size());
@@ -63,9 +63,10 @@ export default {
       const ink = this.colour("--quiet"), grid = this.colour("--grid");
       const units = [...new Set(this.channels_.map((c) => c.axis))];
       const scales = { x: { time: false, range: (u, lo, hi) => (this.zoomed_ ? [lo, hi] : this.span()) } };
-      const font = "12px Roboto, system-ui, sans-serif";
+      const rem = parseFloat(getComputedStyle(document.documentElement).fontSize), small = Math.round(0.84 * rem);
+      const font = `${small}px Roboto, system-ui, sans-serif`, minus = (text) => text.replace("-", "−");
       const axes = [{ stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid },
-        values: (u, vs) => vs.map((v) => (Math.abs(v) < 1e-9 ? "0" : +v.toPrecision(4) + "")), label: "time (s)", labelFont: font, labelSize: 18, size: 34 }];
+        values: (u, vs) => vs.map((v) => (Math.abs(v) < 1e-9 ? "0" : minus(+v.toPrecision(4) + ""))), label: "time (s)" }];
       units.forEach((unit, i) => {
         const grain = Math.min(...this.channels_.filter((c) => c.axis === unit).map((c) => c.grain));
         scales["u" + i] = { auto: true, range: (u, lo, hi) => {
@@ -76,15 +77,15 @@ export default {
         if (i < 4) {
           const first = this.channels_.find((c) => c.axis === unit);
           const alone = this.channels_.filter((c) => c.axis === unit).length === 1;
-          axes.push({ scale: "u" + i, side: i % 2 ? 1 : 3, stroke: alone ? first.colour : ink, font, size: 62, label: (alone ? first.name.replaceAll("_", " ") + ", " : "") + first.unit, labelFont: font, labelSize: 16,
+          axes.push({ scale: "u" + i, side: i % 2 ? 1 : 3, stroke: alone ? first.colour : ink, font, label: (alone ? first.name.replaceAll("_", " ") + ", " : "") + first.unit, 
             grid: { show: i === 0, stroke: grid, width: 1 }, ticks: { stroke: grid },
-            values: (u, vs) => vs.map((v) => (Math.abs(v) >= 1e5 ? +(v / 1e3).toPrecision(6) + "k" : +v.toPrecision(6) + "")) });
+            values: (u, vs) => vs.map((v) => minus(Math.abs(v) >= 1e5 ? +(v / 1e3).toPrecision(6) + "k" : +v.toPrecision(6) + "")) });
         }
       });
       const series = [{ label: "t (s)", value: (u, v) => nice(v) }].concat(this.channels_.map((c) => ({
         label: c.name, scale: "u" + units.indexOf(c.axis), stroke: c.colour, width: 1.6, points: { show: false },
         value: (u, v) => nice(v) })));
-      this.plot_ = new Plot({ ...this.size(), scales, axes, series, legend: { live: true },
+      this.plot_ = new Plot({ ...this.size(), text: small, scales, axes, series, legend: { live: true },
         cursor: { drag: { x: true, y: false }, points: { size: 6 } },
         hooks: { draw: [(u) => this.marks(u)],
           setSelect: [(u) => { if (u.select.width > 2) { this.zoomed_ = true; } }],

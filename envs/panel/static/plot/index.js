@@ -1,6 +1,6 @@
 // Lines over time on a canvas: one scale a unit, axes at both sides, zoom by dragging, a cursor
 // whose values stand in the legend.
-const AXIS_X = 48; // px below the plot
+const AXIS_X = 4, AXIS_Y = 5.8; // heights of the text, below the plot and beside it
 
 const steps = (low, high, most) => {
   const raw = (high - low) / Math.max(most, 1);
@@ -59,10 +59,11 @@ export default class Plot {
     this.width = width;
     this.height = height;
     const axes = this.options.axes.slice(1);
-    const room = (side) => axes.filter((a) => a.side === side).length * 70 + 10;
+    this.wide = AXIS_Y * this.options.text;
+    const room = (side) => axes.filter((a) => a.side === side).length * this.wide + 10;
     this.left = room(3);
     this.inner = Math.max(width - this.left - room(1), 10);
-    this.tall = Math.max(height - AXIS_X - 8, 10);
+    this.tall = Math.max(height - AXIS_X * this.options.text - 8, 10);
     const r = devicePixelRatio;
     this.canvas.width = width * r;
     this.canvas.height = height * r;
@@ -141,12 +142,12 @@ export default class Plot {
       ctx.fillStyle = axis.stroke; ctx.fillText(text, x, this.tall + 16);
     });
     ctx.fillStyle = axis.stroke;
-    ctx.fillText(axis.label, this.left + this.inner / 2, this.tall + 34);
+    ctx.fillText(axis.label, this.left + this.inner / 2, this.tall + 16 + 1.4 * this.options.text);
   }
 
   side(axis, place) {
     const { ctx } = this, { min, max } = this.scales[axis.scale], right = axis.side === 1;
-    const edge = right ? this.left + this.inner + place * 70 : this.left - place * 70;
+    const edge = right ? this.left + this.inner + place * this.wide : this.left - place * this.wide;
     const out = right ? 1 : -1;
     ctx.font = axis.font; ctx.textAlign = right ? "left" : "right"; ctx.textBaseline = "middle"; ctx.lineWidth = 1;
     const ticks = steps(min, max, this.tall / 45);
@@ -158,7 +159,7 @@ export default class Plot {
       ctx.fillStyle = axis.stroke; ctx.fillText(text, edge + 8 * out, y);
     });
     ctx.save();
-    ctx.translate(edge + 62 * out, 8 + this.tall / 2);
+    ctx.translate(edge + (this.wide - 0.75 * this.options.text) * out, 8 + this.tall / 2);
     ctx.rotate(-Math.PI / 2);
     ctx.textAlign = "center"; ctx.fillStyle = axis.stroke;
     ctx.fillText(axis.label, 0, 0);
