@@ -26,6 +26,9 @@ def add(train: argparse.ArgumentParser) -> None:
         "--start", type=Path, metavar="FOLDER", help="begin with the weights of this training"
     )
     train.add_argument(
+        "--demonstrate", metavar="POLICY", help="learn to act as this policy does, not by rewards"
+    )
+    train.add_argument(
         "--setting", action="append", metavar="NAME=VALUE", type=arguments.named,
         help="hyper-parameter, VALUE in JSON; repeatable",
     )  # fmt: skip
@@ -60,6 +63,7 @@ def _train(options: argparse.Namespace, console: Console) -> int:
         arguments=dict(options.argument) if options.argument else None,
         settings=dict(options.setting) if options.setting else None,
         residual=options.residual, bounds=options.bounds, start=options.start,
+        demonstrate=options.demonstrate,
         progress=console.is_terminal, **given,
     )  # fmt: skip
 

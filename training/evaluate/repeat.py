@@ -110,16 +110,28 @@ def table(trainings: Sequence[Training]) -> str:
             f"{most}{sum(each) / len(each):.0f}", f"{most}{sum(each):.0f}",
         ])  # fmt: skip
     total = sum(training.cpu_seconds for training in trainings)
-    rows.append(["all", str(len(trainings)), "", "", "", f"{total:.0f}"])
+    most = "at most " if any(training.inferred for training in trainings) else ""
+    rows.append(["all", str(len(trainings)), "", "", "", f"{most}{total:.0f}"])
     return markdown(HEADING, rows)
 
 
 def told(trainings: Sequence[Training]) -> str:
-    """The sum as a sentence."""
+    """The sum as sentences: what was measured, and what is inferred."""
     total = sum(training.cpu_seconds for training in trainings)
+    text = f"{total:.0f} CPU-seconds, {total / 60 / CORES:.0f} minutes of {CORES} cores."
+    told_of = [
+        (sum(each.cpu_seconds for each in own), ", ".join(dict.fromkeys(e.task for e in own)))
+        for own in ([e for e in trainings if e.inferred is inferred] for inferred in (False, True))
+    ]
+    (measured, of_these), (most, of_others) = told_of
+    if not most:
+        return f"Together {text} They were measured."
+    text = f"Together at most {text}"
+    if measured:
+        text += f" Measured are {measured:.0f} of them, of {of_these}."
     return (
-        f"Together {total:.0f} CPU-seconds, {total / 60 / CORES:.0f} minutes of {CORES} cores. At "
-        "most: they were not kept, and are inferred from the time a training took on two cores."
+        f"{text} Those of {of_others}, {most:.0f} at most, were not kept: they are inferred from "
+        "the time a training took on two cores."
     )
 
 

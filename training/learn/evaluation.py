@@ -76,6 +76,14 @@ class EvaluationCallback(EvalCallback):
         means = [float(np.mean(rewards)) for rewards in self.evaluations_results]
         self.best_mean_reward = max(means, default=-np.inf)
 
+    def now(self, model: Any) -> None:
+        """Evaluate a model that learns by itself, without `model.learn`; the latest is kept."""
+        if not self.n_calls:
+            self.init_callback(model)
+        self.best_mean_reward = -np.inf
+        self.n_calls, self.num_timesteps = self.eval_freq, model.num_timesteps
+        self._on_step()
+
     def _on_training_end(self) -> None:
         """Evaluate a run once that was shorter than the steps from one evaluation to the next."""
         if not self.evaluations_timesteps:

@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from ...envs.checks import whole
 from ...envs.registry import short, task
 from ..policies import saved, weights
-from . import checkpoint, hyperparameters, state
+from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
 MOST = 10**12  # steps
@@ -47,6 +47,7 @@ class Run:
         residual: a policy whose actions are corrected; none: the actions are the policy's own.
         bounds: the largest correction of each component of an action, 0..1.
         start: what the checkpoint says whose weights it began with; none: random ones.
+        demonstrate: a policy that shows what to do, and is imitated; none: rewards are sought.
 
     Raises:
         ValueError: naming the argument, its value and what is possible.
@@ -62,6 +63,7 @@ class Run:
     residual: str | None = None
     bounds: list[float] | None = None
     start: dict[str, Any] | None = None
+    demonstrate: str | None = None
 
     def __post_init__(self):
         whole("seed", self.seed, 0, 2**31 - 1)
@@ -89,6 +91,7 @@ def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | No
     return Run(
         kind.ID, asked["drive"] or "generic", algorithm, asked["seed"] or 0,
         chosen.pop("n_envs"), asked["arguments"] or {}, chosen, residual, asked["bounds"],
+        demonstrate=asked["demonstrate"],
     )  # fmt: skip
 
 
@@ -152,6 +155,7 @@ def train(
     residual: str | None = None,
     bounds: Sequence[float] | None = None,
     start: Path | None = None,
+    demonstrate: str | None = None,
     checkpoint_every: int = 50_000,
     evaluate_every: int = 25_000,
     progress: bool = False,
@@ -174,6 +178,7 @@ def train(
         bounds: the largest correction of each component of an action, 0..1.
         start: a training or a checkpoint whose weights this run begins with; what is not given is
             as it was there, arguments one by one.
+        demonstrate: a policy that is imitated in all `steps`; rewards are not looked at.
         checkpoint_every: steps from one to the next.
         evaluate_every: steps from one to the next; a shorter run is evaluated at its end.
         progress: show a bar, where tqdm is installed.
@@ -191,6 +196,7 @@ def train(
     asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
              "arguments": arguments, "residual": residual,
              "bounds": None if bounds is None else [float(bound) for bound in bounds],
+             "demonstrate": demonstrate,
     }  # fmt: skip
     if out is None:
         name = short(task(env_id).ID).replace("/", "-")
@@ -205,6 +211,11 @@ def train(
         )
     if resume and start is not None:
         raise ValueError("--start is for a new run, --resume goes on with one: give one of them")
+    if demonstrate and (resume or start or residual or algorithm not in (None, "PPO")):
+        raise ValueError(
+            f"--demonstrate {demonstrate} is for a new run of PPO, done in one go: leave out "
+            "--resume, --start, --residual and --algorithm"
+        )
     last = found[-1] if found else None
     if last:
         run, first = _continued(last, env_id, asked, console), None
@@ -255,7 +266,22 @@ def _train(
     callbacks = [evaluation, checkpoint.Checkpoints(asdict(run), out, checkpoint_every)]
     remaining = steps - model.num_timesteps
     try:
-        if remaining > 0:
+        if remaining > 0 and run.demonstrate:
+            if last:
+                raise ValueError(
+                    f"{out} was learned from demonstrations, in one go: --start {out} goes on by "
+                    "rewards, in another --out"
+                )
+            for _ in imitate.learn(
+                model,
+                run.demonstrate,
+                steps,
+                run.seed,
+                previous_action=bool(run.arguments.get("previous_action")),
+            ):
+                evaluation.now(model)  # fmt: skip
+            checkpoint.save_numbered(model, asdict(run), out)
+        elif remaining > 0:
             try:
                 model.learn(
                     remaining, callbacks, reset_num_timesteps=not last,

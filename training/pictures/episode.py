@@ -21,6 +21,7 @@ from .scope import DEMAND, FORBIDDEN, show_both
 COLOURS = (  # of the policies, in turn; red is for windows and limits
     "#1f5fa8", "#e08214", "#2e8b57", "#8e44ad", "#16a2b8", "#d65db1", "#8a6d3b", "#9aa51b",
 )  # fmt: skip
+STYLES = ("-", (0, (4, 1, 1, 1)))  # the first time a colour is used, and the second
 SHADES = 16  # of each colour towards white, in the picture
 DASHED = (0, (5, 2))
 
@@ -38,8 +39,8 @@ def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
     panels[-1].set_xlabel("time (s)")
     figure.align_ylabels(panels)
     keys = [
-        Line2D([], [], color=colour, lw=1.6, label=f"{trace.policy}{outcome(trace)}")
-        for trace, colour in zip(traces, colours, strict=True)
+        Line2D([], [], color=colours[i], ls=_style(i), lw=1.6, label=f"{one.policy}{outcome(one)}")
+        for i, one in enumerate(traces)
     ]
     keys += [
         Line2D([], [], color=DEMAND, lw=1.0, ls="--", label="goal or reference"),
@@ -53,6 +54,10 @@ def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     image.quantize(palette=_palette(), dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def _style(i: int) -> Any:
+    return STYLES[i // len(COLOURS) % len(STYLES)]
 
 
 def _palette() -> Image.Image:
@@ -82,8 +87,8 @@ def _panel(panel: Axes, channel: Channel, samples, traces, colours) -> None:
     for sign in (-1.0, 1.0):
         edges = [np.nan_to_num(one[:, 1]) + sign * one[:, 2] for one in samples]
         _reference_lines(panel, times, edges, colours, FORBIDDEN, DASHED)
-    for one, trace, colour in zip(samples, traces, colours, strict=True):
-        panel.plot(trace.time, one[:, 0], color=colour, lw=1.3)
+    for i, (one, trace, colour) in enumerate(zip(samples, traces, colours, strict=True)):
+        panel.plot(trace.time, one[:, 0], color=colour, lw=1.3, ls=_style(i))
         if trace.ended:
             panel.plot(trace.time[-1], one[-1, 0], "X", color=colour, ms=8, mec="white", zorder=4)
         elif math.isfinite(trace.done):
