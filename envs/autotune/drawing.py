@@ -49,21 +49,33 @@ def loops(
             (response.position_loop, response.position_margins),
         )
         for gain, phase, (loop, found) in zip(upper, lower, kinds, strict=True):
-            seen = (response.coherence >= LEAST_COHERENCE) & (abs(loop) < TOO_HIGH)
-            loop = np.where(seen, loop, np.nan)
-            degrees = _unwrapped(loop)
-            gain.semilogx(
-                response.frequencies, 20 * np.log10(abs(loop)), color=colour,
-                label=f"{name}: {found}",
-            )  # fmt: skip
-            phase.semilogx(response.frequencies, degrees, color=colour, label=name)
+            label = f"{name}: {found}"
+            loop, degrees = _line(gain, phase, response, loop, color=colour, label=label)
             _mark(gain, phase, found, response.frequencies, loop, degrees, colour)
+        if (other := response.against) is not None:
+            label = f"{name}, drives against one another"
+            for gain, phase, loop in zip(
+                upper, lower, (other.velocity_loop, other.position_loop), strict=True
+            ):
+                _line(gain, phase, other, loop, color=colour, label=label, ls=":")
     for axes, title in zip(upper, ("velocity loop", "position loop"), strict=True):
         axes.axhline(0.0, color="grey", lw=1)
         axes.set(title=title, ylabel="open loop (dB)", ylim=(-40, 40))
     for axes in lower:
         axes.axhline(-180.0, color="grey", lw=1)
         axes.set(ylabel="phase (degree)", ylim=(-270, 90), yticks=range(-270, 91, 90))
+
+
+def _line(
+    gain: Axes, phase: Axes, response: Any, loop: np.ndarray, **look: Any
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Draw a loop where it has been seen; -> what is drawn, and its phase (degree)."""
+    seen = (response.coherence >= LEAST_COHERENCE) & (abs(loop) < TOO_HIGH)
+    loop = np.where(seen, loop, np.nan)
+    degrees = _unwrapped(loop)
+    gain.semilogx(response.frequencies, 20 * np.log10(abs(loop)), **look)
+    phase.semilogx(response.frequencies, degrees, **{**look, "label": None})
+    return loop, degrees
 
 
 def _unwrapped(loop: np.ndarray) -> np.ndarray:
@@ -128,7 +140,7 @@ def draw_tuned(tuned: Any, path: Path) -> None:
     torque.set(title="torque command on the move", xlabel="time (s)", ylabel="Nm")
     error.set(title="following error on the move", xlabel="time (s)", ylabel=unit)
     figure.suptitle(
-        f"{tuned.drive} ({tuned.model}): asked {tuned.asked.gain:g} dB and {tuned.asked.phase:g}°, "
+        f"{tuned.name} ({tuned.model}): asked {tuned.asked.gain:g} dB and {tuned.asked.phase:g}°, "
         + ("reached" if tuned.reached else "not reached")
     )
     finish(figure, [axes for row in rows for axes in row], path)

@@ -5,34 +5,33 @@ import math
 import numpy as np
 
 from ...drive.drive import Drive
-from .margins import LEAST_COHERENCE, TOO_HIGH
+from .margins import LEAST_COHERENCE
 from .needs import scipy
-from .plant import Plant, Resonance, lag_and_filter, mechanics
+from .plant import Plant, Resonance, lag_and_filter, mechanics, sampled
 from .response import Response
-from .stand import Gains
 
 PROMINENCE = 5.0  # dB over a plant without resonances; smaller ones do not matter to a loop
 MOST = 3  # resonances
 DAMPING = 0.02  # to begin with
 SPREAD = 1.5  # of a frequency in the fit
+EXPLAINS = 1.5  # times less is left unexplained with one resonance, or a delay, more
+NO_DELAY, LONGEST_DELAY = 1e-6, 4.0  # ms
 
 Pair = tuple[float, float, float, float]  # antiresonance (Hz), its damping, resonance, damping
 
 
-def identify(response: Response, drive: Drive, gains: Gains) -> Plant:
+def identify(response: Response, drive: Drive) -> Plant:
     """Fit a plant to a response.
 
     Args:
         response: measured.
         drive: whose it is.
-        gains: with which it was measured; where their loop is very high, little was left to see.
 
     Raises:
         RuntimeError: too little of it is coherent.
         ImportError: without scipy.
     """
-    loop = abs(response.with_gains(gains).velocity_loop)
-    good = (response.coherence >= LEAST_COHERENCE) & (loop < TOO_HIGH)
+    good = response.coherence >= LEAST_COHERENCE
     if good.sum() < 12:
         raise RuntimeError(
             f"only {good.sum()} of {len(good)} frequencies of drive {response.drive!r} are "
@@ -40,24 +39,29 @@ def identify(response: Response, drive: Drive, gains: Gains) -> Plant:
         )
     frequencies = response.frequencies[good]
     lag, share = _shares(drive, response)
-    measured = response.plant[good] / lag_and_filter(frequencies, response.cycle, lag, share)
+    measured = response.plant[good]
+    mechanical = measured / lag_and_filter(frequencies, response.cycle, lag, share)
     weight = np.sqrt(np.gradient(np.log(frequencies)))  # as much a decade everywhere
     weight = weight / np.sqrt(np.mean(weight**2))
 
     def residual(x: np.ndarray) -> np.ndarray:
         values, pairs = _open(x)
-        ratio = measured / mechanics(frequencies, response.cycle, values, pairs)
+        ratio = measured / sampled(
+            lambda f: lag_and_filter(f, response.cycle, lag, share)
+            * mechanics(f, response.cycle, values, pairs),
+            frequencies, response.cycle, response.cycles,
+        )  # fmt: skip
         parts = np.log(np.maximum(abs(ratio), 1e-12)), np.angle(ratio)
         return np.concatenate([part * weight for part in parts])
 
     solve = scipy("optimize").least_squares
-    inertia = _inertia(frequencies, measured)
-    best = None
-    for candidates in _candidates(frequencies, measured):
-        start = [math.log(inertia), 0.0, 0.0]
-        low, high = [start[0] - 3.0, -12.0, -0.5], [start[0] + 3.0, 12.0, 4.0]
-        start[1] = math.log(2 * math.pi * frequencies[0] * inertia * 0.05)
-        low[1], high[1] = start[1] - 12.0, start[1] + 6.0
+
+    def fitted(candidates: list[tuple[float, float]], longest: float) -> tuple[float, np.ndarray]:
+        """Score and parameters, with these pairs and up to this delay (ms)."""
+        start = [math.log(inertia), math.log(2 * math.pi * frequencies[0] * inertia * 0.05), 0.0]
+        low = [start[0] - 3.0, start[1] - 12.0, -1e-9]
+        high = [start[0] + 3.0, start[1] + 6.0, longest]
+        start[2] = 0.1 * longest
         for antiresonance, resonance in candidates:
             middle = [math.log(antiresonance), math.log(DAMPING), math.log(resonance)]
             start += [*middle, math.log(DAMPING)]
@@ -66,17 +70,21 @@ def identify(response: Response, drive: Drive, gains: Gains) -> Plant:
             high += [middle[0] + spread, 0.5, middle[2] + spread, 0.5]
         found = solve(residual, start, bounds=(low, high), loss="soft_l1", f_scale=0.2,
                       max_nfev=80)  # fmt: skip
-        # a resonance more has to explain a good deal more
-        score = found.cost * 1.5 ** len(candidates)
-        if best is None or score < best[0]:
-            best = score, found.x
-    assert best is not None
-    (inertia, viscous, delay), pairs = _open(best[1])
-    decibel = 20 / math.log(10) * residual(best[1])[: len(frequencies)]
+        # what is more has to explain a good deal more
+        return found.cost * EXPLAINS ** (len(candidates) + (longest > NO_DELAY)), found.x
+
+    inertia = _inertia(frequencies, mechanical)
+    trials = [(*fitted(pairs, NO_DELAY), pairs) for pairs in _candidates(frequencies, mechanical)]
+    score, best, pairs = min(trials, key=lambda trial: trial[0])
+    delayed = fitted(pairs, LONGEST_DELAY)
+    if delayed[0] < score:
+        best = delayed[1]
+    (inertia, viscous, delay), found = _open(best)
+    decibel = 20 / math.log(10) * residual(best)[: len(frequencies)]
     return Plant(
         inertia=inertia, viscous=viscous, delay=delay, cycle=response.cycle, lag=lag, filter=share,
         resonances=tuple(
-            Resonance(a, r, damping, antidamping) for a, antidamping, r, damping in sorted(pairs)
+            Resonance(a, r, damping, antidamping) for a, antidamping, r, damping in sorted(found)
         ),
         error=float(np.sqrt(np.mean(decibel**2))),
     )  # fmt: skip

@@ -22,6 +22,14 @@ class Margins:
     phase_crossover: float  # Hz
     stable: bool
 
+    def and_of(self, other: "Margins") -> "Margins":
+        """The smaller ones of two loops; where they cross is said of this one."""
+        worse = other if other.gain < self.gain else self
+        return Margins(
+            worse.gain, min(self.phase, other.phase), self.crossover, worse.phase_crossover,
+            self.stable and other.stable,
+        )  # fmt: skip
+
     def __str__(self) -> str:
         if not self.stable:
             return "unstable"

@@ -7,7 +7,7 @@ Lag of the current loop and filter of the velocity are those of the drive. An an
 where a load swings on its spring against a motor that stands still; wr where both swing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,29 @@ class Plant:
     def __str__(self) -> str:
         found = ", ".join(map(str, self.resonances)) or "none"
         return f"inertia {self.inertia:.4g} kg·m², antiresonance/resonance {found}"
+
+
+def sampled(
+    response: Callable[[np.ndarray], np.ndarray], frequencies: np.ndarray, cycle: float, cycles: int
+) -> np.ndarray:
+    """A response in z as samples of each position cycle show it, its input held for one.
+
+    The hold has images at all multiples of that rate, which the samples fold back.
+
+    Args:
+        response: at frequencies of both signs (Hz).
+        frequencies: Hz, shape ``(n,)``.
+        cycle: of the response (s).
+        cycles: of it in a position cycle.
+    """
+    rate, whole, first = 1 / cycle, np.zeros(len(frequencies), complex), None
+    for k in range(cycles):
+        image = (frequencies + (k / cycles + 0.5) * rate) % rate - 0.5 * rate
+        z = np.exp(2j * np.pi * image * cycle)
+        hold = sum(z**j for j in range(cycles))
+        first = hold if first is None else first
+        whole += response(image) * hold
+    return whole / first
 
 
 def lag_and_filter(frequencies: np.ndarray, cycle: float, lag: float, share: float) -> np.ndarray:

@@ -9,6 +9,7 @@ drive's own gains:
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,12 +18,21 @@ from typing import Any
 import numpy as np
 
 from .margins import TOO_HIGH, Margins, margins
-from .plant import Plant
+from .plant import Plant, sampled
 from .stand import Gains
 
 CERTAIN = 3.0  # a loop above it needs nothing below to tell whether it is stable
 GRID = 300  # frequencies
 NEIGHBOURS = np.array([1.0, 3.0, 4.0, 3.0, 1.0])  # weights of a mean over measured lines
+APART = 0.3  # of the logarithm, beyond the last line that was measured, where the fit holds
+TRUST = 20.0  # in the fit, over what was measured: its weight where coherence is 0.95
+
+
+def mean_of_neighbours(values: np.ndarray) -> np.ndarray:
+    """A weighted mean over neighbouring lines, shape ``(n,)``."""
+    return np.convolve(values, NEIGHBOURS, "same") / np.convolve(
+        np.ones(len(values)), NEIGHBOURS, "same"
+    )
 
 
 @dataclass(frozen=True)
@@ -37,7 +47,7 @@ class Response:
     frequencies: np.ndarray  # Hz
     plant: np.ndarray  # complex, velocity of the shaft as measured over torque command, rad/s/Nm
     position_plant: np.ndarray  # complex, measured position over torque command, rad/Nm
-    coherence: np.ndarray  # 0..1 of velocity and excitation
+    coherence: np.ndarray  # 0..1 of velocity and torque command
     gains: Gains
     cycle: float  # s, velocity controller
     cycles: int  # of it in one of the position controller
@@ -47,10 +57,12 @@ class Response:
     unit: str  # of the joint
     note: str = ""
     fitted: Plant | None = None
+    against: "Response | None" = None  # of two drives that move one beam, one against the other
 
     def with_gains(self, gains: Gains) -> "Response":
         """The same plant behind other gains."""
-        return replace(self, gains=gains)
+        against = self.against and self.against.with_gains(gains)
+        return replace(self, gains=gains, against=against)
 
     @cached_property
     def wide(self) -> "Response":
@@ -69,26 +81,51 @@ class Response:
         ]
         frequencies = np.unique(np.concatenate([frequencies, *narrow]))
         frequencies = frequencies[(frequencies > 0.05) & (frequencies < 0.499 / self.cycle)]
-        plant = self.fitted(frequencies) * self._smooth(
-            self.plant / self.fitted(self.frequencies), frequencies
-        )
-        per_velocity = self._position_per_velocity(self.frequencies)
-        position = self._position_per_velocity(frequencies) * self._smooth(
-            self.position_plant / self.plant / per_velocity, frequencies
+        seen = self._sampled(self.fitted)
+        plant = self.fitted(frequencies) * self._smooth(self.plant / seen, frequencies)
+        fitted, per_velocity = self.fitted, self._position_per_velocity
+        turned = self._sampled(lambda f: fitted(f) * per_velocity(f))
+        position = per_velocity(frequencies) * self._smooth(
+            self.position_plant / turned / (self.plant / seen), frequencies
         )
         return replace(
             self, frequencies=frequencies, plant=plant, position_plant=plant * position,
-            coherence=np.ones(len(frequencies)), fitted=None,
+            coherence=np.ones(len(frequencies)), fitted=None, against=None,
         )  # fmt: skip
+
+    def _sampled(self, response: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        return sampled(response, self.frequencies, self.cycle, self.cycles)
 
     def _smooth(self, ratio: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
         """A ratio at the measured frequencies, smoothed, at others."""
-        weight = np.clip(self.coherence / np.maximum(1 - self.coherence, 1e-3), 1e-6, None)
-        mean = np.convolve(ratio * weight, NEIGHBOURS, "same") / np.convolve(
-            weight, NEIGHBOURS, "same"
-        )
+        weight = mean_of_neighbours(self._weight)
+        mean = (mean_of_neighbours(ratio * self._weight) + TRUST) / (weight + TRUST)
+        # the fit stands in for what was not measured
         place, known = np.log(frequencies), np.log(self.frequencies)
+        known = np.concatenate([known[:1] - APART, known, known[-1:] + APART])
+        mean = np.concatenate([[1.0], mean, [1.0]])
         return np.interp(place, known, mean.real) + 1j * np.interp(place, known, mean.imag)
+
+    @property
+    def _weight(self) -> np.ndarray:
+        """Of what was measured: 1 over its relative variance."""
+        return self.coherence / np.maximum(1 - self.coherence, 1e-3)
+
+    def with_earlier(self, other: "Response | None") -> "Response":
+        """The same, with the plant as it was measured another time as well, by weight.
+
+        Behind a stiff loop little is left to see at low frequencies, behind a soft one at none.
+        """
+        if other is None:
+            return self
+        own, earlier = self._weight, other._weight
+        both = np.maximum(own + earlier, 1e-9)
+        return replace(
+            self,
+            plant=(own * self.plant + earlier * other.plant) / both,
+            position_plant=(own * self.position_plant + earlier * other.position_plant) / both,
+            coherence=both / (1 + both),
+        )
 
     @property
     def inertia(self) -> float:
@@ -131,15 +168,17 @@ class Response:
     def velocity_margins(self) -> Margins:
         """Of the velocity loop."""
         wide = self.wide
-        return self._margins(wide.frequencies, wide.velocity_loop)
+        own = self._margins(wide.frequencies, wide.velocity_loop)
+        return own.and_of(self.against.velocity_margins) if self.against else own
 
     @cached_property
     def position_margins(self) -> Margins:
         """Of the position loop; up to its own Nyquist frequency."""
         wide = self.wide
         below = wide.frequencies < 0.49 / (self.cycle * self.cycles)
-        found = self._margins(wide.frequencies[below], wide.position_loop[below])
-        return replace(found, stable=found.stable and self.velocity_margins.stable)
+        own = self._margins(wide.frequencies[below], wide.position_loop[below])
+        own = replace(own, stable=own.stable and self.velocity_margins.stable)
+        return own.and_of(self.against.position_margins) if self.against else own
 
     def _margins(self, frequencies: np.ndarray, loop: np.ndarray) -> Margins:
         first = int(np.searchsorted(frequencies, self.frequencies[0]))

@@ -8,6 +8,7 @@ travels, friction keeps its sign.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +20,11 @@ from ..engine.machine import Machine
 from ..masters.port import MachinePort
 from ..plants.gantry import PAIR
 
+SAMPLED = ("torque_offset", "torque_command", "velocity", "position")
 ROOM = 0.9  # share of the free way that a run may use
 CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
 # what is sampled after each position cycle
-OFFSET, TORQUE, VELOCITY, POSITION, LIMITED = range(5)
+OFFSET, TORQUE, VELOCITY, POSITION, LIMITED, TURNED = range(6)
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
 class Stand:
     """Runs of one drive of a machine. The machine is as it was after `put_back`.
 
+    Two drives that move one beam run together: alike, or one against the other.
+
     Args:
         machine: powered on; the drive may be enabled or not.
         name: of the drive; the first of the machine if not given.
@@ -93,6 +97,7 @@ class Stand:
         self.gear, self.unit = machine.joint(name)
         together = PAIR if name in PAIR and all(x in machine.drives for x in PAIR) else (name,)
         self.movers = [x for x in together if machine.drives[x].model.positions]
+        self._heading = 1.0
         self._kept = machine.snapshot()
         servos = [x for x, drive in machine.drives.items() if drive.model.positions]
         self.master = Master(MachinePort(machine), *servos)
@@ -114,6 +119,11 @@ class Stand:
             if moves:
                 self.master[name].write("target_velocity", 0)
         self.master.enable()
+
+    def commission(self, objects: dict[str, int]) -> None:
+        """Set objects of the drive, and of one that moves the same beam."""
+        for name in self.movers:
+            self.machine.drives[name].commission(objects)
 
     @property
     def period(self) -> float:
@@ -162,6 +172,7 @@ class Stand:
 
     def travel(self, speed: float) -> None:
         """Ask for a speed of the joint (m/s or rad/s)."""
+        self._heading = math.copysign(1.0, speed * self.gear)
         for name in self.movers:
             axis = self.machine.drives[name].axis
             gear, _ = self.machine.joint(name)
@@ -174,31 +185,43 @@ class Stand:
         ramp = 2 * abs(speed * self.gear) / max(float(axis.acceleration), 1e-9)
         self.run(np.zeros(CYCLES_OF_A_RAMP + math.ceil(1.5 * ramp / self.period)))
 
-    def run(self, offsets: np.ndarray) -> np.ndarray:
-        """Excite with torque offsets (Nm), one a step; -> samples of shape ``(n, 5)``.
+    def run(self, offsets: np.ndarray, against: bool = False) -> np.ndarray:
+        """Excite with torque offsets (Nm), one a step; -> samples of shape ``(n, 6)``.
 
         Columns: torque offset (Nm), torque command (Nm), measured velocity (rad/s), position
-        (rad), whether the torque was limited.
+        (rad), whether the torque was limited, whether a drive turned round.
+
+        Of two drives that move one beam the columns are half the sum. Are they excited `against`
+        one another, the second with the offsets turned, they are half the difference.
 
         Raises:
             RuntimeError: a drive has left OPERATION_ENABLED, with its fault.
         """
-        machine, axes, axis = self.machine, self.drive.axes, self.drive.index
+        machine, limited = self.machine, int(Limit.TORQUE)
         per_mille = float(self.drive.axis.rated_torque) * 1e-3
+        movers = [(machine.drives[name], 1) for name in self.movers]
+        if against:
+            movers[1] = movers[1][0], -1
         # fields as arrays: by name in each step they took longer than the step
-        offset, changed = axes["od"]["torque_offset"], axes["parameters_changed"]
-        excited, commanded = axes["torque_offset"], axes["torque_command"]
-        velocity, position, limits = axes["velocity"], axes["position"], axes["limits"]
-        limited = int(Limit.TORQUE)
-        samples = np.empty((len(offsets), 5))
+        fields: list[tuple[Any, ...]] = [
+            (drive.index, sign, drive.axes["od"]["torque_offset"], drive.axes["parameters_changed"],
+             *(drive.axes[name] for name in SAMPLED), drive.axes["limits"])
+            for drive, sign in movers
+        ]  # fmt: skip
+        samples = np.zeros((len(offsets), 6))
         for sample, value in zip(samples, np.rint(offsets / per_mille).astype(int), strict=True):
-            offset[axis] = value
-            changed[axis] = 1
+            for axis, sign, offset, changed, *_ in fields:
+                offset[axis] = sign * value
+                changed[axis] = 1
             machine.step()
-            sample[:] = (
-                excited[axis], commanded[axis], velocity[axis], position[axis],
-                bool(limits[axis] & limited),
-            )  # fmt: skip
+            for axis, sign, _, _, excited, commanded, velocity, position, limits in fields:
+                speed = velocity[axis]
+                sample += (
+                    sign * excited[axis], sign * commanded[axis], sign * speed,
+                    sign * position[axis], bool(limits[axis] & limited),
+                    speed * self._heading <= 0.0,
+                )  # fmt: skip
+        samples[:, :LIMITED] /= len(movers)
         for name in self.movers:
             drive = machine.drives[name]
             if drive.state != State.OPERATION_ENABLED:

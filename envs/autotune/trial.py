@@ -126,7 +126,7 @@ def _step(stand: Stand) -> tuple[tuple[np.ndarray, np.ndarray], str]:
     for name in ("profile_acceleration", "profile_deceleration", "max_acceleration"):
         row = drive.model.names.get(name)
         if row is not None and row.access == "rw":
-            drive.commission({name: int(min(row.maximum, 2**31 - 1))})
+            stand.commission({name: int(min(row.maximum, 2**31 - 1))})
     before = stand.run(np.zeros(max(round(0.02 / stand.period), 2)))
     stand.travel(direction * (base + step))
     try:

@@ -42,12 +42,13 @@ class Tuned:
     after: Response
     trial_before: Trial
     trial_after: Trial
+    together: tuple[str, ...] = ()  # drives that move one beam: all have these gains
     parameters: bytes = field(repr=False, default=b"")
 
     def __str__(self) -> str:
         old, new = self.trial_before, self.trial_after
         lines = [
-            f"drive {self.drive} ({self.model}): {self.before.fitted}",
+            f"drive {self.name} ({self.model}): {self.before.fitted}",
             f"{self.friction}",
             f"{'':24}{'before':>34}{'after':>34}",
             *(
@@ -59,10 +60,16 @@ class Tuned:
                 )
             ),
             *(f"{a:10}{name:34}= {value} {unit}".rstrip() for a, name, value, unit in self.table),
-            "margins reached" if self.reached else f"margins not reached: {self.reason}",
+            "margins reached" if self.reached else "margins not reached",
+            *([self.reason] if self.reason else []),
         ]
         notes = (self.before.note, old.note, self.after.note, new.note)
         return "\n".join([*lines, *filter(None, notes)])
+
+    @property
+    def name(self) -> str:
+        """Of the drive, or of both that move one beam."""
+        return " and ".join(self.together) or self.drive
 
     def _error(self, of: Trial) -> str:
         if not math.isfinite(of.following_error):
@@ -132,15 +139,16 @@ def tune(
         trial_before = trial(stand, move)
         stand.put_back()
         original = in_units(own, gains_of(own)) | {FEED_FORWARD: int(own.axis.od[FEED_FORWARD])}
+        had = stand.machine.snapshot()
         after, objects, ease, reached = before, original, 1.0, False
         for _ in range(TRIES):
-            gains = fit(before, asked, ease)
+            gains = fit(after, asked, ease)
             if gains is None:
                 break
-            objects = in_units(own, gains) | {FEED_FORWARD: round(before.inertia * 1e9)}
-            own.commission(objects)
+            objects = in_units(own, gains) | {FEED_FORWARD: round(after.inertia * 1e9)}
+            stand.commission(objects)
             stand.keep()
-            after, _ = _look(stand, amplitude, seed + 1, ride=False)
+            after, _ = _look(stand, amplitude, seed + 1, ride=False, earlier=after)
             stand.put_back()
             reached = asked.kept(after) and not after.note
             if reached:
@@ -149,16 +157,16 @@ def tune(
         trial_after = trial(stand, move)
         reason = "" if reached else why_not(after, asked)
         if refusal := _no_better(asked, before, trial_before, trial_after):
-            reached, reason = False, refusal
-            stand.put_back()
+            reached, reason = asked.kept(before), refusal
             objects = original
-            own.commission(objects)
+            stand.machine.restore(had)
             stand.keep()
             after, trial_after = before, trial_before
         return Tuned(
             drive=stand.name, model=own.model.name, unit=stand.unit, asked=asked, reached=reached,
             reason=reason, objects=objects, table=_table(stand, objects), friction=rides,
             before=before, after=after, trial_before=trial_before, trial_after=trial_after,
+            together=tuple(stand.movers) if stand.movers[1:] else (),
             parameters=own.parameters.export(),
         )  # fmt: skip
     finally:
@@ -185,13 +193,15 @@ def _micro(trial: Trial) -> str:
     return f"{1e6 * trial.following_error:.0f}"
 
 
-def _look(stand: Stand, amplitude: float, seed: int, ride: bool) -> tuple[Response, Any]:
+def _look(
+    stand: Stand, amplitude: float, seed: int, ride: bool, earlier: Response | None = None
+) -> tuple[Response, Any]:
     """The response with the gains in force, and friction."""
     gains = gains_of(stand.drive)
     stand.start()
     note = calm(stand)
     response = measured(
-        stand, gains, note, amplitude, None, 2.0, HIGHEST / stand.period, seed
+        stand, gains, note, amplitude, None, 2.0, HIGHEST / stand.period, seed, earlier
     )  # fmt: skip
     return response, friction(stand) if ride else None
 

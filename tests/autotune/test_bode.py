@@ -11,25 +11,17 @@ from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
 from servogym.envs import Machine, bode, commission_joint, gantry, linear_axis, rotary_axis
 from servogym.envs.autotune import needs
+from servogym.envs.autotune.margins import margins
+from servogym.envs.autotune.stand import detune
 from servogym.envs.masters.port import MachinePort
 from servogym.training.cli import main
 
 control = pytest.importorskip("control")
 pytest.importorskip("scipy")
+
+from matrix import Case, in_the_middle, margins_of_model  # noqa: E402
+
 SLOW = pytest.mark.slow
-
-
-def in_the_middle(make, *arguments, **values):
-    machine = make(*arguments, **values)
-    ends = [(float(m["low"]), float(m["high"])) for m in machine.mechanics]
-    machine.reset(
-        positions={
-            name: (low + high) / 2
-            for name, (low, high) in zip(machine.drives, ends, strict=True)
-            if high - low < 1e6
-        }
-    )
-    return machine
 
 
 def inertia_of(machine, number=0):
@@ -49,14 +41,14 @@ def inertia_of(machine, number=0):
     ],
 )
 def test_the_inertia_is_that_of_the_mechanics(make, arguments):
-    machine = in_the_middle(make, **arguments)
+    machine = in_the_middle(make(**arguments))
     response = bode(machine)
     assert response.fitted.inertia == pytest.approx(inertia_of(machine), rel=0.05)
     assert np.mean(response.coherence > 0.9) > 0.9
 
 
 def test_antiresonance_and_resonance_are_those_of_two_masses_on_a_spring():
-    machine = in_the_middle(linear_axis, mechanics="toothed_belt")
+    machine = in_the_middle(linear_axis(mechanics="toothed_belt"))
     gear = 2 * math.pi / 0.06
     load, motor, stiffness = 6.5, (0.6e-4 + 0.1e-4) * gear**2, 4e5
     expected = [
@@ -65,6 +57,60 @@ def test_antiresonance_and_resonance_are_those_of_two_masses_on_a_spring():
     ]
     (found,) = bode(machine).fitted.resonances
     assert [found.antiresonance, found.resonance] == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("case", "factor"),
+    [
+        (Case("rigid", "generic", 1.0), 16.0),  # position loop unstable
+        (Case("linear_motor", "20 Hz", 1.0), 3.0),
+        pytest.param(Case("toothed_belt", "80 Hz", 1.0), 8.0, marks=SLOW),
+        pytest.param(Case("conveyor", "20 Hz", 1.0), 3.0, marks=SLOW),
+        pytest.param(Case("rigid", "kollmorgen_akd", 1.0), 3.0, marks=SLOW),
+        pytest.param(Case("gantry 2", "x1 x2", 1.0), 3.0, marks=SLOW),
+    ],
+    ids=str,
+)
+def test_the_margins_are_those_of_the_known_plant(case, factor):
+    machine = case.machine()
+    movers = case.variant.split() if "gantry" in case.axis else [next(iter(machine.drives))]
+    for name in movers:
+        detune(machine.drives[name], factor)
+    response = bode(machine, movers[0])
+    measured = response.velocity_margins, response.position_margins
+    for found, (gain, phase, stable) in zip(
+        measured, margins_of_model(machine, movers), strict=True
+    ):
+        assert found.gain == pytest.approx(gain, abs=1.5)
+        assert found.phase == pytest.approx(phase, abs=2.5)
+        assert found.stable == stable
+
+
+def test_of_several_crossings_the_smallest_margins_count_and_nyquist_decides():
+    """Random loops with resonances, against closed poles and a fine grid."""
+    random = np.random.default_rng(1)
+    s, unstable = control.tf("s"), 0
+    for _ in range(25):
+        loop = 10 ** random.uniform(0.5, 3.2) * (1 + random.uniform(2, 60) / s) / s
+        for lag in random.uniform(900, 5000, 2):
+            loop = loop / (1 + s / lag)
+        narrow = []
+        for a in 2 * math.pi * 10 ** random.uniform(1, 2.5, 2):
+            r, damping = a * random.uniform(1.1, 2.5), random.uniform(0.01, 0.1)
+            loop = loop * (s * s / a / a + 2 * damping * s / a + 1)
+            loop = loop / (s * s / r / r + 2 * damping * s / r + 1)
+            narrow += [f / (2 * math.pi) * (1 + 0.05 * np.linspace(-6, 6, 25)) for f in (a, r)]
+        grid = np.unique(np.concatenate([np.geomspace(0.1, 5000, 300), *narrow]))
+        found = margins(grid, loop(2j * np.pi * grid))
+        assert found.stable == bool((control.feedback(loop, 1).poles().real < 0).all())
+        unstable += not found.stable
+        value = loop(2j * np.pi * np.geomspace(0.1, 5000, 20_000))
+        turns = np.floor((np.unwrap(np.angle(value)) / np.pi - 1) / 2)
+        gains = abs(20 * np.log10(abs(value[np.flatnonzero(np.diff(turns))])))
+        phases = 180 - abs(np.degrees(np.angle(value[np.flatnonzero(np.diff(abs(value) > 1))])))
+        assert found.gain == pytest.approx(min(gains, default=math.inf), abs=1.0)
+        assert found.phase == pytest.approx(min(phases), abs=1.5)
+    assert 3 < unstable < 20
 
 
 def ripple(machine, gain):
@@ -87,7 +133,7 @@ def ripple(machine, gain):
 
 @pytest.mark.parametrize("mechanics", ["rigid", pytest.param("toothed_belt", marks=SLOW)])
 def test_the_loop_oscillates_where_its_gain_margin_says(mechanics):
-    machine = in_the_middle(linear_axis, mechanics=mechanics)
+    machine = in_the_middle(linear_axis(mechanics=mechanics))
     margin = bode(machine).velocity_margins
     assert margin.stable
     calm, wild = (ripple(machine, 10 ** ((margin.gain + x) / 20)) for x in (-3.0, 6.0))
@@ -95,7 +141,7 @@ def test_the_loop_oscillates_where_its_gain_margin_says(mechanics):
 
 
 def test_a_loop_that_oscillates_is_measured_with_less_gain_and_told():
-    machine = in_the_middle(linear_axis)
+    machine = in_the_middle(linear_axis())
     x = machine.drives["x"]
     before = bode(machine)
     x.write("velocity_control_gain", 100 * x.read("velocity_control_gain"))
@@ -107,14 +153,14 @@ def test_a_loop_that_oscillates_is_measured_with_less_gain_and_told():
 
 
 def test_afterwards_the_machine_is_bit_by_bit_as_before():
-    machine = in_the_middle(linear_axis)
+    machine = in_the_middle(linear_axis())
     before = machine.snapshot()
     bode(machine)
     assert machine.snapshot() == before
 
 
 def test_each_drive_of_a_gantry_is_measured_while_the_others_hold():
-    machine = in_the_middle(gantry, x_drives=2)
+    machine = in_the_middle(gantry(x_drives=2))
     places = machine.data.qpos.copy()
     assert bode(machine, "x2").velocity_margins.stable
     np.testing.assert_array_equal(machine.data.qpos, places)
@@ -145,7 +191,7 @@ def test_a_joint_of_an_own_mjcf():
 )
 def test_what_cannot_be_measured_is_refused(arguments, text):
     with pytest.raises(ValueError, match=text):
-        bode(in_the_middle(linear_axis), **arguments)
+        bode(in_the_middle(linear_axis()), **arguments)
 
 
 def test_an_inverter_has_nothing_to_tune():

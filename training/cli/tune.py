@@ -32,13 +32,14 @@ def add(tune: argparse.ArgumentParser) -> None:
 
 def _tune(options: argparse.Namespace, console: Console) -> int:
     from ...envs.autotune.needs import control
-    from ...envs.autotune.stand import detune
+    from ...envs.autotune.stand import Stand, detune
     from ...envs.autotune.tune import tune
 
     control()
     machine, name = machines.made(options)
     if options.detuned != 1.0:
-        detune(machine.drives[name], options.detuned)
+        for mover in Stand(machine, name).movers:
+            detune(machine.drives[mover], options.detuned)
     tuned = tune(
         machine, name, gain_margin=options.gain_margin, phase_margin=options.phase_margin,
         move=options.move, amplitude=options.amplitude, seed=options.seed,

@@ -1,0 +1,230 @@
+"""`tune` from detuned gains on every axis that has one: the table of docs/results/tuning.md.
+
+    python tests/autotune/matrix.py docs/results/tuning.md
+
+plays what is not yet in the page's table, a case after the other, and writes the page after each,
+so it goes on where it was interrupted; without the page it begins anew. Beside the margins that
+`tune` measures are those of the known plant (`known`).
+"""
+
+import math
+import re
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import known
+from rich.console import Console
+
+from servogym.drive.model.model import load
+from servogym.envs import FAMILY, ROTARY_FAMILY, gantry, linear_axis, rotary_axis, tune
+from servogym.envs.autotune.stand import Stand, detune
+from servogym.envs.autotune.trial import trial
+from servogym.training.report import markdown, progress
+
+SERVOS = ("generic", "metronix_ars2000", "festo_cmmp_as", "festo_cmms", "kollmorgen_akd")
+RESONANCES = ("20 Hz", "45 Hz", "80 Hz")
+FACTORS = (0.3, 3.0)
+WORSE = 1.1  # times the following error of the commissioned gains, at most, and 2 µm more:
+COUNT = 2e-6  # of the encoder
+HEADING = (
+    "axis", "drive or resonance", "gains", "velocity loop", "known", "position loop", "known",
+    "commissioned (µm)", "before (µm)", "after (µm)", "s", "reached",
+)  # fmt: skip
+HEAD = """# Tuning from detuned gains
+
+`tune` from gains that are 0.3 and 3 times those of the commissioned axis, for margins of 6 dB and
+35°: each member of the family with each servo drive, or with a payload on a spring that resonates
+at 20, 45 or 80 Hz (`generic`), and each drive of a gantry. The following error is that on the move
+`tune` shows, with the commissioned gains, before and after (rotary axes: µrad).
+
+```sh
+python tests/autotune/matrix.py docs/results/tuning.md   # plays what is missing in the table
+```
+
+"""
+FOOT = """
+Margins are the smallest of the loops as measured afterwards. *Known* are those of the model itself:
+the physics as MuJoCo linearises it behind the same controllers, by python-control, nothing excited
+or fitted. Where there is backlash or a gear with losses (ball_screw, vertical, rack_pinion,
+rotary_table) the linear model is the limit of large motions, and what is measured need not agree.
+Seconds are of processor time.
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One tuning: an axis, with a drive, a resonance or the drives detuned, from detuned gains."""
+
+    axis: str
+    variant: str
+    factor: float
+
+    def __str__(self) -> str:
+        return f"{self.axis}, {self.variant}, ×{self.factor:g}"
+
+    @property
+    def linear(self) -> bool:
+        """Whether the known plant is linear in motion, so that its margins are the margins."""
+        return self.axis not in ("ball_screw", "vertical", "rack_pinion", "rotary_table")
+
+    def machine(self):
+        """In the middle of its range."""
+        if self.axis.startswith("gantry"):
+            return in_the_middle(gantry(x_drives=int(self.axis[-1])))
+        if self.variant in RESONANCES:
+            return springy(self.axis, float(self.variant.split()[0]))
+        return made(self.axis, self.variant)
+
+
+CASES = [
+    *(Case(axis, drive, factor) for axis in (*FAMILY, *ROTARY_FAMILY) for drive in SERVOS
+      for factor in FACTORS),
+    *(Case(axis, f, factor) for axis in (*FAMILY, *ROTARY_FAMILY) for f in RESONANCES
+      for factor in (0.3, 1.0, 3.0)),
+    *(Case(axis, drives, factor) for axis, drives in (
+        ("gantry 1", "x"), ("gantry 1", "y"), ("gantry 1", "z"),
+        ("gantry 2", "x1"), ("gantry 2", "x2"), ("gantry 2", "x1 x2"),
+    ) for factor in FACTORS),
+]  # fmt: skip
+
+
+def in_the_middle(machine):
+    """All axes with ends, half-way between them."""
+    ends = [(float(m["low"]), float(m["high"])) for m in machine.mechanics]
+    machine.reset(
+        positions={
+            name: (low + high) / 2
+            for name, (low, high) in zip(machine.drives, ends, strict=True)
+            if high - low < 1e6
+        }
+    )
+    return machine
+
+
+def made(name, drive="generic", **values):
+    """A member of the family."""
+    make = rotary_axis if name in ROTARY_FAMILY else linear_axis
+    return in_the_middle(make(drive, mechanics=name, **values))
+
+
+def springy(name, frequency, drive="generic"):
+    """A member of the family whose payload swings on a spring, so that it resonates there."""
+    if name in ROTARY_FAMILY:
+        p = ROTARY_FAMILY[name]
+        rotor = load(drive).rotor_inertia * p.gear_ratio**2
+        reduced = 1 / (1 / p.inertia + 1 / rotor)
+        stiffness = (2 * math.pi * frequency) ** 2 * reduced
+        damping = 2 * 0.02 * math.sqrt(stiffness * reduced)
+        return made(name, drive, transmission_stiffness=stiffness, transmission_damping=damping)
+    p = FAMILY[name]
+    rotor = p.rotor_inertia if p.rotor_inertia is not None else load(drive).rotor_inertia
+    gear = 2 * math.pi / p.feed_constant
+    rest = p.carriage_mass + (rotor + p.transmission_inertia) * gear**2
+    reduced = 1 / (1 / p.payload + 1 / rest)
+    stiffness = (2 * math.pi * frequency) ** 2 * reduced
+    damping = 2 * 0.02 * math.sqrt(stiffness * reduced)
+    return made(name, drive, stiffness=stiffness, structural_damping=damping)
+
+
+@dataclass(frozen=True)
+class Played:
+    """What became of a case."""
+
+    case: Case
+    tuned: object
+    commissioned: float  # following error
+    known: tuple[tuple[float, float, bool], ...]  # margins of the velocity and the position loop
+    cpu: float  # s
+
+    @property
+    def follows(self) -> bool:
+        """Whether it follows as well as with the commissioned gains."""
+        return self.tuned.trial_after.following_error <= WORSE * self.commissioned + COUNT
+
+    @property
+    def row(self) -> list[str]:
+        """Of the table."""
+        tuned, micro = self.tuned, lambda x: f"{x * 1e6:.0f}"
+        loops = (tuned.after.velocity_margins, tuned.after.position_margins)
+        cells = []
+        for found, (gain, phase, stable) in zip(loops, self.known, strict=True):
+            cells += [
+                f"{found.gain:.1f} dB {found.phase:.0f}°" if found.stable else "unstable",
+                f"{gain:.1f} dB {phase:.0f}°" if stable else "unstable",
+            ]
+        said = f"yes; {tuned.reason}" if tuned.reason else "yes"
+        return [
+            self.case.axis, self.case.variant, f"×{self.case.factor:g}", *cells,
+            micro(self.commissioned), micro(tuned.trial_before.following_error),
+            micro(tuned.trial_after.following_error), f"{self.cpu:.1f}",
+            said if tuned.reached else tuned.reason,
+        ]  # fmt: skip
+
+
+def play(case):
+    """Tune from detuned gains."""
+    machine = case.machine()
+    names = case.variant.split() if case.axis.startswith("gantry") else [next(iter(machine.drives))]
+    stand = Stand(machine, names[0])
+    commissioned = trial(stand, None).following_error
+    stand.put_back()
+    for name in names:
+        detune(machine.drives[name], case.factor)
+    begin = time.process_time()
+    tuned = tune(machine, names[0])
+    cpu = time.process_time() - begin
+    return Played(case, tuned, commissioned, margins_of_model(machine, stand.movers), cpu)
+
+
+def margins_of_model(machine, movers):
+    """Smallest margins of the known loops; of two drives on a beam alike and against another."""
+    signs = [(1,), (1, 1), (1, -1)][: len(movers) * 2 - 1]
+    both = [
+        [known.smallest(loop) for loop in known.loops(machine, dict(zip(movers, s, strict=True)))]
+        for s in signs
+        if len(s) == len(movers)
+    ]
+    return tuple(
+        (min(g for g, _, _ in found), min(p for _, p, _ in found), all(s for _, _, s in found))
+        for found in zip(*both, strict=True)
+    )
+
+
+def page(rows):
+    """The page, of rows as text."""
+    yes = sum(row[-1].startswith("yes") for row in rows)
+    worse = sum(float(row[-3]) > WORSE * float(row[-5]) + COUNT * 1e6 for row in rows)
+    longest = max((float(row[-2]) for row in rows), default=0.0)
+    told = (
+        f"Of {len(CASES)} cases {len(rows)} have been run. In {yes} the margins are reached, in the"
+        f" others the reason is told. The following error is more than {WORSE:g} times that of the"
+        f" commissioned gains in {worse}. The longest took {longest:.1f} s of processor time.\n\n"
+    )
+    return HEAD + told + markdown(HEADING, rows) + FOOT
+
+
+def kept(path):
+    """Rows that a page has."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    rows = [[cell.strip() for cell in line[1:-1].split(" | ")] for line in lines
+            if re.match(r"\| \w.*×", line)]  # fmt: skip
+    return {tuple(row[:3]): row for row in rows if len(row) == len(HEADING)}
+
+
+def main(path):
+    rows = kept(path)
+    with progress(Console(stderr=True), "tuning", len(CASES)) as done:
+        for case in CASES:
+            key = (case.axis, case.variant, f"×{case.factor:g}")
+            if key not in rows:
+                rows[key] = play(case).row
+                order = {(c.axis, c.variant, f"×{c.factor:g}"): i for i, c in enumerate(CASES)}
+                path.write_text(page(sorted(rows.values(), key=lambda r: order[tuple(r[:3])])),
+                                encoding="utf-8")  # fmt: skip
+            done(1)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
