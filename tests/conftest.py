@@ -90,6 +90,45 @@ class Shaft:
         return self.drive.read(name)
 
 
+# tests of one worker, because they share what takes long to load: torch, the forked masters
+TOGETHER = {
+    "torch": ("learn/", "policies/test_weights", "evaluate/test_repeat", "cli/test_doors"),
+    "interop": ("interop/",),
+}
+# what takes longest, first: or one worker waits for it at the end
+LONGEST_FIRST = (
+    "torch", "test_panel_browser", "interop", "test_memory", "test_pages", "test_scope_of_policies",
+    "test_evaluate", "test_jit", "test_policies", "test_homing_gallery", "test_every_port",
+)  # fmt: skip
+
+
+def group(nodeid):
+    """Of a test: the file it is in, or several files."""
+    file = nodeid.partition("::")[0]
+    return next((name for name, parts in TOGETHER.items() if any(p in file for p in parts)), file)
+
+
+def pytest_collection_modifyitems(items):
+    """Sort the tests as workers are to get them."""
+    known = {item: group(item.nodeid) for item in items}
+    first = {
+        file: next((n for n, each in enumerate(LONGEST_FIRST) if each in file), len(LONGEST_FIRST))
+        for file in dict.fromkeys(known.values())
+    }
+    items.sort(key=lambda item: first[known[item]])
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """For ``--dist loadfile``: a worker gets the tests of a group, not of a file."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Groups(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return group(nodeid)
+
+    return Groups(config, log) if config.getoption("dist") == "loadfile" else None
+
+
 @pytest.fixture
 def shaft():
     return Shaft()

@@ -6,10 +6,10 @@ difference of the shaft angle, the lag of the current loop, the PI controller; t
 the same lifted to a position cycle. Friction keeps its sign in motion and is left out.
 """
 
-import control
 import mujoco
 import numpy as np
 
+from servogym.envs.autotune.needs import control
 from servogym.envs.autotune.stand import gains_of
 
 
@@ -48,7 +48,7 @@ def plant(machine, names):
     whole[-2, : 2 * n] = angle[0]
     whole[-1] = speed[0]
     out = np.vstack([speed, np.hstack([angle, np.zeros((1, 3))])])
-    return control.ss(whole, into, out, 0, period)
+    return control().ss(whole, into, out, 0, period)
 
 
 def loops(machine, names, gains=None):
@@ -57,16 +57,16 @@ def loops(machine, names, gains=None):
     gains = gains or gains_of(first)
     mechanics = plant(machine, names)
     period, cycles = mechanics.dt, int(first.axis.velocity_cycles)
-    pi = control.ss(
+    pi = control().ss(
         [[1.0]], [[period / gains.integral_time]], [[gains.velocity_gain]],
         [[gains.velocity_gain]], period,
     )  # fmt: skip
-    velocity = control.series(pi, mechanics)
+    velocity = control().series(pi, mechanics)
     # closed with its command held for a position cycle, the angle looked at as it begins
-    closed = control.feedback(velocity, control.ss([], [], [], [[1.0, 0.0]], period))
+    closed = control().feedback(velocity, control().ss([], [], [], [[1.0, 0.0]], period))
     a, b = np.asarray(closed.A), np.asarray(closed.B)
     held = sum(np.linalg.matrix_power(a, k) for k in range(cycles)) @ b
-    position = control.ss(
+    position = control().ss(
         np.linalg.matrix_power(a, cycles), held * gains.position_gain, closed.C[1:], 0,
         period * cycles,
     )  # fmt: skip

@@ -6,6 +6,8 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from later import Later, only_with
+from matrix import Case, in_the_middle, margins_of_model
 
 from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
@@ -16,11 +18,8 @@ from servogym.envs.autotune.stand import detune
 from servogym.envs.masters.port import MachinePort
 from servogym.training.cli import main
 
-control = pytest.importorskip("control")
-pytest.importorskip("scipy")
-
-from matrix import Case, in_the_middle, margins_of_model  # noqa: E402
-
+control = Later("control")
+pytestmark = only_with("control", "scipy")
 SLOW = pytest.mark.slow
 
 

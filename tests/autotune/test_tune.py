@@ -3,6 +3,8 @@
 import math
 
 import pytest
+from later import only_with
+from matrix import CASES, WORSE, Case, in_the_middle, made, play
 
 from servogym.drive.drive import Drive
 from servogym.envs import Machine, bode, commission_joint, gantry, linear_axis, tune
@@ -10,11 +12,7 @@ from servogym.envs.autotune.fit import Asked, fit, why_not
 from servogym.envs.autotune.stand import detune, gains_of
 from servogym.training.cli import main
 
-pytest.importorskip("control")
-pytest.importorskip("scipy")
-
-from matrix import CASES, WORSE, Case, in_the_middle, made, play
-
+pytestmark = only_with("control", "scipy")
 CPU = 10.0  # s, of a tuning on a quiet machine
 LIKE_KNOWN = 3.0, 4.0  # dB and degree, of margins up to twice those asked for
 

@@ -3,16 +3,18 @@
 import kickcat
 from kickcat.mailbox.request import MessageStatus
 
-PORT = "vb"
+PORT, SECOND = "vb", "vb2"
 
 
-def reach_op(cycles=1000):
+def reach_op(cycles=1000, second=SECOND):
     """INIT to OP as the examples of KickCAT have it, then cycles; -> what was seen."""
-    link = kickcat.create_link(PORT, "")
-    link.set_timeout(0.02)  # it waits as long for each answer of the port it does not have
+    link = kickcat.create_link(PORT, second)
+    # while it looks for slaves it waits as long for each answer of a port that it does not have
+    link.set_timeout(1.0 if second else 0.02)
     bus = kickcat.Bus(link)
     bus.init(0.5)
     bus.create_mapping()
+    link.set_timeout(1.0)
     drives = bus.slaves()
     bus.request_state(kickcat.State.SAFE_OP)
     bus.wait_for_state(kickcat.State.SAFE_OP, 5.0)

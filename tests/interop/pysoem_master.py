@@ -38,9 +38,10 @@ def to_op(master):
     master.config_map()
     if master.expected_wkc != 3 * len(master.slaves):  # SOEM maps nothing where an SDO is late
         raise RuntimeError("the mapping did not go on in time")
-    assert master.state_check(pysoem.SAFEOP_STATE, 5_000_000) == pysoem.SAFEOP_STATE, [
-        pysoem.al_status_code_to_string(s.al_status) for s in master.slaves
-    ]
+    if master.state_check(pysoem.SAFEOP_STATE, 5_000_000) != pysoem.SAFEOP_STATE:
+        master.read_state()  # refused where SOEM mapped something else, as an SDO was late
+        why = [pysoem.al_status_code_to_string(s.al_status) for s in master.slaves]
+        raise RuntimeError(f"the way to SAFE_OP did not go on in time: {why}")
     cycle(master)
     master.state = pysoem.OP_STATE
     master.write_state()
@@ -119,7 +120,7 @@ def recover(master, tries=40):
     return sorted(steps)
 
 
-def suffer(line, models, sdo=False):
+def suffer(line, models=("kollmorgen_akd", "kollmorgen_akd")):
     """One fault, what the master saw of it, and its way back."""
     import wire
 
@@ -127,7 +128,7 @@ def suffer(line, models, sdo=False):
         master = opened()
         state = to_op(master)
         seen, refused = [], ""
-        if sdo:
+        if line.startswith("mailbox"):
             try:
                 seen = [master.slaves[0].sdo_read(0x1008, 0).decode() for _ in range(3)]
             except pysoem.SdoError as error:
@@ -148,10 +149,6 @@ def suffer(line, models, sdo=False):
         }  # fmt: skip
         master.close()
     return result
-
-
-def faults(lines, models=("kollmorgen_akd", "kollmorgen_akd")):
-    return {line: suffer(line, models, line.startswith("mailbox")) for line in lines}
 
 
 class Axis:

@@ -53,8 +53,10 @@ def dictionary():
     try:
         objects = master.slaves[0].od
         found = [[o.index, o.name.decode(), _entries(o)] for o in objects]
-    except (pysoem.SdoInfoError, pysoem.MailboxError, pysoem.PacketError) as error:
+    except pysoem.SdoInfoError as error:
         found = type(error).__name__
+    except (pysoem.MailboxError, pysoem.PacketError) as error:
+        raise RuntimeError("the dictionary did not go on in time") from error
     master.close()
     return found
 

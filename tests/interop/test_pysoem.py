@@ -69,7 +69,10 @@ MAILBOX = {
 
 @pytest.fixture(scope="module")
 def suffered():
-    return on_the_wire("pysoem_master", "faults", "forked", lines=[*CYCLES, *MAILBOX])
+    return {
+        line: on_the_wire("pysoem_master", "suffer", "forked", line=line)
+        for line in (*CYCLES, *MAILBOX)
+    }
 
 
 @pytest.mark.parametrize("line", CYCLES)
@@ -100,7 +103,7 @@ def test_39_soem_does_not_look_at_toggle_bits(tmp_path):
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("0x1000, 256, 0x1400, 256", "0x1000, 34, 0x1400, 34"), "utf-8")
     line, models = "mailbox_toggle at=op:1 count=0", [str(folder)]
-    result = on_the_wire("pysoem_master", "faults", "forked", lines=[line], models=models)[line]
+    result = on_the_wire("pysoem_master", "suffer", "forked", line=line, models=models)
     assert result["refused"] == ""
     assert result["seen"] == ["servogym generic CiA 402 drive"] * 4
     assert result["back"] == [8]

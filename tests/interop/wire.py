@@ -1,28 +1,43 @@
 """A veth pair in a network namespace of its own: `servogym ethercat` at one end, a master at the
-other. Run as a program inside the namespace, imported by the tests outside of it.
+other.
+
+The tests start this file as a program once (`_Helper`): it loads the drive, and for each scenario
+forks a process with a network of its own, which forks the server. So nobody waits for a start.
 """
 
+import atexit
 import contextlib
+import ctypes
+import functools
 import importlib
 import json
+import multiprocessing
 import os
+import select
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 import pytest
 
 HERE = Path(__file__).parent
-UNSHARE = ["unshare", "-Urn"]
+UNSHARE = ["unshare", "-Ur"]
+NEW_NETWORK = 0x40000000  # CLONE_NEWNET of unshare(2)
 FROM_PYPI = ("pysoem", "kickcat")  # masters, each with modules that begin with its name
 # masters give a frame up after 2 ms, or a scan; where the machine has other things to do, again
-ATTEMPTS, LATE = 4, ("WkcError", "did not go on in time", "Bus.cc:795: Timeout")
+ATTEMPTS = 4
+LATE = (
+    "WkcError", "ConfigMapError", "did not go on in time",
+    "Bus.cc:795: Timeout", "error while checking mailboxes",
+)  # fmt: skip
 
 
+@functools.cache
 def why_not() -> str:
     """Why there is no wire here, empty where there is one."""
     if not sys.platform.startswith("linux"):
@@ -30,12 +45,42 @@ def why_not() -> str:
     if not shutil.which("unshare") or not shutil.which("ip"):
         return "unshare (util-linux) and ip (iproute2) are needed"
     tried = subprocess.run(
-        [*UNSHARE, "ip", "link", "add", "va", "type", "veth", "peer", "name", "vb"],
+        [*UNSHARE, "-n", "ip", "link", "add", "va", "type", "veth", "peer", "name", "vb"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if tried.returncode:
         return f"no veth pair in a user namespace: {tried.stderr.strip()}"
     return ""
+
+
+class _Helper:
+    """This file as a program; a task a line, and its exit status."""
+
+    def __init__(self):
+        self.process = subprocess.Popen(
+            [*UNSHARE, sys.executable, str(HERE / "wire.py")],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # who has threads cannot fork
+        )  # fmt: skip
+        atexit.register(self.close)
+
+    def close(self):
+        self.process.stdin.close()  # of whom it reads tasks
+        self.process.wait(20)
+
+    def do(self, task, timeout) -> tuple[int, str]:
+        """Exit status of a scenario, and all that was said."""
+        with tempfile.NamedTemporaryFile("r+") as said:
+            print(json.dumps(task | {"said": said.name}), file=self.process.stdin, flush=True)
+            ready, *_ = select.select([self.process.stdout], [], [], timeout)
+            if not ready:
+                self.process.kill()
+                _helper.cache_clear()
+                raise TimeoutError(f"{task} took more than {timeout} s: {said.read()}")
+            return int(self.process.stdout.readline()), said.read()
+
+
+_helper = functools.cache(_Helper)
 
 
 def on_the_wire(module, scenario, *server, timeout=300, ports=1, **arguments):
@@ -47,14 +92,19 @@ def on_the_wire(module, scenario, *server, timeout=300, ports=1, **arguments):
     task = {"module": module, "scenario": scenario, "server": server, "ports": ports,
             "arguments": arguments}  # fmt: skip
     for _ in range(ATTEMPTS):
-        done = subprocess.run(
-            [*UNSHARE, sys.executable, str(HERE / "wire.py"), json.dumps(task)],
-            capture_output=True, text=True, timeout=timeout, check=False,
-        )  # fmt: skip
-        if not any(late in done.stderr for late in LATE):
+        status, said = _helper().do(task, timeout)
+        if not any(late in said for late in LATE):
             break
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    assert status == 0, said
+    return json.loads(said.splitlines()[-1])
+
+
+def _serve(options, said):
+    """`servogym ethercat`, in a copy of this process."""
+    from servogym.training import cli
+
+    _say_to(said.fileno())
+    sys.exit(cli.main(["ethercat", *options]))
 
 
 @contextlib.contextmanager
@@ -66,25 +116,25 @@ def served(*options, ports=1):
         ip("link", "add", name, "type", "veth", "peer", "name", peer)
         for end in (name, peer):
             ip("link", "set", end, "up")
-    arguments = [x for name in names for x in ("-i", name)]
+    interfaces = [x for name in names for x in ("-i", name)]
     with tempfile.TemporaryFile("w+") as said:
-        server = subprocess.Popen(
-            [sys.executable, "-m", "servogym.training.cli", "ethercat", *arguments, *options],
-            stdout=said, stderr=subprocess.STDOUT, env=os.environ | {"PYTHONUNBUFFERED": "1"},
-        )  # fmt: skip
+        server = multiprocessing.get_context("fork").Process(
+            target=_serve, args=([*interfaces, *options], said)
+        )
+        server.start()
         try:
             until = time.monotonic() + 240
             while "slaves on" not in text(said):
-                if server.poll() is not None or time.monotonic() > until:
+                if not server.is_alive() or time.monotonic() > until:
                     raise RuntimeError(f"the server did not start: {text(said)}")
-                time.sleep(0.1)
+                time.sleep(0.01)
             yield server
         finally:
-            server.send_signal(signal.SIGTERM)
-            status = server.wait(20)
+            server.terminate()
+            server.join(20)
             sys.stderr.write(text(said))
-        if status:
-            raise RuntimeError(f"the server ended with {status}: {text(said)}")
+        if server.exitcode:
+            raise RuntimeError(f"the server ended with {server.exitcode}: {text(said)}")
 
 
 @contextlib.contextmanager
@@ -123,23 +173,59 @@ def ip(*arguments):
     subprocess.run(["ip", *arguments], check=True)
 
 
-def main() -> None:
-    task = json.loads(sys.argv[1])
-    sys.path.insert(0, str(HERE))
+def _say_to(file) -> None:
+    """All that this process and its children say goes to a file, at once."""
+    for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
+        stream.flush()
+        os.dup2(file, number)
+        stream.reconfigure(line_buffering=True)
+
+
+def _play(task) -> None:
+    """A scenario in a network of its own; the last line is its result."""
+    os.setsid()
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(NEW_NETWORK):
+        raise OSError(ctypes.get_errno(), "no network of its own")
     scenario = getattr(importlib.import_module(task["module"]), task["scenario"])
     if task["server"] == ["forked"]:
         print(json.dumps(scenario(**task["arguments"])))
         return
     with served(*task["server"], ports=task["ports"]) as server:
-        result = scenario(
-            **task["arguments"],
-            **(
-                {"server": server}
-                if "server" in scenario.__code__.co_varnames[: scenario.__code__.co_argcount]
-                else {}
-            ),
-        )
+        named = scenario.__code__.co_varnames[: scenario.__code__.co_argcount]
+        more = {"server": server} if "server" in named else {}
+        result = scenario(**task["arguments"], **more)
     print(json.dumps(result))
+
+
+def _fork(task) -> int:
+    """Exit status of a scenario in a copy of this process; nothing of it is left behind."""
+    child = os.fork()
+    if not child:
+        status = 1
+        try:
+            _say_to(os.open(task["said"], os.O_WRONLY | os.O_APPEND))
+            _play(task)
+            status = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+    _, status = os.waitpid(child, 0)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)
+    return os.waitstatus_to_exitcode(status)
+
+
+def main() -> None:
+    from servogym.envs.plants.catalogue import ethercat_line
+
+    sys.path.insert(0, str(HERE))
+    _, machines = ethercat_line(["kollmorgen_akd"], "linear")
+    machines[0].step()  # its code is loaded
+    for line in sys.stdin:
+        print(_fork(json.loads(line)), flush=True)
 
 
 if __name__ == "__main__":

@@ -4,20 +4,19 @@ import json
 
 import numpy as np
 import pytest
-
-pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
-
 from gymnasium.vector import AutoresetMode
+from later import Later, only_with
 
 from servogym.envs.registry import task
 from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training import cli
 from servogym.training.evaluate import compare
-from servogym.training.learn import sb3
-from servogym.training.learn.train import train
 from servogym.training.policies import make
 from servogym.training.policies.residual import ResidualVectorEnv, corrected
 
+sb3 = Later("servogym.training.learn.sb3")
+train = Later("servogym.training.learn.train", "train")
+pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 ID = "LinearAxisTracking-v0"
 BOUNDS = [0.05, 0.02]
 SMALL = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}

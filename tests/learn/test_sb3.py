@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from later import Later, only_with
 
 import servogym.envs
 from servogym.drive.kernel.words import Mode
@@ -10,15 +11,15 @@ from servogym.drive.model.model import load, model_names
 from servogym.envs.registry import task
 from servogym.envs.vector_env import ServoVectorEnv
 
-pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
-
-from stable_baselines3 import PPO
-from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
-
-from servogym.training.learn import sb3
+PPO = Later("stable_baselines3", "PPO")
+check_env = Later("stable_baselines3.common.env_checker", "check_env")
+evaluate_policy = Later("stable_baselines3.common.evaluation", "evaluate_policy")
+Monitor = Later("stable_baselines3.common.monitor", "Monitor")
+DummyVecEnv = Later("stable_baselines3.common.vec_env", "DummyVecEnv")
+VecMonitor = Later("stable_baselines3.common.vec_env", "VecMonitor")
+VecNormalize = Later("stable_baselines3.common.vec_env", "VecNormalize")
+sb3 = Later("servogym.training.learn.sb3")
+pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 
 ID = "LinearAxis-v0"
 TASKS = servogym.envs.TASKS

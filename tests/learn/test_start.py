@@ -3,13 +3,13 @@
 import json
 
 import pytest
-
-pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
+from later import Later, only_with
 
 from servogym.training import cli
-from servogym.training.learn.train import train
 from servogym.training.policies import weights
 
+train = Later("servogym.training.learn.train", "train")
+pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 ID = "LinearAxisTracking-v0"
 SMALL = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}
 SHORT = {"max_episode_steps": 10, "history": 2}

@@ -16,22 +16,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
-
+from later import Later, only_with
 from rich.console import Console
-from stable_baselines3.common.callbacks import EvalCallback
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from servogym.envs import TASKS
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
-from servogym.training.bench import train as train_bench
-from servogym.training.learn import checkpoint, hyperparameters, sb3, state
-from servogym.training.learn.evaluation import HoldStill, score
-from servogym.training.learn.train import ALGORITHMS, train
+from servogym.training.learn import hyperparameters
 from servogym.training.policies import make, saved, weights
+
+EvalCallback = Later("stable_baselines3.common.callbacks", "EvalCallback")
+VecMonitor = Later("stable_baselines3.common.vec_env", "VecMonitor")
+VecNormalize = Later("stable_baselines3.common.vec_env", "VecNormalize")
+train_bench = Later("servogym.training.bench.train")
+checkpoint = Later("servogym.training.learn.checkpoint")
+sb3 = Later("servogym.training.learn.sb3")
+state = Later("servogym.training.learn.state")
+HoldStill = Later("servogym.training.learn.evaluation", "HoldStill")
+score = Later("servogym.training.learn.evaluation", "score")
+ALGORITHMS = Later("servogym.training.learn.train", "ALGORITHMS")
+train = Later("servogym.training.learn.train", "train")
+pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 
 ID = "LinearAxis-v0"
 SHORT = {"max_episode_steps": 10}
@@ -299,7 +305,7 @@ def resume_with_another(package, made, monkeypatch, capsys):
     return status, f"made with {package} {then}, this is 99.1" in said
 
 
-@pytest.mark.parametrize("package", checkpoint.DECIDING)
+@pytest.mark.parametrize("package", ["servogym", "mujoco"])
 def test_another_version_of_the_environment_is_refused_naming_both(
     package, made, monkeypatch, capsys
 ):

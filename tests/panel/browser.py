@@ -10,14 +10,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from later import Later, only_with
 from PIL import Image
 
-pytest.importorskip("nicegui", reason="the panel needs servogym[panel]")
-sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright here")
+sync_api = Later("playwright.sync_api")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
-expect = sync_api.expect
-expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
+needs_chromium = [
+    only_with("nicegui", "playwright", reason="needs servogym[panel] and playwright"),
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium here"),
+]
+expect = Later("playwright.sync_api", "expect")
 
 # pages are drawn without a GPU at a tenth of the work; WebGL alone is emulated
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
@@ -69,6 +71,7 @@ class Server:
 
 def chromium(playwright):
     """A browser."""
+    expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
     return playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
 
 

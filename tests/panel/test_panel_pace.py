@@ -34,7 +34,7 @@ from browser import (
     typed,
 )  # fmt: skip
 
-pytestmark = [needs_chromium, pytest.mark.slow]
+pytestmark = [*needs_chromium, pytest.mark.slow]
 TIME = 30.0  # s that are measured
 PAGES = ("state", "motion", "scope", "machine", "loops", "experiments", "objects", "lessons")
 

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("stable_baselines3")
-
-import stable_baselines3
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecNormalize
+from later import Later, only_with
 
 from servogym.envs.tasks.compliant import CompliantAxisEnv
-from servogym.training.learn import checkpoint, sb3
 from servogym.training.policies import SHIPPED, weights
 from servogym.training.policies.learned import Learned
 
+stable_baselines3 = Later("stable_baselines3")
+PPO = Later("stable_baselines3", "PPO")
+VecNormalize = Later("stable_baselines3.common.vec_env", "VecNormalize")
+checkpoint = Later("servogym.training.learn.checkpoint")
+sb3 = Later("servogym.training.learn.sb3")
+pytestmark = only_with("stable_baselines3")
 FOLDERS = sorted(SHIPPED.glob("*/seed_*"))
 GOLDEN = Path(__file__).parent / "learned_actions.npz"  # as played from SB3's own files
 ABOUT = {

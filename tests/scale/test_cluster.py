@@ -6,6 +6,7 @@ import time
 
 import deeds
 import pytest
+from later import Later, only_with
 
 from servogym.training import cli
 from servogym.training.evaluate.compare import evaluate
@@ -13,7 +14,8 @@ from servogym.training.scale import cluster, job
 from servogym.training.scale.job import Job, encoded
 from servogym.training.scale.work import ALONE, Work
 
-ray = pytest.importorskip("ray", reason="pip install 'servogym[ray]'")
+ray = Later("ray")
+pytestmark = only_with("ray", reason="pip install 'servogym[ray]'")
 
 
 @pytest.fixture(scope="module")
