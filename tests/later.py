@@ -12,8 +12,15 @@ import pytest
 class Later:
     """A module, or something in it: ``PPO = Later("stable_baselines3", "PPO")``."""
 
+    __slots__ = ("_module", "_name")
+
     def __init__(self, module, name=None):
-        self.__dict__.update(_module=module, _name=name)
+        object.__setattr__(self, "_module", module)
+        object.__setattr__(self, "_name", name)
+
+    @property
+    def __dict__(self):  # where monkeypatch looks for what it replaces
+        return vars(self._found())
 
     def _found(self):
         module = importlib.import_module(self._module)

@@ -23,8 +23,16 @@ from servogym.training.evaluate import compare
 from servogym.training.evaluate.episodes import FIRST_SEED, Evaluator
 from servogym.training.evaluate.homing import repeatability
 from servogym.training.evaluate.metrics import METRICS, iqm
+from servogym.training.pictures import episode as pictured
 from servogym.training.policies import make
 from servogym.training.report import number
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Without the pictures of a comparison, where numbers are asked for."""
+    monkeypatch.setattr(compare, "draw", lambda *_: None)
+    monkeypatch.setattr(pictured, "draw", lambda *_: None)
 
 
 def test_the_evaluation_is_what_the_environments_say_one_by_one():
@@ -299,11 +307,11 @@ def _rows(path):
     return list(csv.DictReader(line for line in lines if not line.startswith("#")))
 
 
-def test_the_committed_table_is_reproduced_bit_for_bit(tmp_path):
+def test_the_committed_table_is_reproduced_bit_for_bit(tmp_path, undrawn):
     """The columns that need no learned policy, on the versions it was made with."""
     page = resources.files("servogym.assets") / "policies" / "CompliantAxis-v0" / "compare.md"
     committed = page.read_text(encoding="utf-8")
-    arguments = ["--policies", "hold,ruckig,ruckig+zvd", "--out", str(tmp_path)]
+    arguments = ["--policies", "hold,ruckig+zvd", "--out", str(tmp_path)]
     assert cli.main(["compare", "CompliantAxis-v0", *arguments]) == 0
     again = (tmp_path / "compare.md").read_text(encoding="utf-8")
     if committed.splitlines()[-1] != again.splitlines()[-1]:

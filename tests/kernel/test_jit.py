@@ -204,10 +204,10 @@ def test_the_digest_is_the_same_in_every_process(tmp_path):
     )
     folder = write(tmp_path, [strings])
     prefix = {"PYTHONPYCACHEPREFIX": str(tmp_path / "empty"), "PYTHONDONTWRITEBYTECODE": "1"}
-    runs = [{"PYTHONHASHSEED": "1"}, {"PYTHONHASHSEED": "2"}, {"PYTHONHASHSEED": "3"} | prefix]
+    runs = [{"PYTHONHASHSEED": "1"}, {"PYTHONHASHSEED": "2"} | prefix]
     processes = [python(DIGEST, folder, **run) for run in runs]
     answers = [process.communicate(timeout=120) for process in processes]
-    assert [error for _, error in answers] == [""] * 3
+    assert [error for _, error in answers] == [""] * 2
     assert len({out for out, _ in answers}) == 1
     assert len(set(answers[0][0].split("\n"))) == 4
 
@@ -232,7 +232,7 @@ def test_of_two_processes_with_a_cold_cache_one_compiles(tmp_path):
             process.stdin.write("\n")
             process.stdin.flush()
         with pytest.raises(subprocess.TimeoutExpired):  # both wait
-            processes[0].wait(3)
+            processes[0].wait(1)
         assert processes[1].poll() is None
         assert not list(cache.glob("*.nb*"))
     answers = [process.communicate(timeout=120) for process in processes]

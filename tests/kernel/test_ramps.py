@@ -527,7 +527,7 @@ def test_a_short_sine_move_is_two_whole_waves():
     assert travelled(axis, time)[:, 1].max() == pytest.approx(top, rel=1e-3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.floats(-30, 30), st.floats(-20, 20), st.floats(-80, 80), st.floats(1, 30),
     st.floats(20, 200), st.floats(20, 200), st.floats(0, 20),

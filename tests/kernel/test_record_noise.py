@@ -78,7 +78,7 @@ def run(seeds, *models):
 
 
 def test_noise_in_a_record_ends_no_process():
-    run(80, *model_names())  # of each kind of noise ten
+    run(40, *model_names())  # of each kind of noise five
 
 
 @pytest.mark.slow

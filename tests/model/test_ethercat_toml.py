@@ -81,7 +81,7 @@ def test_damaged_files_are_read_or_refused_in_words(folder):
     text = path.read_text(encoding="utf-8")
     generator = random.Random(17)
     refusals = []
-    for n in range(150):
+    for n in range(60):
         at = generator.randrange(len(text))
         path.write_text(
             text[:at] + generator.choice('0x"[]{}=,9-\n ') + text[at + generator.randrange(3) :],
@@ -95,7 +95,7 @@ def test_damaged_files_are_read_or_refused_in_words(folder):
             refusals.append(str(error))
         finally:
             shutil.rmtree(other, ignore_errors=True)
-    assert len(refusals) > 50
+    assert len(refusals) > 20
     assert all(refusals)
 
 

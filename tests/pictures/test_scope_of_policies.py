@@ -111,13 +111,19 @@ def test_a_limit_that_sinks_is_drawn_where_it_is():
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
 def test_every_task_has_its_picture(task, tmp_path):
-    name = "plc" if task is CommissioningEnv else "random"
-    arguments = ["eval", task.ID, "--policy", name, "--episodes", "2", "--trace", "1"]
-    assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
-    with Image.open(tmp_path / "eval_trace.png") as image:
-        assert image.height > 130 * len(task().channels())
+    evaluator = Evaluator(task.ID, episodes=1)
+    one = evaluator.run("plc" if task is CommissioningEnv else "random").trace
+    trace.draw(tmp_path / "trace.png", task.ID, [one])
+    with Image.open(tmp_path / "trace.png") as image:
+        assert image.height > 130 * len(evaluator.vector.envs[0].channels())
         assert len(image.getcolors()) > 20
     assert task.CHANNELS is not ServoEnv.CHANNELS
+
+
+def test_the_episode_asked_for_is_drawn(tmp_path, capsys):
+    arguments = ["eval", "LinearAxis-v0", "--policy", "random", "--episodes", "2", "--trace", "1"]
+    assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "eval_trace.png").is_file()
     assert "--trace 1\n" in (tmp_path / "eval.md").read_text(encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ the file says::
 import argparse
 import pickle
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -235,12 +235,12 @@ def _write(folder: Path, network, shape: tuple[int, int], statistics) -> None:
     )  # fmt: skip
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """The command; -> exit status."""
     parser = argparse.ArgumentParser(description="weights.npz of older checkpoints")
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--unpickle", action="store_true", help="you trust who made the folders")
-    asked = parser.parse_args()
+    asked = parser.parse_args(arguments)
     if not asked.unpickle:
         parser.error(
             f"{MODEL} and {STATISTICS} are pickles, which can run any program when they are read: "
