@@ -75,7 +75,7 @@ def loops(machine, names, gains=None):
 
 def smallest(loop):
     """-> gain margin (dB), phase margin (degree), whether the closed loop is stable."""
-    poles = np.abs(np.linalg.eigvals(control.feedback(loop, 1).A))
+    poles = np.abs(np.linalg.eigvals(control().feedback(loop, 1).A))
     z = np.exp(1j * np.geomspace(0.3 * loop.dt, np.pi, 6_000))[:, None, None]
     value = (loop.C @ np.linalg.solve(z * np.eye(len(loop.A)) - loop.A, loop.B) + loop.D)[:, 0, 0]
     phase = np.unwrap(np.angle(value)) / np.pi
