@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -21,43 +22,56 @@ def peek(dtype: np.dtype, address: int, n: int) -> np.ndarray:
     return np.frombuffer(memory, accessible(dtype) if dtype.names else dtype)
 
 
-def viewer(dtype: np.dtype) -> Callable[[int, int], np.ndarray]:
-    """A function ``(address, n)`` that gives the `n` elements at an address, shape ``(n,)``.
+def viewer(dtype: np.dtype, dimensions: int = 1) -> Callable[..., np.ndarray]:
+    """A function ``(address, *shape)`` that gives the elements at an address as an array.
 
     The caller keeps what lies there alive.
     """
     if DISABLED:
-        return functools.partial(peek, dtype)
-    kind = types.Array(numba.from_dtype(dtype), 1, "C")
+        return functools.partial(_peeked, dtype)
+    kind = types.Array(numba.from_dtype(dtype), dimensions, "C")
 
     @intrinsic
-    def view(context, address, n):
+    def one(context, address, n):
         return kind(types.intp, types.intp), array_at
 
-    compiled: Any = view
+    @intrinsic
+    def two(context, address, n, m):
+        return kind(types.intp, types.intp, types.intp), array_at
+
+    compiled: Any = two if dimensions == 2 else one
     return compiled
 
 
+def _peeked(dtype: np.dtype, address: int, *shape: int) -> np.ndarray:
+    return peek(dtype, address, math.prod(shape)).reshape(shape)
+
+
 def array_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Code for the array that begins at the first of the arguments, as long as the second says.
+    """Code for the array that begins at the first of the arguments and has the shape of the others.
 
     It asks nothing of Numba but the context, so that it serves a GPU as well.
     """
-    place, n = arguments
+    place, *shape = arguments
     array = context.make_array(signature.return_type)(context, builder)
     array.data = builder.inttoptr(place, array.data.type)
     size = context.get_abi_sizeof(context.get_data_type(signature.return_type.dtype))
-    itemsize = n.type(size)
-    array.nitems, array.itemsize = n, itemsize
-    array.shape, array.strides = _tuple(builder, n), _tuple(builder, itemsize)
+    array.itemsize = place.type(size)
+    strides, array.nitems = [array.itemsize], shape[-1]
+    for n in reversed(shape[:-1]):
+        strides.insert(0, builder.mul(array.nitems, array.itemsize))
+        array.nitems = builder.mul(n, array.nitems)
+    array.shape, array.strides = _tuple(builder, shape), _tuple(builder, strides)
     array.meminfo, array.parent = (part.type(None) for part in (array.meminfo, array.parent))
     return array._getvalue()
 
 
-def _tuple(builder: Any, value: Any) -> Any:
-    """Of one number, as shape and strides are."""
-    kind = ir.ArrayType(value.type, 1)
-    return builder.insert_value(ir.Constant(kind, ir.Undefined), value, 0)
+def _tuple(builder: Any, values: list) -> Any:
+    """As shape and strides are."""
+    made = ir.Constant(ir.ArrayType(values[0].type, len(values)), ir.Undefined)
+    for i, value in enumerate(values):
+        made = builder.insert_value(made, value, i)
+    return made
 
 
 def address(array: np.ndarray) -> int:

@@ -186,19 +186,19 @@ class Batch:
             self.task.act(part.worlds, part.episodes, part.commands, part.rpdos)
             if len(self.modes):
                 control(part.worlds, part.controls, self.modes, part.rpdos)
-            before = self._torque(part) if any(self.prices) else None
+            before = self.torque(part) if any(self.prices) else None
             self._exchange(part)
             self._judge(part)
             if before is not None:
-                self._charge(part, before)
+                self.charge(part, before)
 
-    def _torque(self, part: Part) -> np.ndarray:
+    def torque(self, part: Part) -> np.ndarray:
         """Of each drive, as a share of the rated one, shape ``(n, drives)``, a copy."""
         return 1e-3 * np.asarray(part.tpdos[TORQUE], float)
 
-    def _charge(self, part: Part, before: np.ndarray) -> None:
+    def charge(self, part: Part, before: np.ndarray) -> None:
         """Take torque and jerk off the rewards of the rows that have stepped."""
-        torque = self._torque(part)
+        torque = self.torque(part)
         terms = (torque**2).mean(axis=1), ((torque - before) ** 2).mean(axis=1)
         cost = sum(price * term for price, term in zip(self.prices, terms, strict=True))
         part.episodes["reward"] -= np.where(part.worlds != 0, cost, 0.0)

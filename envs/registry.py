@@ -15,8 +15,8 @@ from gymnasium.envs.registration import load_env_creator
 
 from ..drive.model.near import near
 from .checks import told
+from .device_env import vectors
 from .servo_env import ServoEnv
-from .vector_env import ServoVectorEnv
 
 NAMESPACE = "servogym/"
 
@@ -26,7 +26,7 @@ def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = Non
 
     Args:
         task: the class.
-        vector: entry point of its vector environments; a `ServoVectorEnv` if not given.
+        vector: entry point of its vector environments; `device_env.vectors` if not given.
 
     Raises:
         ValueError: it has no ID, or one Gymnasium does not take.
@@ -38,7 +38,7 @@ def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = Non
         gymnasium.register(
             identity,
             entry_point=f"{task.__module__}:{task.__name__}",
-            vector_entry_point=vector or partial(ServoVectorEnv, task),
+            vector_entry_point=vector or partial(vectors, task),
             max_episode_steps=task.STEPS,
         )
     except gymnasium.error.Error as error:

@@ -115,7 +115,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             self._restart(i, options)
         if (self._steps < 0).any():
             raise ValueError("options['reset_mask']: the first reset has to be one of all")
-        return self._batch.observed(slice(None)), self._infos()
+        return self._observed(), self._infos()
+
+    def _observed(self) -> np.ndarray:
+        """What all see, a copy."""
+        return self._batch.observed(slice(None))
 
     def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
         self.envs[i].restart(options)
@@ -172,14 +176,14 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         elif self.autoreset_mode == AutoresetMode.SAME_STEP:
             anew = self._ended.copy()
             if anew.any():
-                infos = {"final_obs": batch.observed(slice(None)), "_final_obs": anew,
+                infos = {"final_obs": self._observed(), "_final_obs": anew,
                          "final_info": self._infos(), "_final_info": anew}  # fmt: skip
         else:
             self._ended |= resting
         for i in np.flatnonzero(anew).tolist():
             self._restart(i)
         infos |= self._infos()
-        return batch.observed(slice(None)), rewards, terminations, truncations, infos
+        return self._observed(), rewards, terminations, truncations, infos
 
     def _run(self, moving: np.ndarray) -> None:
         for i, env in enumerate(self.envs):

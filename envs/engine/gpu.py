@@ -12,10 +12,12 @@ from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
 
+from ...drive.memory import integers_at, viewer
 from . import arrays, friction, parts, tick
 from .parts import PARTS
 
@@ -27,11 +29,12 @@ HOPPER = (9, 0)  # compute capability of an H100 or H200
 THREADS = 64  # of a block; a drive takes many registers (inferred, not measured)
 
 
-def ptx(part: str, capability: tuple[int, int] = HOPPER) -> str:
-    """Code of one of `PARTS` for GPUs of a compute capability, of which there need not be one here.
+def ptx(kernel: "Kernel", capability: tuple[int, int] = HOPPER) -> str:
+    """Code of a kernel for GPUs of a compute capability, of which there need not be one here.
 
-    A kernel called with the address of the first machine's row on the device, the bytes from one
-    to the next, and how many they are: a thread a machine.
+    Args:
+        kernel: of a part of a step, `of_part`, or of a task, `of_task`.
+        capability: of the GPUs.
 
     Raises:
         ImportError: numba-cuda or its compiler is not installed.
@@ -39,38 +42,99 @@ def ptx(part: str, capability: tuple[int, int] = HOPPER) -> str:
     cuda = _cuda()
     with _compiling_for(capability):
         text, _ = cuda.compile(
-            _kernel(cuda, PARTS[part]), (types.int64,) * 3, device=False, abi="numba", cc=capability
-        )
+            kernel.make(cuda), (types.int64,) * kernel.arguments,
+            device=False, abi="numba", cc=capability,
+        )  # fmt: skip
     return text
 
 
-def launcher(wp: Any, device: Any, first: int, stride: int, n: int) -> Callable[[str], None]:
-    """A function that runs a part on all machines of a device, in the stream that warp uses.
+class Kernel(NamedTuple):
+    """What a GPU is to do, a thread a machine: the function is made once numba-cuda is there."""
+
+    make: Callable[[Any], Any]
+    arguments: int  # whole numbers, the last is how many machines there are
+
+
+def of_part(name: str) -> Kernel:
+    """One of `PARTS`: the address of the first machine, the bytes to the next, how many."""
+    part = PARTS[name]
+
+    def make(cuda: Any) -> Any:
+        def kernel(first, stride, n):
+            i = cuda.grid(1)
+            if i < n:
+                part(first + i * stride)
+
+        return kernel
+
+    return Kernel(make, 3)
+
+
+def of_act(act: Any, episode: np.dtype, command: np.dtype, rpdo: np.dtype, drives: int) -> Kernel:
+    """``act`` of a task.
+
+    Called with addresses, of the numbers that are the addresses of the machines, of their episodes,
+    commands and RPDO images, and how many machines there are.
+    """
+    episodes_at, commands_at, images_at = viewer(episode), viewer(command), viewer(rpdo, 2)
+    a, b, c = episode.itemsize, command.itemsize, rpdo.itemsize * drives
+
+    def make(cuda: Any) -> Any:
+        def kernel(worlds, episodes, commands, rpdos, n):
+            i = cuda.grid(1)
+            if i < n:
+                act(
+                    integers_at(worlds + 8 * i, 1), episodes_at(episodes + a * i, 1),
+                    commands_at(commands + b * i, 1), images_at(rpdos + c * i, 1, drives),
+                )  # fmt: skip
+
+        return kernel
+
+    return Kernel(make, 5)
+
+
+def of_judge(
+    judge: Any, episode: np.dtype, rpdo: np.dtype, tpdo: np.dtype, drives: int, seen: np.dtype
+) -> Kernel:
+    """``judge`` of a task, called as `of_act`: machines, episodes, RPDO and TPDO images, seen."""
+    episodes_at, seen_at = viewer(episode), viewer(seen)
+    rpdos_at, tpdos_at = viewer(rpdo, 2), viewer(tpdo, 2)
+    a, b, c, d = episode.itemsize, rpdo.itemsize * drives, tpdo.itemsize * drives, seen.itemsize
+
+    def make(cuda: Any) -> Any:
+        def kernel(worlds, episodes, rpdos, tpdos, observations, n):
+            i = cuda.grid(1)
+            if i < n:
+                judge(
+                    integers_at(worlds + 8 * i, 1), episodes_at(episodes + a * i, 1),
+                    rpdos_at(rpdos + b * i, 1, drives), tpdos_at(tpdos + c * i, 1, drives),
+                    seen_at(observations + d * i, 1),
+                )  # fmt: skip
+
+        return kernel
+
+    return Kernel(make, 6)
+
+
+def launcher(wp: Any, device: Any, kernel: Kernel, n: int) -> Callable[..., None]:
+    """A function that runs a kernel on `n` machines of a device, in the stream that warp uses.
 
     Args:
         wp: warp.
         device: of warp, with CUDA.
-        first, stride, n: as for the kernels.
+        kernel: what is run.
+        n: machines.
     """
     cuda = _cuda()
     cuda.select_device(device.ordinal)  # its primary context, as warp's
-    kernels = {name: cuda.jit(_kernel(cuda, part)) for name, part in PARTS.items()}
+    compiled = cuda.jit(kernel.make(cuda))
     blocks = -(-n // THREADS)
 
-    def launch(part: str) -> None:
+    def launch(*addresses: int) -> None:
         stream = cuda.external_stream(wp.get_stream(device).cuda_stream)
-        kernels[part][blocks, THREADS, stream](first, stride, n)
+        compiled[blocks, THREADS, stream](*addresses, n)
 
     return launch
-
-
-def _kernel(cuda: Any, part: Callable[..., None]) -> Any:
-    def kernel(first, stride, n):
-        i = cuda.grid(1)
-        if i < n:
-            part(first + i * stride)
-
-    return kernel
 
 
 @cache

@@ -18,9 +18,10 @@ from . import friction, tick
 from .arrays import positions, reals_at, velocities
 from .probe import begin_step
 from .tick import axes_at, coordinates, copy, couplings_at, mechanics_at, speeds
-from .world import SINGLE
+from .world import MOVE, SINGLE
 
 single_at = viewer(SINGLE)
+moves_at = viewer(MOVE)
 
 
 @block
@@ -32,6 +33,16 @@ def _present(world):
 def controls(world):
     """Torques of the drives, and controls of other actuators (ctrl)."""
     return reals_at(world, world.ctrl, world.nu)
+
+
+@block
+def _move(moves, count, source, target):
+    """Bytes of one record to those of another; a GPU reads no numbers that are not aligned."""
+    for move in moves_at(moves, count):
+        old, new = (
+            bytes_at(source + move.source, move.bytes), bytes_at(target + move.target, move.bytes)
+        )  # fmt: skip
+        copy(old, new)
 
 
 @block
@@ -47,6 +58,7 @@ def begin(address):
         copy(floats_at(world.kept_ctrl, world.nu), controls(world))
     world.latch_at = -1
     if _present(world) and world.rpdo_bytes > 0:
+        _move(world.rpdo_moves, world.rpdo_move_count, world.rpdo_record, world.rpdo)
         axes = axes_at(world.axes, world.drives)
         begin_step(world, axes, couplings_at(world.couplings, world.drives))
         world.latch_at = min(max(world.delay, 0), world.ticks)
@@ -122,6 +134,7 @@ def end(address):
         _latch(world, axes_at(world.axes, world.drives))
     if world.tpdo_bytes > 0:
         tick.collect_image(world, bytes_at(world.tpdo, world.tpdo_bytes))
+        _move(world.tpdo_moves, world.tpdo_move_count, world.tpdo, world.tpdo_record)
 
 
 def _over_all(part: Callable[..., None]) -> Any:

@@ -72,12 +72,13 @@ WORLD = np.dtype(
     align=True,
 )
 
-# A machine whose physics is one of many in single precision on a device (`worlds`).
+# A machine whose physics is one of many in single precision on a device (`worlds`). A task reads it
+# as a WORLD; the first names differ, or Numba took what is compiled for a WORLD for it.
 SINGLE = np.dtype(
     [
-        *WORLD.descr,
         ("present", "i8"),  # address of a number that is 0 while it is left out
         ("arrived", "i8"),  # its state comes from elsewhere, the physics has still to take it over
+        *WORLD.descr[2:],  # there are no MjModel and MjData
         ("moves", "i8"),  # its physics is sound, and part of this physics step
         ("kept_warmstart", "i8"),  # addresses of what it brings along, beside `qpos` and `qvel`
         ("kept_ctrl", "i8"),
@@ -88,9 +89,18 @@ SINGLE = np.dtype(
         ("rpdo_bytes", "i8"),
         ("tpdo", "i8"),
         ("tpdo_bytes", "i8"),
+        ("rpdo_record", "i8"),  # addresses of the same as aligned records, for the task, and of
+        ("rpdo_moves", "i8"),  # what goes where, and how many these are
+        ("rpdo_move_count", "i8"),
+        ("tpdo_record", "i8"),
+        ("tpdo_moves", "i8"),
+        ("tpdo_move_count", "i8"),
     ],
     align=True,
 )
+
+# Some bytes of a record that go to another place of another.
+MOVE = np.dtype([("source", "i8"), ("target", "i8"), ("bytes", "i8")])
 
 # Where the PDOs of a drive lie, and how many they are.
 PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_count", "i8")])

@@ -11,8 +11,8 @@ A machine is set up, homed and reset as ever, alone on the CPU; `put` brings it 
 
 import copy
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,20 +22,57 @@ from ...drive.kernel.record import AXIS
 from . import loop, parts
 from .machine import VARIABLE, Machine
 from .mechanics import CARRIAGE, MECHANICS, PLACES
-from .world import COUPLING, PDOS, SINGLE
+from .world import COUPLING, MOVE, PDOS, SINGLE
 
 ALIGNED = 8  # bytes
+
+
+class Images(NamedTuple):
+    """Process images of a machine: of each direction the record of one drive, and of how many."""
+
+    rpdo: tuple[np.dtype, int]
+    tpdo: tuple[np.dtype, int]
+
+
+NO_IMAGES = Images((np.dtype([]), 0), (np.dtype([]), 0))
+
+
+def aligned(record: np.dtype) -> np.dtype:
+    """The same fields, each at a multiple of its size."""
+    return np.dtype([(name, record[name]) for name in record.names or ()], align=True)
+
+
+def _offset(record: np.dtype, name: str) -> int:
+    return record.fields[name][1]  # type: ignore[index]
+
+
+class _Table:
+    """Images of all machines, as bytes and as records, and how the bytes get from one to other."""
+
+    def __init__(self, memory: Callable[[Any], Any], record: np.dtype, drives: int, n: int):
+        even = aligned(record)
+        self.packed, self.aligned = record.itemsize * drives, even.itemsize * drives
+        self.images, self.records = memory(n * self.packed), memory(n * self.aligned)
+        moves = [
+            (_offset(even, name) + i * even.itemsize, _offset(record, name) + i * record.itemsize,
+             record[name].itemsize)
+            for i in range(drives)
+            for name in record.names or ()
+        ]  # fmt: skip
+        self.moves = len(moves)
+        packs = np.array(moves, MOVE)
+        unpacks = np.array([(b, a, size) for a, b, size in moves], MOVE)
+        self.packs, self.unpacks = memory(packs), memory(unpacks)
 
 
 class Worlds:
     """Machines on a device of warp.
 
     Args:
-        machines: of one structure; with `vary` they may differ in `machine.VARIABLE`.
+        machines: of one structure; they may differ in `machine.VARIABLE`.
         device: "cuda", one such as "cuda:1", or "cpu".
         ticks: physics steps of a step of the agent.
-        rpdo_bytes, tpdo_bytes: size of the process images of a machine; 0: there are none.
-        vary: whether masses, stiffnesses and the like are those of each machine.
+        images: process images of a machine; None: there are none.
 
     Raises:
         ImportError: a package of the extra ``servogym[gpu]`` is missing.
@@ -44,7 +81,7 @@ class Worlds:
 
     def __init__(
         self, machines: Sequence[Machine], device: str = "cuda", *, ticks: int = 1,
-        rpdo_bytes: int = 0, tpdo_bytes: int = 0, vary: bool = False,
+        images: "Images | None" = None,
     ):  # fmt: skip
         self._wp, self._mjw = packages()
         self.device = found(self._wp, device)
@@ -53,12 +90,12 @@ class Worlds:
         first, n = self.machines[0], len(self.machines)
         model = _takeable(first.model)
         with self._wp.ScopedDevice(self.device):
-            self._make_physics(model, first, n, vary)
+            self._make_physics(model, first, n)
         self._rows = np.zeros(n, _row(first))
         self._stride = self._rows.dtype.itemsize
         self._memory = self._bytes(n * self._stride)
-        self.rpdos, self.tpdos = self._bytes(n * rpdo_bytes), self._bytes(n * tpdo_bytes)
-        self.rpdo_bytes, self.tpdo_bytes = rpdo_bytes, tpdo_bytes
+        self._images = [_Table(self._bytes, *each, n) for each in images or NO_IMAGES]
+        self.rpdos, self.tpdos = (table.records for table in self._images)
         self.present = self._wp.zeros(n, dtype=self._wp.int64, device=self.device)
         self.addresses = self._memory.ptr + self._stride * np.arange(n)
         for row in range(n):
@@ -68,13 +105,13 @@ class Worlds:
         self.leave_out(np.zeros(n, bool))
         self.put(range(n))
 
-    def _make_physics(self, model: mujoco.MjModel, first: Machine, n: int, vary: bool) -> None:
+    def _make_physics(self, model: mujoco.MjModel, first: Machine, n: int) -> None:
         wp, mjw = self._wp, self._mjw
         kinds = {field.name: field.type for field in dataclasses.fields(mjw.Model)}
         batched = {
             name for name, kind in kinds.items() if getattr(kind, "shape", ("",))[:1] == ("*",)
         }
-        self._varied = [name for name in VARIABLE if name in batched] if vary else []
+        self._varied = [each for each in VARIABLE if each in batched and getattr(model, each).size]
         try:
             self._model = mjw.put_model(model, batch_sizes=dict.fromkeys(self._varied, n))
             self._data = mjw.put_data(model, first.data, nworld=n)
@@ -90,15 +127,24 @@ class Worlds:
             if place == CARRIAGE or joint["guide"] >= 0
         ]
 
-    def _bytes(self, size: int) -> Any:
-        return self._wp.zeros(max(size, 1), dtype=self._wp.uint8, device=self.device)
+    def _bytes(self, what: int | np.ndarray) -> Any:
+        """So many bytes on the device, or those of records."""
+        wp = self._wp
+        if isinstance(what, np.ndarray) and what.size:
+            return wp.array(what.view(np.uint8), dtype=wp.uint8, device=self.device)
+        size = what if isinstance(what, int) else 0
+        return wp.zeros(max(size, 1), dtype=wp.uint8, device=self.device)
 
     def _launcher(self) -> Any:
         first, stride, n = self._memory.ptr, self._stride, len(self.machines)
         if self.device.is_cuda:
             from . import gpu
 
-            return gpu.launcher(self._wp, self.device, first, stride, n)
+            kernels = {
+                name: gpu.launcher(self._wp, self.device, gpu.of_part(name), n)
+                for name in parts.PARTS
+            }
+            return lambda part: kernels[part](first, stride)
         return lambda part: parts.ON_CPU[part](first, stride, n)
 
     def _address(self, row: int) -> None:
@@ -111,7 +157,7 @@ class Worlds:
             ("pdos", "directory"), ("qpos", "qpos"), ("qvel", "qvel"),
             ("kept_warmstart", "warmstart"), ("kept_ctrl", "ctrl"),
         ):  # fmt: skip
-            world[name] = own + self._rows.dtype.fields[field][1]  # type: ignore[index]
+            world[name] = own + _offset(self._rows.dtype, field)
         for name, array in (
             ("mj_qpos", d.qpos), ("mj_qvel", d.qvel), ("ctrl", d.ctrl), ("inertia", d.M),
             ("passive", d.qfrc_passive), ("acceleration", d.qacc), ("warmstart", d.qacc_warmstart),
@@ -121,9 +167,12 @@ class Worlds:
         ):  # fmt: skip
             world[name] = array.ptr + row % array.shape[0] * array.strides[0]
         world["response_row"] = self._responses.strides[0]
-        world["rpdo"] = self.rpdos.ptr + row * self.rpdo_bytes
-        world["tpdo"] = self.tpdos.ptr + row * self.tpdo_bytes
-        world["rpdo_bytes"], world["tpdo_bytes"] = self.rpdo_bytes, self.tpdo_bytes
+        for name, table in zip(("rpdo", "tpdo"), self._images, strict=True):
+            moves = table.packs if name == "rpdo" else table.unpacks
+            world[name] = table.images.ptr + row * table.packed
+            world[f"{name}_bytes"] = table.packed
+            world[f"{name}_record"] = table.records.ptr + row * table.aligned
+            world[f"{name}_moves"], world[f"{name}_move_count"] = moves.ptr, table.moves
         world["ticks"], world["latch_at"] = self.ticks, -1
 
     @property
@@ -175,7 +224,7 @@ class Worlds:
         packed["mechanics"] = machine.mechanics
         packed["qpos"], packed["qvel"] = machine.data.qpos, machine.data.qvel
         packed["warmstart"], packed["ctrl"] = machine.data.qacc_warmstart, machine.data.ctrl
-        at, offset = 0, packed.dtype.fields["pdos"][1]
+        at, offset = 0, _offset(packed.dtype, "pdos")
         for drive, directory in zip(machine.drives.values(), packed["directory"], strict=True):
             for name, pdos in (("rpdo", drive.rpdos), ("tpdo", drive.tpdos)):
                 packed["pdos"][at : at + len(pdos)] = pdos
@@ -183,20 +232,23 @@ class Worlds:
                 directory[f"{name}_count"] = len(pdos)
                 at += len(pdos)
 
-    def fetch(self, rows: Sequence[int]) -> None:
+    def fetch(self, rows: Sequence[int] | np.ndarray) -> None:
         """Bring machines back as they are here, drives and physics, for whoever looks at them."""
         if not len(rows):
             return
-        packed = self._memory.numpy().view(self._rows.dtype)
+        packed, ctrl = self._memory.numpy().view(self._rows.dtype), self.ctrl
+        warmstart = self._data.qacc_warmstart.numpy()
         for row in rows:
             machine, own = self.machines[row], packed[row]
             machine.axes[:], machine.couplings[:] = own["axes"], own["couplings"]
             machine.mechanics[:] = own["mechanics"]
             for name in ("tick", "step_ticks", "limited_ticks"):
                 machine.world[name] = own["world"][name]
-            machine.data.qpos[:], machine.data.qvel[:] = own["qpos"], own["qvel"]
             with machine.turn:
-                mujoco.mj_forward(machine.model, machine.data)
+                data = machine.data
+                data.qpos[:], data.qvel[:], data.ctrl[:] = own["qpos"], own["qvel"], ctrl[row]
+                data.qacc_warmstart[:] = warmstart[row]
+                mujoco.mj_fwdPosition(machine.model, data)
 
     def step(self, steps: int | None = None) -> None:
         """A step of the agent, or any number of physics steps where there are no images."""

@@ -12,6 +12,7 @@ from ...drive.kernel.words import Mode, State
 from ...drive.model.model import DriveModel
 from ..batch import episode
 from ..checks import in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import axes_at, world_at
 from ..faces import PDO, clip, limited
@@ -19,7 +20,6 @@ from ..fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import Channel, goal, in_mm, position, velocity
 from .positioning import STROKE
 
@@ -278,4 +278,4 @@ def _faults(machine: Machine) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-vector = partial(ServoVectorEnv, CommissioningEnv)
+vector = partial(vectors, CommissioningEnv)

@@ -11,13 +11,13 @@ from ...drive.model.model import DriveModel
 from ..about import Sensor
 from ..batch import episode
 from ..checks import in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.linear_axis import LinearAxisParameters, linear_axis
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, Channel, joint
 from ..view.channels import linear_axis as linear_axis_channels
 from .exploration import CALM
@@ -288,4 +288,4 @@ def _possible(parameters: LinearAxisParameters) -> dict[str, tuple[float, float]
     return ranges
 
 
-vector = partial(ServoVectorEnv, CompliantAxisEnv)
+vector = partial(vectors, CompliantAxisEnv)

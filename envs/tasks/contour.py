@@ -11,13 +11,13 @@ from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
 from ..checks import choice, in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import coordinates, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.gantry import AXES, GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, UM, Channel, joint
 
 CONTOURS = ("circle", "square")
@@ -353,4 +353,4 @@ steps × `feed` × step time |
         return {"gripper": np.array([*away, 0.0])}
 
 
-vector = partial(ServoVectorEnv, GantryContourEnv)
+vector = partial(vectors, GantryContourEnv)

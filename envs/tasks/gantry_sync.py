@@ -11,13 +11,13 @@ from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
 from ..checks import in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import coordinates, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.gantry import MAX_SKEW, SPAN, GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, UM, Channel, goal, joint, tolerance
 
 STROKE = 0.8  # m, of X
@@ -299,4 +299,4 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         return {"bridge": np.array([away, 0.0, 0.0])}
 
 
-vector = partial(ServoVectorEnv, GantrySyncEnv)
+vector = partial(vectors, GantrySyncEnv)

@@ -15,6 +15,7 @@ from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
 from ..batch import episode
 from ..checks import choice, in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import HOME, NEGATIVE, POSITIVE, world_at
 from ..faces import PDO, clip, faulted, limited
@@ -24,7 +25,6 @@ from ..masters.port import MachinePort
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, Channel, in_mm, position, tolerance, velocity
 from .exploration import CALM
 from .positioning import STROKE
@@ -426,4 +426,4 @@ the positive one; -1 the negative, 0 none |
         ))  # fmt: skip
 
 
-vector = partial(ServoVectorEnv, HomingEnv)
+vector = partial(vectors, HomingEnv)

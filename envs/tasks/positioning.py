@@ -11,13 +11,13 @@ from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..batch import episode
 from ..checks import choice, in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import linear_axis as linear_axis_channels
 from .rewards import closeness
 
@@ -245,4 +245,4 @@ class LinearAxisEnv(ServoEnv):
         return {"carriage": np.array([away, 0.0, 0.0])}
 
 
-vector = partial(ServoVectorEnv, LinearAxisEnv)
+vector = partial(vectors, LinearAxisEnv)

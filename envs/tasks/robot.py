@@ -14,6 +14,7 @@ from ...drive.model.model import DriveModel
 from ...drive.model.near import named, near
 from ..batch import episode
 from ..checks import in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES, read
 from ..engine.tick import coordinates, world_at
@@ -22,7 +23,6 @@ from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.commissioning import commission_joint
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from . import chain
 from .rewards import closeness, decades
 
@@ -345,4 +345,4 @@ def _drivable(spec: mujoco.MjSpec) -> list[str]:
     return [name for name in joints if acting.count(name) == 1] or joints
 
 
-vector = partial(ServoVectorEnv, RobotEnv)
+vector = partial(vectors, RobotEnv)

@@ -10,12 +10,12 @@ from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
 from ..batch import episode
 from ..checks import in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
 from ..servo_env import ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import Channel
 from .rewards import closeness
 
@@ -223,4 +223,4 @@ class RotaryAxisEnv(ServoEnv):
         return {"mark": MARK * way}
 
 
-vector = partial(ServoVectorEnv, RotaryAxisEnv)
+vector = partial(vectors, RotaryAxisEnv)

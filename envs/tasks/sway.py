@@ -12,13 +12,13 @@ from ...drive.model.model import DriveModel
 from ..about import Sensor
 from ..batch import episode
 from ..checks import in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import coordinates, load_noise, speeds, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
 from ..plants.gantry import GantryParameters, gantry
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, Channel, drives, joint, tolerance
 from .rewards import closeness, decades
 
@@ -350,4 +350,4 @@ class GantrySwayEnv(ServoEnv):
         return {"payload": np.array([*away, *[0.0] * (3 - len(away))])}
 
 
-vector = partial(ServoVectorEnv, GantrySwayEnv)
+vector = partial(vectors, GantrySwayEnv)

@@ -13,6 +13,7 @@ from ...drive.model.model import DriveModel
 from ..about import Metric
 from ..batch import episode
 from ..checks import choice, in_range
+from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.probe import elastic
 from ..engine.tick import coordinates, speeds, world_at
@@ -21,7 +22,6 @@ from ..fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
 from ..servo_env import METRE, ServoEnv
-from ..vector_env import ServoVectorEnv
 from ..view.channels import MM, UM, Channel, in_mm, position, velocity
 from .positioning import MARGIN, STROKE
 from .references import REFERENCES, Limits, make_reference
@@ -304,4 +304,4 @@ class LinearAxisTrackingEnv(ServoEnv):
         return {"carriage": np.array([away, 0.0, 0.0])}
 
 
-vector = partial(ServoVectorEnv, LinearAxisTrackingEnv)
+vector = partial(vectors, LinearAxisTrackingEnv)

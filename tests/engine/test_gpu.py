@@ -1,4 +1,4 @@
-"""All that runs around the physics steps compiles for a GPU, none being there."""
+"""All that runs around the physics steps compiles for a GPU, none being there: drives and tasks."""
 
 import importlib.util
 import re
@@ -6,6 +6,7 @@ import re
 import pytest
 
 from servogym.drive.kernel.record import AXIS
+from servogym.envs import TASKS
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,7 +31,7 @@ pytestmark = [
 def test_each_part_of_a_step_compiles_to_ptx_for_a_gpu(part, lines):
     from servogym.envs.engine import gpu
 
-    text = gpu.ptx(part)
+    text = gpu.ptx(gpu.of_part(part))
     assert re.search(r"^\.target sm_90$", text, re.M)
     assert len(re.findall(r"^\.visible \.entry", text, re.M)) == 1
     assert ".extern" not in text, "all it calls is in it"
@@ -38,3 +39,19 @@ def test_each_part_of_a_step_compiles_to_ptx_for_a_gpu(part, lines):
     if part == "control":
         fields = [int(at) for at in re.findall(r"ld\.[\w.]+\s+\S+ \[%rd\d+\+(\d+)\]", text)]
         assert 0.9 * AXIS.itemsize < max(fields) < AXIS.itemsize, "the record, and nothing beyond"
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
+def test_what_a_task_computes_compiles_to_ptx_for_a_gpu(task):
+    from servogym.envs.engine import gpu
+    from servogym.envs.engine.worlds import aligned
+
+    env = task()
+    rpdo, tpdo = map(aligned, env._images)
+    n = len(env.drives)
+    act = gpu.of_act(env.act, env.EPISODE, env.ACTION, rpdo, n)
+    judge = gpu.of_judge(env.judge, env.EPISODE, rpdo, tpdo, n, env.OBSERVATION)
+    for kernel in (act, judge):
+        text = gpu.ptx(kernel)
+        assert len(re.findall(r"^\.visible \.entry", text, re.M)) == 1
+        assert ".extern" not in text, "all it calls is in it"

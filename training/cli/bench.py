@@ -18,6 +18,10 @@ def add(bench: argparse.ArgumentParser) -> None:
         "--ethercat", action="store_true", help="slave controllers, and pysoem on a veth pair"
     )
     bench.add_argument("--train", action="store_true", help="PPO on our vector and on DummyVecEnv")
+    bench.add_argument(
+        "--gpu", nargs="?", const="cuda", metavar="DEVICE",
+        help="machines on a device of warp: cuda if none is named, cuda:1, cpu",
+    )  # fmt: skip
     bench.add_argument("--json", action="store_true", help="machine-readable")
     bench.set_defaults(run=_bench)
 
@@ -29,6 +33,10 @@ def _bench(options: argparse.Namespace, console: Console) -> int:
         from ..bench import train as train_bench
 
         return train_bench.run(options.drive, options.json, console)
+    if options.gpu:
+        from ..bench import device as device_bench
+
+        return device_bench.run(options.drive, options.gpu, options.json, console)
     if options.can:
         from ..bench import can as can_bench
 
