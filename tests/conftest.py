@@ -1,6 +1,8 @@
 """A drive on an ideal shaft: an inertia without friction, moved by the torque it is given."""
 
+import atexit
 import contextlib
+import gc
 import os
 
 import numpy as np
@@ -116,6 +118,13 @@ def pytest_collection_modifyitems(items):
         for file in dict.fromkeys(known.values())
     }
     items.sort(key=lambda item: first[known[item]])
+
+
+def pytest_collection_finish():
+    """What there is now stays until the end: nobody needs to look through it for garbage."""
+    gc.collect()
+    gc.freeze()
+    atexit.register(gc.unfreeze)  # libraries look then whether all of theirs is gone
 
 
 def pytest_xdist_make_scheduler(config, log):

@@ -62,7 +62,7 @@ def test_actions_are_in_the_space_and_an_episode_does_not_depend_on_the_one_befo
             observation, info = env.reset(seed=4)
             policy.reset(observation, info)
             actions = []
-            for _ in range(30):
+            for _ in range(15):
                 actions.append(policy.act(observation).copy())
                 assert env.action_space.contains(actions[-1]), name
                 observation, *_ = env.step(actions[-1])
