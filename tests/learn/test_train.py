@@ -71,7 +71,7 @@ def made(tmp_path_factory):
 def test_ppo_brings_the_axis_to_its_goal_far_better_than_holding_still(tmp_path):
     coarse = {"policy_kwargs": {"log_std_init": -1.0, "net_arch": [64, 64]}}  # finds the way soon
     policy, still = train(
-        ID, out=tmp_path, steps=40_000, seed=1, evaluate_every=40_000, settings=coarse
+        ID, out=tmp_path, steps=60_000, seed=1, evaluate_every=60_000, settings=coarse
     )
     assert policy.length > 180, "hardly a fault, so short a training as it is"
     assert policy.reward > 2 * still.reward

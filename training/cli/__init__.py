@@ -12,14 +12,14 @@ from typing import NoReturn
 
 from rich.console import Console
 
-COMMANDS = {  # the module of each, which is loaded when it is asked for, and what it does
+COMMANDS = {  # the module of each, loaded when it is asked for (`add_NAME` or `add`), and its help
     "demo": ("demo", "enable, home, move, follow ruckig, quick stop"),
     "bench": ("bench", "cost of the drive beside mj_step, start times"),
     "drives": ("drives", "list the drive models, or tell about one"),
     "node": ("node", "serve drives as CANopen nodes on a bus, in real time"),
     "ethercat": ("ethercat", "serve drives as EtherCAT slaves on a network interface"),
-    "eds": ("eds", "write the EDS or DCF of a drive model (CiA 306)"),
-    "esi": ("esi", "write the EtherCAT device description of a drive model (ESI)"),
+    "eds": ("sheets", "write the EDS or DCF of a drive model (CiA 306)"),
+    "esi": ("sheets", "write the EtherCAT device description of a drive model (ESI)"),
     "decode": ("decode", "print a log of CAN or EtherCAT by meaning"),
     "bode": ("bode", "measure a drive's loops: Bode, margins, inertia"),
     "tune": ("tune", "measure what a drive moves, fit and store its gains"),
@@ -90,7 +90,7 @@ def parser(asked: str | None = None) -> Parser:
         command = commands.add_parser(name, help=what)
         if asked in (None, name):
             of = importlib.import_module(f".{module}", __name__)
-            getattr(of, f"add_{name}", of.add)(command)
+            (getattr(of, f"add_{name}", None) or of.add)(command)
     parser.commands = commands.choices
     return parser
 
