@@ -18,8 +18,9 @@ class Adapter:
     """A bus that refuses frames, goes bus-off or is pulled, and comes back.
 
     What cannot be sent waits and is tried again in its order; what has waited for `PATIENCE` is
-    lost, as in a controller whose transmission is cancelled. The trouble is told once when it
-    begins and once when it is over.
+    lost, as in a controller whose transmission is cancelled. A message is tried at once where none
+    waits, so a busy machine loses none. The trouble is told once when it begins and once when it is
+    over.
 
     Args:
         bus: the bus; `shutdown` ends it.
@@ -44,11 +45,24 @@ class Adapter:
 
     def send(self, message: can.Message) -> None:
         """Send as soon as the bus takes it."""
+        if not self._waiting and self._takes(message):
+            return
         if len(self._waiting) >= QUEUE:
             self._waiting.popleft()
             self.lost += 1
         self._waiting.append((time.monotonic(), message))
-        self.flush()
+        if len(self._waiting) > 1:
+            self.flush()
+
+    def _takes(self, message: can.Message) -> bool:
+        """Whether the bus takes it now."""
+        try:
+            self.bus.send(message)
+        except TROUBLE as error:
+            self._failed(error)
+            return False
+        self._works()
+        return True
 
     def flush(self) -> None:
         """Try to send what waits."""
@@ -57,14 +71,10 @@ class Adapter:
             if time.monotonic() - since > PATIENCE:
                 self._waiting.popleft()
                 self.lost += 1
-                continue
-            try:
-                self.bus.send(message)
-            except TROUBLE as error:
-                self._failed(error)
+            elif self._takes(message):
+                self._waiting.popleft()
+            else:
                 return
-            self._waiting.popleft()
-            self._works()
 
     def receive(self, timeout: float) -> can.Message | None:
         """The next message, None after `timeout` (s)."""

@@ -101,6 +101,17 @@ def test_what_waits_too_long_or_is_too_much_is_lost_and_counted(clock):
     assert adapter.lost == 10 + adapters.QUEUE
 
 
+def test_a_busy_machine_loses_no_message_of_a_bus_that_works(clock, monkeypatch):
+    """It may stand still for longer than a message waits, between any two lines."""
+    bus, looks = Bad(), itertools.count(100.0, 2 * adapters.PATIENCE)
+    monkeypatch.setattr(clock, "monotonic", lambda: next(looks))
+    adapter = Adapter(bus)
+    for n in range(3):
+        adapter.send(message(n))
+    assert bus.sent == ["181#00", "182#00", "183#00"]
+    assert adapter.lost == 0
+
+
 def test_an_adapter_that_was_pulled_is_opened_anew_when_it_is_back(clock):
     pulled, found, told, tries = Bad(TROUBLE[2]), Bad(), [], []
 
