@@ -29,8 +29,22 @@ MESSAGES = 50
 HERE = ":"  # between an axis and its channel, where there are several axes
 
 
+ENDED = "ended by another command"
+BUTTONS = {"enable()": "Enable", "reset_fault()": "Reset fault", "home()": "Home"}
+
+
 class Interrupted(Exception):
     """A motion was ended by another command."""
+
+
+def _words(error: Exception) -> str:
+    """What went wrong and what to do, for who sees the drive's words beside it."""
+    if not isinstance(error, ServoError):
+        return str(error)
+    said = "; ".join(filter(None, (error.received, error.next_step))) or str(error)
+    for call, button in BUTTONS.items():
+        said = said.replace(call, button)
+    return said
 
 
 class Agent(Protocol):
@@ -213,9 +227,9 @@ class Bench:
         try:
             motion()
         except Interrupted:
-            return f"{what}: ended by another command"
+            return f"{what}: {ENDED}"
         except (ServoError, SdoAbort) as error:
-            return self._failed(what, str(error))
+            return self._failed(what, _words(error))
         finally:
             self.doing = ""
         self.tell("done", what)

@@ -77,8 +77,8 @@ def _rotary_axis(model: mujoco.MjModel) -> Iterator[Part]:
                tuple(map(float, model.mat("table").rgba)))  # type: ignore[arg-type]  # fmt: skip
     yield Part(table, CYLINDER, (0.055, 0.006, 0.0), (0.0, 0.0, thick + 0.004), STEEL)
     yield Part(table, CYLINDER, (0.02, 0.007, 0.0), (0.0, 0.0, thick + 0.006), DARK)
-    for degree in range(0, 360, 5):
-        long = 0.013 if degree % 30 == 0 else 0.008 if degree % 10 == 0 else 0.005
+    for degree in range(0, 360, 10):
+        long = 0.013 if degree % 30 == 0 else 0.008
         angle = math.radians(degree)
         at = radius - 0.001 - long
         yield Part(

@@ -24,26 +24,13 @@ from browser import (
     parameters,
     picture,
     ready,
+    refused,
     shows,
     sync_api,
     tab,
 )  # fmt: skip
 
 pytestmark = needs_chromium
-TYPE = """(told) => {
-    const value = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value");
-    for (const [name, text] of Object.entries(told)) {
-        const field = document.querySelector(`input[data-test=${name}]`);
-        value.set.call(field, text);
-        field.dispatchEvent(new Event("input", { bubbles: true }));
-        field.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
-    }
-}"""
-REFUSED = """(told) => Object.entries(told).every(([name, text]) => {
-    const field = document.querySelector(`input[data-test=${name}]`).closest(".q-field");
-    const words = field.querySelector(".q-field__messages")?.textContent ?? "";
-    return words.includes(text) && /number|range/.test(words);
-})"""
 
 
 @pytest.fixture(scope="module")
@@ -114,9 +101,7 @@ def test_each_field_refuses_a_text_beside_it_and_nothing_is_sent(page):
     for name in FIELD_PAGES:
         open_page(page, name)
         told = {test: next(texts) for test in fields(page, name)}
-        page.evaluate(TYPE, told)
-        shown = {test: text.strip()[:40] for test, text in told.items()}
-        page.wait_for_function(REFUSED, arg=shown)
+        refused(page, told)
     assert parameters(page) == before
     page.reload()  # fields as they were
 
@@ -167,6 +152,33 @@ def test_jogging_lasts_as_long_as_the_button_is_held(page):
     page.mouse.up()
     expect(at(page, "velocity")).to_have_text(re.compile(r"^−?[01]\.\d+$"))
     shows(page, "state", "operation enabled")
+
+
+def test_jogging_by_keys_ends_where_the_key_is_released_or_the_window_left(page):
+    ready(page)
+    move(page, "250")
+    expect(at(page, "position")).to_have_text(near(250))
+    at(page, "jog-speed").fill("20")
+    at(page, "stop").focus()
+    for window_left in (False, True):
+        at(page, "stop").focus()
+        page.keyboard.down("ArrowRight")
+        expect(at(page, "velocity")).to_have_text(re.compile(r"^(19|2[01])\.\d+$"))
+        if window_left:
+            page.evaluate("window.dispatchEvent(new Event('blur'))")
+        else:
+            at(page, "target").focus()
+            page.keyboard.up("ArrowRight")
+        expect(at(page, "velocity")).to_have_text(re.compile(r"^−?[01]\.\d+$"))
+        page.keyboard.up("ArrowRight")
+
+
+def test_esc_is_the_quick_stop_on_a_button_and_in_a_field(page):
+    for name in ("move-to", "target"):
+        ready(page)
+        at(page, name).focus()
+        page.keyboard.press("Escape")
+        shows(page, "state", "switch on disabled")
 
 
 def test_a_snapshot_brings_the_axis_back(page):

@@ -74,7 +74,7 @@ def drive_of(line):
 
 
 def test_a_node_is_enabled_homed_and_moved_like_a_machine_of_ones_own(bench):
-    assert "enable()" in bench.move(AXIS, 0.2)
+    assert "Enable" in bench.move(AXIS, 0.2)
     assert bench.enable(AXIS) == ""
     assert bench.home(AXIS, 37) == ""
     assert bench.move(AXIS, 0.2) == ""

@@ -31,7 +31,6 @@ from browser import (
     shows,
     sync_api,
     tab,
-    typed,
 )  # fmt: skip
 
 pytestmark = [*needs_chromium, pytest.mark.slow]
@@ -160,26 +159,28 @@ def test_any_text_in_any_field_is_refused_beside_it_and_nothing_is_sent(page):
     """Every text in every field: some minutes, a line a page."""
     assert len(NONSENSE) >= 40
     ready(page)
+    move(page, "100")  # from where a policy could take over
+    shows(page, "doing", "")
     before, tried, begin = parameters(page), 0, time.monotonic()
     for name in FIELD_PAGES:
         open_page(page, name)
         if name == "objects":
             at(page, "search").fill("max torque")
             at(page, "search").press("Enter")
-        for test in fields(page, name):
-            for text in ("", *NONSENSE):
-                typed(page, test, text)
-                refused(page, test, text)
-                tried += 1
+        names = fields(page, name)
+        for text in ("", *NONSENSE):
+            refused(page, dict.fromkeys(names, text))
+            tried += len(names)
         print(f"{time.monotonic() - begin:5.0f} s: {tried} texts, up to {name}")
     open_page(page, "objects")
     for text in (*NONSENSE, ""):  # a search finds something or nothing
         at(page, "search").fill(text)
     open_page(page, "experiments")
+    at(page, "goal").fill("200")
     for text in NONSENSE:
         at(page, "policy").fill(text)
         at(page, "hand-over").click()
-        expect(at(page, "policy-wrong")).to_contain_text(text[:20])
+        expect(at(page, "policy-wrong")).to_have_text(re.compile("unknown|no checkpoint|…$"))
         at(page, "snapshot-name").fill(text)
         at(page, "keep").click()
     assert page.evaluate("window.hacked") is None

@@ -53,7 +53,7 @@ def test_enable_home_and_move_bring_the_axis_to_the_target(homed):
 
 
 def test_a_move_without_power_is_refused_and_says_the_next_step(session):
-    assert "enable()" in session.move("x", 0.2)
+    assert "Enable" in session.move("x", 0.2)
     assert session.messages[-1][1] == "error"
     assert state(session) is State.SWITCH_ON_DISABLED
 

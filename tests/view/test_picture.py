@@ -1,20 +1,23 @@
 """Pictures and windows: what they say, that they follow the state, that they disturb nothing."""
 
 import contextlib
+import os
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 
 from servogym.drive.kernel.words import Limit, State
 from servogym.drive.master import Master
 from servogym.envs import gantry, linear_axis, rotary_axis
 from servogym.envs.masters.port import MachinePort
-from servogym.envs.tasks import LinearAxisEnv, RobotEnv
+from servogym.envs.tasks import GantryContourEnv, LinearAxisEnv, RobotEnv
 from servogym.envs.view import picture
 from servogym.envs.view.camera import framed, seen
 from servogym.envs.view.decor import BOX, parts
@@ -168,6 +171,26 @@ def test_images_have_their_shape_and_follow_the_goal(gl):
     assert (image[:HEAD] != other[:HEAD]).any(), "the distance has changed"
     env.close()
     env.close()
+
+
+def test_a_contour_is_drawn_with_what_was_driven_step_by_step(gl):
+    env = GantryContourEnv(render_mode="rgb_array")
+    env.reset(seed=2)
+    before = env.render()
+    for _ in range(150):
+        env.step(np.zeros(3, np.float32))  # half of the feed
+    image = env.render()
+    env.close()
+    red = [(each[..., 0] > 150) & (each[..., 1] < 110) & (each[..., 2] < 110)
+           for each in (before, image)]  # fmt: skip
+    corner = slice(HEAD + 12, HEAD + 12 + INSET), slice(WIDTH - INSET - 12, WIDTH - 12)
+    floor = slice(HEIGHT // 2, HEIGHT - 115), slice(0, WIDTH - INSET - 24)
+    assert red[0][corner].sum() < 5
+    assert red[1][corner].sum() > 60
+    assert red[1][floor].sum() > red[0][floor].sum() + 5
+    if folder := os.environ.get("SERVOGYM_PICTURES"):
+        small = Image.fromarray(image).quantize(128)
+        small.save(Path(folder) / "recording_contour.png", optimize=True)
 
 
 def test_drawing_changes_nothing_bit_for_bit(gl):
@@ -390,7 +413,7 @@ def test_without_opengl_the_next_step_is_named(monkeypatch):
 
 
 FIRST_OUR_PICTURE = """
-from servogym.envs.tasks import LinearAxisEnv, RobotEnv
+from servogym.envs.tasks import GantryContourEnv, LinearAxisEnv, RobotEnv
 env = LinearAxisEnv(render_mode="rgb_array")
 env.reset(seed=0)
 env.render()
@@ -402,7 +425,7 @@ model = mujoco.MjModel.from_xml_string("<mujoco/>")
 renderer = mujoco.Renderer(model)
 renderer.update_scene(mujoco.MjData(model))
 renderer.render()
-from servogym.envs.tasks import LinearAxisEnv, RobotEnv
+from servogym.envs.tasks import GantryContourEnv, LinearAxisEnv, RobotEnv
 env = LinearAxisEnv(render_mode="rgb_array")
 env.reset(seed=0)
 env.render()

@@ -6,6 +6,7 @@ no such objects: `BuiltIn` stands for a homing method of the drive, which runs i
 and `Bound` for the least time anything could take.
 """
 
+import os
 from collections.abc import Callable, Mapping
 from importlib import metadata, resources
 from pathlib import Path
@@ -151,7 +152,7 @@ def trainings(name: Any, task: str) -> list[str]:
     if not isinstance(name, str):
         return []
     folder = SHIPPED / task.rpartition("/")[2] if name == LEARNED else Path(name)
-    if name in POLICIES or not folder.is_dir():
+    if name in POLICIES or not os.path.isdir(folder):  # False for any text, long as it may be
         if name != LEARNED:
             return []
         available = ", ".join(sorted(path.name for path in SHIPPED.glob("*-v*"))) or "none"

@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from ...engine.machine import Machine
-from ..bench import Bench
+from ..bench import ENDED, Bench
 from ..clock import Clock
 
 Request = Callable[[Any], Any]  # of the bench, or of the session where a page needs one
@@ -83,7 +83,12 @@ class Desk:
             return str(error)
 
 
+def over(words: Any) -> bool:
+    """Whether a motion was ended by another command: who gave it knows."""
+    return words == "ended" or str(words).endswith(ENDED)
+
+
 def refuse(words: Any) -> None:
     """Show why something was refused; nothing where it was not."""
-    if words and words != "ended":
+    if words and not over(words):
         ui.notify(str(words), type="negative", position="bottom-left", multi_line=True)

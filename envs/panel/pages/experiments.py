@@ -2,6 +2,7 @@
 
 import asyncio
 import copy
+from textwrap import shorten
 from typing import Any
 
 from nicegui import ui
@@ -16,6 +17,7 @@ CAUSES = (  # offered first, where a model has them
     "drive_temperature", "i2t", "short_circuit", "index_missing", "external",
 )  # fmt: skip
 MOST = 4  # policies side by side
+LONGEST = 400  # characters of what is wrong with a policy
 
 
 class ExperimentsPage:
@@ -95,7 +97,7 @@ class ExperimentsPage:
             ).classes("prose quiet")
 
     def _policies(self) -> None:
-        with card("Policy takes over", "policy"):
+        with card("Policy takes over", "policies"):
             if self.laboratory is None:
                 ui.label(self.desk.bench.no_policies).classes("prose").props(
                     "data-test=no-policies"
@@ -154,6 +156,9 @@ class ExperimentsPage:
         goal, name = self.goal.number(), str(self.policy.value or "").strip()
         if goal is None:
             return
+        if not name:
+            self.wrong.set_text("name a policy, a FILE.py:name or the folder of a training")
+            return
         self.wrong.set_text("")
         if not self.desk.in_control:
             refuse(await self.desk.command(lambda s: ""))
@@ -170,7 +175,7 @@ class ExperimentsPage:
             words = str(error)
         finally:
             self.take.props(remove="loading")
-        self.wrong.set_text(str(words or ""))
+        self.wrong.set_text(shorten(str(words or ""), LONGEST, placeholder=" …"))
 
     async def _compare(self) -> None:
         names, goal = list(self.others.value or [])[:MOST], self.goal.number()
@@ -184,7 +189,7 @@ class ExperimentsPage:
             axis = self.desk.axis
             courses = await asyncio.to_thread(self.laboratory.compare, twin, axis, names, goal)
         except Exception as error:
-            self.wrong.set_text(str(error))
+            self.wrong.set_text(shorten(str(error), LONGEST, placeholder=" …"))
             return
         finally:
             self.compare.props(remove="loading")

@@ -6,7 +6,7 @@ from nicegui import ui
 
 from ....drive.diagrams import MODE_ABBREVIATION
 from ....drive.model.rows import Object
-from .desk import Desk, refuse
+from .desk import Desk, over, refuse
 from .homing_diagram import homing_svg
 from .widgets import Entry, Readout, Tag, button, card, live, told
 
@@ -173,13 +173,13 @@ class MotionPage:
     async def _absolute(self, target: float) -> str:
         axis = self.desk.axis
         words = await self.desk.motion(lambda s: s.move(axis, target / self.scale))
-        return "" if words == "ended" else str(words or "")
+        return "" if over(words) else str(words or "")
 
     async def _relative(self) -> None:
         by, axis = self.target.number(), self.desk.axis
         if by is not None:
             words = await self.desk.motion(lambda s: s.move(axis, by / self.scale, relative=True))
-            if words and words != "ended":
+            if words and not over(words):
                 self.target.refuse(str(words))
 
     async def run(self, sign: int) -> None:

@@ -3,7 +3,6 @@
 import inspect
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ for (const id in texts) {
 }
 return 1"""
 SLOWEST = 20.0  # s that a browser may take for a picture
+GONE = 2.0  # s, while an axis is jogged
 PAGES: Sequence[type[Any]] = (
     StatePage, MotionPage, ScopePage, MachinePage, LoopsPage, ExperimentsPage, ObjectsPage,
     LessonPage,
@@ -70,7 +70,10 @@ class Shell:
                     self.places[page.name] = place
         self._kinds = {page.name: page for page in pages}
         self.go(kept.get("page", pages[0].name))
-        ui.keyboard(self._key)
+        ui.keyboard(self._key, ignore=["input", "select", "textarea"], repeating=False)
+        ui.keyboard(self._always, ignore=[], repeating=False)
+        ui.on("left", self._rest)
+        ui.run_javascript('window.addEventListener("blur", () => emitEvent("left"))')
         ui.timer(1 / pictures, self.show)
 
     def _header(self) -> None:
@@ -153,7 +156,8 @@ class Shell:
             place.classes(**({"add": "open"} if other == name else {"remove": "open"}))
             self.links[other].lit("now", other == name)
 
-    def _axis(self, axis: str) -> None:
+    async def _axis(self, axis: str) -> None:
+        await self._rest()
         self.desk.axis = self.kept["axis"] = axis
         self.pages.clear()
         for place in self.places.values():
@@ -200,19 +204,28 @@ class Shell:
     async def _take_back(self) -> None:
         refuse(await self.desk.command(lambda session: session.release()))
 
+    async def _always(self, event: Any) -> None:
+        """Keys that work in a field, too: the quick stop, and the end of jogging."""
+        if event.key.escape and event.action.keydown:
+            await self._quick_stop()
+        elif (event.key.arrow_left or event.key.arrow_right) and event.action.keyup:
+            await self._rest()
+
+    async def _rest(self) -> None:
+        """End jogging: a key that is released over another window is never told."""
+        if motion := self.pages.get("motion"):
+            await motion.rest()
+
     async def _key(self, event: Any) -> None:
-        if event.action.repeat:
+        held = event.modifiers
+        if not event.action.keydown or held.ctrl or held.alt or held.meta:
             return
         motion = self.pages.get("motion") if self.present == "motion" else None
         sign = 1 if event.key.arrow_right else -1 if event.key.arrow_left else 0
         if motion and sign:
-            await (motion.run(sign) if event.action.keydown else motion.rest())
-        if not event.action.keydown:
-            return
+            await motion.run(sign)
         names = list(self._kinds)
-        if event.key.escape:
-            await self._quick_stop()
-        elif event.key.number is not None and 1 <= event.key.number <= len(names):
+        if event.key.number is not None and 1 <= event.key.number <= len(names):
             self.go(names[event.key.number - 1])
         elif str(event.key) == "p":
             self._pause()
@@ -261,8 +274,10 @@ class Shell:
         if inspect.isawaitable(result):
             await result
         texts = json.dumps(pending(ui.context.client.id))
-        with suppress(TimeoutError):  # a slow browser gets fewer pictures, not older ones
-            await ui.run_javascript(SHOW % texts, timeout=SLOWEST)
+        try:  # a slow browser gets fewer pictures, not older ones
+            await ui.run_javascript(SHOW % texts, timeout=GONE if self.desk.jogging else SLOWEST)
+        except TimeoutError:
+            await self._rest()  # nobody knows whether the key is still held
 
     def _messages(self, messages: list[tuple[int, str, str]]) -> None:
         for number, kind, text in messages:
