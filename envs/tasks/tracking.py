@@ -204,8 +204,8 @@ class LinearAxisTrackingEnv(ServoEnv):
     judge = staticmethod(judge)
 
     POLICIES = (
-        "feed_forward", "disturbance_observer", "adaptive_feed_forward", "iterative_learning",
-        "oracle",
+        "feed_forward", "disturbance_observer", "adaptive_feed_forward", "leading_feed_forward",
+        "iterative_learning", "oracle",
     )  # fmt: skip
     REFERENCE = "feed_forward"
     METRIC = "load_error"

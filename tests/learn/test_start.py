@@ -10,7 +10,7 @@ from servogym.training.policies import weights
 
 train = Later("servogym.training.learn.train", "train")
 pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
-ID = "LinearAxisTracking-v0"
+ID, BASE = "LinearAxisTracking-v0", "feed_forward"
 SMALL = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}
 SHORT = {"max_episode_steps": 10, "history": 2}
 EVERY = {"checkpoint_every": 128, "evaluate_every": 128}
@@ -20,7 +20,7 @@ EVERY = {"checkpoint_every": 128, "evaluate_every": 128}
 def first(tmp_path_factory):
     out = tmp_path_factory.mktemp("first")
     train(
-        ID, out=out, steps=128, envs=8, residual="feed_forward", bounds=[0.05, 0.02],
+        ID, out=out, steps=128, envs=8, residual=BASE, bounds=[0.05, 0.02],
         arguments=SHORT, settings=SMALL, **EVERY,
     )  # fmt: skip
     return out
@@ -30,13 +30,14 @@ def test_it_begins_with_these_weights_and_what_is_not_given_is_as_it_was(first, 
     """With a rate of learning of 0 they stay."""
     train(
         ID, out=tmp_path, steps=128, start=first, settings={"learning_rate": 0.0},
-        arguments={"randomise": {"delay": [0, 1, 0.5]}}, **EVERY,
+        arguments={"randomise": {"delay": [0, 1, 0.5]}}, residual="leading_feed_forward", **EVERY,
     )  # fmt: skip
     before, after = weights.load(first / "best"), weights.load(tmp_path / "best")
     for name, array in before.network.items():
         assert array.tobytes() == after.network[name].tobytes()
     about = json.loads((tmp_path / "best" / "checkpoint.json").read_text(encoding="utf-8"))
-    assert (about["residual"], about["bounds"], about["envs"]) == ("feed_forward", [0.05, 0.02], 8)
+    assert (about["bounds"], about["envs"]) == ([0.05, 0.02], 8)
+    assert (about["residual"], about["start"]["residual"]) == ("leading_feed_forward", BASE)
     assert about["arguments"] == SHORT | {"randomise": {"delay": [0, 1, 0.5]}}
     assert about["hyperparameters"]["n_steps"] == SMALL["n_steps"]
     assert about["start"]["arguments"] == SHORT
@@ -50,7 +51,7 @@ def test_it_begins_with_these_weights_and_what_is_not_given_is_as_it_was(first, 
     ("options", "says"),
     [
         (["LinearAxis-v0"], "has env_id = 'servogym/LinearAxisTracking-v0', asked for is"),
-        ([ID, "--residual", "hold"], "has residual = 'feed_forward', asked for is 'hold'"),
+        ([ID, "--bounds", "0.1,0.1"], "has bounds = [0.05, 0.02], asked for is [0.1, 0.1]"),
         ([ID, "--argument", "history=3"], "history and previous_action have to be those"),
         ([ID, "--setting", 'policy_kwargs={"net_arch": [9]}'], "are of another network"),
         ([ID, "--setting", "rate"], "is not NAME=VALUE"),

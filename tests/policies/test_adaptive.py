@@ -12,6 +12,7 @@ from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
 from servogym.training.policies import make
+from servogym.training.policies.adaptive_feed_forward import SURE
 from servogym.training.policies.datasheet import datasheet
 
 
@@ -37,6 +38,17 @@ def test_mass_and_friction_are_found(payload, friction):
     axis = datasheet(env).axis
     assert abs(share - friction) < 0.35 * abs(1.0 - friction)  # 1 was the first guess
     assert mass == pytest.approx(axis.mass(payload), abs=2.0)  # and 5 kg of payload
+
+
+@pytest.mark.parametrize("cycles", [0.0, 1.0, 2.0])
+def test_a_late_set_point_is_led_by_the_delay(cycles):
+    env = LinearAxisTrackingEnv(reference="sweep", randomise={"delay": cycles})
+    policy = make("leading_feed_forward", env)
+    led = play(env, policy, seed=7)["rms_load_error"]
+    late = cycles * env.machine.cycle_time / env.step_time  # in steps
+    assert max(policy.lag - SURE, 0.0) == pytest.approx(late, abs=0.02)
+    followed = play(env, make("adaptive_feed_forward", env), seed=7)["rms_load_error"]
+    assert led < 0.3 * followed if cycles else led == followed
 
 
 def test_the_oracle_of_tracking_begins_with_what_was_drawn():

@@ -100,11 +100,15 @@ def _started(
 ) -> Run:
     """A new run that begins with the weights of a checkpoint: what is not given is as it was there.
 
-    Raises ValueError where what the weights mean would be another: task, algorithm, residual.
+    A correction may go on top of another policy than the one it began with, by name.
+
+    Raises ValueError where what the weights mean would be another: task, algorithm, bounds, a
+    correction or not.
     """
     about = saved.read(folder)
     wanted = {"env_id": task(env_id).ID, **asked}
-    for name in ("env_id", "algorithm", "residual", "bounds"):
+    fixed = ["env_id", "algorithm", "bounds", *(["residual"] if not about.get("residual") else [])]
+    for name in fixed:
         if wanted[name] is not None and wanted[name] != about.get(name):
             raise ValueError(
                 f"--start {folder} has {name} = {about.get(name)!r}, asked for is "
@@ -113,8 +117,8 @@ def _started(
     return Run(
         about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
         asked["envs"] or about["envs"], about["arguments"] | (asked["arguments"] or {}),
-        about["hyperparameters"] | dict(settings or {}), about.get("residual"),
-        about.get("bounds"), about,
+        about["hyperparameters"] | dict(settings or {}),
+        asked["residual"] or about.get("residual"), about.get("bounds"), about,
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from ...envs.checks import told
 from ...envs.faces import PDO, SETPOINT
 from ...envs.servo_env import ServoEnv
 from .adaptive import AdaptiveLqr
-from .adaptive_feed_forward import AdaptiveFeedForward
+from .adaptive_feed_forward import AdaptiveFeedForward, LeadingFeedForward
 from .bound import Bound
 from .datasheet import datasheet
 from .disturbance_observer import DisturbanceObserver
@@ -86,6 +86,9 @@ POLICIES: dict[str, Baseline] = {
     "feed_forward": Baseline(FeedForward, "inertia and friction of the datasheet"),
     "adaptive_feed_forward": Baseline(
         AdaptiveFeedForward, "the same with mass and friction identified, and an outer loop"
+    ),
+    "leading_feed_forward": Baseline(
+        LeadingFeedForward, "the same with the lag of late set-points identified, and led by it"
     ),
     "disturbance_observer": Baseline(
         DisturbanceObserver, "what the nominal model does not explain fed forward, an outer loop"
