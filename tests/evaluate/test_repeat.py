@@ -38,8 +38,8 @@ def test_all_committed_trainings_can_be_repeated_within_two_hours_of_two_cores(t
         assert stages[-1].out == each.out == tmp_path / each.task / f"seed_{each.seed}"
         given = {name: value for stage in stages for name, value in stage.argument or ()}
         assert given == about["arguments"]
-        first = stages[0]
-        assert (first.residual, first.bounds) == (about.get("residual"), about.get("bounds"))
+        corrected = [stage.residual for stage in stages if stage.residual] or [None]
+        assert (corrected[-1], stages[0].bounds) == (about.get("residual"), about.get("bounds"))
         assert {stage.seed for stage in stages} == {about["seed"]}
         assert sum(stage.steps for stage in stages) == each.steps >= about["steps"]
         assert (len(stages) > 1) == bool(about.get("start"))
