@@ -11,9 +11,13 @@ from numba import types
 from numba.extending import intrinsic
 
 from ...drive.kernel.jit import DISABLED, block
-from ...drive.memory import array_at, peek
+from ...drive.kernel.record import AXIS
+from ...drive.memory import array_at, peek, viewer
+from .world import COUPLING
 
 MARK = "present"  # a field that only a SINGLE has
+axes_at = viewer(AXIS)
+couplings_at = viewer(COUPLING)
 DOUBLES, FLOATS = (types.Array(kind, 1, "C") for kind in (types.float64, types.float32))
 
 

@@ -18,8 +18,8 @@ into ``qfrc_passive``. Beside MuJoCo's own friction constraint it costs a third 
 """
 
 from ...drive.kernel.jit import block
-from .arrays import reals_at
-from .mechanics import CARRIAGE, MOTOR, PLACES
+from .arrays import couplings_at, reals_at, velocities
+from .mechanics import CARRIAGE, MOTOR, PLACES, mechanics_at
 from .physics import mj_fwd_acceleration, mj_fwd_actuation, mj_solve_m
 
 
@@ -48,22 +48,26 @@ def response(world, i, place):
 
 
 @block
-def stick(world, couplings, joints, qvel):
+def stick(world):
     """Add the friction of all driven joints to the passive forces, between the halves of a step."""
     mj_fwd_actuation(world.mj_model, world.mj_data)
     mj_fwd_acceleration(world.mj_model, world.mj_data)
+    joints = mechanics_at(world.mechanics, world.drives)
     for i in range(len(joints)):
         for place in range(PLACES):
             if joints[i].friction_limit[place] > 0.0:
                 row = (PLACES * i + place) * world.response_row
                 solution, right = world.responses + row, world.directions + row
                 mj_solve_m(world.mj_model, world.mj_data, solution, right, 1)
-    grip(world, couplings, joints, qvel)
+    grip(world)
 
 
 @block
-def grip(world, couplings, joints, qvel):
+def grip(world):
     """The part of `stick` that needs nothing of MuJoCo but its arrays."""
+    couplings = couplings_at(world.couplings, world.drives)
+    joints = mechanics_at(world.mechanics, world.drives)
+    qvel = velocities(world)
     acceleration = reals_at(world, world.smooth_acceleration, world.nv)
     for i in range(len(joints)):
         for place in range(PLACES):

@@ -1,8 +1,9 @@
 """What runs around the steps of mujoco-warp, for a GPU, from the same source as for a CPU.
 
 numba-cuda takes the `parts` and all they are made of, the whole drive among it, as they are, but
-for two things core Numba has and it has not: a member of an IntEnum as an index, and `math.gcd`.
-They are registered here. `ptx` compiles without a GPU; what `launcher` does has been run on none.
+for three things core Numba has and it has not: a member of an IntEnum as an index, `math.gcd`, and
+a function whose result is a view of an array. They are registered here. `ptx` and `machine_code` do
+without a GPU; what `launcher` does has been run on none.
 """
 
 import math
@@ -46,6 +47,30 @@ def ptx(kernel: "Kernel", capability: tuple[int, int] = HOPPER) -> str:
             device=False, abi="numba", cc=capability,
         )  # fmt: skip
     return text
+
+
+def machine_code(text: str, capability: tuple[int, int] = HOPPER) -> bytes:
+    """PTX assembled for GPUs of a compute capability, as a driver does when it loads it.
+
+    Raises:
+        ImportError: nvJitLink is not installed.
+        Exception: of nvJitLink, that it does not assemble.
+    """
+    try:
+        linker: Any = import_module("cuda.bindings.nvjitlink")
+    except ImportError as error:
+        raise ImportError(f"{error}: pip install 'servogym[gpu]'") from None
+    options = [f"-arch=sm_{capability[0]}{capability[1]}"]
+    handle = linker.create(len(options), options)
+    try:
+        data = text.encode() + b"\0"
+        linker.add_data(handle, linker.InputType.PTX, data, len(data), "servogym")
+        linker.complete(handle)
+        code = bytearray(linker.get_linked_cubin_size(handle))
+        linker.get_linked_cubin(handle, code)
+        return bytes(code)
+    finally:
+        linker.destroy(handle)
 
 
 class Kernel(NamedTuple):

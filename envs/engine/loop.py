@@ -64,16 +64,15 @@ job_at = viewer(JOB)
 
 
 @block
-def _tick(world, axes, couplings, joints, qpos, qvel, ctrl):
+def _tick(world):
     """One physics step and the control cycles that begin with it."""
-    if tick.control(world, axes, couplings, joints, qpos, ctrl):
+    if tick.control(world):
         mj_step1(world.mj_model, world.mj_data)
-        tick.forces(world, axes, couplings, joints, qpos, qvel)
-        if friction.limited(joints):
-            friction.stick(world, couplings, joints, qvel)
+        if tick.forces(world):
+            friction.stick(world)
         mj_step2(world.mj_model, world.mj_data)
-        tick.finish(world, couplings, joints, qpos, qvel)
-    tick.count(world, axes, couplings, qpos, qvel)
+        tick.finish(world)
+    tick.count(world)
 
 
 @block
@@ -148,8 +147,6 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     world.status = RUNNING
     _enter(address, world)
     axes = axes_at(world.axes, world.drives)
-    qpos, qvel = positions(world), velocities(world)
-    ctrl = floats_at(world.ctrl, world.nu)
     if len(rpdo) and begin == 0:
         begin_step(world, axes, couplings)
     latched_at = min(max(world.delay, 0), ticks) if len(rpdo) else -1
@@ -157,13 +154,13 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     for now in range(begin, end):
         if now == latched_at:
             latched = tick.latch_image(world, axes, rpdo)
-        _tick(world, axes, couplings, joints, qpos, qvel, ctrl)
+        _tick(world)
     if latched_at == ticks == end:
         latched = tick.latch_image(world, axes, rpdo)
     if len(tpdo) and end == ticks:
         collected = tick.collect_image(world, tpdo)
-    copy(qpos, coordinates(world))
-    copy(qvel, speeds(world))
+    copy(positions(world), coordinates(world))
+    copy(velocities(world), speeds(world))
     world.status = SOUND
     return SOUND if latched == len(rpdo) and collected == len(tpdo) else MAPPING
 

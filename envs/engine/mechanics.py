@@ -45,6 +45,7 @@ import mujoco
 import numpy as np
 
 from ...drive.kernel.jit import block
+from ...drive.memory import viewer
 from .arrays import reals_at
 
 CARRIAGE, MOTOR = 0, 1  # where friction acts; MOTOR: the brake before an elastic transmission
@@ -88,6 +89,7 @@ MECHANICS = np.dtype(
     align=True,
 )
 
+mechanics_at = viewer(MECHANICS)
 
 MEMORY = (  # zero by a reset
     "friction_limit", "friction_force", "constraint",

@@ -17,7 +17,7 @@ from ...drive.memory import bytes_at, floats_at, integers_at, viewer
 from . import friction, tick
 from .arrays import positions, reals_at, velocities
 from .probe import begin_step
-from .tick import axes_at, coordinates, copy, couplings_at, mechanics_at, speeds
+from .tick import axes_at, coordinates, copy, couplings_at, speeds
 from .world import MOVE, SINGLE
 
 single_at = viewer(SINGLE)
@@ -75,53 +75,41 @@ def control(address):
     """Latch the RPDO image when its time has come, and run the drives."""
     world = single_at(address, 1)[0]
     world.moves = 0
-    if not _present(world):
-        return
-    axes = axes_at(world.axes, world.drives)
-    couplings = couplings_at(world.couplings, world.drives)
-    joints = mechanics_at(world.mechanics, world.drives)
-    _latch(world, axes)
-    if tick.control(world, axes, couplings, joints, positions(world), controls(world)):
-        world.moves = 1
+    if _present(world):
+        _latch(world, axes_at(world.axes, world.drives))
+        if tick.control(world):
+            world.moves = 1
 
 
 @block
 def forces(address):
     """The mechanics of the joints, between the halves of the physics step."""
     world = single_at(address, 1)[0]
-    if world.moves != 0:
-        axes = axes_at(world.axes, world.drives)
-        couplings = couplings_at(world.couplings, world.drives)
-        joints = mechanics_at(world.mechanics, world.drives)
-        tick.forces(world, axes, couplings, joints, positions(world), velocities(world))
+    world.grips = world.moves != 0 and tick.forces(world)
 
 
 @block
 def stick(address):
     """The friction of the joints, once accelerations and responses are there."""
     world = single_at(address, 1)[0]
-    joints = mechanics_at(world.mechanics, world.drives)
-    if world.moves != 0 and friction.limited(joints):
-        couplings = couplings_at(world.couplings, world.drives)
-        friction.grip(world, couplings, joints, velocities(world))
+    if world.grips != 0:
+        friction.grip(world)
 
 
 @block
 def finish(address):
     """Measure what the physics step brought; who stands still goes back to where it was."""
     world = single_at(address, 1)[0]
-    couplings = couplings_at(world.couplings, world.drives)
     qpos, qvel = positions(world), velocities(world)
     if world.moves != 0:
-        joints = mechanics_at(world.mechanics, world.drives)
-        tick.finish(world, couplings, joints, qpos, qvel)
+        tick.finish(world)
         copy(qpos, coordinates(world))
         copy(qvel, speeds(world))
     else:
         copy(coordinates(world), qpos)
         copy(speeds(world), qvel)
     if _present(world):
-        tick.count(world, axes_at(world.axes, world.drives), couplings, qpos, qvel)
+        tick.count(world)
 
 
 @block

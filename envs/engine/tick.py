@@ -15,19 +15,17 @@ from ...drive.kernel.process_data import PDO, collect, latch
 from ...drive.kernel.record import AXIS
 from ...drive.memory import bytes_at, floats_at, viewer
 from . import mechanics
-from .friction import remember
-from .mechanics import MECHANICS
+from .arrays import axes_at, couplings_at, reals_at
+from .friction import limited, remember
+from .mechanics import mechanics_at
 from .probe import notice, observe, probes_at
-from .world import COUPLING, PDOS, WORLD
+from .world import PDOS, WORLD
 
 AXIS_SIZE = AXIS.itemsize
 FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
 NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
 
 world_at = viewer(WORLD)
-axes_at = viewer(AXIS)
-couplings_at = viewer(COUPLING)
-mechanics_at = viewer(MECHANICS)
 directory_at = viewer(PDOS)
 pdos_at = viewer(PDO)
 
@@ -103,8 +101,13 @@ def copy(source, target):
 
 
 @block
-def control(world, axes, couplings, joints, qpos, ctrl):
+def control(world):
     """Run the control cycles that begin with a physics step; -> whether its physics is sound."""
+    axes = axes_at(world.axes, world.drives)
+    couplings = couplings_at(world.couplings, world.drives)
+    joints = mechanics_at(world.mechanics, world.drives)
+    qpos = reals_at(world, world.mj_qpos, world.nq)
+    ctrl = reals_at(world, world.ctrl, world.nu)
     sound = True
     for i in range(len(axes)):
         coupling = couplings[i]
@@ -118,25 +121,39 @@ def control(world, axes, couplings, joints, qpos, ctrl):
 
 
 @block
-def forces(world, axes, couplings, joints, qpos, qvel):
-    """Set the limits of friction and add the other forces of the driven joints."""
+def forces(world):
+    """Set the limits of friction and add the other forces; -> whether there is any friction."""
+    axes = axes_at(world.axes, world.drives)
+    couplings = couplings_at(world.couplings, world.drives)
+    joints = mechanics_at(world.mechanics, world.drives)
+    qpos = reals_at(world, world.mj_qpos, world.nq)
+    qvel = reals_at(world, world.mj_qvel, world.nv)
     for i in range(len(axes)):
         mechanics.run(world, axes[i], couplings[i], joints[i], qpos, qvel)
+    return limited(joints)
 
 
 @block
-def finish(world, couplings, joints, qpos, qvel):
+def finish(world):
     """Keep what the constraints did, and measure impacts."""
+    couplings = couplings_at(world.couplings, world.drives)
+    joints = mechanics_at(world.mechanics, world.drives)
+    qpos = reals_at(world, world.mj_qpos, world.nq)
+    qvel = reals_at(world, world.mj_qvel, world.nv)
     remember(world, couplings, joints)
     for i in range(len(joints)):
         mechanics.watch(world, couplings[i], joints[i], qpos, qvel)
 
 
 @block
-def count(world, axes, couplings, qpos, qvel):
+def count(world):
     """Measure for the task, and for the probes where there are any."""
+    axes = axes_at(world.axes, world.drives)
+    couplings = couplings_at(world.couplings, world.drives)
     notice(world, axes, couplings)
     if world.probes != 0:
+        qpos = reals_at(world, world.mj_qpos, world.nq)
+        qvel = reals_at(world, world.mj_qvel, world.nv)
         probes = probes_at(world.probes, world.drives)
         for i in range(len(axes)):
             observe(probes[i], axes[i], couplings[i], world.timestep, qpos, qvel)

@@ -80,6 +80,7 @@ SINGLE = np.dtype(
         ("arrived", "i8"),  # its state comes from elsewhere, the physics has still to take it over
         *WORLD.descr[2:],  # there are no MjModel and MjData
         ("moves", "i8"),  # its physics is sound, and part of this physics step
+        ("grips", "i8"),  # there is friction in this physics step
         ("kept_warmstart", "i8"),  # addresses of what it brings along, beside `qpos` and `qvel`
         ("kept_ctrl", "i8"),
         ("warmstart", "i8"),  # qacc_warmstart

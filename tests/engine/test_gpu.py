@@ -2,21 +2,79 @@
 
 import importlib.util
 import re
+import types
 
+import numba
+import numpy as np
 import pytest
 
-from servogym.drive.kernel.record import AXIS
+from servogym.drive.kernel.record import AXIS, accessible
+from servogym.drive.memory import address, integers_at
 from servogym.envs import TASKS
+from servogym.envs.engine import gpu
+from servogym.envs.engine.worlds import aligned
+from servogym.envs.tasks.gantry_sync import GantrySyncEnv
+from servogym.envs.vector_env import ServoVectorEnv
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        importlib.util.find_spec("numba_cuda") is None,
-        reason="no numba-cuda: pip install 'servogym[gpu]'",
-    ),
-]
+without_numba_cuda = pytest.mark.skipif(
+    importlib.util.find_spec("numba_cuda") is None,
+    reason="no numba-cuda: pip install 'servogym[gpu]'",
+)
+thread = np.zeros(1, np.int64)  # which one a kernel believes to be
+THREAD = address(thread)
 
 
+@numba.njit
+def grid(dimensions):
+    return integers_at(THREAD, 1)[0]
+
+
+def on_a_cpu(kernel):
+    """A kernel of a GPU as a function of the CPU, thread after thread."""
+    cuda = types.ModuleType("cuda")
+    cuda.grid = grid
+    compiled = numba.njit(kernel.make(cuda))
+
+    def run(*arguments):
+        for i in range(arguments[-1] + 1):  # one too many, as the last block has
+            thread[0] = i
+            compiled(*arguments)
+
+    return run
+
+
+def test_the_kernels_of_a_task_do_what_its_functions_do_on_a_cpu():
+    vector = ServoVectorEnv(GantrySyncEnv, 3, threads=1)
+    vector.reset(seed=1)
+    env, batch = vector.envs[0], vector._batch
+    rpdo, tpdo = map(aligned, env._images)
+    n = len(env.drives)
+    batch.actions[:] = np.random.default_rng(1).uniform(-1, 1, batch.actions.shape)
+    rpdos, tpdos = np.zeros((3, n), accessible(rpdo)), np.zeros((3, n), accessible(tpdo))
+    for even, packed in ((rpdos, batch.rpdos), (tpdos, batch.tpdos)):
+        for name in even.dtype.names:
+            even[name] = packed[name]
+    worlds, episodes = batch.worlds.copy(), batch.episodes.copy()
+    worlds[1] = 0
+    before = episodes[1].copy(), rpdos[1].copy()
+    episode, seen = env.EPISODE, np.zeros_like(batch._seen)
+    seen[1] = batch._seen[1]
+    act = on_a_cpu(gpu.of_act(env.act, episode, env.ACTION, rpdo, n))
+    act(*map(address, (worlds, episodes, batch._commands, rpdos)), 3)
+    judge = on_a_cpu(gpu.of_judge(env.judge, episode, rpdo, tpdo, n, env.OBSERVATION))
+    judge(*map(address, (worlds, episodes, rpdos, tpdos, seen)), 3)
+    assert episodes[1] == before[0], "left out"
+    assert (rpdos[1] == before[1]).all()
+    env.act(worlds, batch.episodes, batch._commands, batch.rpdos)
+    env.judge(worlds, batch.episodes, batch.rpdos, batch.tpdos, batch._seen)
+    assert (batch.rpdos["target_position"][[0, 2]] != 0).any()
+    for own, its in ((episodes, batch.episodes), (rpdos, batch.rpdos), (seen, batch._seen)):
+        for name in own.dtype.names:
+            np.testing.assert_array_equal(own[name], its[name])
+
+
+@pytest.mark.slow
+@without_numba_cuda
 @pytest.mark.parametrize(
     ("part", "lines"),
     {
@@ -28,23 +86,23 @@ pytestmark = [
         "end": 300,
     }.items(),
 )
-def test_each_part_of_a_step_compiles_to_ptx_for_a_gpu(part, lines):
-    from servogym.envs.engine import gpu
-
+def test_each_part_of_a_step_compiles_for_a_gpu(part, lines):
     text = gpu.ptx(gpu.of_part(part))
     assert re.search(r"^\.target sm_90$", text, re.M)
     assert len(re.findall(r"^\.visible \.entry", text, re.M)) == 1
     assert ".extern" not in text, "all it calls is in it"
     assert len(text.splitlines()) > lines, "the whole of it, not a stub"
+    assert gpu.machine_code(text).startswith(b"\x7fELF")
     if part == "control":
         fields = [int(at) for at in re.findall(r"ld\.[\w.]+\s+\S+ \[%rd\d+\+(\d+)\]", text)]
         assert 0.9 * AXIS.itemsize < max(fields) < AXIS.itemsize, "the record, and nothing beyond"
 
 
+@pytest.mark.slow
+@without_numba_cuda
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
-def test_what_a_task_computes_compiles_to_ptx_for_a_gpu(task):
+def test_what_a_task_computes_compiles_for_a_gpu(task):
     from servogym.envs.engine import gpu
-    from servogym.envs.engine.worlds import aligned
 
     env = task()
     rpdo, tpdo = map(aligned, env._images)
@@ -55,3 +113,11 @@ def test_what_a_task_computes_compiles_to_ptx_for_a_gpu(task):
         text = gpu.ptx(kernel)
         assert len(re.findall(r"^\.visible \.entry", text, re.M)) == 1
         assert ".extern" not in text, "all it calls is in it"
+        assert gpu.machine_code(text).startswith(b"\x7fELF")
+
+
+@pytest.mark.slow
+@without_numba_cuda
+def test_ptx_that_is_none_does_not_assemble():
+    with pytest.raises(Exception, match="PTX_COMPILE"):
+        gpu.machine_code(".version 8.0\n.target sm_90\n.entry nothing( {}")
