@@ -52,6 +52,13 @@ def progress(console: Console | None, what: str, total: float) -> Iterator[Calla
         yield lambda share: bar.advance(row, share)
 
 
+def interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind it: within the closing of a file it ends as another error."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
 def writable(option: str, path: Path, *, file: bool) -> None:
     """Refuse what cannot be written before anything is computed for it.
 

@@ -525,10 +525,20 @@ def test_a_folder_is_one_training_s(tmp_path):
         pass
 
 
-def test_ctrl_c_before_the_first_checkpoint_keeps_one(tmp_path, monkeypatch):
-    def interrupted(self):
-        raise KeyboardInterrupt
+def at_once(self):
+    raise KeyboardInterrupt
 
+
+def within_the_closing_of_a_file(self):
+    """As `zipfile` where a member is open."""
+    try:
+        raise KeyboardInterrupt
+    finally:
+        raise ValueError("Can't close the ZIP file while there is an open writing handle on it.")
+
+
+@pytest.mark.parametrize("interrupted", [at_once, within_the_closing_of_a_file])
+def test_ctrl_c_before_the_first_checkpoint_keeps_one(tmp_path, monkeypatch, interrupted):
     with monkeypatch.context() as patched:
         patched.setattr(checkpoint.Checkpoints, "_on_step", interrupted)
         with pytest.raises(KeyboardInterrupt):

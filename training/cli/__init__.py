@@ -146,12 +146,14 @@ def main(arguments: list[str] | None = None) -> int:
 
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
         return options.run(options, console)
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
+        from ..report import interrupted
+
+        if interrupted(error):
+            print("interrupted", file=sys.stderr)
+            return 130
         line = _told(error)
         if not line:
             raise
         print(f"servogym {options.command}: {line}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130

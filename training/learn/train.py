@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from ...envs.checks import whole
 from ...envs.registry import short, task
 from ..policies import saved, weights
+from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
@@ -291,13 +292,15 @@ def _train(
                     remaining, callbacks, reset_num_timesteps=not last,
                     progress_bar=progress and find_spec("tqdm") is not None,
                 )  # fmt: skip
-            except KeyboardInterrupt:
+            except BaseException as error:
+                if not interrupted(error):
+                    raise
                 checkpoint.save_numbered(model, asdict(run), out)
                 console.print(
                     f"a checkpoint of {model.num_timesteps} steps is kept in {out}: "
                     "the same command with --resume goes on from there"
                 )
-                raise
+                raise KeyboardInterrupt from None
             checkpoint.save_numbered(model, asdict(run), out)
         if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
             judged.obs_rms = env.obs_rms
