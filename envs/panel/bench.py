@@ -213,7 +213,7 @@ class Bench:
     # --------------------------------------------------------------- messages
 
     def tell(self, kind: str, text: str) -> None:
-        """Leave a message for all who watch; `kind` is info, done or error."""
+        """Leave a message; `kind` is done or error, for all who watch info or alarm."""
         self._number += 1
         self.messages = [*self.messages[1 - MESSAGES :], (self._number, kind, text)]
 

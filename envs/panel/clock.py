@@ -113,7 +113,7 @@ class Clock:
                 pass
             except Exception as error:  # the machine stands; a reset or a snapshot helps
                 session.release()
-                session.tell("error", f"the simulation stopped: {error}")
+                session.tell("alarm", f"the simulation stopped: {error}")
                 self.paused = "time" not in session.absent
                 time.sleep(NAP)
             finally:

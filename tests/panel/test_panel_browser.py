@@ -217,6 +217,7 @@ def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(pa
     picture(page, "experiments")
     at(page, "take-back").click()
     expect(at(page, "agent")).not_to_be_visible()
+    expect(at(page, "measured")).to_contain_text("real time")  # it goes on
 
 
 def test_gains_are_tuned_on_a_copy_taken_over_and_put_back(page):

@@ -1,6 +1,7 @@
 """Lessons, disturbances, policies that take over, and what is drawn: without a browser."""
 
 import json
+from itertools import count
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from servogym.drive.diagrams import HOME, NEGATIVE, POSITIVE, homing_path, trans
 from servogym.drive.kernel.homing import HERE, NUMBERS
 from servogym.drive.kernel.words import State
 from servogym.envs import Machine, commission_joint, gantry, rotary_axis
+from servogym.envs.panel.bench import Interrupted
 from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
 from servogym.envs.panel.geometry import Poses, scene
 from servogym.envs.panel.lessons import SHIPPED, Pupil, load, load_all
@@ -149,6 +151,24 @@ def test_a_policy_takes_over_brings_the_axis_to_the_goal_and_gives_back(homed):
     assert homed.shown()["axes"]["x"]["position"] == pytest.approx(300, abs=0.05)
     homed.release()
     assert len(homed.shown()["axes"]["x"]["rpdo"]) == before
+    assert homed.move("x", 0.2) == ""
+
+
+def test_a_machine_taken_back_in_the_middle_of_a_step_comes_to_rest(homed):
+    homed.hand_over(Laboratory().agent(homed, "x", "ruckig", 300))
+    homed.advance(0.06)
+    calls = count()
+    homed.pace = lambda: homed.release() if next(calls) == 3 else None
+    with pytest.raises(Interrupted):  # which the clock expects
+        homed.agent.step()
+    homed.pace = lambda: None
+    homed.exchange()
+    with pytest.raises(ValueError, match="the axis moves: stop it first"):
+        Laboratory().agent(homed, "x", "ruckig", 300)
+    homed.advance(0.3)
+    seen = homed.shown()["axes"]["x"]
+    assert State(seen["state"]) is State.OPERATION_ENABLED
+    assert seen["velocity"] == pytest.approx(0, abs=1)
     assert homed.move("x", 0.2) == ""
 
 

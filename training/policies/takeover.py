@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...drive.diagrams import Mode
+from ...drive.diagrams import Mode, State
 from ...drive.master import Master
 from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
+from ...envs.panel.bench import Interrupted
 from ...envs.plants.rotary import ROTARY_FAMILY
 from ...envs.servo_env import ServoEnv
 from ...envs.tasks import GantryContourEnv, LinearAxisEnv, RobotEnv, RotaryAxisEnv
@@ -76,11 +77,14 @@ class Fitting(NamedTuple):
         return int(machine.drives[axis].axis.od.position_actual_value) * unit
 
 
+Late = Callable[[], float]  # delay of a set-point (s)
+
+
 class _Line:
     """Carries process images to the drives and lets time pass, cycle by cycle."""
 
-    def __init__(self, env: Any, cycle: Callable[[], None], late: Callable[[], float]):
-        self.env, self.cycle, self.late = env, cycle, late
+    def __init__(self, env: Any, pilot: "TakeOver", cycle: Callable[[], None], late: Late):
+        self.env, self.pilot, self.cycle, self.late = env, pilot, cycle, late
 
     def run(self, worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
         """As `loop.run`, for one world."""
@@ -92,6 +96,8 @@ class _Line:
                 for drive, image in zip(drives, rpdos.reshape(len(drives), -1), strict=True):
                     drive.latch(image.tobytes())
             self.cycle()
+            if self.pilot.released:  # by who was let in by the cycle: the mapping is another one
+                raise Interrupted
         for drive, image in zip(drives, tpdos.reshape(len(drives), -1), strict=True):
             image[:] = np.frombuffer(drive.collect(), np.uint8)
 
@@ -114,12 +120,13 @@ class TakeOver:
 
     def __init__(
         self, machine: Machine, policy: str, goal: float, fitting: Fitting | None = None,
-        cycle: Callable[[], None] | None = None, late: Callable[[], float] = lambda: 0.0,
+        cycle: Callable[[], None] | None = None, late: Late = lambda: 0.0,
     ):  # fmt: skip
         fits = fitting or LINEAR
         given, arguments, options = _asked(fits, machine, fits.goal.si(goal))
         self.name, self.machine = policy, machine
         passing: Callable[[], None] = cycle or machine.step
+        pilot, self.released = self, False
         self._before = [
             (drive, drive.rpdos.copy(), drive.tpdos.copy(), drive.read("following_error_window"))
             for drive in machine.drives.values()
@@ -137,7 +144,7 @@ class TakeOver:
             def join(self, batch: Any, row: int) -> None:
                 """Its images go through the line."""
                 super().join(batch, row)
-                batch.lines[int(batch.worlds[row])] = _Line(self, passing, late)
+                batch.lines[int(batch.worlds[row])] = _Line(self, pilot, passing, late)
 
             def place(self, positions: Any, believed: Any = None) -> None:
                 """The machine stays where it is; the drives are enabled in the mode of the task.
@@ -180,11 +187,20 @@ class TakeOver:
         self._observation, *_ = self.env.step(action)
 
     def release(self) -> None:
-        """PDO mapping and following error window as they were; the drives hold their position."""
+        """PDO mapping and following error window as they were; axes come to rest and hold."""
+        self.released = True
         for drive, rpdos, tpdos, window in self._before:
+            if drive.state == State.OPERATION_ENABLED and _moves(drive):  # not at once: its ramp
+                drive.write("target_velocity", 0)
+                drive.write("modes_of_operation", Mode.PROFILE_VELOCITY)
             drive.rpdos[:], drive.tpdos[:] = rpdos, tpdos
             drive.write("following_error_window", window)
             drive.image_changed()
+
+
+def _moves(drive: Any) -> bool:
+    """Faster than a hundredth of its profile velocity."""
+    return abs(int(drive.axis.od.velocity_actual_value)) > 0.01 * drive.read("profile_velocity")
 
 
 def _asked(
@@ -202,6 +218,8 @@ def _asked(
             raise ValueError(f"policies of {task.ID} command {', '.join(task.DRIVES)}; {machine!r}")
         if not drive.axis.homed:
             raise ValueError(f"{name}: the axis is not referenced: home it first")
+        if _moves(drive):
+            raise ValueError(f"{name}: the axis moves: stop it first")
         given[name] = int(drive.axis.od.position_actual_value) * port.units(name).position
     here = fitting.position(machine)
     if task is LinearAxisEnv:
@@ -289,11 +307,11 @@ def _course(
     settled = 0.0 if not len(outside) else float(times[outside[-1]])
     settled = math.nan if len(outside) and outside[-1] == len(away) - 1 else settled
     over = max(float((np.sign(-away[0]) * away).max()), 0.0)
-    small = "µm" if fitting.goal.unit == "mm" else "m°"
+    small, factor = ("µm", 1e3) if fitting.goal.unit == "mm" else ("°", 1.0)
     figures = {
-        f"settled within {1e3 * window:.3g} {small}":
+        f"settled within {factor * window:.2g} {small}":
             "–" if math.isnan(settled) else f"{settled * 1e3:.0f} ms",
-        "overshoot": f"{over * 1e3:.0f} {small}",
+        "overshoot": f"{factor * over:.3g} {small}",
     }  # fmt: skip
     return Course(name, times, value, torque, settled, figures | peak, fault)
 

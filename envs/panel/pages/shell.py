@@ -285,6 +285,8 @@ class Shell:
                 self.desk.told = number
                 if kind == "info":
                     ui.notify(text, position="bottom-left")
+                elif kind == "alarm":
+                    refuse(text)
 
     # ------------------------------------------------------------ coming, going
 
