@@ -40,6 +40,7 @@ def test_all_committed_trainings_can_be_repeated_within_two_hours_of_two_cores(t
         assert given == about["arguments"]
         corrected = [stage.residual for stage in stages if stage.residual] or [None]
         assert (corrected[-1], stages[0].bounds) == (about.get("residual"), about.get("bounds"))
+        assert stages[0].demonstrate == about.get("demonstrate")
         assert {stage.seed for stage in stages} == {about["seed"]}
         assert sum(stage.steps for stage in stages) == each.steps >= about["steps"]
         assert (len(stages) > 1) == bool(about.get("start"))

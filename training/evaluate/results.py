@@ -42,6 +42,12 @@ episodes of the learned policy. Shares are means over the episodes, of the learn
 that baseline. One episode is drawn under each policy, of several trainings under the first.
 
 """
+ROOM = """What there is to gain: the same metric of who does nothing, of chance, of the best
+baseline, of one that is told what was drawn at random (`oracle`), and the least that is possible
+at all (`bound`), interquartile means.
+
+"""
+ENDS, LIMITS = ("hold", "random"), ("oracle", "bound")  # beside the best baseline
 AGAIN = """## All trainings once more
 
 `servogym results --train out/again --workers 2` trains all of them anew, and goes on where it was
@@ -60,19 +66,22 @@ def page(folder: Path, at: str = ".") -> str:
     Raises:
         ValueError: there are none, or one lacks a file, the policy `learned` or the paragraph.
     """
-    rows, sections = [], []
+    rows, room, sections = [], [], []
     for path in folders(folder):
         data = json.loads(text(path, FILE, "servogym compare"))
         kind = task(data["env"])
         known = metrics(kind)
         own, baseline = _chosen(path, data, kind.METRIC, known)
         rows.append(_row(path.name, own, baseline, known, kind.METRIC))
+        room.append([path.name, known[kind.METRIC].heading, *_room(data, baseline, kind.METRIC)])
         sections.append(
             _section(
                 path, path.name if at == "." else f"{at}/{path.name}", data, own, baseline, known
             )
         )
-    return HEAD + markdown(HEADING, rows) + "\n" + "".join(sections) + _again(folder) + FOOT
+    tables = markdown(HEADING, rows) + "\n" + ROOM
+    tables += markdown(("task", "metric", *ENDS, "best baseline", *LIMITS, LEARNED), room) + "\n"
+    return HEAD + tables + "".join(sections) + _again(folder) + FOOT
 
 
 def run(folder: Path | None, out: Path | None, console: Console) -> int:
@@ -157,6 +166,16 @@ def _row(
         number(learned.tail),
         *(f"{_share(own, share)}, {_share(baseline, share)}" for share in SHARES),
     ]
+
+
+def _room(data: Mapping[str, Any], baseline: _Policy, metric: str) -> list[str]:
+    """The metric of each, from nothing to the limit; a dash where it was not compared."""
+    found = []
+    for name in (*ENDS, baseline.name, *LIMITS, LEARNED):
+        summary = data["policies"].get(name, {}).get("summary", {})
+        text = number(summary[metric]["iqm"]) if metric in summary else "–"
+        found.append(f"{name}: {text}" if name == baseline.name else text)
+    return found
 
 
 def _share(policy: _Policy, share: str) -> str:
