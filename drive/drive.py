@@ -8,10 +8,11 @@
 """
 
 import functools
+import math
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from .kernel.factors import units_changed
 from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import Mode, State
-from .model.model import DriveModel, load
+from .model.model import DriveModel, load, of_any_model
 from .model.near import named, near
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
@@ -169,12 +170,16 @@ class Drive:
         """Set parameters by name: objects where the model has them, else fields of `AXIS.od`.
 
         The latter stand for what a manufacturer's own tool sets, such as the inertia for the
-        feed-forward; they are kept over resets. A name that is neither is left out, so one list may
-        serve models with different units. Values are rounded.
+        feed-forward; they are kept over resets. An object of other models alone is left out, so
+        one list may serve models with different units. Values are rounded.
 
-        Raises ValueError where the model refuses a value, with its range.
+        Raises ValueError where the model refuses a value, with its range, for what is no number,
+        and for a name that no model has.
         """
-        for name, value in named("values", values, '{"max_torque": 3000}').items():
+        for name, given in named("values", values, '{"max_torque": 3000}').items():
+            if not isinstance(given, SupportsFloat) or not math.isfinite(given):
+                raise ValueError(f"{name} = {given!r} is no finite number")
+            value = given if isinstance(given, int) else float(given)
             if name in self.objects.names:
                 try:
                     self.write(name, round(value))
@@ -189,6 +194,9 @@ class Drive:
                 if self.model.quirk("values_keep_meaning") and name in FIELDS:
                     written(self, FIELDS[name])
                 self._powered_on = (0, b""), np.empty(0)
+            elif not of_any_model(name):
+                known = {**self.objects.names, **dict.fromkeys(record.OD.names or ())}
+                raise ValueError(f"no drive has the object {name!r}: {near(name, known)}")
         self.axis.parameters_changed = 1
 
     # ---------------------------------------------------------------- objects

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..drive.model.near import near
 
 THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
@@ -35,6 +37,13 @@ def whole(name: str, value: float, low: int, high: int) -> int:
     if number != value or not low <= number <= high:
         raise ValueError(f"{name} = {value!r} must be a whole number {low}..{high}")
     return number
+
+
+def flag(name: str, value: bool) -> bool:
+    """`value`, True or False. Raises ValueError naming it."""
+    if not isinstance(value, bool | np.bool_) and value not in (0, 1):
+        raise ValueError(f"{name} = {value!r}: use True or False")
+    return bool(value)
 
 
 def cores() -> int:

@@ -21,7 +21,7 @@ from ..drive.objects.abort import SdoAbort
 from . import fields
 from .about import Metric, Sensor
 from .batch import COMMANDED, JUDGED_NAMES, REPORTED, Batch, image_type, mapping, priced, shown
-from .checks import Options, accepted, choice, whole
+from .checks import Options, accepted, choice, flag, whole
 from .engine.machine import Machine
 from .engine.rates import interpolation_period, step_cycles
 from .faces import FACES, FAULT, PDO
@@ -166,7 +166,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             self.cycles_per_step,
         )
         self._history = whole("history", history, 1, MAX_HISTORY)
-        self._previous_action = bool(previous_action)
+        self._previous_action = flag("previous_action", previous_action)
         self.prices = priced(prices)
         self._configure()
         self.line: EtherCatLine | None = None

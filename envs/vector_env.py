@@ -51,6 +51,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         max_episode_steps: int | None = None,
         **arguments: Any,
     ):
+        if not (isinstance(task, type) and issubclass(task, ServoEnv)):
+            raise ValueError(
+                f"task = {task!r}: give the class of a task; servogym.envs.task('LinearAxis-v0') "
+                "is one by its id"
+            )
         self._arguments = {
             "task": task, "autoreset_mode": autoreset_mode, "threads": threads,
             "max_episode_steps": max_episode_steps, **arguments,

@@ -84,7 +84,7 @@ def import_eds(eds: Path, folder: Path) -> Imported:
 
 def _parsed(eds: Path) -> canopen.ObjectDictionary:
     if not eds.is_file():
-        raise ValueError(f"{eds}: there is no such file")
+        raise ValueError(f"{eds}: {'it is a folder' if eds.is_dir() else 'there is no such file'}")
     if eds.stat().st_size > LARGEST:
         raise ValueError(f"{eds}: {eds.stat().st_size} bytes are no EDS, at most {LARGEST}")
     content = eds.read_bytes()

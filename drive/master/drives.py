@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any, SupportsFloat, TypeVar
 
 from .. import advice
 from ..kernel.words import SWITCHED_ON, State, state_of
@@ -90,7 +90,7 @@ class Drives:
 
     def wait(self, time: float) -> None:
         """Let so much time pass (s), 0 or more."""
-        if not time >= 0.0:
+        if not (isinstance(time, SupportsFloat) and float(time) >= 0.0):
             raise ValueError(f"time = {time!r} s must be 0 or more")
         end = self.port.now() + time - 1e-9
         while self.port.now() < end:

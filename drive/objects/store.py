@@ -60,7 +60,8 @@ def decode(text: str, model: str, check: Callable[[str, int | float], str] | Non
                 then = f" ({then[0]}..{then[1]} when it was stored)" if then else ""
                 raise ValueError(f"{address} = {value} {wrong}{then}")
     except (LookupError, TypeError, AttributeError, RecursionError, json.JSONDecodeError) as error:
-        raise ValueError(f"it cannot be read ({type(error).__name__}: {error})") from None
+        reason = f"it lacks {error}" if isinstance(error, LookupError) else str(error)
+        raise ValueError(f"it cannot be read ({reason})") from None
     return values
 
 

@@ -14,11 +14,12 @@ sampled once a position cycle, in which d is held for n velocity cycles: h = (1 
 z^(n-1)) / n accounts for it.
 """
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from ..checks import in_range
+from ..checks import in_range, whole
 from ..engine.machine import Machine
 from .identify import identify
 from .margins import LEAST_COHERENCE
@@ -39,11 +40,14 @@ from .stand import (
 
 PERIOD = 1.0  # s, of the multisine: a line each Hz
 SETTLE = 0.4  # s, of its beginning, until what is transient has gone
+LEG = PERIOD + SETTLE + 0.1  # s, of travel in one direction
 BLOCKS = 4  # pairs of runs, two in each direction
 RESERVE = 4.0  # of the gain to one that only just does not oscillate
 LEAST_AMPLITUDE = 0.005  # share of the rated torque
 LINES = 110
 HIGHEST = 0.3  # share of the position-controller rate; above it the images of the hold blur it
+SMALL, LIKE = 0.2, 0.05  # of the amplitude; rms of the logarithm of two plants that are alike
+AGAINST, SMALLER = "drives against one another", "small amplitude"
 UNSEEN = 0.03  # share of the lines, and crossover as a share of the position-controller
 HIGHEST_CROSSOVER = 0.08  # rate: above them the plant is measured behind a softer loop
 SOFT, SOFTER = 0.25, 3  # of the velocity gain, and how often it is measured at most
@@ -88,34 +92,42 @@ def bode(
     """
     control()
     stand = Stand(machine, drive)
-    in_range("amplitude", amplitude, LEAST_AMPLITUDE, 1.0, "of the rated torque")
+    possible(amplitude, seed)
     nyquist = 0.5 / stand.period
     highest = HIGHEST / stand.period if highest is None else highest
     in_range("highest", highest, 10.0, nyquist, "Hz")
     in_range("lowest", lowest, 1 / PERIOD, highest / 2, "Hz")
-    if speed is not None:
-        in_range("speed", speed, 1e-6, 1e3, f"{stand.unit}/s")
     gains = gains_of(stand.drive)
     try:
         stand.start()
+        if speed is not None:
+            unit = f"{stand.unit}/s, what motor and room allow"
+            in_range("speed", speed, 1e-6, stand.fastest(LEG), unit)
         note = calm(stand)
         return measured(stand, gains, note, amplitude, speed, lowest, highest, seed)
     finally:
         stand.put_back()
 
 
+def possible(amplitude: float, seed: int) -> None:
+    """Raises ValueError for an excitation that is none."""
+    in_range("amplitude", amplitude, LEAST_AMPLITUDE, 1.0, "of the rated torque")
+    whole("seed", seed, 0, 2**63)
+
+
 def measured(
     stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
-    lowest: float, highest: float, seed: int, earlier: Response | None = None,
+    lowest: float, highest: float, seed: int, earlier: Response | None = None, small: bool = False,
 ) -> Response:  # fmt: skip
     """The response of a drive that is calm, with a plant fitted to it; the loops are of `gains`.
 
     Two drives that move one beam are measured together, then one against the other. What was
     measured `earlier` counts as well. Where little is left to see behind a stiff loop, the plant is
-    measured once more behind a softer one.
+    measured once more behind a softer one. With `small` it is measured at a small amplitude, too,
+    where a gear with backlash stays on one flank; kept if that is another plant.
     """
-    found = []
-    for against in (False, True)[: len(stand.movers)]:
+
+    def found(against: bool, amplitude: float, before: Response | None) -> Response:
         tries: list[tuple[float, Response]] = []
         while len(tries) < SOFTER and not (tries and tries[-1][0] <= 1.0):
             if tries:
@@ -123,10 +135,22 @@ def measured(
             once = _measure(stand, gains, note, amplitude, speed, lowest, highest, seed, against)
             tries.append((_doubt(once, gains_of(stand.drive)), once))
         _, response = min(tries, key=lambda one: one[0])
-        if earlier is not None:
-            response = response.with_earlier(earlier.against if against else earlier)
-        found.append(replace(response, fitted=identify(response, stand.drive)))
-    return replace(found[0], against=found[1] if found[1:] else None)
+        response = response.with_earlier(before)
+        return replace(response, fitted=identify(response, stand.drive))
+
+    main, also = found(False, amplitude, earlier), {}
+    before = dict(earlier.also) if earlier else {}
+    if stand.movers[1:]:
+        also[AGAINST] = found(True, amplitude, before.get(AGAINST))
+    less = SMALL * main.amplitude
+    if SMALLER in before:
+        also[SMALLER] = found(False, less, before[SMALLER])
+    elif small and less >= LEAST_AMPLITUDE:
+        with suppress(RuntimeError):  # too little of it is coherent
+            other = found(False, less, None)
+            if other.amplitude == less and main.differs(other) > LIKE:
+                also[SMALLER] = other
+    return replace(main, also=tuple(also.items()))
 
 
 def _doubt(response: Response, gains: Gains) -> float:
@@ -191,13 +215,12 @@ def _measure(
     lines = lines.astype(int)
     frequencies = lines / (count * stand.period)
     settle = round(SETTLE / stand.period)
-    leg = PERIOD + SETTLE + 0.1
-    speed = stand.speed(leg) if speed is None else speed
+    speed = stand.speed(LEG) if speed is None else speed
     rated = float(stand.drive.axis.rated_torque)
     blocks: list[np.ndarray] = []
     begin = stand.machine.snapshot()
     while len(blocks) < BLOCKS:
-        direction = stand.direction(speed * leg)
+        direction = stand.direction(speed * LEG)
         waves = [_multisine(random, lines, count, frequencies) * amplitude * rated for _ in "+-"]
         stand.travel(-direction * speed)
         stand.settle(speed)

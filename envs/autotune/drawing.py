@@ -52,8 +52,8 @@ def loops(
             label = f"{name}: {found}"
             loop, degrees = _line(gain, phase, response, loop, color=colour, label=label)
             _mark(gain, phase, found, response.frequencies, loop, degrees, colour)
-        if (other := response.against) is not None:
-            label = f"{name}, drives against one another"
+        for how, other in response.also:
+            label = f"{name}, {how}"
             for gain, phase, loop in zip(
                 upper, lower, (other.velocity_loop, other.position_loop), strict=True
             ):

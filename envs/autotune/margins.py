@@ -1,6 +1,7 @@
 """Margins of an open loop that is known at some frequencies."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +23,14 @@ class Margins:
     phase_crossover: float  # Hz
     stable: bool
 
-    def and_of(self, other: "Margins") -> "Margins":
-        """The smaller ones of two loops; where they cross is said of this one."""
-        worse = other if other.gain < self.gain else self
+    def and_of(self, others: Iterable["Margins"]) -> "Margins":
+        """The smallest ones of several loops, and where they are."""
+        loops = [self, *others]
+        gain = min(loops, key=lambda each: each.gain)
+        phase = min(loops, key=lambda each: each.phase)
         return Margins(
-            worse.gain, min(self.phase, other.phase), self.crossover, worse.phase_crossover,
-            self.stable and other.stable,
+            gain.gain, phase.phase, phase.crossover, gain.phase_crossover,
+            all(each.stable for each in loops),
         )  # fmt: skip
 
     def __str__(self) -> str:

@@ -57,12 +57,15 @@ class Response:
     unit: str  # of the joint
     note: str = ""
     fitted: Plant | None = None
-    against: "Response | None" = None  # of two drives that move one beam, one against the other
+    # the same otherwise excited, by name; of all the smallest margins count
+    also: tuple[tuple[str, "Response"], ...] = ()
 
     def with_gains(self, gains: Gains) -> "Response":
         """The same plant behind other gains."""
-        against = self.against and self.against.with_gains(gains)
-        return replace(self, gains=gains, against=against)
+        if not isinstance(gains, Gains):
+            raise ValueError(f"gains = {gains!r}: give Gains, as gains_of(drive) has them")
+        also = tuple((name, other.with_gains(gains)) for name, other in self.also)
+        return replace(self, gains=gains, also=also)
 
     @cached_property
     def wide(self) -> "Response":
@@ -90,7 +93,7 @@ class Response:
         )
         return replace(
             self, frequencies=frequencies, plant=plant, position_plant=plant * position,
-            coherence=np.ones(len(frequencies)), fitted=None, against=None,
+            coherence=np.ones(len(frequencies)), fitted=None, also=(),
         )  # fmt: skip
 
     def _sampled(self, response: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -126,6 +129,12 @@ class Response:
             position_plant=(own * self.position_plant + earlier * other.position_plant) / both,
             coherence=both / (1 + both),
         )
+
+    def differs(self, other: "Response") -> float:
+        """Rms of the logarithm of the ratio of two plants, as far as both are known."""
+        weight = 1 / (1 / self._weight + 1 / other._weight)
+        ratio = np.abs(np.log(other.plant / self.plant)) ** 2
+        return math.sqrt(float((weight * ratio).sum() / weight.sum()))
 
     @property
     def inertia(self) -> float:
@@ -169,7 +178,7 @@ class Response:
         """Of the velocity loop."""
         wide = self.wide
         own = self._margins(wide.frequencies, wide.velocity_loop)
-        return own.and_of(self.against.velocity_margins) if self.against else own
+        return own.and_of(other.velocity_margins for _, other in self.also)
 
     @cached_property
     def position_margins(self) -> Margins:
@@ -178,7 +187,7 @@ class Response:
         below = wide.frequencies < 0.49 / (self.cycle * self.cycles)
         own = self._margins(wide.frequencies[below], wide.position_loop[below])
         own = replace(own, stable=own.stable and self.velocity_margins.stable)
-        return own.and_of(self.against.position_margins) if self.against else own
+        return own.and_of(other.position_margins for _, other in self.also)
 
     def _margins(self, frequencies: np.ndarray, loop: np.ndarray) -> Margins:
         first = int(np.searchsorted(frequencies, self.frequencies[0]))
@@ -204,6 +213,7 @@ class Response:
         Raises ValueError for another suffix.
         """
         path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".csv":
             self._write(path)
         elif path.suffix == ".png":

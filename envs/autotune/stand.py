@@ -15,6 +15,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.kernel.words import Limit, Mode, State
 from ...drive.master import Master
+from ...drive.model.near import near
 from ..checks import in_range
 from ..engine.machine import Machine
 from ..masters.port import MachinePort
@@ -82,9 +83,15 @@ class Stand:
     """
 
     def __init__(self, machine: Machine, name: str | None = None):
+        if not isinstance(machine, Machine):
+            raise ValueError(
+                f"machine = {machine!r}: give a Machine, as linear_axis() makes one; of an "
+                "environment it is env.machine"
+            )
         name = next(iter(machine.drives)) if name is None else name
         if name not in machine.drives:
-            raise ValueError(f"drive: there is no drive {name!r}, only {[*machine.drives]}")
+            hint = near(str(name), machine.drives)
+            raise ValueError(f"drive: there is no drive {name!r}: {hint}")
         self.machine, self.name = machine, name
         self.drive = machine.drives[name]
         model = self.drive.model
@@ -153,6 +160,11 @@ class Stand:
             ]
             low, high = max(low, min(ends)), min(high, max(ends))
         return here - low, high - here
+
+    def fastest(self, duration: float) -> float:
+        """Of travel for so long (s), at the joint (m/s or rad/s): of the motor, and in the room."""
+        motor = float(self.drive.axis.max_speed) / abs(self.gear)
+        return min(motor, ROOM * max(self.room) / duration)
 
     def speed(self, duration: float, share: float = 0.1) -> float:
         """Of travel at the joint (m/s or rad/s): a share of 6081h, less where there is no room."""

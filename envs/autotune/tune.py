@@ -12,7 +12,7 @@ from typing import Any
 
 from ..checks import in_range
 from ..engine.machine import Machine
-from .bode import HIGHEST, calm, measured
+from .bode import HIGHEST, calm, measured, possible
 from .fit import Asked, fit, why_not
 from .needs import control, scipy
 from .response import Response
@@ -124,6 +124,7 @@ def tune(
         ImportError: without the packages control and scipy.
     """
     control(), scipy("optimize")
+    possible(amplitude, seed)
     asked = Asked(
         in_range("gain_margin", gain_margin, 2.0, 40.0, "dB"),
         in_range("phase_margin", phase_margin, 10.0, 80.0, "degree"),
@@ -183,8 +184,7 @@ def _no_better(asked: Asked, before: Response, had: Trial, found: Trial) -> str:
     if asked.kept(before) and found.following_error > WORSE * had.following_error:
         return (
             f"what the drive had keeps the margins and follows better ({_micro(had)} against "
-            f"{_micro(found)} µm), so it keeps it; what was measured is no guide, as where another "
-            "drive holds the same body"
+            f"{_micro(found)} µm), so it keeps it"
         )
     return ""
 
@@ -201,7 +201,8 @@ def _look(
     stand.start()
     note = calm(stand)
     response = measured(
-        stand, gains, note, amplitude, None, 2.0, HIGHEST / stand.period, seed, earlier
+        stand, gains, note, amplitude, None, 2.0, HIGHEST / stand.period, seed, earlier,
+        small=ride,
     )  # fmt: skip
     return response, friction(stand) if ride else None
 

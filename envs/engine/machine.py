@@ -242,7 +242,9 @@ class Machine:
                 attach(spec, models, gears or {})
             return cls(spec.compile(), models)
         except ValueError as error:
-            raise ValueError(f"{text if len(text) < 200 else 'MJCF'}: {error}") from None
+            name = text if len(text) < 200 else "MJCF"
+            said = str(error)
+            raise ValueError(said if said.startswith(name) else f"{name}: {said}") from None
 
     @property
     def time(self) -> float:
@@ -251,7 +253,7 @@ class Machine:
 
     def joint(self, name: str) -> tuple[float, str]:
         """Gear of a drive (rad of motor shaft per unit of its joint), and that unit: m or rad."""
-        coupling = self.couplings[[*self.drives].index(name)]
+        coupling = self.couplings[[*self.drives.values()].index(self.drives[name])]
         return float(coupling.gear), _unit(self._model, self._model.dof_jntid[coupling.dof])
 
     def step(self, cycles: int = 1) -> None:

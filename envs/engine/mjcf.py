@@ -31,7 +31,7 @@ from pathlib import Path
 import mujoco
 
 from ...drive.model.model import DriveModel
-from ...drive.model.near import near
+from ...drive.model.near import named, near
 
 JOINT_TYPES = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}  # units
 ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
@@ -92,7 +92,11 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
         seen.add(file.resolve())
     root = Path(base if folder is None else folder).resolve()
     _opened(text, base, root, seen, _Asked(), 1.0)
-    spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
+    try:
+        spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
+    except ValueError as error:
+        where = str(mjcf) if seen else "MJCF"
+        raise ValueError(f"{where}: {' '.join(str(error).split())}") from None
     view = spec.visual.global_
     view.offwidth, view.offheight = max(view.offwidth, WIDTH), max(view.offheight, HEIGHT)
     for place, name in _assets(spec):
@@ -228,7 +232,7 @@ def attach(
         ValueError: a name that is missing, a joint or transmission that cannot take a drive, two
             actuators or drives on a joint, a gear that is 0 or not finite.
     """
-    for name in gears:
+    for name in named("gears", gears, '{"joint": 100}'):
         if name not in drives:
             raise ValueError(f"gears: there is no drive {name!r}: {near(name, drives)}")
     names: dict[str, str] = {}  # drive by joint

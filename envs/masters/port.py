@@ -24,6 +24,11 @@ class MachinePort:
     def __init__(
         self, machine: Machine, on_step: Callable[[], object] | None = None, cycles: int = 1
     ) -> None:
+        if not isinstance(machine, Machine):
+            raise ValueError(
+                f"machine = {machine!r}: give a Machine, as linear_axis() makes one; of an "
+                "environment it is env.machine"
+            )
         self.machine = machine
         self.on_step = on_step
         self.cycles = cycles

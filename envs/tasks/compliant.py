@@ -10,7 +10,7 @@ from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
 from ..about import Sensor
 from ..batch import episode
-from ..checks import in_range
+from ..checks import flag, in_range
 from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds, world_at
@@ -227,7 +227,7 @@ class CompliantAxisEnv(ServoEnv):
                 "spring, for a rigid one take servogym/LinearAxis-v0"
             )
         self.datasheet = parameters
-        self.load_sensor = bool(load_sensor)
+        self.load_sensor = flag("load_sensor", load_sensor)
         self.torque_range = in_range("torque_range", torque_range, 0.0, 1.0, "of 6072h")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")

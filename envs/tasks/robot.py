@@ -1,7 +1,7 @@
 """servogym/Robot-v0: drives on the joints of any MJCF, and goals for its joints or for a site."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -212,10 +212,13 @@ class RobotEnv(ServoEnv):
         names = list(self._models)
         if not 0 < len(names) <= MOST:
             raise ValueError(f"drives: {len(names)} joints would get one, 1..{MOST} are possible")
+        goals = [goals] if isinstance(goals, str) else goals
+        if not (goals is None or isinstance(goals, Iterable)):
+            raise ValueError(f"goals = {goals!r}: give names of drives, as ['{names[0]}']")
         for name in goals or ():
             if name not in names:
                 raise ValueError(f"goals: there is no drive {name!r}: {near(str(name), names)}")
-        if site is not None and spec.site(site) is None:
+        if site is not None and (not isinstance(site, str) or spec.site(site) is None):
             known = [each.name for each in spec.sites if each.name]
             raise ValueError(f"site = {site!r}: {near(str(site), known) or 'the model has none'}")
         self.goals, self.site = tuple(goals or names), site

@@ -11,7 +11,7 @@ from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
 from ..about import Sensor
 from ..batch import episode
-from ..checks import in_range
+from ..checks import flag, in_range
 from ..device_env import vectors
 from ..engine.machine import Machine
 from ..engine.tick import coordinates, load_noise, speeds, world_at
@@ -274,7 +274,7 @@ class GantrySwayEnv(ServoEnv):
         if axes not in ("x", "xy"):
             raise ValueError(f"axes = {axes!r}, use one of x, xy")
         self.DRIVES = tuple(axes)
-        self.sway_sensor = bool(sway_sensor)
+        self.sway_sensor = flag("sway_sensor", sway_sensor)
         self.ACTION = action(("velocity", len(axes)))
         axis, self.judge = (AXIS, judge) if self.sway_sensor else (BLIND_AXIS, judge_blind)
         self.OBSERVATION = observation(("axes", len(axes), axis))

@@ -14,7 +14,7 @@ from servogym.envs.autotune.stand import gains_of
 
 
 def plant(machine, names):
-    """-> control.ss from torque command (Nm) to measured speed (rad/s) and angle (rad).
+    """-> control.ss from torque command (Nm) to measured speed (rad/s) and position (rad).
 
     Of several drives that move one beam: one sign each in `names`, {name: sign}, half the sum.
     """
@@ -27,10 +27,16 @@ def plant(machine, names):
     mujoco.mjd_transitionFD(model, data, 1e-6, True, a, b, None, None)
     steps = round(float(axis.velocity_period) / model.opt.timestep)
     torque, angle = np.zeros((2 * n, 1)), np.zeros((1, 2 * n))
+    place = np.zeros((1, 2 * n))  # of the encoder that the position loop has
     for name, sign in names.items():
-        coupling = machine.couplings[[*machine.drives].index(name)]
+        number = [*machine.drives].index(name)
+        coupling, mechanics = machine.couplings[number], machine.mechanics[number]
         torque += sign * b[:, [int(coupling.ctrl)]]
-        angle[0, int(coupling.dof)] += sign * float(coupling.gear) / len(names)
+        dofs = [int(coupling.dof)]
+        if axis.od.position_source and mechanics["guide"] >= 0:
+            dofs.append(int(mechanics["elastic_dof"]))
+        angle[0, dofs[0]] += sign * float(coupling.gear) / len(names)
+        place[0, dofs] += sign * float(coupling.gear) / len(names)
     torque = sum(np.linalg.matrix_power(a, k) for k in range(steps)) @ torque
     a = np.linalg.matrix_power(a, steps)
     share, period = float(axis.velocity_filter), float(axis.velocity_period)
@@ -47,7 +53,7 @@ def plant(machine, names):
     whole[2 * n, 2 * n] = 1 - lag
     whole[-2, : 2 * n] = angle[0]
     whole[-1] = speed[0]
-    out = np.vstack([speed, np.hstack([angle, np.zeros((1, 3))])])
+    out = np.vstack([speed, np.hstack([place, np.zeros((1, 3))])])
     return control().ss(whole, into, out, 0, period)
 
 

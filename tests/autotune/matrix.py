@@ -48,7 +48,8 @@ FOOT = """
 Margins are the smallest of the loops as measured afterwards. *Known* are those of the model itself:
 the physics as MuJoCo linearises it behind the same controllers, by python-control, nothing excited
 or fitted. Where there is backlash or a gear with losses (ball_screw, vertical, rack_pinion,
-rotary_table) the linear model is the limit of large motions, and what is measured need not agree.
+rotary_table) it is the plant on one flank, which a small amplitude sees and a large one softens:
+`tune` looks at both, and takes the smaller margins.
 Seconds are of processor time.
 """
 
@@ -198,9 +199,9 @@ def page(rows):
     worse = sum(float(row[-3]) > WORSE * float(row[-5]) + COUNT * 1e6 for row in rows)
     longest = max((float(row[-2]) for row in rows), default=0.0)
     told = (
-        f"Of {len(CASES)} cases {len(rows)} have been run. In {yes} the margins are reached, in the"
-        f" others the reason is told. The following error is more than {WORSE:g} times that of the"
-        f" commissioned gains in {worse}. The longest took {longest:.1f} s of processor time.\n\n"
+        f"Of {len(CASES)} cases {len(rows)} have been run, and in {yes} the margins are reached; in"
+        f"\nothers the reason is told. The following error is more than {WORSE:g} times that of the"
+        f"\ncommissioned gains in {worse}. The longest took {longest:.1f} s of processor time.\n\n"
     )
     return HEAD + told + markdown(HEADING, rows) + FOOT
 

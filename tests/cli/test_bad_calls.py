@@ -18,17 +18,20 @@ from servogym.envs import (
     Machine,
     RotaryParameters,
     ServoEnv,
+    bode,
     commission_joint,
     gantry,
     linear_axis,
     register,
     rotary_axis,
     task,
+    tune,
 )
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.tasks.contour import GantryContourEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
 from servogym.envs.vector_env import ServoVectorEnv
@@ -59,6 +62,8 @@ def x():
 
 
 NAN = float("nan")
+ROBOT = """<mujoco><worldbody><body><joint name="elbow" type="hinge"/><geom size="0.1"/></body>
+</worldbody></mujoco>"""
 CALLS = {
     # environments
     "drive None": lambda s: LinearAxisEnv(drive=None),
@@ -207,6 +212,26 @@ CALLS = {
     "policy file": lambda s: make("nothing.py:act", s.env),
     "faults of a bus": lambda s: LinearAxisEnv("kollmorgen_akd", faults=["drp at=cycle:1"]),
     "faults of a bus it has not": lambda s: LinearAxisEnv("festo_cmms", faults=["drop rate=0.1"]),
+    # tuning
+    "tune amplitude": lambda s: tune(s.machine, amplitude=NAN),
+    "tune seed": lambda s: tune(s.machine, seed=-1),
+    "tune an environment": lambda s: tune(s.env),
+    "bode speed": lambda s: bode(s.machine, speed=100),
+    "bode seed": lambda s: bode(s.machine, seed="one"),
+    # of names, flags and types
+    "joint of a machine": lambda s: s.machine.joint("y"),
+    "port of an environment": lambda s: Master(MachinePort(s.env), "x"),
+    "wait text": lambda s: s.master.wait("1 s"),
+    "commission unknown": lambda s: s.drive.commission({"velocity_control_gan": 3}),
+    "commission text": lambda s: s.drive.commission({"velocity_control_gain": "high"}),
+    "flag": lambda s: LinearAxisEnv(previous_action="yes"),
+    "vector of an id": lambda s: ServoVectorEnv("LinearAxis-v0", 2),
+    "policy without environment": lambda s: make("ruckig", None),
+    "policy of an id": lambda s: make("ruckig", "LinearAxis-v0"),
+    "from_mjcf gears": lambda s: Machine.from_mjcf(ROBOT, {"elbow": "generic"}, gears=100),
+    "robot goals": lambda s: RobotEnv(mjcf=ROBOT, goals=3),
+    "robot site": lambda s: RobotEnv(mjcf=ROBOT, site=3),
+    "robot xml": lambda s: RobotEnv(mjcf="<mujoco><worldbody>"),
     "family": lambda s: FAMILY["belt"] if "belt" in FAMILY else linear_axis(mechanics="belt "),
 }  # fmt: skip
 RAW = (

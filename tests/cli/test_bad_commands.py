@@ -201,6 +201,27 @@ benchmark everything
 benchmark homing --drive nothing
 benchmark homing --drive bonfiglioli_act
 benchmark positioning --out FILE
+tune --amplitude 0
+tune --amplitude nan
+tune --seed -1
+tune --out FILE
+tune --gear 3
+tune robot.xml
+tune broken.xml --axis elbow
+tune broken.xml
+bode --speed 100
+bode --out FILE
+scope --channels ,
+scope --before 5000 --depth 100
+scope --out FILE
+scope bus -i virtual --duration 0
+sweep LinearAxis-v0 --policies hold --drives generic,nothing
+train LinearAxis-v0 --setting learning_rat=1e-3
+watch Robot-v0 --argument mjcf=broken.xml --record new.gif
+watch Robot-v0 --argument mjcf=robot.xml --argument goals=elbo --record new.gif
+eval LinearAxis-v0 --policy wrong.py:two --episodes 1
+eval LinearAxis-v0 --policy wrong.py:exits --episodes 1
+drives --from-eds . -o new
 """.strip().splitlines()
 
 WRONG = """
@@ -210,6 +231,8 @@ def shape(observation): return np.zeros(7)
 def text(observation): return "left"
 def nothing(observation): return None
 def nan(observation): return np.array([np.nan])
+def two(observation, gain): return np.zeros(1)
+def exits(observation): raise SystemExit(0)
 class Class:
     def act(self, observation): return np.zeros(1)
 class Raises:
@@ -219,12 +242,18 @@ class Raises:
 """
 
 
+ROBOT = """<mujoco><worldbody><body><joint name="elbow" type="hinge"/><geom size="0.1"/></body>
+</worldbody></mujoco>"""
+
+
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wrong")
     (folder / "FILE").write_text("not what was meant\n")
     (folder / "FILE.py").write_text("")
     (folder / "broken.py").write_text("def act(:\n")
+    (folder / "broken.xml").write_text("<mujoco><worldbody>")
+    (folder / "robot.xml").write_text(ROBOT)
     (folder / "wrong.py").write_text(WRONG)
     for suffix in ("log", "pcapng"):
         (folder / f"EMPTY.{suffix}").touch()

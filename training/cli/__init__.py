@@ -7,6 +7,7 @@ import re
 import signal
 import sys
 import threading
+import warnings
 from pathlib import Path
 from typing import NoReturn
 
@@ -37,6 +38,7 @@ COMMANDS = {  # the module of each, loaded when it is asked for (`add_NAME` or `
     "benchmark": ("benchmark", "homing methods, positioning strategies, learned policies"),
     "sweep": ("sweep", "tasks × drives × conditions × seeds × values"),
 }  # fmt: skip
+FORMAT = warnings.formatwarning
 # threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
 BLAS = "OPENBLAS_NUM_THREADS"
 
@@ -126,6 +128,16 @@ def _told(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
+def _warned(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int,
+    line: str | None = None,
+) -> str:  # fmt: skip
+    """A warning to the user in a line; of others, with its place."""
+    if category is UserWarning:
+        return f"servogym: {message}\n"
+    return FORMAT(message, category, filename, lineno, line)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; what a user got wrong is one line on stderr and exit status 2.
 
@@ -136,6 +148,7 @@ def main(arguments: list[str] | None = None) -> int:
         sys.path.append(os.getcwd())  # modules with tasks of your own, as `python -m` finds them
     options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
     console = Console()
+    warnings.formatwarning = _warned
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

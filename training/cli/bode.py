@@ -19,7 +19,7 @@ def add(bode: argparse.ArgumentParser) -> None:
     bode.add_argument("--highest", type=float, help="frequency in Hz")
     bode.add_argument("--seed", type=int, default=0, help="of the excitation's phases (0)")
     bode.add_argument("--out", type=Path, default=Path("out"), help="folder: bode.png, .csv (out)")
-    bode.set_defaults(run=_bode)
+    bode.set_defaults(run=_bode, folders=("out",))
 
 
 def _bode(options: argparse.Namespace, console: Console) -> int:

@@ -15,6 +15,7 @@ from ...envs import (
     linear_axis,
     rotary_axis,
 )  # fmt: skip
+from ...envs.engine.mjcf import read
 
 GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
 NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
@@ -56,6 +57,9 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     Raises:
         ValueError: an unknown machine, parameter or axis.
     """
+    mjcf = options.machine not in NAMES
+    if options.gear is not None and not mjcf:
+        raise ValueError("--gear is of an MJCF; the machines of the laboratory have feed_constant")
     machine = _machine(options)
     name = options.axis or next(iter(machine.drives))
     if name not in machine.drives:
@@ -64,7 +68,6 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
         if not options.parameter_file.is_file():
             raise ValueError(f"--parameter-file = {options.parameter_file}: there is no such file")
         machine.drives[name].use_parameter_file(options.parameter_file)
-    mjcf = options.machine not in NAMES
     if options.at is not None:
         machine.reset(positions={name: options.at})
     elif not mjcf:
@@ -98,7 +101,10 @@ def _machine(options: argparse.Namespace) -> Machine:
     if values:
         raise ValueError("--set is for the machines of the laboratory; edit the MJCF instead")
     if not options.axis:
-        raise ValueError(f"{name}: name the joint that gets the drive with --axis")
+        joints = ", ".join(joint.name for joint in read(name).joints if joint.name)
+        raise ValueError(
+            f"{name}: name the joint that gets the drive with --axis: it has {joints or 'none'}"
+        )
     gears = {} if options.gear is None else {options.axis: options.gear}
     machine = Machine.from_mjcf(name, {options.axis: options.drive}, gears=gears)
     commission_joint(machine, options.axis)

@@ -47,7 +47,7 @@ def add(scope: argparse.ArgumentParser) -> None:
     scope.add_argument(
         "--out", type=Path, default=Path("out"), help="folder: scope.csv, .png (out)"
     )
-    scope.set_defaults(run=_scope, drive=None)
+    scope.set_defaults(run=_scope, drive=None, folders=("out",))
 
 
 def _trigger(text: str | None, named: Callable[[str], str]):
@@ -62,10 +62,18 @@ def _trigger(text: str | None, named: Callable[[str], str]):
 
 
 def _asked(options: argparse.Namespace) -> list[str]:
-    return [x.strip() for x in (options.channels or "").split(",") if x.strip()]
+    asked = [x.strip() for x in (options.channels or "").split(",") if x.strip()]
+    if options.channels is not None and not asked:
+        raise ValueError(f"--channels = {options.channels!r} names none")
+    return asked
 
 
 def _window(options: argparse.Namespace, trigger: Any) -> dict[str, Any]:
+    if not 0 <= options.before < max(options.depth, 1) and options.before != BEFORE:
+        raise ValueError(
+            f"--before = {options.before} samples is out of range 0..{options.depth - 1}, it is "
+            "less than --depth"
+        )
     before = min(options.before, options.depth - 1) if options.before == BEFORE else options.before
     return {"depth": options.depth, "trigger": trigger, "before": before if trigger else 0}
 
@@ -147,6 +155,8 @@ def _of_node(options: argparse.Namespace):
     from ...drive.wire.bus import CanPort
     from ...drive.wire.recording import NodeScope, record
 
+    if not options.duration > 0.0:
+        raise ValueError(f"--duration = {options.duration:g} s has to be above 0")
     node_id = 1 if options.node_id is None else options.node_id
     bus = buses.opened(options)
     try:

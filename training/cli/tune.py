@@ -27,7 +27,7 @@ def add(tune: argparse.ArgumentParser) -> None:
     tune.add_argument(
         "--out", type=Path, default=Path("out"), help="folder: tune.png, parameters.json (out)"
     )
-    tune.set_defaults(run=_tune)
+    tune.set_defaults(run=_tune, folders=("out",))
 
 
 def _tune(options: argparse.Namespace, console: Console) -> int:

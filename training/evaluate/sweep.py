@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ...drive.model.model import load
 from ...envs.registry import short, task
 from ..report import markdown, number, origin, write_csv, write_json, write_page
 from ..scale.job import Job, Result
@@ -77,6 +78,8 @@ class Sweep:
     def __post_init__(self):
         if bool(self.policies) == bool(self.algorithm):
             raise ValueError("give either --policies, to play, or --train, to train and play")
+        for drive in self.drives:
+            load(drive)
 
     def grid(self) -> Iterator[dict[str, Any]]:
         """Each combination of the values. Raises ValueError for a range, which a study wants."""

@@ -4,6 +4,7 @@ A run has a folder: `progress.csv`, `evaluations.npz` (the same episodes each ti
 and `best/`, the policy of the best evaluation.
 """
 
+import inspect
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
+from ...drive.model.near import near
 from ...envs.checks import whole
 from ...envs.registry import short, task
 from ..policies import saved, weights
@@ -248,6 +250,11 @@ def _train(
     try:
         model = ALGORITHMS[run.algorithm]("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
     except TypeError as error:
+        known = inspect.signature(ALGORITHMS[run.algorithm]).parameters
+        for name in settings.keys() - known.keys():
+            raise ValueError(
+                f"{run.algorithm} has no hyper-parameter {name!r}: {near(name, known)}"
+            ) from None
         raise ValueError(f"hyper-parameters of {run.algorithm}: {error}") from None
     if first and run.start:
         state.begin(model, first, run.start["steps"])

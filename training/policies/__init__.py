@@ -188,6 +188,11 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
     """
     if not isinstance(name, str) and not callable(name):
         raise ValueError(f"policy {name!r}: give a name, {POLICIES_TOLD}")
+    if not isinstance(env, ServoEnv):
+        raise ValueError(
+            f"env = {env!r}: give an environment, as task('LinearAxis-v0')() makes one; of "
+            "gymnasium.make it is env.unwrapped"
+        )
     task = env.ID
     if not isinstance(name, str):
         return policy_of(label(name), name, datasheet(env), seed)

@@ -1,6 +1,7 @@
 """A policy of the user's own: a class or a function, in a file or behind an entry point."""
 
 import importlib.util
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,17 +32,37 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
         raise ValueError(f"policy {name!r} is for {', '.join(tasks)}, not for {datasheet.task}")
     if not isinstance(made, type):
         if callable(made):
+            _takes(name, made, "observation")
             return Own(name, Function(made))
         raise ValueError(f"policy {name!r} is {made!r}: it has to be a class or a function")
     for method in ("reset", "act"):
         if not callable(getattr(made, method, None)):
             raise ValueError(f"policy {name!r}: class {made.__name__} lacks the method {method}")
+    _takes(name, made, "datasheet", "seed")
+    _takes(name, vars(made).get("reset"), "self", "observation", "info")
+    _takes(name, vars(made).get("act"), "self", "observation")
     try:
         return Own(name, made(datasheet, seed))
     except Exception as error:
         raise ValueError(
             f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {told(error)}"
         ) from error
+
+
+def _takes(name: str, function: Any, *arguments: str) -> None:
+    """Raises ValueError where a function of the user's cannot be called as it will be."""
+    if isinstance(function, staticmethod | classmethod) or not callable(function):
+        return  # inherited, or of a kind of its own: it tells by itself
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        given = ", ".join(each for each in arguments if each != "self")
+        raise ValueError(
+            f"policy {name!r}: {function.__name__} is called with ({given}), which it does not "
+            f"take: {error}"
+        ) from None
+    except ValueError:  # it has no signature, as what is compiled
+        return
 
 
 class Own:
@@ -71,7 +92,7 @@ class Own:
     def _called(self, method: str, *arguments: Any) -> Any:
         try:
             return getattr(self._policy, method)(*arguments)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ValueError(f"policy {self._name!r}, {method}: {told(error)}") from error
 
 
