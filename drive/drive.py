@@ -8,11 +8,10 @@
 """
 
 import functools
-import math
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, SupportsFloat
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,8 @@ from .kernel.factors import units_changed
 from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import Mode, State
-from .model.model import DriveModel, load, of_any_model
+from .model.given import finite, refuse_unknown
+from .model.model import DriveModel, load
 from .model.near import named, near
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
@@ -177,9 +177,7 @@ class Drive:
         and for a name that no model has.
         """
         for name, given in named("values", values, '{"max_torque": 3000}').items():
-            if not isinstance(given, SupportsFloat) or not math.isfinite(given):
-                raise ValueError(f"{name} = {given!r} is no finite number")
-            value = given if isinstance(given, int) else float(given)
+            value = finite(name, given)
             if name in self.objects.names:
                 try:
                     self.write(name, round(value))
@@ -194,9 +192,8 @@ class Drive:
                 if self.model.quirk("values_keep_meaning") and name in FIELDS:
                     written(self, FIELDS[name])
                 self._powered_on = (0, b""), np.empty(0)
-            elif not of_any_model(name):
-                known = {**self.objects.names, **dict.fromkeys(record.OD.names or ())}
-                raise ValueError(f"no drive has the object {name!r}: {near(name, known)}")
+            else:
+                refuse_unknown(name, [*self.objects.names, *(record.OD.names or ())])
         self.axis.parameters_changed = 1
 
     # ---------------------------------------------------------------- objects

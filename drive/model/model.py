@@ -196,14 +196,6 @@ def foreign_names() -> list[str]:
     return sorted({point.name for point in metadata.entry_points(group=ENTRY_POINTS)})
 
 
-@functools.cache
-def of_any_model(name: str) -> bool:
-    """Whether an object of this name is in a model that comes with the laboratory."""
-    profile = "generic"  # most are there, and it is the smallest
-    others = [each for each in model_names() if each != profile]
-    return any(name in load(each).names for each in (profile, *others))
-
-
 def load(model: "str | Path | DriveModel", bus: str | None = None) -> DriveModel:
     """A model by name, or from the path of a folder of your own.
 
