@@ -31,6 +31,7 @@ FOUND = (  # of each package
     "metaworld/assets/sawyer_xyz/sawyer_reach_v*.xml",
 )
 JOINTS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+LOCKED = 1e6  # N·s/m or Nm·s/rad: the base of fetch is held by a damping of 1e11
 MOST = 6  # joints of a robot that move; all hold
 SHARE, FREE = 0.05, 0.1  # of the range, and rad or m where there is none
 
@@ -48,7 +49,10 @@ def robots(folders):
 
 def driven(spec):
     """Names of the joints that get drives."""
-    joints = {j.name: j for j in spec.joints if j.type in JOINTS and j.name}
+    joints = {
+        j.name: j for j in spec.joints
+        if j.type in JOINTS and j.name and np.max(j.damping) < LOCKED
+    }  # fmt: skip
     acting = [a.target for a in spec.actuators if a.target in joints]
     once = [name for name in dict.fromkeys(acting) if acting.count(name) == 1]
     return once or list(joints)
