@@ -2,13 +2,14 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from servogym.training import cli
 from servogym.training.evaluate import compare, leaderboard, suite
-from servogym.training.evaluate.submission import FILES, HEAD, read, write
+from servogym.training.evaluate.submission import FILES, HEAD, fits, read, write
 from servogym.training.policies import SHIPPED
 
 SMALL = """
@@ -25,6 +26,21 @@ conditions = ["nominal", "held_out"]
 ONE = str(SHIPPED / "LinearAxis-v0" / "seed_1")
 RESULTS = "results", "entries", "--suite", "small.toml"
 CST = 'conditions = ["nominal", "drive=kollmorgen_akd"]'
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_committed_leaderboard_is_of_the_committed_entries():
+    """Whether their weights give these values `servogym results` has told, which wrote the page."""
+    found, v1 = Path("assets", "suites", "v1"), suite.read("v1")
+    entries = {path.stem: read(path) for path in sorted((ROOT / found).glob("*.npz"))}
+    for name, entry in entries.items():
+        assert entry.name == name
+        fits(Path(name), entry, v1)
+    assert {task for entry in entries.values() for task in entry.table} == {*v1.parts}
+    committed = (ROOT / "docs" / "results" / "leaderboard.md").read_text(encoding="utf-8")
+    assert leaderboard.page(v1, entries, found) == committed
 
 
 @pytest.fixture
