@@ -16,6 +16,7 @@ from ..engine.machine import Machine
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds, world_at
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
+from ..plants.axis_parameters import chosen
 from ..plants.linear_axis import LinearAxisParameters, linear_axis
 from ..servo_env import METRE, ServoEnv
 from ..view.channels import MM, Channel, joint
@@ -214,12 +215,13 @@ class CompliantAxisEnv(ServoEnv):
         *,
         load_sensor: bool = True,
         torque_range: float = 0.1,
-        parameters: LinearAxisParameters = PARAMETERS,
+        parameters: LinearAxisParameters | str = PARAMETERS,
         tolerance: float = 100e-6,
         following_error_window: float = 0.02,
         randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         **arguments: Any,
     ):
+        parameters = chosen(parameters, PARAMETERS.payload)
         if not (parameters.stiffness > 0.0 and parameters.payload > 0.0):
             raise ValueError(
                 f"parameters: stiffness = {parameters.stiffness!r} N/m and payload = "

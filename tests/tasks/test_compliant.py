@@ -209,6 +209,7 @@ def test_the_vector_is_bit_for_bit_the_environments_one_by_one():
     ("arguments", "message"),
     [
         ({"parameters": LinearAxisParameters()}, "stiffness = 0.0 N/m"),
+        ({"parameters": "toothed_belt"}, "this task needs a load on a spring"),
         ({"torque_range": 2.0}, r"torque_range = 2.0 is out of range 0..1"),
         ({"tolerance": "small"}, "tolerance"),
         ({"randomise": {"stiffness": (2.0, 1.0)}}, "stiffness"),
