@@ -124,6 +124,7 @@ def pytest_collection_finish():
     """What there is now stays until the end: nobody needs to look through it for garbage."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
     atexit.register(gc.unfreeze)  # libraries look then whether all of theirs is gone
 
 

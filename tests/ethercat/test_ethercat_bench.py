@@ -12,8 +12,11 @@ def test_42_the_rows_of_the_bench_come_as_json(capsys, monkeypatch):
     monkeypatch.setattr(bench, "SLAVES", (1, 8))
     monkeypatch.setattr(bench, "ON_THE_WIRE", ((1, "none"),))
     monkeypatch.setattr(bench, "CYCLES", 400)
-    assert bench.run(1, True, Console()) == 0  # raises where a working counter is wrong
-    results = json.loads(capsys.readouterr().out)
+    for _ in range(5):  # SOEM gives up after 2 ms; where the machine has other things to do, again
+        assert bench.run(1, True, Console()) == 0  # raises where a working counter is wrong
+        results = json.loads(capsys.readouterr().out)
+        if results["pysoem"]["1 none"].get("in_op", True):
+            break
     assert [*results["controller_us"]] == ["1", "8"]
     assert 0.0 < results["controller_us"]["8"]["best"] <= results["controller_us"]["8"]["median"]
     row = results["pysoem"]["1 none"]

@@ -7,7 +7,7 @@ import time
 import pysoem
 
 PORT, SECOND = "vb", "vb2"
-WAIT = 200_000  # µs; SOEM's own 2 ms are short for a machine that does other things as well
+WAIT = 1_000_000  # µs; SOEM's own 2 ms are short for a machine that does other things as well
 COMMANDS = {0x40: 0x06, 0x21: 0x07, 0x23: 0x0F}  # status & 6Fh -> controlword
 
 

@@ -67,8 +67,11 @@ def files():
     scan_of(master)
     drive = master.slaves[0]
     content = drive.foe_read("parameters", 0, 65536)
-    drive.foe_write("parameters", 0, content)
+    if content.startswith(b"{"):
+        drive.foe_write("parameters", 0, content)
     master.close()
+    if not content.startswith(b"{"):
+        raise RuntimeError("the file did not go on in time")  # inferred: what SOEM's buffer held
     return content.decode()
 
 

@@ -1,6 +1,7 @@
 """pysoem, as it comes from PyPI, against `servogym ethercat` on a veth pair."""
 
 import shutil
+from functools import cache
 
 import pytest
 from wire import on_the_wire
@@ -69,15 +70,12 @@ MAILBOX = {
 
 @pytest.fixture(scope="module")
 def suffered():
-    return {
-        line: on_the_wire("pysoem_master", "suffer", "forked", line=line)
-        for line in (*CYCLES, *MAILBOX)
-    }
+    return cache(lambda line: on_the_wire("pysoem_master", "suffer", "forked", line=line))
 
 
 @pytest.mark.parametrize("line", CYCLES)
 def test_39_a_fault_is_seen_and_the_segment_comes_back(suffered, line):
-    result = suffered[line]
+    result = suffered(line)
     wrong, status, steps = CYCLES[line]
     first = next((i for i, counter in enumerate(result["seen"]) if counter != RIGHT), 57)
     assert result["seen"] == [RIGHT] * first + wrong + [RIGHT] * (150 - first - len(wrong))
@@ -89,7 +87,7 @@ def test_39_a_fault_is_seen_and_the_segment_comes_back(suffered, line):
 
 @pytest.mark.parametrize("line", MAILBOX)
 def test_39_a_bad_mailbox_is_seen_and_the_next_sdo_works(suffered, line):
-    result = suffered[line]
+    result = suffered(line)
     assert result["refused"] == MAILBOX[line]
     assert result["seen"][-1] == "AKD-P00606-NBCC-E000"
     assert result["back"] == [8, 8]

@@ -30,7 +30,7 @@ UNSHARE = ["unshare", "-Ur"]
 NEW_NETWORK = 0x40000000  # CLONE_NEWNET of unshare(2)
 FROM_PYPI = ("pysoem", "kickcat")  # masters, each with modules that begin with its name
 # masters give a frame up after 2 ms, or a scan; where the machine has other things to do, again
-ATTEMPTS = 4
+ATTEMPTS = 10
 LATE = (
     "WkcError", "ConfigMapError", "did not go on in time",
     "Bus.cc:795: Timeout", "error while checking mailboxes",
