@@ -116,7 +116,7 @@ def _parsed(words: list[str]) -> argparse.Namespace:
     return options
 
 
-def _told(error: Exception) -> str:
+def _told(error: BaseException) -> str:
     """An error of the user, their task or policy in a line; empty for one of ours."""
     from ...drive.objects.abort import SdoAbort
     from ...envs.checks import place_of, told

@@ -119,10 +119,11 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
 
 def _panel(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
+    from ...envs import fitting
     from ...envs.panel import server
     from ...envs.panel.lessons import load_all
     from ...envs.panel.session import Session
-    from ..policies import takeover
+    from ..policies.takeover import Laboratory
 
     if not 1 <= options.port <= 65535:
         raise ValueError(f"--port = {options.port} is out of range 1..65535")
@@ -152,11 +153,11 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     session.lessons = tuple(load_all(options.lessons) if options.lessons else load_all())
     if options.mjcf is not None:
         mjcf = options.mjcf
-        session.laboratory = takeover.Laboratory(lambda axis: takeover.robot(mjcf, machine, axis))
-    elif options.axis in takeover.FITTING:
-        session.laboratory = takeover.Laboratory(lambda axis: takeover.FITTING[options.axis])
+        session.laboratory = Laboratory(lambda axis: fitting.robot(mjcf, machine, axis))
+    elif options.axis in fitting.FITTING:
+        session.laboratory = Laboratory(lambda axis: fitting.FITTING[options.axis])
     else:
-        session.no_policies = takeover.NONE[options.axis]
+        session.no_policies = fitting.NONE[options.axis]
     server.serve(
         session, host=options.host, port=options.port,
         browser=not options.no_browser, pictures=options.pictures,

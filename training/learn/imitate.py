@@ -42,7 +42,7 @@ def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None)
     Raises ValueError where it does not fit the task or gives no actions.
     """
     policies = [baseline(policy, one) for one in env.vector.envs]
-    seen = env.reset()
+    seen = np.asarray(env.reset())
     for i, one in enumerate(policies):
         one.reset(seen[i], _public(env.reset_infos[i]))
     observations, actions, weights = [], [], []
@@ -57,7 +57,8 @@ def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None)
         weights.append(np.where(since <= NEAR, RARE, 1.0))
         last = given
         played = given if learner is None else _corrected(learner, seen, given)
-        seen, _, done, _ = env.step(played)
+        told, _, done, _ = env.step(played)
+        seen = np.asarray(told)
         for i in np.flatnonzero(done).tolist():
             policies[i].reset(seen[i], _public(env.reset_infos[i]))
             last[i] = 0.0

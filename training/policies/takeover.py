@@ -2,13 +2,12 @@
 
 An environment is made around the machine as it stands: its `place`, which brings a machine where an
 episode begins, only enables the drives. Its process images go through whoever lets time pass. What
-fits a machine is a row of `FITTING`: a task, what a goal is there, what is looked at.
+fits a machine is said by `envs.fitting`: a task, what a goal is there, what is looked at.
 """
 
 import copy
-import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,35 +15,12 @@ import numpy as np
 from ...drive.diagrams import Mode, State
 from ...drive.master import Master
 from ...envs.engine.machine import Machine
+from ...envs.fitting import LINEAR, Fitting
 from ...envs.masters.port import MachinePort
 from ...envs.panel.bench import Interrupted
-from ...envs.plants.rotary import ROTARY_FAMILY
-from ...envs.servo_env import ServoEnv
-from ...envs.tasks import GantryContourEnv, LinearAxisEnv, RobotEnv, RotaryAxisEnv
-from ...envs.tasks.contour import CENTRE
 from . import Bound, BuiltIn, make, needed
 
-NEAR = 1e-3  # m or rad that zeros of drive and axis may be apart
 TIME = 1.5  # s that policies are compared for
-UNIT = {"mm": 1e-3, "°": math.pi / 180}
-
-
-class Goal(NamedTuple):
-    """What a policy is told, in the unit people give it in."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    value: float  # at first
-
-    def si(self, number: float) -> float:
-        """In m or rad. Raises ValueError for one out of range."""
-        if not self.low <= number <= self.high:
-            raise ValueError(
-                f"goal {number:g} is out of range {self.low:g}..{self.high:g} {self.unit}"
-            )
-        return number * UNIT[self.unit]
 
 
 class Course(NamedTuple):
@@ -57,24 +33,6 @@ class Course(NamedTuple):
     settling_time: float  # s, until it stays within the tolerance; nan: it did not
     figures: Mapping[str, str]
     fault: str
-
-
-class Fitting(NamedTuple):
-    """A task and a machine that fit each other."""
-
-    task: type[ServoEnv]
-    what: str  # in words
-    names: tuple[str, ...]  # policies that are offered
-    goal: Goal
-    shown: str  # what is looked at, with its unit
-    arguments: Mapping[str, Any] = {}
-    axis: str = ""  # whose position is looked at; the first, where none is named
-
-    def position(self, machine: Machine) -> float:
-        """Of the drive (m or rad)."""
-        axis = self.axis or next(iter(machine.drives))
-        unit = MachinePort(machine).units(axis).position
-        return int(machine.drives[axis].axis.od.position_actual_value) * unit
 
 
 Late = Callable[[], float]  # delay of a set-point (s)
@@ -136,9 +94,7 @@ class TakeOver:
             """The task on the machine that is there."""
 
             def _make(self, model: Any) -> Machine:
-                if fits.task is RobotEnv:
-                    super()._make(model)  # what it has beside the machine
-                    self._own = dict(given)
+                fits.beside(self, partial(super()._make, model), given)
                 return machine
 
             def join(self, batch: Any, row: int) -> None:
@@ -147,19 +103,13 @@ class TakeOver:
                 batch.lines[int(batch.worlds[row])] = _Line(self, pilot, passing, late)
 
             def place(self, positions: Any, believed: Any = None) -> None:
-                """The machine stays where it is; the drives are enabled in the mode of the task.
-
-                A path is begun at its beginning: the axes go there first.
-                """
+                """The drives are enabled, in the mode of the task."""
                 port = MachinePort(machine)
                 port.exchange = passing  # type: ignore[method-assign]
                 names = [*(self.DRIVES or machine.drives)]
                 master = Master(port, *names)
                 master.enable()
-                if fits.task is GantryContourEnv:
-                    master.move_to({name: positions[name] for name in names})
-                    for drive in self.drives:  # a drive without feed-forward lags by more
-                        drive.write("following_error_window", round(self._window * self.units))
+                fits.begin(self, master, positions)
                 at = [drive.read("position_actual_value") for drive in self.drives]
                 for drive, position in zip(self.drives, at, strict=True):
                     drive.write("target_position", position)
@@ -211,7 +161,6 @@ def _asked(
     Raises ValueError for a machine that does not stand as the task needs it.
     """
     task, port, given = fitting.task, MachinePort(machine), {}
-    arguments, options = dict(fitting.arguments), dict[str, Any](goal=goal)
     for name in task.DRIVES or machine.drives:
         drive = machine.drives.get(name)
         if drive is None:
@@ -221,31 +170,8 @@ def _asked(
         if _moves(drive):
             raise ValueError(f"{name}: the axis moves: stop it first")
         given[name] = int(drive.axis.od.position_actual_value) * port.units(name).position
-    here = fitting.position(machine)
-    if task is LinearAxisEnv:
-        (low, high), (name,) = (0.0, task.STROKE[0]), machine.drives
-        if machine.joint(name)[1] != "m":
-            raise ValueError(f"policies of {task.ID} command one linear axis, not {machine!r}")
-        if not low - 50e-6 <= here <= high + 50e-6:
-            raise ValueError(  # a policy would begin with a jump to the nearest place it knows
-                f"the axis stands at {here * 1e3:.2f} mm, a policy works within "
-                f"{low * 1e3:g}..{high * 1e3:g} mm: move it there first"
-            )
-        options["start"] = min(max(here, low), high)
-    elif task is RotaryAxisEnv:
-        options["start"] = here % ROTARY_FAMILY[arguments["mechanics"]].period
-    elif task is GantryContourEnv:
-        arguments["radius"], options = options.pop("goal"), {"start": 0.0}
-        for name, position in given.items():
-            place = float(machine.data.joint(name).qpos[0])
-            if abs(place - position) > NEAR:
-                raise ValueError(
-                    f"{name}: the drive's zero is {1e3 * (place - position):.1f} mm off that of "
-                    "the axis, where the contour lies: home it with method 17"
-                )
-    else:
-        options = {"goal": given | {fitting.axis or next(iter(given)): goal}}
-    return given, arguments, options
+    options = fitting.options(machine, given, goal)
+    return given, dict(fitting.toward(goal).arguments), options
 
 
 def compare(
@@ -262,7 +188,7 @@ def compare(
         def cycle(twin: Machine = twin, drive: Any = drive, rows: list = rows) -> None:
             twin.step()
             torque = float(drive.axis.od.torque_actual_value) * 0.1
-            rows.append((twin.time, _looked_at(fitting, twin, goal), torque))
+            rows.append((twin.time, fitting.looked_at(twin, goal), torque))
 
         pilot = TakeOver(twin, name, goal, fitting, cycle)
         rows.clear()
@@ -270,103 +196,13 @@ def compare(
         while twin.time - begin < time and not any(x.fault for x in twin.drives.values()):
             pilot.step()
         fault = next((x.fault for x in twin.drives.values() if x.fault), "")
-        courses.append(_course(name, np.array(rows), begin, fitting, goal, pilot.env, fault))
-    return courses
-
-
-def _looked_at(fitting: Fitting, machine: Machine, goal: float) -> float:
-    """In the unit of `Fitting.shown`, as the drives tell it."""
-    unit = UNIT[fitting.goal.unit]
-    if fitting.task is GantryContourEnv:
-        x, y = (
-            fitting._replace(axis=name).position(machine) - middle
-            for name, middle in zip(("x", "y"), CENTRE, strict=True)
+        times, value, torque = np.array(rows).T
+        judged = fitting.judged(times - begin, value, goal, pilot.env)
+        figures = {**judged.figures, "peak torque": f"{np.abs(torque).max():.0f} %"}
+        courses.append(
+            Course(name, times - begin, judged.value, torque, judged.settling_time, figures, fault)
         )
-        return 1e6 * (math.hypot(x, y) - goal * unit)
-    return fitting.position(machine) / unit
-
-
-def _course(
-    name: str, rows: np.ndarray, begin: float, fitting: Fitting, goal: float, env: Any, fault: str
-) -> Course:
-    times, value, torque = rows[:, 0] - begin, rows[:, 1], rows[:, 2]
-    peak = {"peak torque": f"{np.abs(torque).max():.0f} %"}
-    if fitting.task is GantryContourEnv:
-        figures = {
-            "mean contour error": f"{np.abs(value).mean():.1f} µm",
-            "worst": f"{np.abs(value).max():.1f} µm",
-        }
-        return Course(name, times, value, torque, math.nan, figures | peak, fault)
-    away, unit = value - goal, UNIT[fitting.goal.unit]
-    if fitting.task is RotaryAxisEnv:
-        turn = ROTARY_FAMILY[fitting.arguments["mechanics"]].period / unit
-        away -= turn * np.round(away / turn)
-        value = goal + away  # on the shorter way
-    window = float(getattr(env, "tolerance", NEAR)) / unit
-    outside = np.flatnonzero(np.abs(away) > window)
-    settled = 0.0 if not len(outside) else float(times[outside[-1]])
-    settled = math.nan if len(outside) and outside[-1] == len(away) - 1 else settled
-    over = max(float((np.sign(-away[0]) * away).max()), 0.0)
-    small, factor = ("µm", 1e3) if fitting.goal.unit == "mm" else ("°", 1.0)
-    figures = {
-        f"settled within {factor * window:.2g} {small}":
-            "–" if math.isnan(settled) else f"{settled * 1e3:.0f} ms",
-        "overshoot": f"{factor * over:.3g} {small}",
-    }  # fmt: skip
-    return Course(name, times, value, torque, settled, figures | peak, fault)
-
-
-PROFILES = ("ruckig", "jerk_limited", "trapezoid", "proportional", "learned")
-LINEAR = Fitting(
-    LinearAxisEnv, "Policies of LinearAxis-v0 bring the axis to the goal.", PROFILES,
-    Goal("Goal", "mm", 0, 500, 300), "position (mm)",
-)  # fmt: skip
-
-
-def _rotary(mechanics: str) -> Fitting:
-    period = math.degrees(ROTARY_FAMILY[mechanics].period)
-    return Fitting(
-        RotaryAxisEnv,
-        "Policies of RotaryAxis-v0 turn the axis to the goal, the shorter way round.",
-        ("ruckig", "trapezoid", "proportional"), Goal("Goal", "°", 0, round(period, 3), 90),
-        "angle (°)", {"mechanics": mechanics},
-    )  # fmt: skip
-
-
-FITTING: dict[str, Fitting] = {  # by the name of the axis in `envs.plants.catalogue`
-    "linear": LINEAR, "vertical": LINEAR,
-    "rotary-table": _rotary("rotary_table"), "conveyor": _rotary("conveyor"),
-    "gantry": Fitting(
-        GantryContourEnv,
-        "Policies of GantryContour-v0 drive circles with X and Y, round the middle of the "
-        "gantry; home both with method 17 first. The axes go to the beginning of the path. They "
-        "differ where the drives lag, with a velocity feed-forward of 0.",
-        ("full_feed", "constant_feed"), Goal("Radius", "mm", 5, 200, 40),
-        "outside of the contour (µm)",
-    ),
-}  # fmt: skip
-NONE = {
-    "gantry-x1x2": "Policies of GantrySync-v0 start with a bridge that lies skew by an unknown "
-    "amount; here each drive has been referenced by itself. No policy can take over; "
-    "those of --axis linear, rotary-table, conveyor and gantry can, and those of --mjcf.",
-}
-
-
-def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
-    """Of a machine of one's own, with a goal for one of its joints."""
-    slides = machine.joint(axis)[1] == "m"
-    place = [*machine.drives].index(axis)
-    unit = "mm" if slides else "°"
-    low, high = (float(machine.mechanics[end][place]) / UNIT[unit] for end in ("low", "high"))
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        low, high = (-1000.0, 1000.0) if slides else (-360.0, 360.0)
-    return Fitting(
-        RobotEnv,
-        "Policies of Robot-v0 for this MJCF command all its drives; the goal is that of this "
-        "axis, the others stay where they are.",
-        ("hold",), Goal("Goal", unit, round(low, 3), round(high, 3), round((low + high) / 2, 3)),
-        f"position ({unit})", {"mjcf": str(mjcf), "drives": [*machine.drives]}, axis,
-    )  # fmt: skip
+    return courses
 
 
 class Laboratory:
