@@ -365,7 +365,7 @@ def test_a_run_that_was_never_evaluated_says_what_there_is(tmp_path):
 
 
 def test_a_wrong_hyper_parameter_is_named(tmp_path):
-    with pytest.raises(ValueError, match=r"hyper-parameters of PPO: .*learning_speed"):
+    with pytest.raises(ValueError, match="'learning_speed': did you mean learning_rate"):
         brief(tmp_path, settings=SMALL | {"learning_speed": 1})
 
 

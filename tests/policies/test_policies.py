@@ -9,9 +9,9 @@ import pytest
 from servogym.envs import TASKS
 from servogym.envs.engine import probe
 from servogym.envs.plants.axis_parameters import LinearAxisParameters
-from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.envs.tasks.compliant import PARAMETERS as COMPLIANT
 from servogym.envs.tasks.compliant import CompliantAxisEnv
+from servogym.envs.tasks.gantry_sync import GantrySyncEnv
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
@@ -298,7 +298,7 @@ def test_too_heavy_a_load_for_the_torque_is_refused_with_its_numbers():
         (LinearAxisEnv, "ruckig+zv", "no spring that could vibrate"),
         (HomingEnv, "built_in:x", "after the colon comes a homing method"),
         (LinearAxisEnv, "nowhere.py:act", "there is no Python file nowhere.py"),
-        (CommissioningEnv, "learned", "nothing learned comes for servogym/Commissioning-v0"),
+        (GantrySyncEnv, "learned", "nothing learned comes for servogym/GantrySync-v0"),
     ],
 )
 def test_a_wrong_policy_is_named(task, name, message):
