@@ -204,6 +204,11 @@ def test_drawing_changes_nothing_bit_for_bit(gl):
     drawn.close()
 
 
+def _differing(one, other):
+    """Share of the pixels."""
+    return (one != other).any(axis=2).mean()
+
+
 def test_a_vector_environment_draws_each_of_its_machines(gl):
     envs = gym.make_vec(ID, 3, render_mode="rgb_array", threads=2)
     alone = gym.make_vec(ID, 3, threads=2)
@@ -214,12 +219,13 @@ def test_a_vector_environment_draws_each_of_its_machines(gl):
         actions = np.full((3, 1), action)
         np.testing.assert_array_equal(envs.step(actions)[0], alone.step(actions)[0])
     assert len(images) == 3
-    assert len({image.tobytes() for image in images}) == 3
+    assert min(_differing(images[i], images[i - 1]) for i in range(3)) > 1e-3
     single = LinearAxisEnv(render_mode="rgb_array")
     single.reset(seed=6)
     for action in np.linspace(-0.5, 0.5, 3, dtype=np.float32)[:2]:
         single.step(np.full(1, action))
-    np.testing.assert_array_equal(single.render(), images[1])
+    # the software rasteriser may give a pixel of an edge to either side
+    assert _differing(single.render(), images[1]) < 1e-4
     envs.close()
     single.close()
 
