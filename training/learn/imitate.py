@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from ..policies.residual import PUBLIC, baseline
+from ..policies.residual import baseline, public
 from .sb3 import ServoVecEnv
 
 UPDATES, BATCH, RATE = 20_000, 512, 3e-3  # of the fit; the rate falls to 0, as a cosine
@@ -44,7 +44,7 @@ def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None)
     policies = [baseline(policy, one) for one in env.vector.envs]
     seen = np.asarray(env.reset())
     for i, one in enumerate(policies):
-        one.reset(seen[i], _public(env.reset_infos[i]))
+        one.reset(seen[i], public(env.reset_infos[i]))
     observations, actions, weights = [], [], []
     last = np.zeros((len(policies), env.action_space.shape[0]), np.float32)  # type: ignore[index]
     since = np.zeros(len(policies))  # steps, since the action changed
@@ -60,7 +60,7 @@ def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None)
         told, _, done, _ = env.step(played)
         seen = np.asarray(told)
         for i in np.flatnonzero(done).tolist():
-            policies[i].reset(seen[i], _public(env.reset_infos[i]))
+            policies[i].reset(seen[i], public(env.reset_infos[i]))
             last[i] = 0.0
     return Shown(np.concatenate(observations), np.concatenate(actions), np.concatenate(weights))
 
@@ -70,10 +70,6 @@ def _corrected(learner: Any, seen: np.ndarray, right: np.ndarray) -> np.ndarray:
     rows = seen if statistics is None else statistics.normalize_obs(seen)
     own = learner.predict(rows, deterministic=True)[0]
     return np.where(np.abs(own - right) < CORRECTED, own, right)
-
-
-def _public(info: dict[str, Any]) -> dict[str, Any]:
-    return {name: info[name] for name in PUBLIC if name in info}
 
 
 def learn(

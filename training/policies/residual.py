@@ -19,6 +19,11 @@ from .homing import BuiltIn
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
 
+def public(info: dict[str, Any]) -> dict[str, Any]:
+    """What a policy may see of the info of an environment."""
+    return {name: info[name] for name in PUBLIC if name in info}
+
+
 def checked(bounds: Sequence[float], env: ServoEnv) -> np.ndarray:
     """The bounds of a correction, float32, one a component of an action.
 
@@ -88,9 +93,8 @@ class ResidualVectorEnv(ServoVectorEnv):
 
     def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
         super()._restart(i, options)
-        info = self.envs[i].info()
         seen = self._batch.observed(slice(i, i + 1))[0]
-        self._policies[i].reset(seen, {name: info[name] for name in PUBLIC if name in info})
+        self._policies[i].reset(seen, public(self.envs[i].info()))
 
     def _reset(self, seed: Any, options: dict[str, Any] | None) -> Any:
         observations, infos = super()._reset(seed, options)
