@@ -27,8 +27,8 @@ lint: $(VENV)/test
 
 types: $(VENV)/test # under the names of the installed package, which mypy remembers by file
 	rm -rf $(VENV)/typed
-	mkdir -p $(VENV)/typed/servogym
-	ln -s $(addprefix ../../../,drive envs assets training) $(VENV)/typed/servogym
+	mkdir $(VENV)/typed
+	ln -s ../.. $(VENV)/typed/servogym
 	MYPYPATH=$(VENV)/typed $(BIN)/mypy
 
 stub: $(VENV)/test # the record as types, after a change of its fields

@@ -11,17 +11,8 @@ master/  who commands drives, on any bus: one class over ports.
 canopen/ and ethercat/ put them on a bus, in bytes and given time; wire/ has clock and sockets.
 """
 
-import sys
-from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
-
 from .drive import Drive
 from .model.model import DriveModel
 from .objects.abort import Abort, SdoAbort
 
 __all__ = ["Abort", "Drive", "DriveModel", "SdoAbort"]
-
-with suppress(
-    PackageNotFoundError
-):  # servogym is a namespace of packages, without a file of its own
-    sys.modules["servogym"].__version__ = version("servogym")  # type: ignore[attr-defined]

@@ -21,7 +21,7 @@ def lines(path):
 
 @pytest.fixture(scope="module")
 def graph():
-    return grimp.build_graph(*(f"servogym.{layer}" for layer in LAYERS), cache_dir=None)
+    return grimp.build_graph("servogym", cache_dir=None)
 
 
 def room(module):

@@ -13,7 +13,7 @@ from servogym.envs.masters.port import MachinePort
 
 
 def test_the_version_is_that_of_the_distribution():
-    code = "import servogym.envs; print(servogym.__version__)"
+    code = "import servogym; print(servogym.__version__)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == version("servogym")
 
