@@ -24,6 +24,7 @@ from .kernel.words import Mode, State
 from .model.given import finite, refuse_unknown
 from .model.model import DriveModel, load
 from .model.near import named, near
+from .model.pdo import mapping_entry
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
 from .objects.dictionary import ObjectDictionary
@@ -313,11 +314,12 @@ class Drive:
             pdos = self.rpdos if direction == "rx" else self.tpdos
             layout, at = [], 0
             for pdo in pdos[pdos["valid"] == 1]:
-                for mapping in pdo.mapping[: pdo.count].tolist():
-                    slot = self.objects.slots.get((mapping >> 16, mapping >> 8 & 0xFF))
+                for word in pdo.mapping[: pdo.count].tolist():
+                    index, subindex, bits = mapping_entry(word)
+                    slot = self.objects.slots.get((index, subindex))
                     if slot is not None:
                         layout.append((slot, at))
-                    at += (mapping & 0xFF) // 8
+                    at += bits // 8
             self._layouts[direction] = layout
         return self._layouts[direction]
 

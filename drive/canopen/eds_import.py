@@ -22,6 +22,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 from ..drive import Drive
 from ..kernel.words import MODE_ABBREVIATION
 from ..model.model import load
+from ..model.pdo import mapping_entry
 from ..model.rows import FORMATS, Object
 from ..objects.abort import SdoAbort
 
@@ -244,7 +245,7 @@ def _write_pdos(od: canopen.ObjectDictionary, path: Path) -> None:
                 if s in mapping.subindices
             ]
             for position, entry in enumerate(filter(None, entries), 1):
-                index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+                index, subindex, bits = mapping_entry(entry)
                 rows.append([*common, position, f"0x{index:04X}", f"0x{subindex:02X}", bits, "",
                              SOURCE])  # fmt: skip
             if not any(entries):

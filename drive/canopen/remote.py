@@ -1,12 +1,12 @@
 """Drives on CANopen as a master reaches them: objects over SDO, or over PDO where mapped."""
 
-import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..master.port import Units
-from ..model.model import DriveModel, Object, load
+from ..model.model import DriveModel, load
+from ..model.pdo import mapping_entry, places
 from ..objects.abort import Abort, SdoAbort
 from .frame import Base, Frame
 from .node import NmtCommand
@@ -115,7 +115,7 @@ class RemoteObjects:
         self.node_id = node_id
         self.sdo = SdoClient(port, node_id, sdo_timeout)
         self.synchronous = False
-        self._model, self._rows = model, model.names
+        self._model = model
         self._rpdos: list[Pdo] = []
         self._tpdos: list[Pdo] = []
         self._pending: dict[int, Pdo] = {}
@@ -143,13 +143,13 @@ class RemoteObjects:
         """An object's value (drive units), of the last PDO that has it, else by SDO."""
         for pdo in self._tpdos:
             if pdo.heard and name in pdo.places:
-                return _code(self._row(name)).unpack_from(pdo.data, pdo.places[name])[0]
+                return self._model.number(name).code.unpack_from(pdo.data, pdo.places[name])[0]
         return self.upload(name)
 
     def upload(self, name: str) -> int | float:
         """An object's value (drive units), by SDO."""
-        row = self._row(name)
-        return _code(row).unpack_from(self.sdo.upload(row.index, row.subindex))[0]
+        row = self._model.number(name)
+        return row.unpack(self.sdo.upload(row.index, row.subindex))
 
     def write(self, name: str, value: int | float) -> None:
         """Set an object (drive units), in the first RPDO that has it, else by SDO.
@@ -158,11 +158,8 @@ class RemoteObjects:
             ValueError: unknown name, or a value that does not fit the object's type.
             SdoAbort: the drive refuses it.
         """
-        row = self._row(name)
-        try:
-            data = _code(row).pack(value)
-        except struct.error as error:
-            raise ValueError(f"{name} = {value!r} is no {row.data_type}: {error}") from None
+        row = self._model.number(name)
+        data = row.pack(value)
         for pdo in self._rpdos:
             if name in pdo.places:
                 at = pdo.places[name]
@@ -177,7 +174,7 @@ class RemoteObjects:
         rpdos, tpdos = self.pdos("rx"), self.pdos("tx")
         for pdo in rpdos:
             for name, at in pdo.places.items():
-                data = self.sdo.upload(self._rows[name].index, self._rows[name].subindex)
+                data = self._model.number(name).pack(self.upload(name))
                 pdo.data[at : at + len(data)] = data
         self._rpdos, self._tpdos = rpdos, tpdos
         self.synchronous = any(pdo.synchronous for pdo in (*rpdos, *tpdos))
@@ -196,27 +193,19 @@ class RemoteObjects:
 
     def default_pdos(self, direction: str) -> list[Pdo]:
         """The valid PDOs of a direction, rx or tx, as the model has them at power-on."""
-        names, pdos = self._names(), []
+        pdos = []
         for mapping in self._model.rpdos if direction == "rx" else self._model.tpdos:
             base, _, node = mapping.cob_id.partition("+")
             cob_id = int(base, 0) + (self.node_id if node else 0)
-            pdo, bits = Pdo(cob_id & 0x7FF, bytearray()), 0
-            for index, subindex, size in mapping.entries:
-                if (index, subindex) in names:
-                    pdo.places[names[index, subindex]] = bits // 8
-                bits += size
-            pdo.data = bytearray(bits // 8)
             if not cob_id & 0x8000_0000:
-                pdos.append(pdo)
+                at, size = places(self._model.objects, mapping.entries)
+                pdos.append(Pdo(cob_id & 0x7FF, bytearray(size), at))
         return pdos
-
-    def _names(self) -> dict[tuple[int, int], str]:
-        return {(row.index, row.subindex): name for name, row in self._rows.items()}
 
     def pdos(self, direction: str) -> list[Pdo]:
         """The valid PDOs of a direction, rx or tx, as the node says by SDO. Raises SdoAbort."""
         communication, mapping = (0x1400, 0x1600) if direction == "rx" else (0x1800, 0x1A00)
-        names, pdos = self._names(), []
+        pdos = []
         for number in range(PDOS):
             try:
                 cob_id = self._number(communication + number, 1)
@@ -226,26 +215,12 @@ class RemoteObjects:
                 raise
             if cob_id & 0x8000_0000:
                 continue
-            pdo, bits = Pdo(cob_id & 0x7FF, bytearray()), 0
-            for n in range(self._number(mapping + number, 0)):
-                entry = self._number(mapping + number, n + 1)
-                name = names.get((entry >> 16, entry >> 8 & 0xFF))
-                if name:
-                    pdo.places[name] = bits // 8
-                bits += entry & 0xFF
-            pdo.data = bytearray(bits // 8)
-            pdos.append(pdo)
-            pdo.synchronous = self._number(communication + number, 2) in SYNCHRONOUS
+            mapped = self._number(mapping + number, 0)
+            words = [self._number(mapping + number, n + 1) for n in range(mapped)]
+            at, size = places(self._model.objects, map(mapping_entry, words))
+            synchronous = self._number(communication + number, 2) in SYNCHRONOUS
+            pdos.append(Pdo(cob_id & 0x7FF, bytearray(size), at, synchronous=synchronous))
         return pdos
 
     def _number(self, index: int, subindex: int) -> int:
         return int.from_bytes(self.sdo.upload(index, subindex), "little")
-
-    def _row(self, name: str) -> Object:
-        if name not in self._rows or not self._rows[name].format:
-            raise ValueError(f"the model has no number {name!r}; use sdo.upload and sdo.download")
-        return self._rows[name]
-
-
-def _code(row: Object) -> struct.Struct:
-    return struct.Struct("<" + row.format)

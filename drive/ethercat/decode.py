@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ..kernel.words import Mode, decode_controlword, decode_statusword
 from ..model.model import DriveModel, Object, load, model_names
+from ..model.pdo import mapping_entry
 from ..objects.abort import TEXT
 from .al import AlState, AlStatusCode
 from .coe_header import Service
@@ -98,20 +99,19 @@ class _Slave:
     def tell(self, index: int, subindex: int, data: bytes) -> str:
         """A value by name."""
         if 0x1600 <= index < 0x1C00 and subindex and len(data) == 4:
-            entry = int.from_bytes(data, "little")
-            mapped = self.object(entry >> 16, entry >> 8 & 0xFF)
-            return f"{index:04X}h:{subindex:02X} = {mapped}, {entry & 0xFF} bits"
+            *target, bits = mapping_entry(int.from_bytes(data, "little"))
+            return f"{index:04X}h:{subindex:02X} = {self.object(*target)}, {bits} bits"
         if index in ASSIGNMENTS and subindex and len(data) == 2:
             return f"{self.object(index, subindex)} = {int.from_bytes(data, 'little'):04X}h"
         row = self.model.objects.get((index, subindex)) if self.model else None
-        if row is None or not row.format or struct.calcsize("<" + row.format) != len(data):
+        if row is None or not row.format or row.size != len(data):
             text = data.rstrip(b"\0")
             if len(data) > 8 and text.isascii() and text.decode("ascii").isprintable():
                 return f"{self.object(index, subindex)} = {text.decode('ascii')!r}"
             return f"{self.object(index, subindex)} = {data.hex()}"
-        (value,) = struct.unpack("<" + row.format, data)
+        value = row.code.unpack(data)[0]
         if index in (0x6060, 0x6061):
-            self.mode = int(value)
+            self.mode = value
             return f"{row.name} = {value} {Mode(value).name if value in set(Mode) else ''}".rstrip()
         mode = Mode(self.mode) if self.mode in set(Mode) else Mode.NONE
         if index == 0x6040:
@@ -371,7 +371,7 @@ class EtherCatDecoder:
     def _hear(self, slave: _Slave, index: int, subindex: int, data: bytes) -> None:
         row = slave.model.objects.get((index, subindex)) if slave.model else None
         if row is not None and row.format and len(data) == row.size:
-            self._told(slave.name, row, struct.unpack("<" + row.format, data)[0])
+            self._told(slave.name, row, row.unpack(data))
 
     def _image(self, slave: _Slave, fmmu: _Fmmu, data: bytes, valid: bool) -> list[str]:
         manager = next(
@@ -381,9 +381,9 @@ class EtherCatDecoder:
             return []
         lines, at = [], 0
         for entry in slave.entries(manager):
-            index, subindex, size = entry >> 16, entry >> 8 & 0xFF, (entry & 0xFF) // 8
-            part = data[at : at + size]
-            at += size
+            index, subindex, bits = mapping_entry(entry)
+            part = data[at : at + bits // 8]
+            at += bits // 8
             value = int.from_bytes(part, "little")
             if valid:
                 self._hear(slave, index, subindex, part)

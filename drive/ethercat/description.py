@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ..model.ethercat import PROTOCOLS
 from ..model.model import DriveModel
-from ..model.rows import Mapping
+from ..model.pdo import Mapping
 from ..objects.hooks.ethercat import FLEXIBLE
 from .sdo_info import DATA_TYPES
 

@@ -1,12 +1,12 @@
 """Drives on EtherCAT as a master reaches them: objects by SDO, or by process data where mapped."""
 
-import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from ..master.port import Units
-from ..model.model import DriveModel, Object, load
+from ..model.model import DriveModel, load
+from ..model.pdo import mapping_entry, places
 from .al import AlState
 
 LATENCY = 0.01  # s; inferred: by then a drive has seen a start bit and its status bits are new
@@ -138,7 +138,7 @@ class RemoteObjects:
 
     def __init__(self, slave: SlaveSide, model: DriveModel):
         self.slave = slave
-        self._rows = model.names
+        self._model = model
         self._outputs: dict[str, int] = {}  # object -> byte of the process data
         self._inputs: dict[str, int] = {}
 
@@ -150,7 +150,7 @@ class RemoteObjects:
         for pdo, names in zip(FLEXIBLE, (outputs, inputs), strict=True):
             download(pdo, 0, b"\0")
             for n, name in enumerate(names, 1):
-                row = self._row(name)
+                row = self._model.number(name)
                 word = row.index << 16 | row.subindex << 8 | row.size * 8
                 download(pdo, n, word.to_bytes(4, "little"))
             download(pdo, 0, bytes([len(names)]))
@@ -158,21 +158,14 @@ class RemoteObjects:
 
     def find_places(self) -> None:
         """Read what the process data carry; outputs begin with what the drive has."""
-        names = {(row.index, row.subindex): name for name, row in self._rows.items()}
-        for index, places in zip(ASSIGNMENTS, (self._outputs, self._inputs), strict=True):
-            places.clear()
-            at = 0
-            for pdo in self._list(index):
-                for word in self._list(pdo):
-                    name = names.get((word >> 16, word >> 8 & 0xFF))
-                    if name is not None:
-                        places[name] = at
-                    at += (word & 0xFF) // 8
+        self._outputs, self._inputs = map(self._places, ASSIGNMENTS)
         for name, at in self._outputs.items():
-            row = self._row(name)
-            self.slave.outputs[at : at + row.size] = self.slave.mailbox.upload(
-                row.index, row.subindex
-            )
+            data = self._model.number(name).pack(self.upload(name))
+            self.slave.outputs[at : at + len(data)] = data
+
+    def _places(self, assignment: int) -> dict[str, int]:
+        words = [word for pdo in self._list(assignment) for word in self._list(pdo)]
+        return places(self._model.objects, map(mapping_entry, words))[0]
 
     def _list(self, index: int) -> list[int]:
         """The values of an array from sub-index 1 on."""
@@ -183,12 +176,12 @@ class RemoteObjects:
         at = self._inputs.get(name)
         if at is None:
             return self.upload(name)
-        return _code(self._row(name)).unpack_from(self.slave.inputs, at)[0]
+        return self._model.number(name).code.unpack_from(self.slave.inputs, at)[0]
 
     def upload(self, name: str) -> int | float:
         """An object's value (drive units), by SDO."""
-        row = self._row(name)
-        return _code(row).unpack(self.slave.mailbox.upload(row.index, row.subindex))[0]
+        row = self._model.number(name)
+        return row.unpack(self.slave.mailbox.upload(row.index, row.subindex))
 
     def write(self, name: str, value: int | float) -> None:
         """Set an object (drive units), in the outputs if they have it, else by SDO.
@@ -197,23 +190,10 @@ class RemoteObjects:
             ValueError: unknown name, or a value that does not fit the object's type.
             SdoAbort: the drive refuses it.
         """
-        row = self._row(name)
-        try:
-            data = _code(row).pack(value)
-        except struct.error as error:
-            raise ValueError(f"{name} = {value!r} is no {row.data_type}: {error}") from None
+        row = self._model.number(name)
+        data = row.pack(value)
         at = self._outputs.get(name)
         if at is None:
             self.slave.mailbox.download(row.index, row.subindex, data)
         else:
             self.slave.outputs[at : at + len(data)] = data
-
-    def _row(self, name: str) -> Object:
-        row = self._rows.get(name)
-        if row is None or not row.format:
-            raise ValueError(f"no number is called {name!r} in this drive model")
-        return row
-
-
-def _code(row: Object) -> struct.Struct:
-    return struct.Struct("<" + row.format)

@@ -22,16 +22,15 @@ from ..kernel.record import FIELDS, OD, Axis
 from ..kernel.words import MODE_ABBREVIATION, Mode
 from .ethercat import EtherCat, need_assignment, read_ethercat
 from .near import near
+from .pdo import Mapping, read_pdos
 from .rows import (
     Cells,
     Fault,
-    Mapping,
     Object,
     own_stored,
     read_cells,
     read_faults,
     read_objects,
-    read_pdos,
     read_text,
     referred,
     with_sections,
@@ -60,16 +59,14 @@ QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS
 KINDS: dict[str, type] = {  # of what drive.toml may say
     "title": str, "standard": str, "based_on": str, "objects_of": str, "axes": int,
     "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "quirks": dict,
-    "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict,
-    "sections": dict,
+    "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
 }  # fmt: skip
 STANDARD = "generic"  # its objects.csv has the objects of CiA 301 and CiA 402
 ENTRY_POINTS = "servogym.drives"  # of other packages: a name, and the folder it stands for
 # field bus -> longest PDO in bits
 BUSES = {"can": MAX_BITS, "ethercat": 512}
 ETHERCAT_FILES = ("ethercat.toml", "ethercat_objects.csv", "ethercat_pdo.csv")
-# what puts a model on a bus
-COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}
+COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}  # what puts it there
 # [units] of drive.toml: field of the record, value without an entry
 UNITS = {"position_gain": 1e-3, "velocity_gain": 1e-6, "temperature": 0.1}
 WITHOUT_POSITION = (
@@ -176,6 +173,15 @@ class DriveModel:
     def positions(self) -> bool:
         """Whether the drive has a mode with a position controller, other than an inverter."""
         return any(mode not in WITHOUT_POSITION for mode in self.modes)
+
+    def number(self, name: str) -> Object:
+        """The object of this name. Raises ValueError where the model has none, or a string."""
+        row = self.names.get(name)
+        if row is None or not row.format:
+            numbers = [each for each, row in self.names.items() if row.format]
+            hint = near(name, numbers, "see objects.csv of the model, or ask by index")
+            raise ValueError(f"{self.name} has no number {name!r}: {hint}")
+        return row
 
     def quirk(self, name: str) -> int:
         """Value of a departure from the standard, 0 where the model has none."""

@@ -5,13 +5,13 @@ from difflib import get_close_matches
 from typing import Any
 
 
-def near(name: str, known: Iterable[str]) -> str:
-    """``"did you mean X"``, else ``"choose one of …"``; empty where nothing is known."""
+def near(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """``"did you mean X"``, else `otherwise`, else ``"choose one of …"``, or nothing."""
     names = list(known)
     found = get_close_matches(name, names, 3, 0.7)
     if found:
         return f"did you mean {' or '.join(found)}"
-    return f"choose one of {', '.join(names)}" if names else ""
+    return otherwise or (f"choose one of {', '.join(names)}" if names else "")
 
 
 def named(name: str, given: Any, example: str) -> dict[str, Any]:

@@ -6,15 +6,17 @@ A row that cannot be right is refused with file, line and reason, before a drive
 import csv
 import io
 import re
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ..kernel.factors.units import Kind
 from ..kernel.faults import Cause, Reaction
-from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, parameter_place
+from ..kernel.process_data import parameter_place
 from ..kernel.record import OD, OWN_STORED, VENDOR_BYTES
 
 # data type of CiA 301 -> struct format; strings have none
@@ -75,16 +77,30 @@ class Object:
         """Bytes of the value, 0 for strings."""
         return SIZES[self.format]
 
+    @cached_property
+    def code(self) -> struct.Struct:
+        """The value as bytes, little-endian; of no size for strings."""
+        return struct.Struct("<" + self.format)
 
-@dataclass(frozen=True)
-class Mapping:
-    """A PDO of pdo.csv: default communication parameters and mapped objects."""
+    def pack(self, value: int | float) -> bytes:
+        """Bytes of a number. Raises ValueError for one that its data type does not hold."""
+        try:
+            return self.code.pack(value)
+        except (struct.error, OverflowError) as error:
+            raise ValueError(f"{self.name} = {value!r} is no {self.data_type}: {error}") from None
 
-    number: int
-    cob_id: str
-    transmission_type: int
-    inhibit_time: int
-    entries: tuple[tuple[int, int, int], ...]  # index, subindex, bits
+    def unpack(self, data: bytes) -> int | float:
+        """The number `data` begins with: an SDO without a size has always four bytes (CiA 301).
+
+        Raises:
+            ValueError: fewer bytes than the number has.
+        """
+        if len(data) < self.size:
+            raise ValueError(
+                f"{self.name} came with {len(data)} bytes, an {self.data_type} has {self.size}: "
+                "the drive is not of this model"
+            )
+        return self.code.unpack_from(data)[0]
 
 
 @dataclass(frozen=True)
@@ -145,10 +161,6 @@ OBJECT_COLUMNS = (
     "index", "subindex", "name", "object_type", "data_type", "access", "pdo", "unit", "min", "max",
     "default", "storable", "section", "note", "field", "when", "hook",
 )  # fmt: skip
-PDO_COLUMNS = (
-    "direction", "number", "cob_id", "transmission_type", "inhibit_time", "index", "subindex",
-    "bits",
-)  # fmt: skip
 FAULT_COLUMNS = (
     "emcy_code", "main", "sub", "meaning", "error_register_bit", "cause", "reaction", "changeable",
     "section",
@@ -172,7 +184,7 @@ def read_text(path: Path) -> str:
         ) from None
 
 
-def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str], str]]:
+def lines_of(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str], str]]:
     """Rows of a CSV file, each with the words "file, line n" for error messages."""
     reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
     try:
@@ -191,7 +203,7 @@ def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str]
         raise ValueError(f"{path.name}, line {line} ({path.parent.name}): {error}") from None
 
 
-def _integer(text: str, where: str, what: str, bits: int = 0) -> int:
+def integer(text: str, where: str, what: str, bits: int = 0) -> int:
     """An integer; with `bits` one that an unsigned field of so many takes."""
     try:
         value = int(text, 0)
@@ -208,9 +220,9 @@ def read_cells(path: Path) -> Cells:
     Raises ValueError with file, line and reason.
     """
     cells: Cells = {}
-    for row, where in _rows(path, OBJECT_COLUMNS):
-        index = _integer(row["index"], where, "index")
-        subindex = _integer(row["subindex"], where, "subindex")
+    for row, where in lines_of(path, OBJECT_COLUMNS):
+        index = integer(row["index"], where, "index")
+        subindex = integer(row["subindex"], where, "subindex")
         if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
             raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h is no object address")
         if (index, subindex) in cells:
@@ -262,7 +274,7 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
         if area != "axis":
             pass
         elif row["field"].startswith("@"):  # another name for the bytes of an earlier row
-            other = objects.get(_address(row["field"][1:], where))
+            other = objects.get(address(row["field"][1:], where))
             if other is None or other.size != size:
                 raise ValueError(f"{where}: {row['field']} is no earlier row of this size")
             area, offset = other.area, other.offset
@@ -288,11 +300,11 @@ def _object(row, where, index, subindex, area, offset) -> Object:
     if row["min"].startswith("{"):
         allowed = _set(row["min"], where)
     elif row["min"]:
-        low = max(low, float(_integer(row["min"], where, "min")))
+        low = max(low, float(integer(row["min"], where, "min")))
     if row["max"]:
-        high = min(high, float(_integer(row["max"], where, "max")))
+        high = min(high, float(integer(row["max"], where, "max")))
     if code:
-        default = float(default or 0) if code == "f" else _integer(default or "0", where, "default")
+        default = float(default or 0) if code == "f" else integer(default or "0", where, "default")
         if not low <= default <= high or (allowed is not None and default not in allowed):
             raise ValueError(f"{where}: default {default} is out of range [{low:.0f}, {high:.0f}]")
         if area == "constant" and row["pdo"]:
@@ -304,7 +316,8 @@ def _object(row, where, index, subindex, area, offset) -> Object:
     )  # fmt: skip
 
 
-def _address(text: str, where: str) -> tuple[int, int]:
+def address(text: str, where: str) -> tuple[int, int]:
+    """Index and sub-index, written as 6040:00. Raises ValueError with file and line."""
     match = re.fullmatch(r"([0-9A-Fa-f]{4}):([0-9A-Fa-f]{2})", text)
     if not match:
         raise ValueError(f"{where}: {text!r} is not an address like 201A:01")
@@ -316,8 +329,8 @@ def _set(text: str, where: str) -> frozenset[int]:
     values: set[int] = set()
     for part in text.strip("{}").split(";"):
         first, _, last = part.partition("..")
-        low = _integer(first, where, "min")
-        high = _integer(last, where, "min") if last else low
+        low = integer(first, where, "min")
+        high = integer(last, where, "min") if last else low
         if not 0 <= high - low < LARGEST_SET:
             raise ValueError(f"{where}: min {text!r}: {part} is no range of {LARGEST_SET} values")
         values.update(range(low, high + 1))
@@ -352,72 +365,20 @@ def _fits(kind: np.dtype, field: np.dtype) -> bool:
     return kind == field or narrower or same_size
 
 
-def read_pdos(
-    path: Path, objects, max_bits: int
-) -> tuple[tuple[Mapping, ...], tuple[Mapping, ...]]:
-    """Receive and transmit PDOs. Raises ValueError with file, line and reason."""
-    found: dict[str, dict[int, Mapping]] = {"rx": {}, "tx": {}}
-    for row, where in _rows(path, PDO_COLUMNS):
-        direction = row["direction"].lower()
-        if direction not in found:
-            raise ValueError(f"{where}: direction {row['direction']!r} is neither rx nor tx")
-        number = _integer(row["number"], where, "number")
-        before = found[direction].get(number)
-        entries = before.entries if before else ()
-        if row["index"]:  # a row without one is a PDO that is free for mapping
-            entries = (*entries, _pdo_entry(row, where, direction, objects, max_bits > MAX_BITS))
-        if sum(bits for _, _, bits in entries) > max_bits or len(entries) > ENTRIES:
-            raise ValueError(f"{where}: PDO {number} is longer than {max_bits} bits")
-        cob_id = row["cob_id"].replace(" ", "")
-        if not re.fullmatch(r"0x[0-9A-Fa-f]+(\+node_id)?", cob_id):
-            raise ValueError(f"{where}: cob_id {cob_id!r} is not like 0x200+node_id")
-        if int(cob_id.partition("+")[0], 0) + 127 >= 1 << 32:
-            raise ValueError(f"{where}: cob_id {cob_id} has more than 32 bits")
-        found[direction][number] = Mapping(
-            number,
-            cob_id,
-            _integer(row["transmission_type"], where, "transmission_type", 8),
-            _integer(row["inhibit_time"] or "0", where, "inhibit_time", 16),
-            entries,
-        )
-    for pdos in found.values():
-        if sorted(pdos) != list(range(1, len(pdos) + 1)):
-            raise ValueError(f"{path.name} ({path.parent.name}): PDO numbers have a gap")
-    return tuple(tuple(pdos[n] for n in sorted(pdos)) for pdos in found.values())  # type: ignore
-
-
-def _pdo_entry(row, where, direction, objects, partly: bool) -> tuple[int, int, int]:
-    """Index, sub-index and bits; `partly`: the lower bytes of an object may stand alone."""
-    index, subindex, bits = (
-        _integer(row[key], where, key) for key in ("index", "subindex", "bits")
-    )
-    target = objects.get((index, subindex))
-    if direction == "rx" and DUMMY_BITS.get(index) == bits and subindex == 0:
-        return index, subindex, bits
-    size = target.size * 8 if target else 0
-    fits = bits == size or (partly and bits % 8 == 0 and bits < size)
-    if target is None or not fits or direction not in target.pdo:
-        raise ValueError(
-            f"{where}: {index:04X}h:{subindex:02X}h with {bits} bits cannot be mapped to a "
-            f"{direction} PDO"
-        )
-    return index, subindex, bits
-
-
 def read_faults(path: Path) -> tuple[Fault, ...]:
     """The faults. Raises ValueError with file, line and reason."""
     faults = []
-    for row, where in _rows(path, FAULT_COLUMNS):
+    for row, where in lines_of(path, FAULT_COLUMNS):
         for column, known in (("cause", Cause), ("reaction", Reaction)):
             if (row[column] or "NONE") not in {"NONE", *known.__members__}:
                 raise ValueError(f"{where}: {column} {row[column]!r} is none of {[*known]}")
         faults.append(
             Fault(
-                _integer(row["emcy_code"] or "0x1000", where, "emcy_code", 16),  # generic error
-                _integer(row["main"], where, "main", 8) if row["main"] else None,
-                _integer(row["sub"], where, "sub", 8) if row["sub"] else None,
+                integer(row["emcy_code"] or "0x1000", where, "emcy_code", 16),  # generic error
+                integer(row["main"], where, "main", 8) if row["main"] else None,
+                integer(row["sub"], where, "sub", 8) if row["sub"] else None,
                 row["meaning"],
-                _integer(row["error_register_bit"] or "0", where, "error_register_bit", 3),
+                integer(row["error_register_bit"] or "0", where, "error_register_bit", 3),
                 Cause[row["cause"] or "NONE"],
                 Reaction[row["reaction"] or "IGNORE"],
                 row["changeable"] != "no",

@@ -156,8 +156,7 @@ class ObjectDictionary:
         if isinstance(index, str):
             slot = self.names.get(index)
             if slot is None:
-                hint = near(index, self.names)
-                hint = hint if hint.startswith("did") else "see objects.csv of its model"
+                hint = near(index, self.names, "see objects.csv of its model")
                 raise SdoAbort(Abort.NO_OBJECT, 0, 0, f"no object is called {index!r}: {hint}")
             return slot
         if not isinstance(index, int | np.integer):

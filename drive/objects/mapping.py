@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 from ..kernel.process_data import DUMMY, DUMMY_BITS, ENTRIES, INVALID, MAX_BITS, parameter_place
 from ..model.model import DriveModel
-from ..model.rows import Mapping, Object
+from ..model.pdo import Mapping, mapping_entry
+from ..model.rows import Object
 from .abort import Abort
 from .communication import PDO_COB_ID, sdo_server
 from .device import Dictionary
@@ -185,7 +186,7 @@ def _mapping(od: Dictionary, row: Object, value: int) -> Abort:
 
 def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> tuple[int, Abort]:
     """Where a mapping entry's bytes lie in the record, or the abort code of the refusal."""
-    index, subindex, bits = mapping >> 16, mapping >> 8 & 0xFF, mapping & 0xFF
+    index, subindex, bits = mapping_entry(mapping)
     if index in DUMMY_BITS and subindex == 0:
         mappable = receive and bits == DUMMY_BITS[index]
         return DUMMY, Abort.NONE if mappable else Abort.NOT_MAPPABLE

@@ -15,7 +15,7 @@ import numpy as np
 from ..kernel.process_data import ENTRIES
 from ..kernel.record import AXIS, OD
 from ..model.model import DriveModel, load
-from ..model.rows import Mapping
+from ..model.pdo import Mapping
 from . import kept, store
 from .abort import TEXT, Abort
 from .device import Device

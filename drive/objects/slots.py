@@ -3,7 +3,6 @@
 All drives of a model share the pattern of each; a slot of a drive is the pattern with a view.
 """
 
-import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -28,7 +27,7 @@ class Slot:
         self.row = row
         self.view = view
         self.offset = row.offset
-        self.code = struct.Struct("<" + row.format)
+        self.code = row.code
         self.writable = row.access not in ("ro", "const")
         self.reads = HOOKS[row.hook].read if row.hook else read_rule
         self.hook = HOOKS[row.hook].write if row.hook else None

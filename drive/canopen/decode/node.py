@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ...kernel.process_data import DUMMY_BITS, INVALID
 from ...kernel.words import Mode, decode_controlword, decode_statusword
 from ...model.model import DriveModel, Object
+from ...model.pdo import mapping_entry
 from ...objects.hooks.standard import LOAD, SAVE
 from ..eds import rows
 from ..frame import Base, Frame
@@ -123,7 +124,7 @@ class Node:
             return f"{data.hex(' ').upper()} (bytes)" if data else "nothing"
         if not row.format:
             return json.dumps(data.decode("ascii", "replace"))
-        (value,) = struct.unpack("<" + row.format, data)
+        value = row.unpack(data)
         return self._number(row, value)
 
     def learn(self, index: int, subindex: int, data: bytes) -> None:
@@ -131,7 +132,7 @@ class Node:
         row = self._drive.rows.get((index, subindex))
         if row is None or not row.format or len(data) != row.size:
             return
-        self._heard(self.id, row, struct.unpack("<" + row.format, data)[0])
+        self._heard(self.id, row, row.unpack(data))
         if row.format == "f":
             return
         value = int.from_bytes(data, "little")
@@ -163,7 +164,7 @@ class Node:
         if index in (MODE, MODE_DISPLAY) and value in {*Mode}:
             return f"{text} {Mode(value).name}"
         if row.area in ("rpdo", "tpdo") and index & 0x200 and row.subindex and value:
-            target = self._drive.rows.get((value >> 16, value >> 8 & 0xFF))
+            target = self._drive.rows.get(mapping_entry(value)[:2])
             return f"{text} {target.name}" if target else text
         return text
 
@@ -231,12 +232,12 @@ class Node:
         image, at = int.from_bytes(frame.data, "little"), 0
         parts: list[tuple[int, int, int, int]] = []
         for entry in entries:
-            bits = entry & 0xFF
+            index, subindex, bits = mapping_entry(entry)
             if at + bits > 8 * len(frame.data):
                 parts = []  # a PDO that is too short is not used at all (CiA 301)
                 break
             value = image >> at & (1 << bits) - 1
-            parts.append((entry >> 16, entry >> 8 & 0xFF, bits, value))
+            parts.append((index, subindex, bits, value))
             at += bits
         if not parts:
             reason = "too short" if entries else "nothing mapped"
@@ -258,5 +259,5 @@ class Node:
             return f"{index:04X}h:{subindex:02X}={value:0{-(-bits // 4)}X}h"
         data = value.to_bytes(row.size, "little")
         if row.format:
-            self._heard(self.id, row, struct.unpack("<" + row.format, data)[0])
+            self._heard(self.id, row, row.unpack(data))
         return f"{row.name}={self.text(index, subindex, data)}"
