@@ -1,6 +1,9 @@
 """What a task tells of itself: metrics of its own, and a sensor of the load."""
 
+import re
 from typing import NamedTuple
+
+METRES = re.compile(r"\((µ?)m(|/[^)]*)\)")  # a unit in a heading
 
 
 class Metric(NamedTuple):
@@ -9,6 +12,19 @@ class Metric(NamedTuple):
     heading: str  # with unit
     better: str  # "high" or "low"; empty: neither
     what: str
+
+
+def in_unit(heading: str, unit: str) -> str:
+    """A heading for coordinates in `unit`: "m", "rad", or "m or rad".
+
+    >>> in_unit("peak following error (µm)", "rad")
+    'peak following error (µrad)'
+    """
+
+    def told(found: re.Match[str]) -> str:
+        return f"({' or '.join(found[1] + one + found[2] for one in unit.split(' or '))})"
+
+    return METRES.sub(told, heading)
 
 
 class Sensor(NamedTuple):

@@ -211,7 +211,8 @@ def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
         RobotEnv,
         "Policies of Robot-v0 for this MJCF command all its drives; the goal is that of this "
         "axis, the others stay where they are.",
-        ("hold",), Goal("Goal", unit, round(low, 3), round(high, 3), round((low + high) / 2, 3)),
+        (*RobotEnv.POLICIES, "hold"),
+        Goal("Goal", unit, round(low, 3), round(high, 3), round((low + high) / 2, 3)),
         f"position ({unit})", {"mjcf": str(mjcf), "drives": [*machine.drives]}, axis,
     )  # fmt: skip
 

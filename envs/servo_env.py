@@ -27,7 +27,7 @@ from .engine.rates import interpolation_period, step_cycles
 from .faces import FACES, FAULT, PDO
 from .injection import Faults, injections, sort
 from .masters.port import MachinePort
-from .plants.axis_parameters import LinearAxisParameters
+from .plants.axis_parameters import Joints, LinearAxisParameters
 from .plants.gantry import GantryParameters
 from .plants.rotary import RotaryParameters
 from .randomisation import Randomisation
@@ -104,7 +104,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     judge: Callable[..., None]  # (worlds, episodes, rpdos, tpdos, observations)
 
     # what it tells of itself, for those who train, judge and draw; this will do for most
-    POLICIES: ClassVar[tuple[str, ...]] = ()  # baselines by name, beside hold and random
+    POLICIES: tuple[str, ...] = ()  # baselines by name, beside hold and random
     REFERENCE: ClassVar[str] = ""  # the one whose score is 1, as hold's is 0; none: no score
     HOLD: ClassVar[Mapping[str, float]] = {}
     METRIC: ClassVar[str] = "episode_return"  # by which one policy is better than another
@@ -113,10 +113,11 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     DONE: ClassVar[tuple[str, str]] = ("settled", "not settled")  # what success is called
     HYPERPARAMETERS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     STROKE: ClassVar[tuple[float, ...]] = ()  # of each axis (m)
+    UNIT: ClassVar[str] = "m"  # of its coordinates in headings: "m", "rad" or "m or rad"
     SENSOR: ClassVar[str] = ""  # the argument that gives `sensor`
 
     # what policies may know
-    datasheet: LinearAxisParameters | GantryParameters | RotaryParameters | None = None
+    datasheet: LinearAxisParameters | GantryParameters | RotaryParameters | Joints | None = None
     homing_method: int | None = None  # of the drive, that looks for what the agent looks for
     machine: Machine
     units: float = METRE  # position units per m or rad, set before `ServoEnv.__init__`
@@ -388,7 +389,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def channels(self) -> tuple[channels.Channel, ...]:
         """What a picture of an episode shows: of the task, and of its drives."""
-        return self.CHANNELS + channels.drives(len(self.drives) > 1)
+        return channels.of(self)
 
     def inject_faults(self) -> None:
         """Let the declared faults happen with their probabilities."""

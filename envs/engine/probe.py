@@ -111,7 +111,9 @@ def renew(machine) -> None:
     machine.couplings["error_peak"] = machine.axes["od"]["following_error_actual_value"]
 
 
-def begin(machine, duration: float, goal: float = math.nan, window: float = 0.0) -> None:
+def begin(
+    machine, duration: float, goal: float = math.nan, window: float = 0.0, unit: float = 1e-6
+) -> None:
     """Measure anew from the present on.
 
     Args:
@@ -119,6 +121,7 @@ def begin(machine, duration: float, goal: float = math.nan, window: float = 0.0)
         duration: of what is measured (s); the last quarter of it counts as residual vibration.
         goal: of what the first drive moves, with all that is elastic behind it (m).
         window: half of the one around the goal (m).
+        unit: m per position unit of the drives.
     """
     timestep = machine.model.opt.timestep
     machine.probes[:] = np.zeros((), PROBE)
@@ -128,7 +131,7 @@ def begin(machine, duration: float, goal: float = math.nan, window: float = 0.0)
         probe.goal, probe.window = (goal, window) if i == 0 else (math.nan, 0.0)
         place = machine.data.qpos[coupling.qpos] + sum(machine.data.qpos[q] for q in springs)
         probe.side = 1.0 if probe.goal >= place else -1.0
-        probe.unit = 1e-6
+        probe.unit = unit
         probe.quiet_from = round(0.75 * duration / timestep)
         probe.jerk_ticks = max(round(JERK_WINDOW / timestep), 1)
         probe.lowest, probe.highest = math.inf, -math.inf

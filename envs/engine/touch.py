@@ -1,7 +1,45 @@
-"""What is in the way of a joint: the contacts between what it moves and all else."""
+"""What is in the way of a joint: contacts between what it moves and all else, or other forces."""
 
 import mujoco
 import numpy as np
+
+LARGE = 0.5  # share of the drive's force; what takes that much is told
+
+
+def hindrances(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[str]:
+    """What stops a joint: the contacts in its way; else what takes the force of its drive.
+
+    That is its limit, its damping, its spring, the weight and the motion of other joints; else the
+    contacts of a robot whose base is free, which may have fallen.
+
+    Args:
+        model: of the robot.
+        data: in the state looked at, after a physics step.
+        joint: number of the joint.
+    """
+    if found := obstacles(model, data, joint):
+        return found
+    dof = int(model.jnt_dofadr[joint])
+    force, damping = data.qfrc_actuator[dof], -model.dof_damping[dof] * data.qvel[dof]
+    limit = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT) & (data.efc_id == joint)
+    against = {
+        "its limit": data.qfrc_constraint[dof] if limit.any() else 0.0,
+        f"its damping of {model.dof_damping[dof]:g}": damping,
+        "its spring": data.qfrc_passive[dof] - damping,
+        "weight or the motion of other joints": -data.qfrc_bias[dof],
+    }
+    slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+    unit = "N" if slides else "Nm"
+    found = [
+        f"{what} takes {abs(taken):.3g} {unit}, the drive gives {abs(force):.3g} {unit}"
+        for what, taken in against.items()
+        if taken * force < 0.0 and abs(taken) > LARGE * abs(force)
+    ]
+    root = int(model.body_rootid[model.jnt_bodyid[joint]])
+    base = int(model.body_jntadr[root])
+    if not found and base >= 0 and model.jnt_type[base] == mujoco.mjtJoint.mjJNT_FREE:
+        found = [f"{contact} (the base is free)" for contact in obstacles(model, data, base)]
+    return found
 
 
 def obstacles(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[str]:

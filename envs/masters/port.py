@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from ...drive.master.port import Units
 from ...drive.model.model import DriveModel
 from ..engine.machine import Machine
-from ..engine.touch import obstacles
+from ..engine.touch import hindrances
 
 
 class MachinePort:
@@ -60,11 +60,11 @@ class MachinePort:
             self.on_step()
 
     def obstacles(self, axis: str) -> list[str]:
-        """What touches what in the way of a drive's joint, the strongest contact first."""
+        """What stops a drive's joint: contacts, the strongest first, or forces."""
         machine = self.machine
         coupling = machine.couplings[[*machine.drives].index(axis)]
         with machine.turn:
-            return obstacles(
+            return hindrances(
                 machine.model, machine.data, int(machine.model.dof_jntid[coupling.dof])
             )
 

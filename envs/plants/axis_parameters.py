@@ -47,6 +47,13 @@ RANGES = {
 
 
 @dataclass(frozen=True)
+class Joints:
+    """What is known of the joints of any robot, drive by drive; the rest is in their drives."""
+
+    ranges: tuple[float, ...]  # half of each (rad or m), pi without limits
+
+
+@dataclass(frozen=True)
 class LinearAxisParameters:
     """One linear axis. Raises ValueError naming field, value, range and unit.
 

@@ -21,8 +21,10 @@ from ..engine.tick import coordinates, world_at
 from ..engine.touch import obstacles
 from ..faces import clip, faulted, limited
 from ..fields import action, observation
+from ..plants.axis_parameters import Joints
 from ..plants.commissioning import commission_joint
 from ..servo_env import METRE, ServoEnv
+from ..view.channels import FIRST_DRIVE, Channel
 from . import chain
 from .rewards import closeness, decades
 
@@ -179,6 +181,13 @@ class RobotEnv(ServoEnv):
     )  # fmt: skip
     act = staticmethod(act)
     judge = staticmethod(judge)
+    POLICIES: tuple[str, ...] = ("proportional",)
+    UNIT = "m or rad"
+    CHANNELS = (
+        Channel("from the goal\n(m)", lambda env: float(env.episode.distance), nearest=15.0,
+                window=lambda env: env.tolerance),
+        *FIRST_DRIVE,
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -230,7 +239,15 @@ class RobotEnv(ServoEnv):
         self.OBSERVATION = observation(
             ("axes", (len(names),), AXIS), ("site", (3,)), ("site_fine", (3,))
         )
+        if site is not None:
+            self.POLICIES = ()  # they know joints
         super().__init__(drive, **arguments)
+        self.datasheet = Joints(tuple(self._half(i) for i in range(len(names))))
+
+    def _half(self, i: int) -> float:
+        """Half the range of the i-th drive."""
+        low, high = (self.drives[i].read(f"{end}_position_limit") / METRE for end in ("min", "max"))
+        return math.pi if low >= high else 0.5 * (high - low)
 
     def _make(self, model: DriveModel) -> Machine:
         mjcf, gears, folder = self._robot
@@ -277,7 +294,7 @@ class RobotEnv(ServoEnv):
             low, high = read["min_position_limit"], read["max_position_limit"]
             free = low >= high
             episode._low[i], episode._high[i] = (-math.inf, math.inf) if free else (low, high)
-            episode._range[i] = math.pi if free else 0.5 * (high - low)
+            episode._range[i] = self._half(i)
             episode._middle[i] = 0.0 if free else 0.5 * (high + low)
             episode._target[i] = x.read("position_actual_value") / METRE
             episode._way[i] = read["profile_velocity"] * self.step_time

@@ -160,6 +160,7 @@ class RotaryAxisEnv(ServoEnv):
 
     POLICIES = ("trapezoid", "ruckig", "proportional")
     REFERENCE = "ruckig"
+    UNIT = "rad"
     METRIC = "settling_time"
     CHANNELS = (
         Channel("table\n(degree)", _degrees, lambda env: math.degrees(env.episode.goal)),

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..about import in_unit
+
 SWITCHED_OFF = 0xFFFFFFFF  # of a window
 MM, UM = 1e3, 1e6
 Quantity = Callable[[Any], float]  # of an environment, in the unit of its channel
@@ -90,7 +92,7 @@ def _largest(env: Any, values: np.ndarray) -> float:
 
 def _window(env: Any) -> float:
     window = int(env.machine.axes["od"]["following_error_window"][0])
-    return math.nan if window == SWITCHED_OFF else float(window)
+    return math.nan if window == SWITCHED_OFF else UM / env.units * float(window)
 
 
 def _torque(env: Any) -> float:
@@ -114,8 +116,14 @@ def drives(several: bool) -> tuple[Channel, ...]:
     return (
         Channel(
             following_error,
-            lambda env: _largest(env, env.machine.couplings["error_peak"]),
+            lambda env: UM / env.units * _largest(env, env.machine.couplings["error_peak"]),
             window=_window, wide=True,
         ),
         Channel(torque, _torque, window=_torque_limit),
     )  # fmt: skip
+
+
+def of(env: Any) -> tuple[Channel, ...]:
+    """Those of its task and of its drives, in the unit of its coordinates."""
+    shown = env.CHANNELS + drives(len(env.drives) > 1)
+    return tuple(each._replace(label=in_unit(each.label, env.UNIT)) for each in shown)

@@ -30,6 +30,18 @@ def test_a_single_training_is_drawn_too(tmp_path):
     assert len(curves.read(tmp_path / "run")[1]) == 1
 
 
+def test_a_second_stage_is_drawn_over_its_own_range(tmp_path, monkeypatch):
+    """Returns of 1000 to 1006 are no flat line at the top."""
+    seen = []
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig", lambda self, *_, **__: seen.append(self.axes[0])
+    )
+    training(tmp_path / "run", [100, 200, 300], 1000.0)
+    assert cli.main(["curves", str(tmp_path / "run"), "-o", str(tmp_path / "curves.png")]) == 0
+    low, high = seen[0].get_ylim()
+    assert 990.0 < low < high < 1020.0
+
+
 @pytest.mark.parametrize("make", [lambda path: None, lambda path: (
     training(path / "seed_1", [1], 0.0), training(path / "seed_2", [2], 0.0))])  # fmt: skip
 def test_nothing_in_common_is_one_line(make, tmp_path, capsys):

@@ -92,7 +92,7 @@ def attempt(file, folder):
 
 def main(folders):
     print("| robot | joints moved | what stopped it |\n|---|---|---|")
-    whole = stopped = neither = 0
+    whole = contact = force = neither = 0
     for package, file, folder in robots(folders):
         try:
             moved, of, why = attempt(file, folder)
@@ -101,14 +101,16 @@ def main(folders):
         if of and moved == of:
             whole += 1
         elif " touches " in why:
-            stopped += 1
+            contact += 1
+        elif " takes " in why or not of:
+            force += 1
         else:
             neither += 1
         why = " ".join(why.replace(str(folder), "").split())[:300]
         print(f"| {package}/{file.parent.name}/{file.name} | {moved} of {of} | {why} |", flush=True)
     print(
-        f"\n{whole + stopped + neither} robots: {whole} move, {stopped} name the contact that stops"
-        f" them, {neither} do neither"
+        f"\n{whole + contact + force + neither} robots: {whole} move, {contact} name the contact"
+        f" that stops them, {force} another reason, {neither} none"
     )
 
 

@@ -47,6 +47,14 @@ def test_it_begins_with_these_weights_and_what_is_not_given_is_as_it_was(first, 
     assert json.loads(latest.read_text(encoding="utf-8"))["start"] == about["start"]
 
 
+def test_the_number_of_environments_is_a_setting_here_too(first, tmp_path):
+    for name, given in (("a", {"settings": {"n_envs": 4}}), ("b", {"envs": 4})):
+        train(ID, out=tmp_path / name, steps=128, start=first, **given, **EVERY)
+        about = json.loads((tmp_path / name / "best" / "checkpoint.json").read_text("utf-8"))
+        assert about["envs"] == 4
+        assert "n_envs" not in about["hyperparameters"]
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -55,6 +63,7 @@ def test_it_begins_with_these_weights_and_what_is_not_given_is_as_it_was(first, 
         ([ID, "--argument", "history=3"], "history and previous_action have to be those"),
         ([ID, "--setting", 'policy_kwargs={"net_arch": [9]}'], "are of another network"),
         ([ID, "--setting", "rate"], "is not NAME=VALUE"),
+        ([ID, "--setting", "n_envs=0"], "n_envs = 0 must be a whole number 1..100000"),
     ],
 )
 def test_a_start_that_does_not_fit_is_told(first, tmp_path, capsys, options, says):

@@ -60,6 +60,14 @@ def test_a_trace_is_what_the_environment_does_alone():
     assert np.abs(beyond[~after, VALUE]).max() > 0.1
 
 
+def test_what_is_reached_without_settling_is_told_too():
+    """A lap takes 1.257 s, and the tool has to get going."""
+    result = Evaluator("GantryContour-v0", episodes=1).run("full_feed")
+    assert result.values["success"][0] == 1.0
+    assert math.isnan(result.values["settling_time"][0])
+    assert trace.outcome(result.trace) == ": a lap within the window after 1.255 s (dot)"
+
+
 def test_a_fault_ends_a_trace():
     result = Evaluator("LinearAxis-v0", episodes=4).run("random")
     i = int(np.flatnonzero(result.values["faults"])[0])

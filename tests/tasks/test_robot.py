@@ -13,12 +13,22 @@ from servogym.envs import Machine, commission_joint
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.vector_env import ServoVectorEnv
+from servogym.training.policies import make
 
 REACHER = Path(gym.__file__).parent / "envs/mujoco/assets/reacher.xml"
 WALLED = """<mujoco><worldbody>
   <geom name="wall" type="box" pos="0.5 0 0" size="0.02 0.3 0.3"/>
   <body name="arm"><joint name="swing" axis="0 0 1" range="-170 170"/>
     <geom name="beam" type="capsule" fromto="0 0.05 0 0 0.6 0" size="0.02" mass="2"/></body>
+  </worldbody></mujoco>"""
+HELD = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody>
+  <body><joint name="swing" axis="0 0 1" {}/>
+    <geom type="capsule" fromto="0 0 0 0 0.6 0" size="0.02" mass="2"/></body>
+  </worldbody></mujoco>"""
+FALLING = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 1"/>
+  <body pos="0 0 0.2"><freejoint/><geom name="trunk" size="0.1" mass="5"/>
+   <body pos="0 0 0.1"><joint name="swing" axis="0 1 0"/>
+    <geom name="rod" type="capsule" fromto="0 0 0.1 0 0 0.4" size="0.02" mass="1"/></body></body>
   </worldbody></mujoco>"""
 
 
@@ -104,9 +114,47 @@ def test_the_contact_that_stops_a_joint_is_named():
         master.move_to(-1.6, timeout=5.0)
 
 
+@pytest.mark.parametrize(
+    ("joint", "says"),
+    [
+        ('damping="2e4"', "its damping of 20000 takes .* Nm, the drive gives .* Nm"),
+        ('stiffness="3e4"', "its spring takes .* Nm, the drive gives"),
+        ('range="-1 1" solreflimit="-1e5 -1e3"', "its limit takes .* Nm, the drive gives"),
+    ],
+)
+def test_a_force_that_stops_a_joint_is_named(joint, says):
+    machine = Machine.from_mjcf(HELD.format(joint), {"swing": "generic"})
+    commission_joint(machine, "swing")
+    machine.drives["swing"].write("max_position_limit", 3_000_000)
+    master = Master(MachinePort(machine), "swing")
+    master.enable()
+    master.home()
+    with pytest.raises(ServoError, match=says):
+        master.move_to(2.5, timeout=5.0)
+
+
+def test_a_robot_that_has_fallen_names_the_floor():
+    machine = Machine.from_mjcf(FALLING, {"swing": "generic"})
+    machine.step(2000)
+    port = MachinePort(machine)
+    assert port.obstacles("swing") == ["trunk touches floor (the base is free)"]
+
+
 def test_a_gear_that_scales_a_control_is_no_reduction():
     text = """<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
       <actuator><motor joint="j" gear="0.5" {}/></actuator></mujoco>"""
     for range_, gear in (('ctrlrange="-1 1"', 100.0), ("", 0.5)):
         machine = Machine.from_mjcf(text.format(range_), {"j": "generic"})
         assert machine.couplings["gear"][0] == gear
+
+
+def test_a_baseline_brings_all_joints_to_their_goals_and_knows_no_site():
+    env = RobotEnv()
+    policy = make("proportional", env)
+    observation, info = env.reset(seed=3)
+    policy.reset(observation, info)
+    for _ in range(env.STEPS):
+        observation, *_, info = env.step(policy.act(observation))
+    assert info["is_success"]
+    with pytest.raises(ValueError, match="for servogym/Robot-v0 choose of hold, random"):
+        make("proportional", RobotEnv(site="tool"))

@@ -101,3 +101,17 @@ def test_watch_records_it(tmp_path, gl):
     arguments = ["watch", "RotaryAxis-v0", "--policy", "trapezoid", "--record", str(out)]
     assert cli.main([*arguments, "--speed", "20"]) == 0
     assert sorted(out.iterdir())
+
+
+def test_the_following_error_is_told_in_radians():
+    """Table, picture and drive agree; a position unit is a thousandth of a degree."""
+    evaluator = Evaluator("RotaryAxis-v0", episodes=1)
+    result = evaluator.run("ruckig")
+    labels = [channel.label.replace("\n", " ") for channel in result.trace.channels]
+    shown = result.trace.samples[:, labels.index("following error (µrad)"), 0]
+    peak = result.values["peak_error"][0]
+    assert np.abs(shown).max() == pytest.approx(peak, rel=1e-6)
+    assert evaluator.metrics["peak_error"].heading == "peak following error (µrad)"
+    unit = 1.0 / evaluator.env.units
+    assert peak / (1e6 * unit) == pytest.approx(round(peak / (1e6 * unit)), abs=1e-6)
+    assert peak > 1000

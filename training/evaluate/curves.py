@@ -52,7 +52,6 @@ def run(folder: Path, out: Path, console: Console) -> int:
     axes.set_xlabel("steps of training")
     axes.set_ylabel("return of an episode")
     axes.set_xlim(left=0)
-    axes.set_ylim(bottom=min(0.0, *low))
     axes.grid(**GRID)
     axes.legend(loc="lower right")
     axes.set_title(folder.name, fontsize=11)

@@ -189,7 +189,7 @@ class Evaluator:
         values = self._empty() | {
             "episode_return": returns,
             "success": success,
-            "settling_time": settled,
+            "settling_time": settled.copy(),
             "faults": np.array([fault != "" for fault in faults], float),
         }
         if "sway" in infos:
@@ -200,6 +200,8 @@ class Evaluator:
         trace = None
         if recorder and traced is not None:
             done = float(values["settling_time"][traced])
+            if math.isnan(done) and success[traced]:  # there is nothing to settle at
+                done = float(settled[traced])
             done = done if done < self.duration else math.nan
             trace = recorder.trace(label(policy), done, faults[traced])
         return Evaluation(label(policy), self.seeds, values, faults, trace, metrics=self.metrics)
@@ -214,7 +216,7 @@ class Evaluator:
                 seed=seeds, options={**options, "reset_mask": mask}
             )
         for env in self.vector.envs:
-            probe.begin(env.machine, self.duration, **env.settling())
+            probe.begin(env.machine, self.duration, **env.settling(), unit=1.0 / env.units)
         return observations, infos
 
     def _measured(self, env: ServoEnv, fault: str) -> dict[str, float]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...envs.about import Metric
+from ...envs.about import Metric, in_unit
 from ...envs.servo_env import ServoEnv
 
 RESAMPLES = 2000
@@ -56,7 +56,10 @@ METRICS: dict[str, Metric] = {
 
 def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
     """The common ones, and those of a task."""
-    return METRICS | dict(task.METRICS)
+    return {
+        name: row._replace(heading=in_unit(row.heading, task.UNIT))
+        for name, row in {**METRICS, **task.METRICS}.items()
+    }
 
 
 def iqm(values: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
-MOST = 10**12  # steps
+MOST, MOST_ENVS = 10**12, 100_000  # steps; environments
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 
@@ -70,6 +70,7 @@ class Run:
 
     def __post_init__(self):
         whole("seed", self.seed, 0, 2**31 - 1)
+        whole("n_envs", self.envs, 1, MOST_ENVS)
 
     def vector(self, envs: int) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""
@@ -117,10 +118,11 @@ def _started(
                 f"--start {folder} has {name} = {about.get(name)!r}, asked for is "
                 f"{wanted[name]!r}: leave it out, or start from another checkpoint"
             )
+    table = {"n_envs": asked["envs"] or about["envs"]} | about["hyperparameters"]
+    chosen = table | dict(settings or {})
     return Run(
         about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
-        asked["envs"] or about["envs"], about["arguments"] | (asked["arguments"] or {}),
-        about["hyperparameters"] | dict(settings or {}),
+        chosen.pop("n_envs"), about["arguments"] | (asked["arguments"] or {}), chosen,
         asked["residual"] or about.get("residual"), about.get("bounds"), about,
     )  # fmt: skip
 
@@ -198,7 +200,7 @@ def train(
     whole("steps", steps, 1, MOST)
     whole("checkpoint_every", checkpoint_every, 1, MOST)
     whole("evaluate_every", evaluate_every, 1, MOST)
-    whole("envs", 1 if envs is None else envs, 1, 100_000)
+    whole("envs", 1 if envs is None else envs, 1, MOST_ENVS)
     arguments = None if arguments is None else json.loads(json.dumps(dict(arguments)))
     asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
              "arguments": arguments, "residual": residual,

@@ -122,10 +122,10 @@ def show_both(panel: Axes, peak: float, window: float) -> None:
         return
     panel.set_yscale("symlog", linthresh=linear, linscale=2 * np.log10(window / linear))
     ticks = [-window, -linear, 0, linear, window]
-    panel.set_yticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
+    panel.set_yticks(ticks, [f"{tick:.4g}".replace("-", "−") for tick in ticks])
     panel.minorticks_off()
     panel.set_ylim(-window * 1.5, window * 1.5)
-    note = f"linear to ±{linear:g} µm, logarithmic beyond"
+    note = f"linear to ±{linear:g}, logarithmic beyond"
     beside = panel.get_yaxis_transform()
     panel.text(0.994, -linear, note, transform=beside, fontsize=7.5, ha="right")
 

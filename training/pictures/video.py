@@ -83,6 +83,7 @@ class Mp4:
             raise ImportError(
                 f"{path}: MP4 needs an encoder, pip install 'servogym[video]', or record a .gif"
             ) from None
+        self._path = path
         self._open: Callable[[int, int], Any] = lambda width, height: imageio_ffmpeg.write_frames(
             str(path), (width, height), fps=fps, macro_block_size=2, ffmpeg_log_level="error"
         )
@@ -93,7 +94,10 @@ class Mp4:
         if self._pipe is None:
             self._pipe = self._open(image.shape[1], image.shape[0])
             self._pipe.send(None)
-        self._pipe.send(np.ascontiguousarray(image))
+        try:
+            self._pipe.send(np.ascontiguousarray(image))
+        except OSError:  # ffmpeg has said why, on stderr
+            raise OSError(f"{self._path}: the encoder has stopped, see above") from None
 
     def close(self) -> None:
         """Finish the file."""

@@ -14,7 +14,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...envs import fields
 from ...envs.about import Sensor
-from ...envs.plants.axis_parameters import LinearAxisParameters
+from ...envs.plants.axis_parameters import Joints, LinearAxisParameters
 from ...envs.plants.gantry import FEED_CONSTANT, PAIR, GantryParameters
 from ...envs.plants.linear_axis import GRAVITY
 from ...envs.plants.rotary import RotaryParameters
@@ -159,6 +159,8 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) 
     elif isinstance(parameters, GantryParameters):
         heaviest = _heaviest(env, parameters.payload, truth)
         axes = tuple(_of_gantry(env, parameters, heaviest, d) for d in range(len(env.drives)))
+    elif isinstance(parameters, Joints):
+        axes = tuple(map(_joint, env.drives, parameters.ranges))
     return Datasheet(
         task=env.ID,
         action_record=env.action_record,
@@ -242,6 +244,20 @@ def _rotary(env: ServoEnv, p: RotaryParameters) -> Axis:
         lag=_lag(drive),
         sensor=None,
     )
+
+
+def _joint(drive: Drive, half: float) -> Axis:
+    """Of somebody's robot, of which only the drive is known: rad or m."""
+    speed, rate = (_object(drive, f"profile_{of}") / METRE for of in ("velocity", "acceleration"))
+    profile = Bounds(speed, rate, math.inf)
+    unknown = math.nan
+    return Axis(
+        carriage=unknown, rotor=unknown, payload=unknown, heaviest=unknown,
+        coulomb_friction=unknown, viscous_friction=unknown, weight=unknown, lost=unknown,
+        force=unknown, offset=0.0, stroke=half, speed=profile.velocity,
+        fastest=_object(drive, "max_profile_velocity") / METRE, profile=profile,
+        vibration=None, lag=_lag(drive), sensor=None,
+    )  # fmt: skip
 
 
 def _spring(p: LinearAxisParameters) -> Vibration | None:

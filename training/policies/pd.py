@@ -52,22 +52,25 @@ class ProportionalDifferential:
 
 
 class Proportional:
-    """Velocity of the set-point = gain × distance, with 6081h and 6083h as its limits."""
+    """Velocity of each set-point = gain × distance, with 6081h and 6083h as its limits."""
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
-        self._known, self._axis = datasheet, datasheet.axis
-        self._velocity_limit = datasheet.axis.profile.velocity
-        self._change = datasheet.axis.profile.acceleration * datasheet.step_time
+        self._known = datasheet
+        self._axes = (datasheet.axis, *datasheet.axes[1:])
+        self._change = [axis.profile.acceleration * datasheet.step_time for axis in self._axes]
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
-        self._velocity = 0.0
+        self._velocities = [0.0] * len(self._axes)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """From the distance."""
-        wanted = GAIN * float(self._known.seen(observation).distance) * self._axis.stroke
-        wanted = min(max(wanted, -self._velocity_limit), self._velocity_limit)
-        low, high = self._velocity - self._change, self._velocity + self._change
-        self._velocity = min(max(wanted, low), high)
-        share = self._velocity / self._axis.speed
-        return self._known.action(velocity=min(max(share, -1.0), 1.0))
+        shares = np.zeros(len(self._axes), np.float32)
+        seen_of_axes = self._known.seen_of_axes(observation)
+        for d, (axis, seen) in enumerate(zip(self._axes, seen_of_axes, strict=True)):
+            limit, before, change = axis.profile.velocity, self._velocities[d], self._change[d]
+            wanted = GAIN * float(seen.distance) * axis.stroke
+            wanted = min(max(wanted, -limit), limit)
+            self._velocities[d] = min(max(wanted, before - change), before + change)
+            shares[d] = min(max(self._velocities[d] / axis.speed, -1.0), 1.0)
+        return self._known.action(velocity=shares)

@@ -124,6 +124,7 @@ class ExperimentsPage:
                 self.others = ui.select(
                     offered, multiple=True, value=chosen if len(chosen) > 1 else offered[:2],
                     label="Policies, on copies of this machine, to the same goal",
+                    new_value_mode="add-unique",
                 ).props("dense outlined use-chips").classes("entry grow")  # fmt: skip
                 self.compare = button("Compare", self._compare, "run-compare", "main")
             self.chart = ui.echart(course_chart([], fitting.shown)).classes("chart")
