@@ -1,178 +1,292 @@
 """Many environments of one task on a device of warp: physics, drives and task where the agent is.
 
 `vectors` is what Gymnasium calls for ``gymnasium.make_vec``: with ``device`` a `DeviceVectorEnv`,
-else a `ServoVectorEnv`. A machine is reset, enabled and referenced alone on the CPU, as ever, and
-then brought to the device; what a step brings back is whether an episode has ended, and the infos.
+else a `ServoVectorEnv`. A machine is reset, enabled and referenced alone on the CPU, as ever. On a
+GPU that is done while it steps, before the time: an environment's next episode waits on the device
+and begins there, with any number of others, by a few copies in the same stream. What is drawn is
+what `ServoVectorEnv` draws, since no one else draws from the generator of the environment.
 """
 
 import importlib
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
-from ..drive.kernel.record import accessible
-from . import fields
 from .engine import worlds
-from .engine.worlds import Images, Worlds, aligned
-from .faces import FAULT, PDO
+from .engine.rows import Records, aligned
+from .engine.worlds import Images, Worlds
+from .faces import CONTROL, FAULT, STATUS, control, report
 from .servo_env import ServoEnv
 from .vector_env import ServoVectorEnv
+
+KNOWN = ("episodes", "tpdos")  # of a batch, what a step brings back
 
 
 class DeviceVectorEnv(ServoVectorEnv):
     """`ServoVectorEnv` whose physics and drives mujoco-warp and Numba step on a device.
 
     Observations, rewards, terminations and truncations are tensors of torch on the device, actions
-    may be; infos are arrays as ever. What a step returns is that of `ServoVectorEnv` but for single
-    precision (`servogym.envs.engine.worlds`).
+    may be, and then never leave it; infos are arrays as ever. What a step returns is that of
+    `ServoVectorEnv` but for single precision (`servogym.envs.engine.worlds`).
 
     Args:
         task: class of the environments.
         num_envs: how many.
         device: of warp: "cuda", one such as "cuda:1", or "cpu".
-        **arguments: of `ServoVectorEnv` but `threads`, and of the task. Not on a device yet:
-            ``action="pdo"``, `history`, `previous_action`, faults of a bus.
+        **arguments: of `ServoVectorEnv` but `threads`, and of the task but faults of a bus, whose
+            frames are made in Python, one environment after the other.
 
     Raises:
         ImportError: a package of the extra ``servogym[gpu]``, or torch, is missing.
-        ValueError: there is no such device, what is not there yet, and as `ServoVectorEnv` does.
+        ValueError: there is no such device, what is not there, and as `ServoVectorEnv` does.
+        MemoryError: of the device, for so many.
     """
 
     def __init__(
         self, task: type[ServoEnv], num_envs: int = 1, *, device: str = "cuda", **arguments: Any
     ):
         self._wp, _ = worlds.packages()
-        worlds.found(self._wp, device)
-        try:
-            self._torch: Any = importlib.import_module("torch")
-        except ImportError as error:
-            raise ImportError(f"device={device!r}: {error}: pip install torch") from None
+        self._torch = torch = _torch(worlds.found(self._wp, device), device)
         if "threads" in arguments:
             raise ValueError("threads: a device has its own, leave them out")
         super().__init__(task, num_envs, threads=1, **arguments)
-        first, batch = self.envs[0], self._batch
-        for name, given in (
-            ('action="pdo"', first.face == PDO),
-            ("history", first._history > 1),
-            ("previous_action", first._previous_action),
-            ("faults of a bus", first.line is not None),
-        ):
-            if given:
-                raise ValueError(
-                    f"{name} is not there with device={device!r} yet: leave one of them out"
-                )
+        wp, first, n = self._wp, self.envs[0], self.num_envs
+        if first.line is not None:
+            raise ValueError(
+                f"faults of a bus are not there with device={device!r}: each frame is made and "
+                "read in Python, on a core; leave one of them out"
+            )
+        # what a machine begins with is made in rows of its own, while its present ones are in use
+        self._coming = first.batch(n)
+        for row, env in enumerate(self.envs):
+            env.join(self._coming, row)
         rpdo, tpdo = first._images
-        drives = len(first.drives)
-        self._worlds_there = Worlds(
-            [env.machine for env in self.envs], device, ticks=batch.ticks,
+        drives, faces = len(first.drives), len(self._batch.modes)
+        self._there = there = Worlds(
+            [env.machine for env in self.envs], device, ticks=self._batch.ticks,
             images=Images((rpdo, drives), (tpdo, drives)),
         )  # fmt: skip
+        self._stream = torch.cuda.ExternalStream(
+            there.device.stream.cuda_stream, self._wp.device_to_torch(there.device)
+        ) if there.device.is_cuda else None  # fmt: skip
+        coming, on = self._coming, there.device
         self._tables = {
-            "episodes": _Table(self, batch.episodes, first.EPISODE),
-            "actions": _Table(self, batch.actions, first.ACTION),
-            "rpdos": _Table(self, batch.rpdos, aligned(rpdo), drives, self._worlds_there.rpdos),
-            "tpdos": _Table(self, batch.tpdos, aligned(tpdo), drives, self._worlds_there.tpdos),
-            "observations": _Table(self, batch.observations, first.OBSERVATION),
+            "episodes": Records(wp, on, coming.episodes, first.EPISODE),
+            "commands": Records(wp, on, coming._commands, first.ACTION),
+            "rpdos": Records(wp, on, coming.rpdos, aligned(rpdo), drives, there.rpdos),
+            "tpdos": Records(wp, on, coming.tpdos, aligned(tpdo), drives, there.tpdos),
+            "seen": Records(wp, on, coming._seen, first.OBSERVATION),
         }
-        width = fields.width(first.OBSERVATION)
-        seen = self._tables["observations"].memory
-        self._seen = self._wp.to_torch(seen).view(self._torch.float32).view(num_envs, width)
-        self._act = self._compiled("act", "episodes", "actions", "rpdos")
-        self._judge = self._compiled("judge", "episodes", "rpdos", "tpdos", "observations")
-        self._arrived: list[int] = []  # rows that have been reset and are not yet there
+        if faces:
+            self._tables["controls"] = Records(wp, on, coming._controls, CONTROL, drives)
+            self._tables["status"] = Records(wp, on, coming._status, STATUS, drives)
+        tables = self._tables
+        told, seen = ("commands", "controls"), ("seen", "status")
+        self._told = [tables[name].numbers(torch.float64) for name in told if name in tables]
+        self._seen = [tables[name].numbers(torch.float32) for name in seen if name in tables]
+        width = sum(part.shape[1] for part in self._seen)
+        self._frames = torch.zeros((n, first._history, width), device=self.device)
+        self._actions = torch.zeros(self._batch.actions.shape, dtype=torch.float64,
+                                    device=self.device)  # fmt: skip
+        self._before = [self._compiled("act", "episodes", "commands", "rpdos")]
+        self._after = [self._compiled("judge", "episodes", "rpdos", "tpdos", "seen")]
+        if faces:
+            self._before.append(self._compiled("control", "controls", "rpdos"))
+            self._after.append(self._compiled("report", "tpdos", "status"))
+        self._ready: list[_Ready | None] = [None] * n
+        # draws of faults stand between those of two episodes; a picture shows what a core knows
+        self._ahead = not (first._faults or self.render_mode)
+        self._queue: OrderedDict[int, None] = OrderedDict()  # who has begun, the oldest first
+        self._done = self._wp.Event(there.device) if there.device.is_cuda else None
 
     @property
     def device(self) -> Any:
         """Of torch, where the observations are."""
-        return self._seen.device
+        return self._seen[0].device
 
     def _compiled(self, name: str, *names: str) -> Callable[[], None]:
-        """`act` or `judge` of the task, on the tables that it works on."""
-        function = getattr(self.envs[0], name)
-        there, tables = self._worlds_there, [self._tables[each] for each in names]
+        """What stands before or after the physics of a step, on the tables that it works on."""
+        first, there, modes = self.envs[0], self._there, self._batch.modes
+        tables = [self._tables[each] for each in names]
         if not there.device.is_cuda:
-            worlds_there = there.present.numpy()
-            arrays = [table.view() for table in tables]
-            return lambda: function(worlds_there, *arrays)
+            arrays, present = [table.view() for table in tables], there.present.numpy()
+            if name == "control":
+                return lambda: control(present, arrays[0], modes, arrays[1])
+            if name == "report":
+                return lambda: report(arrays[0], modes, arrays[1])
+            function = getattr(first, name)
+            return lambda: function(present, *arrays)
         from .engine import gpu
 
-        drives = len(self.envs[0].drives)
-        kinds = [table.kind for table in tables]
-        if name == "act":
-            episode, command, rpdo = kinds
-            kernel = gpu.of_act(function, episode, command, rpdo, drives)
-        else:
-            episode, rpdo, tpdo, seen = kinds
-            kernel = gpu.of_judge(function, episode, rpdo, tpdo, drives, seen)
+        kinds, drives = [table.kind for table in tables], len(first.drives)
+        kernel: gpu.Kernel = {
+            "act": lambda: gpu.of_act(first.act, drives, *kinds),
+            "judge": lambda: gpu.of_judge(first.judge, drives, *kinds),
+            "control": lambda: gpu.of_control(control, modes, drives, *kinds),
+            "report": lambda: gpu.of_report(report, modes, drives, *kinds),
+        }[name]()
         launch = gpu.launcher(self._wp, there.device, kernel, self.num_envs)
-        places = [there.present.ptr, *(table.memory.ptr for table in tables)]
+        places = [there.present.ptr, *(table.rows.memory.ptr for table in tables)]
         return lambda: launch(*places)
 
-    def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
-        super()._restart(i, options)
-        self._arrived.append(i)
+    @contextmanager
+    def _in_stream(self) -> Iterator[None]:
+        """What torch does meanwhile stands in the stream of warp, in line with the caller's."""
+        if self._stream is None:
+            yield
+            return
+        theirs = self._torch.cuda.current_stream(self.device)
+        self._stream.wait_stream(theirs)
+        with self._torch.cuda.stream(self._stream):
+            yield
+        theirs.wait_stream(self._stream)
 
-    def _bring(self) -> None:
-        """Bring what has been reset to the device."""
-        if self._arrived:
-            self._worlds_there.put(self._arrived)
+    # ------------------------------------------------------------------ the next episode
+
+    def _restart(self, rows: list[int], options: dict[str, Any] | None = None) -> None:
+        if not rows:
+            return
+        for i in rows:
+            ready, env = self._ready[i], self.envs[i]
+            if ready is not None and env._np_random is not ready.generator:
+                self._ready[i] = None  # seeded anew meanwhile
+            elif ready is not None and options:
+                ready.generator.bit_generator.state = ready.before
+                self._ready[i] = None
+        self._keep({i: self._made(i, options) for i in rows if self._ready[i] is None})
+        self._there.begin(rows)
+        for table in self._tables.values():
+            table.rows.begin(rows)
+        for name in KNOWN:
+            getattr(self._batch, name)[rows] = getattr(self._coming, name)[rows]
+        for i in rows:
+            if (ready := self._ready[i]) is not None:
+                self.envs[i].parameters, self._ready[i] = ready.parameters, None
+        self._steps[rows], self._ended[rows] = 0, False
+        self._queue |= dict.fromkeys(rows if self._ahead else ())
+        at = self._torch.as_tensor(rows, device=self.device)
+        self._frames[at] = self._looked()[at, None]
+        self._actions[at] = 0.0
+
+    def _made(self, i: int, options: dict[str, Any] | None = None) -> "_Ready":
+        """Make the next episode of an environment, on a core."""
+        env = self.envs[i]
+        present, generator = env.parameters, env.np_random
+        before = generator.bit_generator.state
+        try:
+            env.restart(options)
+            return _Ready(generator, before, env.parameters)
+        finally:
+            env.parameters = present
+
+    def _keep(self, made: "dict[int, _Ready]") -> None:
+        """Bring episodes that have been made to the device, where they wait."""
+        if rows := list(made):
+            self._there.keep(rows)
             for table in self._tables.values():
-                table.put(self._arrived)
-            self._arrived = []
+                table.keep(rows)
+        for i, ready in made.items():
+            self._ready[i] = ready
+
+    def _busy(self) -> bool:
+        """Whether the device still has something to do."""
+        return self._done is not None and not self._done.is_complete
+
+    def _made_meanwhile(self) -> "dict[int, _Ready]":
+        """Make next episodes while the device steps."""
+        made = {}
+        while self._queue and self._busy():
+            i, _ = self._queue.popitem(last=False)
+            if self._ready[i] is None:
+                made[i] = self._made(i)
+        return made
+
+    # ------------------------------------------------------------------------- a step
+
+    def _reset(self, seed: Any, options: dict[str, Any] | None) -> Any:
+        with self._in_stream():
+            return super()._reset(seed, options)
+
+    def _step(self, actions: Any) -> Any:
+        with self._in_stream():
+            observations, rewards, *ends, infos = super()._step(actions)
+            torch, device = self._torch, self.device
+            rewards = torch.as_tensor(rewards, dtype=torch.float32, device=device)
+            ended, cut = (torch.as_tensor(end, device=device) for end in ends)
+            return observations, rewards, ended, cut, infos
+
+    def _numbers(self, actions: Any) -> Any:
+        torch = self._torch
+        if not isinstance(actions, torch.Tensor):
+            actions = np.asarray(actions, np.float64)
+        return torch.as_tensor(actions, dtype=torch.float64, device=self.device).detach()
+
+    def _act_on(self, given: Any, moving: np.ndarray) -> None:
+        torch = self._torch
+        mask = torch.as_tensor(moving, device=self.device)
+        self._actions = torch.where(mask[:, None], given, self._actions)
+        widths = [part.shape[1] for part in self._told]
+        for part, numbers in zip(self._told, self._actions.split(widths, 1), strict=True):
+            part.copy_(numbers)
 
     def _run(self, moving: np.ndarray) -> None:
-        there, tables = self._worlds_there, self._tables
+        there, tables = self._there, self._tables
         self._inject(moving)
         prices = any(self._batch.prices)
         before = self._batch.torque(self._parts[0]) if prices else None
         there.leave_out(~moving)
-        tables["actions"].put(range(self.num_envs))
-        self._act()
+        for run in self._before:
+            run()
         there.step()
-        self._judge()
-        tables["episodes"].fetch()
-        tables["tpdos"].fetch()
+        for run in self._after:
+            run()
+        if self._done is not None:
+            there.device.stream.record_event(self._done)
+        made = self._made_meanwhile()
+        tables["episodes"].fetch(self._batch.episodes)
+        tables["tpdos"].fetch(self._batch.tpdos)
+        self._keep(made)
         faulty = (self._batch.words & FAULT != 0).any(axis=1) & moving
-        there.fetch(np.flatnonzero(faulty))  # for the name of the fault
+        there.fetch(np.flatnonzero(faulty), physics=False)  # for the name of the fault
         if before is not None:
             self._batch.charge(self._parts[0], before)
 
     def _inject(self, moving: np.ndarray) -> None:
         """Let the declared faults happen, in the records that are on the device."""
+        if not self.envs[0]._faults:
+            return
         for i in np.flatnonzero(moving).tolist():
             env = self.envs[i]
             known = len(env._injected)
             env.inject_faults()
             if happened := env._injected[known:]:
-                self._worlds_there.fetch([i])  # which has overwritten them
+                self._there.fetch([i])  # which has overwritten them
                 for name, drive, cause, _ in env._faults:
                     if name in happened:
                         drive.inject(cause)
-                self._worlds_there.put([i])
+                self._there.put([i])
+
+    def _looked(self) -> Any:
+        """What all see at present, without history."""
+        return self._torch.cat(self._seen, 1)
+
+    def _remember(self, moving: np.ndarray) -> None:
+        torch = self._torch
+        mask = torch.as_tensor(moving, device=self.device)
+        frames = torch.cat([self._looked()[:, None], self._frames[:, :-1]], 1)
+        self._frames = torch.where(mask[:, None, None], frames, self._frames)
 
     def _observed(self) -> Any:
-        self._bring()
-        self.synchronize()  # torch has a stream of its own
-        return self._seen.clone()
+        frames = self._frames.flatten(1)
+        if not self.envs[0]._previous_action:
+            return frames.clone()
+        return self._torch.cat([frames, self._actions.float()], 1)
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:  # type: ignore[override]
-        """One step of each.
-
-        Args:
-            actions: tensor of torch, or array, shape ``(num_envs, actions)``.
-
-        Raises:
-            ValueError: actions out of the space.
-        """
-        if isinstance(actions, self._torch.Tensor):
-            actions = actions.detach().cpu().numpy()
-        observations, rewards, *ends, infos = super().step(actions)
-        torch, device = self._torch, self.device
-        rewards = torch.as_tensor(rewards, dtype=torch.float32, device=device)
-        ended, cut = (torch.as_tensor(end, device=device) for end in ends)
-        return observations, rewards, ended, cut, infos
+    # ---------------------------------------------------------------- for a bench, for eyes
 
     def zeros(self) -> Any:
         """Actions that do nothing, on the device."""
@@ -180,17 +294,17 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     def step_physics(self) -> None:
         """The drives and the physics of a step alone, under the RPDOs there are: for a bench."""
-        self._bring()
-        self._worlds_there.step()
+        self._there.step()
 
     def synchronize(self) -> None:
         """Wait until the device has done what it was given."""
-        self._wp.synchronize_device(self._worlds_there.device)
+        self._wp.synchronize_device(self._there.device)
 
     def render(self) -> tuple[Any, ...] | None:
         """An image of each environment, brought back for it."""
-        self._bring()
-        self._worlds_there.fetch(range(self.num_envs))
+        self._there.fetch(range(self.num_envs))
+        for name in KNOWN:
+            getattr(self._coming, name)[:] = getattr(self._batch, name)
         return super().render()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -198,61 +312,12 @@ class DeviceVectorEnv(ServoVectorEnv):
         raise TypeError("a vector on a device is not copied or pickled: make it where it is needed")
 
 
-class _Table:
-    """An array of the batch, and the same on the device, as records that a GPU can read.
+class _Ready(NamedTuple):
+    """An episode that has been made and waits on the device."""
 
-    Args:
-        vector: whose it is.
-        here: of the batch, one row an environment.
-        kind: record there.
-        columns: of it; 0: one dimension.
-        memory: on the device; None: of its own.
-    """
-
-    def __init__(
-        self, vector: Any, here: np.ndarray, kind: np.dtype, columns: int = 0, memory: Any = None
-    ):
-        wp = self._wp = vector._wp
-        there: Worlds = vector._worlds_there
-        self.kind, self._columns, self._here = kind, columns, here.view(np.ndarray)
-        self._staged = np.zeros((len(here), max(columns, 1)), kind)
-        self._stride = self._staged.strides[0]
-        if memory is None:
-            memory = wp.zeros(self._staged.nbytes, dtype=wp.uint8, device=there.device)
-        self.memory = memory
-        self._staged_bytes = wp.array(
-            self._staged.view(np.uint8).reshape(-1), dtype=wp.uint8, device="cpu", copy=False
-        )
-        same = here.dtype.itemsize == kind.itemsize or not columns
-        self._same = same and here.nbytes == self._staged.nbytes
-
-    def view(self) -> np.ndarray:
-        """The records there, where the device is a CPU."""
-        records = self.memory.numpy().view(accessible(self.kind))
-        return records.reshape(-1, self._columns) if self._columns else records
-
-    def put(self, rows: Sequence[int]) -> None:
-        """Bring rows to the device."""
-        self._move(self._here, self._staged, rows)
-        whole = len(rows) == len(self._here)
-        for first, count in [(0, len(rows))] if whole else [(row, 1) for row in rows]:
-            at = first * self._stride
-            self._wp.copy(self.memory, self._staged_bytes, at, at, count * self._stride)
-
-    def fetch(self) -> None:
-        """Bring all rows back."""
-        self._wp.copy(self._staged_bytes, self.memory)
-        self._wp.synchronize_device(self.memory.device)
-        self._move(self._staged, self._here, slice(None))
-
-    def _move(self, source: np.ndarray, target: np.ndarray, rows: Any) -> None:
-        if self._same:
-            target.view(np.uint8).reshape(len(target), -1)[rows] = source.view(np.uint8).reshape(
-                len(source), -1
-            )[rows]
-            return
-        for name in self.kind.names or ():
-            target[name][rows] = source[name][rows]
+    generator: np.random.Generator  # of its environment
+    before: Any  # the state of it, before it was made
+    parameters: dict[str, float]
 
 
 def vectors(
@@ -262,3 +327,17 @@ def vectors(
     if device is None:
         return ServoVectorEnv(task, num_envs, **arguments)
     return DeviceVectorEnv(task, num_envs, device=device, **arguments)
+
+
+def _torch(found: Any, device: str) -> Any:
+    """Torch, for a device of warp. Raises ImportError or ValueError in one line."""
+    try:
+        torch: Any = importlib.import_module("torch")
+    except ImportError as error:
+        raise ImportError(f"device={device!r}: {error}: pip install torch") from None
+    if found.is_cuda and found.ordinal >= torch.cuda.device_count():
+        raise ValueError(
+            f"device = {device!r}: warp finds it, torch {torch.__version__} does not: install "
+            "torch with CUDA, see https://pytorch.org/get-started"
+        )
+    return torch

@@ -114,10 +114,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed: {len(seeds)} are given for {self.num_envs} environments")
-        for i in np.flatnonzero(mask).tolist():
-            if seeds:
+        rows = np.flatnonzero(mask).tolist()
+        if seeds is not None:
+            for i in rows:
                 gym.Env.reset(self.envs[i], seed=seeds[i])
-            self._restart(i, options)
+        self._restart(rows, options)
         if (self._steps < 0).any():
             raise ValueError("options['reset_mask']: the first reset has to be one of all")
         return self._observed(), self._infos()
@@ -126,9 +127,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         """What all see, a copy."""
         return self._batch.observed(slice(None))
 
-    def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
-        self.envs[i].restart(options)
-        self._steps[i], self._ended[i] = 0, False
+    def _restart(self, rows: list[int], options: dict[str, Any] | None = None) -> None:
+        """Begin an episode in each of some rows."""
+        for i in rows:
+            self.envs[i].restart(options)
+            self._steps[i], self._ended[i] = 0, False
 
     def step(  # type: ignore[override]
         self, actions: np.ndarray
@@ -147,12 +150,12 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         batch = self._batch
         try:
-            given = np.asarray(actions, np.float64)
+            given = self._numbers(actions)
         except (TypeError, ValueError):
             raise ValueError(f"actions = {actions!r} are not in {self.action_space}") from None
-        if given.shape != batch.actions.shape or not (np.abs(given) <= 1.0 + 1e-6).all():
+        if given.shape != batch.actions.shape or not (abs(given) <= 1.0 + 1e-6).all():
             raise ValueError(
-                f"actions of shape {given.shape} are not in {self.action_space}: "
+                f"actions of shape {tuple(given.shape)} are not in {self.action_space}: "
                 "clip them, and see that the policy's output is finite"
             )
         if (self._steps < 0).any():
@@ -160,15 +163,15 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         resting = self._ended.copy()  # these are reset instead, or wait for their reset
         moving = ~resting
         batch.worlds[:] = np.where(resting, 0, self._worlds)
-        batch.actions[moving] = given[moving]
         try:
+            self._act_on(given, moving)
             self._run(moving)
         except BaseException:
             self._steps[:] = -1  # some have stepped, some have not
             raise
         finally:
             batch.worlds[:] = self._worlds
-        batch.remember(moving if resting.any() else slice(None))
+        self._remember(moving)
         self._steps += moving
         rewards = np.where(resting, 0.0, batch.episodes["reward"])
         terminations = batch.episodes["_terminated"] & moving
@@ -185,10 +188,20 @@ class ServoVectorEnv(gym.vector.VectorEnv):
                          "final_info": self._infos(), "_final_info": anew}  # fmt: skip
         else:
             self._ended |= resting
-        for i in np.flatnonzero(anew).tolist():
-            self._restart(i)
+        self._restart(np.flatnonzero(anew).tolist())
         infos |= self._infos()
         return self._observed(), rewards, terminations, truncations, infos
+
+    def _numbers(self, actions: Any) -> Any:
+        """Actions as they are worked with. Raises TypeError or ValueError where they are none."""
+        return np.asarray(actions, np.float64)
+
+    def _act_on(self, given: Any, moving: np.ndarray) -> None:
+        self._batch.actions[moving] = given[moving]
+
+    def _remember(self, moving: np.ndarray) -> None:
+        """What the rows that have moved see, in front of their history."""
+        self._batch.remember(slice(None) if moving.all() else moving)
 
     def _run(self, moving: np.ndarray) -> None:
         for i, env in enumerate(self.envs):

@@ -95,7 +95,7 @@ def of_part(name: str) -> Kernel:
     return Kernel(make, 3)
 
 
-def of_act(act: Any, episode: np.dtype, command: np.dtype, rpdo: np.dtype, drives: int) -> Kernel:
+def of_act(act: Any, drives: int, episode: np.dtype, command: np.dtype, rpdo: np.dtype) -> Kernel:
     """``act`` of a task.
 
     Called with addresses, of the numbers that are the addresses of the machines, of their episodes,
@@ -119,7 +119,7 @@ def of_act(act: Any, episode: np.dtype, command: np.dtype, rpdo: np.dtype, drive
 
 
 def of_judge(
-    judge: Any, episode: np.dtype, rpdo: np.dtype, tpdo: np.dtype, drives: int, seen: np.dtype
+    judge: Any, drives: int, episode: np.dtype, rpdo: np.dtype, tpdo: np.dtype, seen: np.dtype
 ) -> Kernel:
     """``judge`` of a task, called as `of_act`: machines, episodes, RPDO and TPDO images, seen."""
     episodes_at, seen_at = viewer(episode), viewer(seen)
@@ -139,6 +139,47 @@ def of_judge(
         return kernel
 
     return Kernel(make, 6)
+
+
+def of_control(
+    control: Any, modes: np.ndarray, drives: int, command: np.dtype, rpdo: np.dtype
+) -> Kernel:
+    """`faces.control`, with modes to choose from: machines, controls and RPDO images."""
+    controls_at, images_at = viewer(command, 2), viewer(rpdo, 2)
+    a, b = command.itemsize * drives, rpdo.itemsize * drives
+
+    def make(cuda: Any) -> Any:
+        def kernel(worlds, controls, rpdos, n):
+            i = cuda.grid(1)
+            if i < n:
+                control(
+                    integers_at(worlds + 8 * i, 1), controls_at(controls + a * i, 1, drives),
+                    modes, images_at(rpdos + b * i, 1, drives),
+                )  # fmt: skip
+
+        return kernel
+
+    return Kernel(make, 4)
+
+
+def of_report(
+    report: Any, modes: np.ndarray, drives: int, tpdo: np.dtype, status: np.dtype
+) -> Kernel:
+    """`faces.report`: machines, TPDO images and the status of each drive."""
+    images_at, status_at = viewer(tpdo, 2), viewer(status, 2)
+    a, b = tpdo.itemsize * drives, status.itemsize * drives
+
+    def make(cuda: Any) -> Any:
+        def kernel(worlds, tpdos, seen, n):
+            i = cuda.grid(1)
+            if i < n:
+                report(
+                    images_at(tpdos + a * i, 1, drives), modes, status_at(seen + b * i, 1, drives)
+                )
+
+        return kernel
+
+    return Kernel(make, 4)
 
 
 def launcher(wp: Any, device: Any, kernel: Kernel, n: int) -> Callable[..., None]:

@@ -7,6 +7,8 @@ arrays of mujoco-warp are. Between the halves of its steps run the `parts`, the 
 memory. Single precision is all that differs: mujoco-warp has no other.
 
 A machine is set up, homed and reset as ever, alone on the CPU; `put` brings it here, `fetch` back.
+What it will begin anew with can be brought before its time, `keep`: it waits on the device beside
+what is stepped, and `begin` moves any number of machines there at once, in the same stream.
 """
 
 import copy
@@ -22,6 +24,7 @@ from ...drive.kernel.record import AXIS
 from . import loop, parts
 from .machine import VARIABLE, Machine
 from .mechanics import CARRIAGE, MECHANICS, PLACES
+from .rows import Rows, aligned
 from .world import COUPLING, MOVE, PDOS, SINGLE
 
 ALIGNED = 8  # bytes
@@ -35,11 +38,6 @@ class Images(NamedTuple):
 
 
 NO_IMAGES = Images((np.dtype([]), 0), (np.dtype([]), 0))
-
-
-def aligned(record: np.dtype) -> np.dtype:
-    """The same fields, each at a multiple of its size."""
-    return np.dtype([(name, record[name]) for name in record.names or ()], align=True)
 
 
 def _offset(record: np.dtype, name: str) -> int:
@@ -83,20 +81,22 @@ class Worlds:
         self, machines: Sequence[Machine], device: str = "cuda", *, ticks: int = 1,
         images: "Images | None" = None,
     ):  # fmt: skip
-        self._wp, self._mjw = packages()
-        self.device = found(self._wp, device)
+        self.wp, self._mjw = packages()
+        self.device = found(self.wp, device)
         self.machines = list(machines)
         self.ticks = ticks
         first, n = self.machines[0], len(self.machines)
         model = _takeable(first.model)
-        with self._wp.ScopedDevice(self.device):
+        with self.wp.ScopedDevice(self.device):
             self._make_physics(model, first, n)
         self._rows = np.zeros(n, _row(first))
         self._stride = self._rows.dtype.itemsize
         self._memory = self._bytes(n * self._stride)
+        self._own = Rows(self.wp, self._memory, n)
+        self._models = [Rows(self.wp, getattr(self._model, name), n) for name in self._varied]
         self._images = [_Table(self._bytes, *each, n) for each in images or NO_IMAGES]
         self.rpdos, self.tpdos = (table.records for table in self._images)
-        self.present = self._wp.zeros(n, dtype=self._wp.int64, device=self.device)
+        self.present = self.wp.zeros(n, dtype=self.wp.int64, device=self.device)
         self.addresses = self._memory.ptr + self._stride * np.arange(n)
         for row in range(n):
             self._address(row)
@@ -106,7 +106,7 @@ class Worlds:
         self.put(range(n))
 
     def _make_physics(self, model: mujoco.MjModel, first: Machine, n: int) -> None:
-        wp, mjw = self._wp, self._mjw
+        wp, mjw = self.wp, self._mjw
         kinds = {field.name: field.type for field in dataclasses.fields(mjw.Model)}
         batched = {
             name for name, kind in kinds.items() if getattr(kind, "shape", ("",))[:1] == ("*",)
@@ -129,7 +129,7 @@ class Worlds:
 
     def _bytes(self, what: int | np.ndarray) -> Any:
         """So many bytes on the device, or those of records."""
-        wp = self._wp
+        wp = self.wp
         if isinstance(what, np.ndarray) and what.size:
             return wp.array(what.view(np.uint8), dtype=wp.uint8, device=self.device)
         size = what if isinstance(what, int) else 0
@@ -141,7 +141,7 @@ class Worlds:
             from . import gpu
 
             kernels = {
-                name: gpu.launcher(self._wp, self.device, gpu.of_part(name), n)
+                name: gpu.launcher(self.wp, self.device, gpu.of_part(name), n)
                 for name in parts.PARTS
             }
             return lambda part: kernels[part](first, stride)
@@ -196,21 +196,28 @@ class Worlds:
 
     def put(self, rows: Sequence[int]) -> None:
         """Bring machines here as they are now."""
+        for place, values in self._packed(rows):
+            place.put(rows, values)
+
+    def keep(self, rows: Sequence[int]) -> None:
+        """Bring machines as they are now, to wait until they `begin`."""
+        for place, values in self._packed(rows):
+            place.keep(rows, values)
+
+    def begin(self, rows: Sequence[int]) -> None:
+        """Machines go on as what they have been kept as."""
+        for place in (self._own, *self._models):
+            place.begin(rows)
+
+    def _packed(self, rows: Sequence[int]) -> list[tuple[Rows, np.ndarray]]:
+        fields: list[list[np.ndarray]] = [[] for _ in self._varied]
         for row in rows:
             self._pack(row)
-        whole = len(rows) == len(self.machines)
-        staged = self._wp.array(
-            self._rows.view(np.uint8), dtype=self._wp.uint8, device="cpu", copy=False
-        )
-        for begin, count in [(0, len(self._rows))] if whole else [(row, 1) for row in rows]:
-            at = begin * self._stride
-            self._wp.copy(self._memory, staged, at, at, count * self._stride)
-        for name in self._varied:
-            field = getattr(self._model, name)
-            values = field.numpy()
-            for row in rows:
-                values[row] = getattr(self.machines[row].model, name).reshape(values[row].shape)
-            field.assign(values)
+            model = self.machines[row].model
+            for values, name in zip(fields, self._varied, strict=True):
+                values.append(np.array(getattr(model, name), np.float32))
+        some = [np.stack(values) for values in fields]
+        return [(self._own, self._rows[list(rows)]), *zip(self._models, some, strict=True)]
 
     def _pack(self, row: int) -> None:
         machine, packed = self.machines[row], self._rows[row]
@@ -232,16 +239,20 @@ class Worlds:
                 directory[f"{name}_count"] = len(pdos)
                 at += len(pdos)
 
-    def fetch(self, rows: Sequence[int] | np.ndarray) -> None:
-        """Bring machines back as they are here, drives and physics, for whoever looks at them."""
+    def fetch(self, rows: Sequence[int] | np.ndarray, *, physics: bool = True) -> None:
+        """Bring machines back as they are here, for whoever looks at them; or the drives alone."""
         if not len(rows):
             return
-        packed, ctrl = self._memory.numpy().view(self._rows.dtype), self.ctrl
-        warmstart = self._data.qacc_warmstart.numpy()
-        for row in rows:
-            machine, own = self.machines[row], packed[row]
-            machine.axes[:], machine.couplings[:] = own["axes"], own["couplings"]
-            machine.mechanics[:] = own["mechanics"]
+        rows = [int(row) for row in rows]
+        packed = self._own.fetch(rows).view(self._rows.dtype)[:, 0]
+        for row, own in zip(rows, packed, strict=True):
+            self.machines[row].axes[:] = own["axes"]
+        if not physics:
+            return
+        ctrl, warmstart = self.ctrl, self._data.qacc_warmstart.numpy()
+        for row, own in zip(rows, packed, strict=True):
+            machine = self.machines[row]
+            machine.couplings[:], machine.mechanics[:] = own["couplings"], own["mechanics"]
             for name in ("tick", "step_ticks", "limited_ticks"):
                 machine.world[name] = own["world"][name]
             with machine.turn:
@@ -252,7 +263,7 @@ class Worlds:
 
     def step(self, steps: int | None = None) -> None:
         """A step of the agent, or any number of physics steps where there are no images."""
-        with self._wp.ScopedDevice(self.device):
+        with self.wp.ScopedDevice(self.device):
             self._launch("begin")
             for _ in range(self.ticks if steps is None else steps):
                 self._tick()
@@ -261,11 +272,11 @@ class Worlds:
     def _tick(self) -> None:
         """One physics step; on a GPU captured in a graph at the first."""
         if self._graph is not None:
-            self._wp.capture_launch(self._graph)
+            self.wp.capture_launch(self._graph)
             return
         self._physics_step()
         if self.device.is_cuda and self._graph is None:
-            with self._wp.ScopedCapture(self.device) as capture:
+            with self.wp.ScopedCapture(self.device) as capture:
                 self._physics_step()
             self._graph = capture.graph
 

@@ -10,9 +10,9 @@ import pytest
 
 from servogym.drive.kernel.record import AXIS, accessible
 from servogym.drive.memory import address, integers_at
-from servogym.envs import TASKS
+from servogym.envs import TASKS, faces
 from servogym.envs.engine import gpu
-from servogym.envs.engine.worlds import aligned
+from servogym.envs.engine.rows import aligned
 from servogym.envs.tasks.gantry_sync import GantrySyncEnv
 from servogym.envs.vector_env import ServoVectorEnv
 
@@ -59,9 +59,9 @@ def test_the_kernels_of_a_task_do_what_its_functions_do_on_a_cpu():
     before = episodes[1].copy(), rpdos[1].copy()
     episode, seen = env.EPISODE, np.zeros_like(batch._seen)
     seen[1] = batch._seen[1]
-    act = on_a_cpu(gpu.of_act(env.act, episode, env.ACTION, rpdo, n))
+    act = on_a_cpu(gpu.of_act(env.act, n, episode, env.ACTION, rpdo))
     act(*map(address, (worlds, episodes, batch._commands, rpdos)), 3)
-    judge = on_a_cpu(gpu.of_judge(env.judge, episode, rpdo, tpdo, n, env.OBSERVATION))
+    judge = on_a_cpu(gpu.of_judge(env.judge, n, episode, rpdo, tpdo, env.OBSERVATION))
     judge(*map(address, (worlds, episodes, rpdos, tpdos, seen)), 3)
     assert episodes[1] == before[0], "left out"
     assert (rpdos[1] == before[1]).all()
@@ -107,11 +107,26 @@ def test_what_a_task_computes_compiles_for_a_gpu(task):
     env = task()
     rpdo, tpdo = map(aligned, env._images)
     n = len(env.drives)
-    act = gpu.of_act(env.act, env.EPISODE, env.ACTION, rpdo, n)
-    judge = gpu.of_judge(env.judge, env.EPISODE, rpdo, tpdo, n, env.OBSERVATION)
+    act = gpu.of_act(env.act, n, env.EPISODE, env.ACTION, rpdo)
+    judge = gpu.of_judge(env.judge, n, env.EPISODE, rpdo, tpdo, env.OBSERVATION)
     for kernel in (act, judge):
         text = gpu.ptx(kernel)
         assert len(re.findall(r"^\.visible \.entry", text, re.M)) == 1
+        assert ".extern" not in text, "all it calls is in it"
+        assert gpu.machine_code(text).startswith(b"\x7fELF")
+
+
+@pytest.mark.slow
+@without_numba_cuda
+def test_the_face_of_a_whole_master_compiles_for_a_gpu():
+    env = GantrySyncEnv(action="pdo")
+    rpdo, tpdo = map(aligned, env._images)
+    modes, n = env._batch.modes, len(env.drives)
+    for kernel in (
+        gpu.of_control(faces.control, modes, n, faces.CONTROL, rpdo),
+        gpu.of_report(faces.report, modes, n, tpdo, faces.STATUS),
+    ):
+        text = gpu.ptx(kernel)
         assert ".extern" not in text, "all it calls is in it"
         assert gpu.machine_code(text).startswith(b"\x7fELF")
 

@@ -8,11 +8,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import servogym.envs
+from servogym.envs import TASKS
+from servogym.envs.device_env import DeviceVectorEnv
 from servogym.training import cli
 
 ID = "servogym/LinearAxis-v0"
-assert servogym.envs
+DRAWN = {"friction": (0.5, 1.5), "gains": (0.8, 1.2), "delay": (0, 2), "encoder_noise": 1e-7}
 with_warp = [
     pytest.mark.slow,  # warp compiles its kernels for a CPU, the first time for minutes
     pytest.mark.skipif(
@@ -45,7 +46,17 @@ class TestOnTheCpuDevice:
                 4e-3,
             ),
             ("servogym/CompliantAxis-v0", {"autoreset_mode": "Disabled"}, 4e-3),
-            ("servogym/GantrySway-v0", {"autoreset_mode": "NextStep"}, 4e-3),
+            ("servogym/GantrySway-v0", {"autoreset_mode": "NextStep", "history": 3}, 4e-3),
+            (
+                ID,
+                {
+                    "autoreset_mode": "SameStep",
+                    "action": "pdo",
+                    "previous_action": True,
+                    "history": 2,
+                },
+                4e-3,
+            ),
         ],
     )
     def test_what_a_step_gives_is_that_of_the_loop(self, name, arguments, most):
@@ -77,6 +88,49 @@ class TestOnTheCpuDevice:
                 )
         assert cut >= 3
 
+    @pytest.mark.parametrize("ahead", [False, True], ids=["late", "ahead"])
+    @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
+    def test_who_begins_anew_begins_bit_for_bit_as_in_the_loop(self, task, ahead, monkeypatch):
+        monkeypatch.setattr(DeviceVectorEnv, "_busy", lambda vector: ahead)
+        vectors = [
+            gym.make_vec(task.ID, 4, max_episode_steps=3, autoreset_mode="SameStep",
+                         randomise=DRAWN, **where)
+            for where in ({"threads": 1}, {"device": "cpu"})
+        ]  # fmt: skip
+        ours, theirs = vectors
+        rest, mask = np.zeros(ours.action_space.shape, np.float32), np.array([0, 1, 0, 1], bool)
+        step = lambda vector: vector.step(rest)  # noqa: E731
+        seeded = lambda vector: vector.reset(seed=[9, 1, 9, 2], options={"reset_mask": mask})  # noqa: E731
+        partly = lambda vector: vector.reset(  # noqa: E731
+            seed=[None, 5, None, None], options={"reset_mask": mask}
+        )
+        count = 0
+        for do in (lambda vector: vector.reset(seed=7), step, seeded, *[step] * 4, partly, step,
+                   partly, *[step] * 4):  # fmt: skip
+            (here, *_, infos), (there, *_, its) = map(do, vectors)
+            begun = ours._steps == 0
+            np.testing.assert_array_equal(begun, theirs._steps == 0)
+            np.testing.assert_array_equal(there.numpy()[begun], here[begun])
+            for name in infos.get("parameters", {}):
+                np.testing.assert_array_equal(its["parameters"][name], infos["parameters"][name])
+            count += begun.sum()
+        assert count >= 16
+        assert any(ready is not None for ready in theirs._ready) == ahead
+
+    def test_options_are_heeded_though_the_next_episode_had_been_made(self, monkeypatch):
+        monkeypatch.setattr(DeviceVectorEnv, "_busy", lambda vector: True)
+        vectors = [gym.make_vec(ID, 2, **where) for where in ({"threads": 1}, {"device": "cpu"})]
+        for vector in vectors:
+            vector.reset(seed=3)
+            vector.step(np.zeros((2, 1), np.float32))
+        for options in ({"start": 0.2}, {}, {"goal": 0.3}):
+            here, there = (vector.reset(options=options)[0] for vector in vectors)
+            np.testing.assert_array_equal(there.numpy(), here)
+        with pytest.raises(ValueError, match="start"):
+            vectors[1].reset(options={"start": 99.0})
+        here, there = (vector.reset(seed=4)[0] for vector in vectors)
+        np.testing.assert_array_equal(there.numpy(), here)
+
     def test_a_fault_that_is_injected_happens_there_too(self):
         vectors = [
             gym.make_vec(ID, 3, faults={"encoder_loss": 0.1}, **where)
@@ -92,9 +146,7 @@ class TestOnTheCpuDevice:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            ({"action": "pdo"}, "action=\"pdo\" is not there with device='cpu' yet"),
-            ({"history": 2}, "history is not there"),
-            ({"previous_action": True}, "previous_action is not there"),
+            ({"faults": {"drop": 0.01}}, "faults of a bus are not there with device='cpu': each"),
             ({"threads": 2}, "threads: a device has its own"),
         ],
     )

@@ -91,10 +91,11 @@ class ResidualVectorEnv(ServoVectorEnv):
         self._bases = np.zeros(self._batch.actions.shape, np.float32)
         self._residual = residual
 
-    def _restart(self, i: int, options: dict[str, Any] | None = None) -> None:
-        super()._restart(i, options)
-        seen = self._batch.observed(slice(i, i + 1))[0]
-        self._policies[i].reset(seen, public(self.envs[i].info()))
+    def _restart(self, rows: list[int], options: dict[str, Any] | None = None) -> None:
+        super()._restart(rows, options)
+        for i in rows:
+            seen = self._batch.observed(slice(i, i + 1))[0]
+            self._policies[i].reset(seen, public(self.envs[i].info()))
 
     def _reset(self, seed: Any, options: dict[str, Any] | None) -> Any:
         observations, infos = super()._reset(seed, options)

@@ -1,0 +1,123 @@
+"""Arrays on a device of warp, one row a machine: brought there, waiting there, brought back."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...drive.kernel.record import accessible
+
+
+def aligned(record: np.dtype) -> np.dtype:
+    """The same fields, each at a multiple of its size."""
+    return np.dtype([(name, record[name]) for name in record.names or ()], align=True)
+
+
+class Rows:
+    """An array on a device, one row a machine, and beside it what waits to take its place.
+
+    Args:
+        wp: warp.
+        memory: on the device, without gaps; it stays the caller's.
+        n: rows.
+    """
+
+    def __init__(self, wp: Any, memory: Any, n: int):
+        self._wp, self.memory = wp, memory
+        size = wp.types.type_size_in_bytes(memory.dtype) * memory.size // n
+        self._number = np.dtype(np.uint8 if size % 4 else np.int32)
+        number, shape = wp.dtype_from_numpy(self._number), (n, size // self._number.itemsize)
+        self._live = wp.array(ptr=memory.ptr, dtype=number, shape=shape, device=memory.device)
+        self._waiting = wp.clone(self._live)
+
+    def put(self, rows: Sequence[int], values: np.ndarray) -> None:
+        """Bring rows, one of `values` each."""
+        self._send(self._live, rows, values)
+
+    def keep(self, rows: Sequence[int], values: np.ndarray) -> None:
+        """Bring rows, to wait."""
+        self._send(self._waiting, rows, values)
+
+    def begin(self, rows: Sequence[int]) -> None:
+        """What waits for these rows is there now."""
+        at = self._at(rows)
+        self._wp.copy(
+            self._wp.indexedarray(self._live, at), self._wp.indexedarray(self._waiting, at)
+        )
+
+    def fetch(self, rows: Sequence[int]) -> np.ndarray:
+        """Bring rows back, shape ``(len(rows), bytes)``."""
+        some = self._wp.empty((len(rows), self._live.shape[1]), dtype=self._live.dtype,
+                              device=self._live.device)  # fmt: skip
+        self._wp.copy(some, self._wp.indexedarray(self._live, self._at(rows)))
+        return some.numpy().view(np.uint8)
+
+    def _send(self, target: Any, rows: Sequence[int], values: np.ndarray) -> None:
+        wp, plain = self._wp, np.ascontiguousarray(values)
+        numbers = plain.view(np.uint8).reshape(len(rows), -1).view(self._number)
+        brought = wp.array(numbers, dtype=target.dtype, device=target.device)
+        wp.copy(wp.indexedarray(target, self._at(rows)), brought)
+
+    def _at(self, rows: Sequence[int]) -> list[Any]:
+        wp = self._wp
+        at = wp.array(np.asarray(rows, np.int32), dtype=wp.int32, device=self._live.device)
+        return [at, None]
+
+
+class Records:
+    """An array of a batch, and the same on the device, as records that a GPU can read.
+
+    Args:
+        wp: warp.
+        device: of warp.
+        here: of the batch, one row an environment.
+        kind: record there.
+        columns: of it; 0: one dimension.
+        memory: on the device; None: of its own.
+    """
+
+    def __init__(
+        self, wp: Any, device: Any, here: np.ndarray, kind: np.dtype, columns: int = 0,
+        memory: Any = None,
+    ):  # fmt: skip
+        self._wp = wp
+        self.kind, self._columns, self._here = kind, columns, here.view(np.ndarray)
+        self._staged = np.zeros((len(here), max(columns, 1)), kind)
+        if memory is None:
+            memory = wp.zeros(self._staged.nbytes, dtype=wp.uint8, device=device)
+        self.rows = Rows(wp, memory, len(here))
+        self._staged_bytes = wp.array(
+            self._staged.view(np.uint8).reshape(-1), dtype=wp.uint8, device="cpu", copy=False
+        )
+        same = here.dtype.itemsize == kind.itemsize or not columns
+        self._same = same and here.nbytes == self._staged.nbytes
+
+    def view(self) -> np.ndarray:
+        """The records there, where the device is a CPU."""
+        records = self.rows.memory.numpy().view(accessible(self.kind))
+        return records.reshape(-1, self._columns) if self._columns else records
+
+    def numbers(self, number: Any) -> Any:
+        """The records there as a tensor of torch, shape ``(n, numbers)``, the same memory."""
+        return self._wp.to_torch(self.rows.memory).view(number).view(len(self._here), -1)
+
+    def keep(self, rows: Sequence[int]) -> None:
+        """Bring rows to the device, to wait."""
+        rows = list(rows)
+        self._move(self._here, self._staged, rows)
+        self.rows.keep(rows, self._staged[rows])
+
+    def fetch(self, target: np.ndarray) -> None:
+        """Bring all rows back."""
+        self._wp.copy(self._staged_bytes, self.rows.memory)
+        self._wp.synchronize_device(self.rows.memory.device)
+        self._move(self._staged, target.view(np.ndarray), slice(None))
+
+    def _move(self, source: np.ndarray, target: np.ndarray, rows: Any) -> None:
+        if self._same:
+            target.view(np.uint8).reshape(len(target), -1)[rows] = source.view(np.uint8).reshape(
+                len(source), -1
+            )[rows]
+            return
+        for name in self.kind.names or ():
+            target[name][rows] = source[name][rows]
