@@ -68,6 +68,7 @@ def network(request):
     thread = threading.Thread(target=server.run)
     thread.start()
     network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.05  # s; it is as long in closing
     network.connect(interface=request.param, **BUSES[request.param])
     try:
         yield network, next(iter(server.machines[0].drives.values()))

@@ -57,6 +57,7 @@ def served(request):
     thread = threading.Thread(target=server.run)
     thread.start()
     network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.05  # s; it is as long in closing
     network.connect(interface="virtual", channel=channel)
     try:
         node = BaseNode402(5, object_dictionary(model, 5))

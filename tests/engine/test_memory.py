@@ -287,7 +287,7 @@ def after(delay, *machines):
         sent[:] = [time.process_time(), sum(int(m.world["tick"][0]) for m in machines)]
         signal.pthread_kill(main, signal.SIGINT)
     threading.Timer(delay, send).start()
-def interrupted(call, *machines, cores=1, delay=0.6):
+def interrupted(call, *machines, cores=1, delay=0.3):
     after(delay, *machines); refused(KeyboardInterrupt, "", call)
     spent = (time.process_time() - sent[0]) / cores
     ticks = sum(int(m.world["tick"][0]) for m in machines) - sent[1]
@@ -390,7 +390,7 @@ e = LinearAxisEnv(); e.reset(seed=1); e.drive.map_pdos([], []); refused(RuntimeE
 v = vector(2); v.envs[1].drive.map_pdos([], []); refused(RuntimeError, "machine 1", v.step, act(v))
 # a record of PDOs filled with noise
 m = linear_axis(); d = m.drives["x"]; g = np.random.default_rng(2)
-for _ in range(60):
+for _ in range(30):
     d.rpdos.view(np.uint8)[:] = g.integers(0, 256, d.rpdos.nbytes); d.tpdos.view(np.uint8)[:] = g.integers(0, 256, d.tpdos.nbytes)
     d.image_changed(); m.step()
     try: d.exchange(bytes(d.rpdo_size))

@@ -177,7 +177,9 @@ def test_an_edited_block_in_another_file_is_compiled_anew_and_a_comment_is_not(l
 
 
 DIGEST = """
-import importlib
+import importlib, os, sys
+import gymnasium, mujoco, numba
+sys.pycache_prefix = os.environ.get("EMPTY")
 from servogym.drive.kernel.reach import reach
 for module, name in (
     ("servogym.envs.engine.loop", "settle"),
@@ -203,8 +205,8 @@ def test_the_digest_is_the_same_in_every_process(tmp_path):
         "    if 'a' in {'a', 'b', 'c', 'd'}:\n        x += 1.0\n    y = x",
     )
     folder = write(tmp_path, [strings])
-    prefix = {"PYTHONPYCACHEPREFIX": str(tmp_path / "empty"), "PYTHONDONTWRITEBYTECODE": "1"}
-    runs = [{"PYTHONHASHSEED": "1"}, {"PYTHONHASHSEED": "2"} | prefix]
+    compiled = {"EMPTY": str(tmp_path / "empty"), "PYTHONDONTWRITEBYTECODE": "1"}
+    runs = [{"PYTHONHASHSEED": "1"}, {"PYTHONHASHSEED": "2"} | compiled]
     processes = [python(DIGEST, folder, **run) for run in runs]
     answers = [process.communicate(timeout=120) for process in processes]
     assert [error for _, error in answers] == [""] * 2

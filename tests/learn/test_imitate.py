@@ -4,15 +4,15 @@ import json
 
 import numpy as np
 import pytest
-
-pytest.importorskip("stable_baselines3", reason="needs pip install 'servogym[train]'")
+from later import Later, only_with
 
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
-from servogym.training.learn import imitate
-from servogym.training.learn.train import train
 from servogym.training.policies import make
 
+imitate = Later("servogym.training.learn.imitate")
+train = Later("servogym.training.learn.train", "train")
+pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 ID = "LinearAxis-v0"
 SHORT = {"max_episode_steps": 50, "mode": "cst"}
 
