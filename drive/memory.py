@@ -76,7 +76,7 @@ def _tuple(builder: Any, values: list) -> Any:
 
 def address(array: np.ndarray) -> int:
     """Where the elements of an array lie."""
-    return int(array.__array_interface__["data"][0])
+    return int(array.ctypes.data)
 
 
 floats_at = viewer(np.dtype("f8"))

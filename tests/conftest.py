@@ -32,6 +32,8 @@ class Shaft:
         self.drive = Drive(model, **arguments)
         self.axis = self.drive.axis
         self.cycle_time = self.drive.model.cycle_time["position"]
+        self.periods = int(self.axis.velocity_cycles)
+        self.period = float(self.axis.velocity_period)
         self.angle = 0.0
         self.speed = 0.0
         self.inertia = INERTIA  # kg·m²
@@ -42,11 +44,10 @@ class Shaft:
         self.step()
 
     def step(self, cycles=1):
-        periods = int(self.axis.velocity_cycles)
-        dt = float(self.axis.velocity_period)
+        dt = self.period
         for _ in range(cycles):
             self.torque = self.drive.cycle(self.angle, self.speed)
-            for _ in range(periods):
+            for _ in range(self.periods):
                 self.speed += (self.torque + self.load) / self.inertia * dt
                 self.angle += self.speed * dt
                 if self.blocked is not None and self.angle > self.blocked:
@@ -126,6 +127,12 @@ def pytest_collection_finish():
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
     atexit.register(gc.unfreeze)  # libraries look then whether all of theirs is gone
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_xdist_auto_num_workers():
+    """For ``-n auto``: one more, as tests wait for browsers, buses and processes."""
+    return (yield) + 1
 
 
 def pytest_xdist_make_scheduler(config, log):

@@ -114,7 +114,7 @@ class DriveModel:
     own_stored: tuple[tuple[int, int, int], ...]  # `rows.own_stored`
 
     def __reduce__(self):
-        own = self.folder == _builtin() / self.name
+        own = self.folder == _builtin().get(self.name)
         return load, (self.name if own else str(self.folder), self.bus)
 
     def fault_key(self, code: int, cause: int, node: int = 0) -> int:
@@ -147,10 +147,11 @@ class DriveModel:
         axis.enable_input = 1
         axis.terminals = 0x03  # S1IND and S2IND are wired to 24 V
         axis.sto_input = 1
+        codes, numbers, registers = axis.fault_code, axis.fault_number, axis.fault_register
         for fault in reversed(self.faults):  # of two rows with one cause the first counts
-            axis.fault_code[fault.cause] = fault.code
-            axis.fault_number[fault.cause] = (fault.main or 0) << 4 | (fault.sub or 0)
-            axis.fault_register[fault.cause] = 1 | 1 << fault.register
+            codes[fault.cause] = fault.code
+            numbers[fault.cause] = (fault.main or 0) << 4 | (fault.sub or 0)
+            registers[fault.cause] = 1 | 1 << fault.register
         self.set_reactions(axis)
         for name, value in self.fixed.items():
             if isinstance(value, list):
@@ -161,8 +162,9 @@ class DriveModel:
 
     def set_reactions(self, axis: Axis) -> None:
         """The reactions of faults.csv; of two rows with one cause the first counts."""
+        reactions = axis.od.fault_reaction
         for fault in reversed(self.faults):
-            axis.od.fault_reaction[fault.cause] = fault.reaction
+            reactions[fault.cause] = fault.reaction
 
     @property
     def homes_here(self) -> int:
@@ -188,13 +190,16 @@ class DriveModel:
         return self.quirks[name].value if name in self.quirks else 0
 
 
-def _builtin() -> Path:
-    return Path(str(resources.files("servogym.assets"))) / "drives"
+@functools.cache
+def _builtin() -> dict[str, Path]:
+    """Folders of the models that come with the laboratory, by name."""
+    folder = Path(str(resources.files("servogym.assets"))) / "drives"
+    return {path.parent.name: path.parent.resolve() for path in folder.glob("*/drive.toml")}
 
 
 def model_names() -> list[str]:
     """Names of the models that come with the laboratory."""
-    return sorted(path.parent.name for path in _builtin().glob("*/drive.toml"))
+    return sorted(_builtin())
 
 
 def foreign_names() -> list[str]:
@@ -224,19 +229,19 @@ def load(model: "str | Path | DriveModel", bus: str | None = None) -> DriveModel
 
 def _folder(model: str | Path, beside: Path | None = None) -> Path:
     """The folder of a model; a path is looked for from the folder `beside`, too."""
-    folder = _builtin() / str(model)
-    if str(model) not in model_names():
-        folder = Path(model)
-        if beside is not None and (beside / folder / "drive.toml").is_file():
-            folder = beside / folder
-        elif points := metadata.entry_points(group=ENTRY_POINTS, name=str(model)):
-            folder = _declared(next(iter(points)))
-        if not (folder / "drive.toml").is_file():
-            hint = near(str(model), [*model_names(), *foreign_names()])
-            raise ValueError(
-                f"unknown drive model {str(model)!r}: {hint}, "
-                "or give the path of a folder with drive.toml, objects.csv, pdo.csv, faults.csv"
-            )
+    if str(model) in _builtin():
+        return _builtin()[str(model)]
+    folder = Path(model)
+    if beside is not None and (beside / folder / "drive.toml").is_file():
+        folder = beside / folder
+    elif points := metadata.entry_points(group=ENTRY_POINTS, name=str(model)):
+        folder = _declared(next(iter(points)))
+    if not (folder / "drive.toml").is_file():
+        hint = near(str(model), [*model_names(), *foreign_names()])
+        raise ValueError(
+            f"unknown drive model {str(model)!r}: {hint}, "
+            "or give the path of a folder with drive.toml, objects.csv, pdo.csv, faults.csv"
+        )
     return folder.resolve()
 
 

@@ -72,8 +72,8 @@ class Parameters:
 
     def defaults(self) -> None:
         """Put the factory defaults in force, PDOs included."""
-        for slot in self._drive.objects.slots.values():
-            if slot.row.area == "axis" and slot.row.format:
+        for slot in self._drive.objects.slots.within("axis"):
+            if slot.row.format:
                 slot.put(self._default(slot))
         self._default_pdos()
 
@@ -100,10 +100,11 @@ class Parameters:
                 pdo.mapping[: pdo.count] = [
                     index << 16 | subindex << 8 | bits for index, subindex, bits in mapping.entries
                 ]
-        for (index, subindex), slot in self._drive.objects.slots.items():
-            timers = subindex in (5, 6) and (index & 0xFE00) in (0x1400, 0x1800)
-            if timers and slot.view is not None:
-                slot.put(slot.row.default)  # type: ignore[arg-type]
+        for area in ("rpdo", "tpdo"):
+            for slot in self._drive.objects.slots.within(area):
+                index, subindex = slot.row.index, slot.row.subindex
+                if subindex in (5, 6) and (index & 0xFE00) in (0x1400, 0x1800):
+                    slot.put(slot.row.default)  # type: ignore[arg-type]
 
     def values(self) -> store.Values:
         """All storable values, but not identifiers that still follow from the node-id."""

@@ -114,6 +114,10 @@ class Slots(Mapping[tuple[int, int], Slot]):
         """Slots, for one pass."""
         return (slot.of(self._views) for slot in self._shared.values())
 
+    def within(self, area: str) -> Any:
+        """Slots of one area, for one pass."""
+        return (slot.of(self._views) for slot in self._shared.values() if slot.row.area == area)
+
 
 class Names(Mapping[str, Slot]):
     """The slots of one drive by name."""

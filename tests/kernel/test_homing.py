@@ -35,11 +35,13 @@ def axis_with_switches(method, turns, **objects):
     if method % 16 in (5, 6):
         low = -100.0
 
-    def switches():
+    axes, index = shaft.drive.axes, shaft.drive.index
+
+    def switches():  # of the array: attributes of a record take a while
         place = shaft.angle / TURN
-        shaft.axis.negative_limit_switch = place < NEGATIVE
-        shaft.axis.positive_limit_switch = place > POSITIVE
-        shaft.axis.home_switch = low <= place <= high
+        axes["negative_limit_switch"][index] = place < NEGATIVE
+        axes["positive_limit_switch"][index] = place > POSITIVE
+        axes["home_switch"][index] = low <= place <= high
 
     shaft.after = switches
     shaft.drive.reset()
