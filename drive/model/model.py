@@ -63,8 +63,7 @@ KINDS: dict[str, type] = {  # of what drive.toml may say
 }  # fmt: skip
 STANDARD = "generic"  # its objects.csv has the objects of CiA 301 and CiA 402
 ENTRY_POINTS = "servogym.drives"  # of other packages: a name, and the folder it stands for
-# field bus -> longest PDO in bits
-BUSES = {"can": MAX_BITS, "ethercat": 512}
+BUSES = {"can": MAX_BITS, "ethercat": 512}  # field bus -> longest PDO in bits
 ETHERCAT_FILES = ("ethercat.toml", "ethercat_objects.csv", "ethercat_pdo.csv")
 COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}  # what puts it there
 # [units] of drive.toml: field of the record, value without an entry
@@ -363,7 +362,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         modes=tuple(MODES[name] for name in capabilities.get("modes", ())),
         homing_methods=tuple(capabilities.get("homing_methods", ())),
         quirks={k: Quirk(int(v["value"]), v["source"]) for k, v in toml.get("quirks", {}).items()},
-        abort_codes={_code(k): v["value"] for k, v in toml.get("abort_codes", {}).items()},
+        abort_codes={int(k[:-1], 16): v["value"] for k, v in toml.get("abort_codes", {}).items()},
         units=UNITS | toml.get("units", {}),
         fixed=toml.get("fixed", {}),
         buses=buses,
@@ -414,11 +413,6 @@ def _read_toml(path: Path) -> dict[str, Any]:
         if name in (OD.names or ()) and not _fits(value, OD[name]):
             raise ValueError(f"{path}: fixed.{name} = {value!r} does not fit {OD[name]}")
     return toml
-
-
-def _code(text: str) -> int:
-    """``"06090031h"`` -> the number."""
-    return int(text.removesuffix("h"), 16)
 
 
 def _fits(value: Any, kind: np.dtype) -> bool:
