@@ -54,7 +54,7 @@ class DeviceVectorEnv(ServoVectorEnv):
         if "threads" in arguments:
             raise ValueError("threads: a device has its own, leave them out")
         super().__init__(task, num_envs, threads=1, **arguments)
-        wp, first, n = self._wp, self.envs[0], self.num_envs
+        first, n = self.envs[0], self.num_envs
         if first.line is not None:
             raise ValueError(
                 f"faults of a bus are not there with device={device!r}: each frame is made and "
@@ -65,7 +65,7 @@ class DeviceVectorEnv(ServoVectorEnv):
         for row, env in enumerate(self.envs):
             env.join(self._coming, row)
         rpdo, tpdo = first._images
-        drives, faces = len(first.drives), len(self._batch.modes)
+        drives = len(first.drives)
         self._there = there = Worlds(
             [env.machine for env in self.envs], device, ticks=self._batch.ticks,
             images=Images((rpdo, drives), (tpdo, drives)),
@@ -73,28 +73,11 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._stream = torch.cuda.ExternalStream(
             there.device.stream.cuda_stream, self._wp.device_to_torch(there.device)
         ) if there.device.is_cuda else None  # fmt: skip
-        coming, on = self._coming, there.device
-        self._tables = {
-            "episodes": Records(wp, on, coming.episodes, first.EPISODE),
-            "commands": Records(wp, on, coming._commands, first.ACTION),
-            "rpdos": Records(wp, on, coming.rpdos, aligned(rpdo), drives, there.rpdos),
-            "tpdos": Records(wp, on, coming.tpdos, aligned(tpdo), drives, there.tpdos),
-            "seen": Records(wp, on, coming._seen, first.OBSERVATION),
-        }
-        if faces:
-            self._tables["controls"] = Records(wp, on, coming._controls, CONTROL, drives)
-            self._tables["status"] = Records(wp, on, coming._status, STATUS, drives)
-        tables = self._tables
-        told, seen = ("commands", "controls"), ("seen", "status")
-        self._told = [tables[name].numbers(torch.float64) for name in told if name in tables]
-        self._seen = [tables[name].numbers(torch.float32) for name in seen if name in tables]
-        width = sum(part.shape[1] for part in self._seen)
-        self._frames = torch.zeros((n, first._history, width), device=self.device)
-        self._actions = torch.zeros(self._batch.actions.shape, dtype=torch.float64,
-                                    device=self.device)  # fmt: skip
+        with worlds.room(n, there.device):
+            self._make_tables(there)
         self._before = [self._compiled("act", "episodes", "commands", "rpdos")]
         self._after = [self._compiled("judge", "episodes", "rpdos", "tpdos", "seen")]
-        if faces:
+        if len(self._coming.modes):
             self._before.append(self._compiled("control", "controls", "rpdos"))
             self._after.append(self._compiled("report", "tpdos", "status"))
         self._ready: list[_Ready | None] = [None] * n
@@ -102,6 +85,28 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._ahead = not (first._faults or self.render_mode)
         self._queue: OrderedDict[int, None] = OrderedDict()  # who has begun, the oldest first
         self._done = self._wp.Event(there.device) if there.device.is_cuda else None
+
+    def _make_tables(self, there: Worlds) -> None:
+        """What the task works on, there, and what of it torch sees."""
+        wp, torch, coming, first = self._wp, self._torch, self._coming, self.envs[0]
+        rpdo, tpdo = map(aligned, first._images)
+        on, drives = there.device, len(first.drives)
+        tables = self._tables = {
+            "episodes": Records(wp, on, coming.episodes, first.EPISODE),
+            "commands": Records(wp, on, coming._commands, first.ACTION),
+            "rpdos": Records(wp, on, coming.rpdos, rpdo, drives, there.rpdos),
+            "tpdos": Records(wp, on, coming.tpdos, tpdo, drives, there.tpdos),
+            "seen": Records(wp, on, coming._seen, first.OBSERVATION),
+        }
+        if len(coming.modes):
+            tables["controls"] = Records(wp, on, coming._controls, CONTROL, drives)
+            tables["status"] = Records(wp, on, coming._status, STATUS, drives)
+        told, seen = ("commands", "controls"), ("seen", "status")
+        self._told = [tables[name].numbers(torch.float64) for name in told if name in tables]
+        self._seen = [tables[name].numbers(torch.float32) for name in seen if name in tables]
+        shape = self.num_envs, first._history, sum(part.shape[1] for part in self._seen)
+        self._frames = torch.zeros(shape, device=self.device)
+        self._actions = torch.zeros(coming.actions.shape, dtype=torch.float64, device=self.device)
 
     @property
     def device(self) -> Any:
@@ -291,6 +296,19 @@ class DeviceVectorEnv(ServoVectorEnv):
     def zeros(self) -> Any:
         """Actions that do nothing, on the device."""
         return self._torch.zeros(self.action_space.shape, device=self.device)
+
+    @property
+    def in_graphs(self) -> bool:
+        """Whether a physics step is launched as one graph; a bench may do without."""
+        return self._there.in_graphs
+
+    @in_graphs.setter
+    def in_graphs(self, given: bool) -> None:
+        self._there.in_graphs = given
+
+    def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, speeds and torques of the physics, shape ``(n, ...)`` each, for a look."""
+        return self._there.qpos, self._there.qvel, self._there.ctrl
 
     def step_physics(self) -> None:
         """The drives and the physics of a step alone, under the RPDOs there are: for a bench."""

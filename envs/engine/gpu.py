@@ -2,22 +2,27 @@
 
 numba-cuda takes the `parts` and all they are made of, the whole drive among it, as they are, but
 for three things core Numba has and it has not: a member of an IntEnum as an index, `math.gcd`, and
-a function whose result is a view of an array. They are registered here. `ptx` and `machine_code` do
-without a GPU; what `launcher` does has been run on none.
+a function whose result is a view of an array. They are registered here. Machine code is made, and
+kept beside that of the cores, without a GPU; what `launcher` does with it has been run on none.
 """
 
 import math
 import operator
+import os
+import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
+from importlib.metadata import version
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
+from ...drive.kernel.jit import cache_directory
+from ...drive.kernel.reach import reach
 from ...drive.memory import integers_at, viewer
 from . import arrays, friction, parts, tick
 from .parts import PARTS
@@ -28,6 +33,7 @@ VIEWS: tuple[Any, ...] = (  # blocks whose result is an array
 )  # fmt: skip
 HOPPER = (9, 0)  # compute capability of an H100 or H200
 THREADS = 64  # of a block; a drive takes many registers (inferred, not measured)
+ENTRY = "servogym"
 
 
 def ptx(kernel: "Kernel", capability: tuple[int, int] = HOPPER) -> str:
@@ -182,23 +188,61 @@ def of_report(
     return Kernel(make, 4)
 
 
+def code(kernel: Kernel, capability: tuple[int, int] = HOPPER) -> bytes:
+    """Machine code of a kernel, made once and kept; its one entry is called ENTRY.
+
+    Raises:
+        ImportError: a package of the extra ``servogym[gpu]`` is missing.
+    """
+    versions = [version(name) for name in ("numba-cuda", "nvidia-nvvm", "nvidia-nvjitlink")]
+    about = {"capability": capability, "versions": versions}
+    digest, _ = reach(kernel.make(_cuda()), about)
+    path = cache_directory() / f"{digest[:32]}.cubin"
+    with suppress(OSError):
+        return path.read_bytes()
+    name = re.compile(r"^(\.visible \.entry )(\w+)", re.M)
+    made = machine_code(name.sub(rf"\1{ENTRY}", ptx(kernel, capability)), capability)
+    with suppress(OSError):
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(made)
+        part.replace(path)
+    return made
+
+
 def launcher(wp: Any, device: Any, kernel: Kernel, n: int) -> Callable[..., None]:
     """A function that runs a kernel on `n` machines of a device, in the stream that warp uses.
+
+    cuda.core loads and launches it, as numba-cuda would, in the primary context, which is warp's.
 
     Args:
         wp: warp.
         device: of warp, with CUDA.
         kernel: what is run.
         n: machines.
+
+    Raises:
+        ImportError: a package of the extra ``servogym[gpu]`` is missing.
+        RuntimeError: the driver does not take the code.
     """
-    cuda = _cuda()
-    cuda.select_device(device.ordinal)  # its primary context, as warp's
-    compiled = cuda.jit(kernel.make(cuda))
-    blocks = -(-n // THREADS)
+    try:
+        core: Any = import_module("cuda.core")
+    except ImportError as error:
+        raise ImportError(f"{error}: pip install 'servogym[gpu]'") from None
+    made = code(kernel, divmod(device.arch, 10))
+    core.Device(device.ordinal).set_current()
+    try:
+        loaded = core.ObjectCode.from_cubin(made).get_kernel(ENTRY)
+    except Exception as error:  # of the driver, each its own
+        raise RuntimeError(
+            f"{device}: its driver does not take what numba-cuda {version('numba-cuda')} makes "
+            f"({error}): the extra servogym[gpu] is for drivers of CUDA 13"
+        ) from None
+    config = core.LaunchConfig(grid=-(-n // THREADS), block=THREADS)
+    stream = core.Stream.from_handle(device.stream.cuda_stream)  # not in a capture: it asks for it
 
     def launch(*addresses: int) -> None:
-        stream = cuda.external_stream(wp.get_stream(device).cuda_stream)
-        compiled[blocks, THREADS, stream](*addresses, n)
+        with wp.ScopedDevice(device):
+            core.launch(stream, config, loaded, *map(np.int64, (*addresses, n)))
 
     return launch
 

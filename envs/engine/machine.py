@@ -183,7 +183,7 @@ class Machine:
         Raises:
             ValueError: it is of another kind of machine.
         """
-        if _checksum(residence.model) != _checksum(self.model):
+        if residence.checksum != _checksum(self.model):
             raise ValueError("the residence is of another machine: build both alike")
         state = np.empty(mujoco.mj_stateSize(self._model, STATE))
         mujoco.mj_getState(self._model, self._data, state, STATE)
@@ -385,6 +385,7 @@ class Residence:
 
     def __init__(self, machine: Machine):
         self.model, self.data = machine.model, machine.data
+        self.checksum = _checksum(self.model)
         self.turn = Turn()
         self.resident = np.zeros(1, np.int64)  # address of who lives there now
         arrays = _variable(self.model)

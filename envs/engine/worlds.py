@@ -13,7 +13,8 @@ what is stepped, and `begin` moves any number of machines there at once, in the 
 
 import copy
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import mujoco
@@ -75,6 +76,7 @@ class Worlds:
     Raises:
         ImportError: a package of the extra ``servogym[gpu]`` is missing.
         ValueError: there is no such device, or mujoco-warp cannot take the model.
+        MemoryError: of the device, for so many.
     """
 
     def __init__(
@@ -87,23 +89,28 @@ class Worlds:
         self.ticks = ticks
         first, n = self.machines[0], len(self.machines)
         model = _takeable(first.model)
-        with self.wp.ScopedDevice(self.device):
-            self._make_physics(model, first, n)
         self._rows = np.zeros(n, _row(first))
+        with room(n, self.device), self.wp.ScopedDevice(self.device):
+            self._make_physics(model, first, n)
+            self._make_rows(images or NO_IMAGES, n)
+        for row in range(n):
+            self._address(row)
+        self._launch = self._launcher()
+        # what mujoco-warp allocates in a step, a graph takes from a pool
+        self.in_graphs = self.device.is_cuda and self.wp.is_mempool_enabled(self.device)
+        self._graph: Any = None
+        self.leave_out(np.zeros(n, bool))
+        self.put(range(n))
+
+    def _make_rows(self, images: Images, n: int) -> None:
         self._stride = self._rows.dtype.itemsize
         self._memory = self._bytes(n * self._stride)
         self._own = Rows(self.wp, self._memory, n)
         self._models = [Rows(self.wp, getattr(self._model, name), n) for name in self._varied]
-        self._images = [_Table(self._bytes, *each, n) for each in images or NO_IMAGES]
+        self._images = [_Table(self._bytes, *each, n) for each in images]
         self.rpdos, self.tpdos = (table.records for table in self._images)
         self.present = self.wp.zeros(n, dtype=self.wp.int64, device=self.device)
         self.addresses = self._memory.ptr + self._stride * np.arange(n)
-        for row in range(n):
-            self._address(row)
-        self._launch = self._launcher()
-        self._graph: Any = None
-        self.leave_out(np.zeros(n, bool))
-        self.put(range(n))
 
     def _make_physics(self, model: mujoco.MjModel, first: Machine, n: int) -> None:
         wp, mjw = self.wp, self._mjw
@@ -270,12 +277,12 @@ class Worlds:
             self._launch("end")
 
     def _tick(self) -> None:
-        """One physics step; on a GPU captured in a graph at the first."""
-        if self._graph is not None:
+        """One physics step; on a GPU captured in a graph at the first, when all code is loaded."""
+        if self._graph is not None and self.in_graphs:
             self.wp.capture_launch(self._graph)
             return
         self._physics_step()
-        if self.device.is_cuda and self._graph is None:
+        if self.in_graphs:
             with self.wp.ScopedCapture(self.device) as capture:
                 self._physics_step()
             self._graph = capture.graph
@@ -310,21 +317,33 @@ def packages() -> tuple[Any, Any]:
 def found(wp: Any, device: str) -> Any:
     """A device of warp. Raises ValueError in one line where there is none."""
     names = [str(each) for each in wp.get_devices()]
-    wanted = "cuda:0" if device == "cuda" else device
+    wanted = "cuda:0" if str(device) == "cuda" else str(device)  # torch and warp have their own
     if wanted not in names:
+        driver = "" if wp.get_cuda_devices() else " (warp finds no driver of NVIDIA with a GPU)"
         raise ValueError(
-            f"device = {device!r}: there is none, this machine has {', '.join(names)}; leave "
-            "device out for the loop on the CPU, which is faster than device='cpu'"
+            f"device = {device!r}: there is none, this machine has {', '.join(names)}{driver}; "
+            "leave device out for the loop on the CPU, which is faster than device='cpu'"
         )
     return wp.get_device(wanted)
+
+
+@contextmanager
+def room(n: int, device: Any) -> Iterator[None]:
+    """Where memory of a device is taken for so many machines: MemoryError says that in a line."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "allocate" not in (text := str(error).partition("\n")[0]):
+            raise
+        raise MemoryError(f"{device} has no room for {n} machines ({text}): take fewer") from None
 
 
 def _takeable(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy that mujoco-warp takes; it resets nothing by itself, and knows no flag for that."""
     if model.na:
         raise ValueError(
-            f"the model has {model.na} actuator activations, which a device does not carry yet: "
-            "leave device out"
+            f"the model has {model.na} actuator activations, which are no part of what a device "
+            "keeps of a machine, since drives have none: leave device out"
         )
     model = copy.copy(model)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

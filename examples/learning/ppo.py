@@ -5,6 +5,8 @@
 Proximal policy optimisation (Schulman et al. 2017) as CleanRL writes it: rollouts of a vector of
 environments, advantages (GAE, Schulman et al. 2016), some epochs of clipped gradients, and again.
 The hyper-parameters are those of `servogym train LinearAxis-v0`. Needs `servogym[train]` for torch.
+With ``--device cuda`` environments, nets and all that is learned from stay on a GPU; so does
+``--device cpu``, to try it, where mujoco-warp steps on a core (`servogym[gpu]`).
 The folder gets `curve.csv`, `weights.npz` (arrays, nothing pickled) and `curve.png`.
 """
 
@@ -44,6 +46,7 @@ class Arguments:
     longest_gradient: float = 0.5
     log_std: float = -3.0  # at first; at rest within the tolerance there is no room for noise
     evaluate: int = 50_000  # steps between two evaluations
+    device: str = ""  # of warp, for environments and nets; none: the cores
 
 
 def make(name: str, n: int, **arguments):
@@ -81,28 +84,32 @@ class Agent(nn.Module):
 class Running:
     """Mean and variance of all that has been seen (Chan, Golub, LeVeque 1979)."""
 
-    def __init__(self, shape: tuple[int, ...] = ()):
-        self.mean, self.variance, self.count = np.zeros(shape), np.ones(shape), 1e-4
+    def __init__(self, shape: tuple[int, ...] = (), device: torch.device | str = "cpu"):
+        exact = {"dtype": torch.float64, "device": device}
+        self.mean, self.variance = torch.zeros(shape, **exact), torch.ones(shape, **exact)
+        self.count = 1e-4
 
-    def update(self, batch: np.ndarray) -> None:
+    def update(self, batch: torch.Tensor) -> None:
         n, total = len(batch), self.count + len(batch)
-        away = batch.mean(axis=0) - self.mean
-        squares = self.variance * self.count + batch.var(axis=0) * n
+        batch = batch.double()
+        away = batch.mean(0) - self.mean
+        squares = self.variance * self.count + batch.var(0, correction=0) * n
         self.variance = (squares + away**2 * self.count * n / total) / total
         self.mean, self.count = self.mean + away * n / total, total
 
-    def __call__(self, seen: np.ndarray) -> torch.Tensor:
-        scaled = np.clip((seen - self.mean) / np.sqrt(self.variance + 1e-8), -10.0, 10.0)
-        return torch.as_tensor(scaled, dtype=torch.float32)
+    def __call__(self, seen: torch.Tensor) -> torch.Tensor:
+        scaled = (seen - self.mean) / (self.variance + 1e-8).sqrt()
+        return scaled.clip(-10.0, 10.0).float()
 
 
 @torch.no_grad()
 def evaluate(agent: Agent, scale: Running, envs) -> float:
-    """Mean return of the fixed episodes, without exploration."""
+    """Mean return of the fixed episodes, without exploration; they are on the cores."""
     seen, _ = envs.reset(seed=FIXED)
     returns, active = np.zeros(envs.num_envs), np.ones(envs.num_envs, bool)
     while active.any():
-        actions = agent.actor(scale(seen)).clip(-1.0, 1.0).numpy()
+        there = torch.as_tensor(seen, device=scale.mean.device)
+        actions = agent.actor(scale(there)).clip(-1.0, 1.0).cpu().numpy()
         seen, rewards, ends, truncations, _ = envs.step(actions)
         returns += active * rewards
         active &= ~(ends | truncations)
@@ -113,17 +120,19 @@ def train(given: Arguments) -> list[tuple[int, float]]:
     """-> steps and mean return of each evaluation."""
     torch.manual_seed(given.seed)
     torch.set_num_threads(1)  # with nets this small, a second one costs more than it brings
-    draw = np.random.default_rng(given.seed)
-    envs, judged = make(given.env, given.envs), make(given.env, 16)
+    on = {"device": given.device} if given.device else {}
+    envs, judged = make(given.env, given.envs, **on), make(given.env, 16)
+    seen = torch.as_tensor(envs.reset(seed=given.seed)[0])
+    device = seen.device  # all below is there
     (width,), (actions,) = envs.single_observation_space.shape, envs.single_action_space.shape
-    agent = Agent(width, actions, given.log_std)
+    agent = Agent(width, actions, given.log_std).to(device)
     optimiser = torch.optim.Adam(agent.parameters(), lr=given.rate, eps=1e-5)
-    scale, earned, running = Running((width,)), Running(), np.zeros(given.envs)
+    scale, earned = Running((width,), device), Running((), device)
+    running = torch.zeros(given.envs, dtype=torch.float64, device=device)
     shape = given.rollout, given.envs
-    seen_all = torch.zeros(*shape, width)
-    actions_all = torch.zeros(*shape, actions)
-    chances, values, rewards_all, ends_all = (torch.zeros(shape) for _ in range(4))
-    seen, _ = envs.reset(seed=given.seed)
+    seen_all = torch.zeros(*shape, width, device=device)
+    actions_all = torch.zeros(*shape, actions, device=device)
+    chances, values, rewards_all, ends_all = (torch.zeros(shape, device=device) for _ in range(4))
     curve, done = [(0, evaluate(agent, scale, judged))], 0
     while done < given.steps:
         for t in range(given.rollout):
@@ -134,27 +143,28 @@ def train(given: Arguments) -> list[tuple[int, float]]:
                 actions_all[t] = policy.sample()
                 chances[t] = policy.log_prob(actions_all[t]).sum(-1)
                 values[t] = agent.value(seen_all[t])
-            seen, rewards, ends, truncations, infos = envs.step(actions_all[t].clip(-1, 1).numpy())
+            *told, infos = envs.step(actions_all[t].clip(-1, 1))
+            seen, rewards, ends, truncations = (torch.as_tensor(x, device=device) for x in told)
             over = ends | truncations
             running = given.gamma * running + rewards
             earned.update(running)
             running[over] = 0.0
-            rewards_all[t] = torch.as_tensor(rewards / math.sqrt(earned.variance + 1e-8))
+            rewards_all[t] = rewards / (earned.variance + 1e-8).sqrt()
             if truncations.any():  # time is up, but what would have followed has a value
+                last = torch.as_tensor(infos["final_obs"], device=device)[truncations]
                 with torch.no_grad():
-                    after = agent.value(scale(infos["final_obs"][truncations]))
-                rewards_all[t, torch.as_tensor(truncations)] += given.gamma * after
-            ends_all[t] = torch.as_tensor(over, dtype=torch.float32)
+                    rewards_all[t, truncations] += given.gamma * agent.value(scale(last))
+            ends_all[t] = over
         done += given.rollout * given.envs
         with torch.no_grad():
-            following, advantage = agent.value(scale(seen)), torch.zeros(given.envs)
-        advantages = torch.zeros(shape)
+            following = agent.value(scale(seen))
+        advantages, advantage = torch.zeros_like(values), torch.zeros_like(following)
         for t in reversed(range(given.rollout)):
             on = 1.0 - ends_all[t]
             surprise = rewards_all[t] + given.gamma * following * on - values[t]
             advantage = surprise + given.gamma * given.decay * on * advantage
             advantages[t], following = advantage, values[t]
-        update(agent, optimiser, given, draw, [
+        update(agent, optimiser, given, [
             part.flatten(0, 1)
             for part in (seen_all, actions_all, chances, advantages, advantages + values)
         ])  # fmt: skip
@@ -167,11 +177,12 @@ def train(given: Arguments) -> list[tuple[int, float]]:
     return curve
 
 
-def update(agent: Agent, optimiser, given: Arguments, draw: np.random.Generator, data) -> None:
+def update(agent: Agent, optimiser, given: Arguments, data) -> None:
     """Some epochs of gradients on what one rollout has brought."""
     seen, actions, chances, advantages, returns = data
     for _ in range(given.epochs):
-        for rows in np.array_split(draw.permutation(len(seen)), max(len(seen) // given.batch, 1)):
+        drawn = torch.randperm(len(seen), device=seen.device)
+        for rows in drawn.chunk(max(len(seen) // given.batch, 1)):
             policy = agent.policy(seen[rows])
             ratio = (policy.log_prob(actions[rows]).sum(-1) - chances[rows]).exp()
             gain = advantages[rows]
@@ -193,8 +204,10 @@ def keep(folder: Path, agent: Agent, scale: Running, curve: list[tuple[int, floa
     import matplotlib.pyplot as plt
 
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {name: tensor.numpy() for name, tensor in agent.state_dict().items()}
-    np.savez(folder / "weights.npz", mean=scale.mean, variance=scale.variance, **arrays)
+    kept = {"mean": scale.mean, "variance": scale.variance, **agent.state_dict()}
+    np.savez(
+        folder / "weights.npz", **{name: tensor.cpu().numpy() for name, tensor in kept.items()}
+    )
     with (folder / "curve.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("steps", "return"), *curve])
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")

@@ -1,7 +1,9 @@
 """All that runs around the physics steps compiles for a GPU, none being there: drives and tasks."""
 
+import contextlib
 import importlib.util
 import re
+import sys
 import types
 
 import numba
@@ -129,6 +131,47 @@ def test_the_face_of_a_whole_master_compiles_for_a_gpu():
         text = gpu.ptx(kernel)
         assert ".extern" not in text, "all it calls is in it"
         assert gpu.machine_code(text).startswith(b"\x7fELF")
+
+
+@pytest.mark.slow
+@without_numba_cuda
+def test_machine_code_is_made_once_for_all_it_depends_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(gpu, "cache_directory", lambda: tmp_path)
+    env = GantrySyncEnv()
+    rpdo, n = aligned(env._images[0]), len(env.drives)
+    fields = [(name, env.EPISODE[name]) for name in env.EPISODE.names]
+    longer = np.dtype([*fields, ("more", "f8")], align=True)
+    records = [(env.EPISODE, rpdo), (env.EPISODE, rpdo), (longer, rpdo)]
+    made = [
+        gpu.code(gpu.of_act(env.act, n, episode, env.ACTION, images)) for episode, images in records
+    ]
+    assert made[0] == made[1]
+    assert gpu.ENTRY.encode() in made[0]
+    assert len([*tmp_path.glob("*.cubin")]) == 2 == len([*tmp_path.iterdir()])
+    kernel = gpu.of_act(env.act, n, env.EPISODE, env.ACTION, rpdo)
+    monkeypatch.setattr(gpu, "ptx", None)
+    assert gpu.code(kernel) == made[0], "nothing is compiled"
+    with pytest.raises(TypeError):
+        gpu.code(kernel, (10, 0))
+
+
+def test_a_kernel_is_launched_with_a_thread_a_machine_and_its_addresses(monkeypatch):
+    """On a driver that only takes note."""
+    launched = []
+    core = types.ModuleType("cuda.core")
+    core.Device = lambda ordinal: types.SimpleNamespace(set_current=lambda: None)
+    core.ObjectCode = types.SimpleNamespace(
+        from_cubin=lambda made: types.SimpleNamespace(get_kernel=lambda name: (made, name))
+    )
+    core.LaunchConfig = lambda grid, block: (grid, block)
+    core.Stream = types.SimpleNamespace(from_handle=lambda handle: handle)
+    core.launch = lambda *given: launched.append(given)
+    monkeypatch.setitem(sys.modules, "cuda.core", core)
+    monkeypatch.setattr(gpu, "code", lambda kernel, capability: capability)
+    device = types.SimpleNamespace(arch=100, ordinal=1, stream=types.SimpleNamespace(cuda_stream=5))
+    wp = types.SimpleNamespace(ScopedDevice=lambda device: contextlib.nullcontext())
+    gpu.launcher(wp, device, gpu.of_part("begin"), 129)(2**40, 4728)
+    assert launched == [(5, (3, 64), ((10, 0), "servogym"), 2**40, 4728, 129)]
 
 
 @pytest.mark.slow

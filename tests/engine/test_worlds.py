@@ -108,3 +108,14 @@ def test_a_device_that_is_not_there_is_refused_with_the_next_step():
         ValueError, match=r"^device = 'cuda:7'.* this machine has cpu.*leave device"
     ):
         Worlds([linear_axis()], "cuda:7")
+
+
+def test_a_device_without_room_says_for_how_many(monkeypatch):
+    from servogym.envs.engine import worlds
+
+    def full(*_, **__):
+        raise RuntimeError("Failed to allocate 9728 bytes on device 'cpu'\nand more")
+
+    monkeypatch.setattr(worlds.packages()[0], "clone", full)
+    with pytest.raises(MemoryError, match=r"^cpu has no room for 2 machines \(.*9728.*\): take"):
+        worlds.Worlds([linear_axis(), linear_axis()], "cpu")

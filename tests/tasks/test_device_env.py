@@ -3,6 +3,7 @@
 import copy
 import importlib.util
 import json
+import re
 
 import gymnasium as gym
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from servogym.envs import TASKS
 from servogym.envs.device_env import DeviceVectorEnv
 from servogym.training import cli
+from servogym.training.bench import device as device_bench
 
 ID = "servogym/LinearAxis-v0"
 DRAWN = {"friction": (0.5, 1.5), "gains": (0.8, 1.2), "delay": (0, 2), "encoder_noise": 1e-7}
@@ -131,6 +133,50 @@ class TestOnTheCpuDevice:
         here, there = (vector.reset(seed=4)[0] for vector in vectors)
         np.testing.assert_array_equal(there.numpy(), here)
 
+    def test_stable_baselines3_gets_arrays_that_are_those_of_the_loop(self):
+        pytest.importorskip("stable_baselines3")
+        from servogym.training.learn import sb3
+
+        ours, theirs = (
+            sb3.make("LinearAxis-v0", 3, max_episode_steps=4, previous_action=True, **where)
+            for where in ({"threads": 1}, {"device": "cpu"})
+        )
+        for env in (ours, theirs):
+            env.seed(2)
+        np.testing.assert_array_equal(theirs.reset(), ours.reset())
+        ends = 0
+        for _ in range(9):
+            actions = np.full((3, 1), 0.1, np.float32)
+            here, there = ours.step(actions), theirs.step(actions)
+            for expected, got in zip(here[:3], there[:3], strict=True):
+                assert type(got) is np.ndarray
+                assert got.dtype == expected.dtype
+                np.testing.assert_allclose(got, expected, rtol=0, atol=4e-3)
+            for expected, got, done in zip(here[3], there[3], here[2], strict=True):
+                assert set(got) == set(expected)
+                if done:
+                    ends += 1
+                    np.testing.assert_allclose(
+                        got["terminal_observation"], expected["terminal_observation"], atol=4e-3
+                    )
+        assert ends == 6
+        with pytest.raises(
+            ValueError, match=r"residual = 'pd' and device = 'cpu': .* on the cores"
+        ):
+            sb3.make("LinearAxis-v0", 1, device="cpu", residual="pd", bounds=[0.1])
+
+    def test_a_policy_is_trained_there_and_goes_on_where_it_was(self, tmp_path, capsys):
+        pytest.importorskip("stable_baselines3")
+        small = ["--envs", "4", "--argument", "max_episode_steps=5", "--setting", "n_steps=8",
+                 "--setting", "batch_size=16", "--setting", "n_epochs=1", "--device", "cpu",
+                 "--evaluate-every", "64"]  # fmt: skip
+        to = ["--out", str(tmp_path / "run")]
+        assert cli.main(["train", "LinearAxis-v0", "--steps", "32", *small, *to]) == 0
+        assert cli.main(["train", "LinearAxis-v0", "--steps", "64", "--resume", *to]) == 0
+        kept = sorted((tmp_path / "run" / "checkpoints").iterdir())[-1]
+        assert json.loads((kept / "checkpoint.json").read_text())["device"] == "cpu"
+        assert "from step 32 on" in capsys.readouterr().out
+
     def test_a_fault_that_is_injected_happens_there_too(self):
         vectors = [
             gym.make_vec(ID, 3, faults={"encoder_loss": 0.1}, **where)
@@ -156,10 +202,22 @@ class TestOnTheCpuDevice:
 
     def test_the_bench_counts_drive_cycles(self, capsys):
         assert cli.main(["bench", "--gpu", "cpu", "--json"]) == 0
-        rows = json.loads(capsys.readouterr().out)["rows"]
-        for row in rows:
+        told = json.loads(capsys.readouterr().out)
+        for row in told["rows"]:
             cycles = row["cycles_per_s_whole"] / row["steps_per_s"]
             assert cycles == pytest.approx(20), "5 ms of 0.25 ms, one drive"
+            assert row["cycles_per_s"] * row["step_ms"] == pytest.approx(20e3 * row["machines"])
+        assert 0 < told["beside"]["position_um"] < 0.2
+        assert 0 < told["beside"]["velocity_um_s"] < 200
+
+    def test_the_bench_tells_a_person_how_far_device_and_cores_are_apart(self, capsys, monkeypatch):
+        monkeypatch.setattr(device_bench, "MANY", {"cpu": (1,)})
+        assert cli.main(["bench", "--gpu", "cpu"]) == 0
+        told = " ".join(capsys.readouterr().out.split())
+        assert "no graph" in told
+        assert re.search(
+            r"on the cores, 1 machines: [\d,]+ drive cycles/s; after 8 steps .* µm", told
+        )
 
     def test_it_is_not_copied(self):
         vector = gym.make_vec(ID, 1, device="cpu")

@@ -1,7 +1,8 @@
 """`servogym bench --gpu`: drives and physics of many machines on a device of warp.
 
-What a step costs is measured twice: physics and drives alone, and the whole step of the vector with
-its task, observations and infos. The vector of the loop, on the cores, is measured in the same run.
+What a step costs is measured three times: physics and drives alone, with the graph and without, and
+the whole step of the vector with its task, observations and infos. The fewest machines also step on
+the cores, in the same run, under the same actions: how fast, and how far the two are apart then.
 Kernels are compiled, and the graph is captured, in steps that do not count.
 """
 
@@ -23,6 +24,7 @@ MANY = {"cpu": (2, 16), "cuda": (256, 4096, 16_384)}  # machines
 STEPS = {"cpu": 5, "cuda": 100}  # of an agent, no more than an episode
 WARM = 3
 SLOW = 0.02  # of the maximum velocity, so that nobody reaches an end
+APART = {"position_um": 1e6, "velocity_um_s": 1e6, "torque_mNm": 1e3}
 
 
 def _vector(drive: str, n: int, **arguments: Any) -> Any:
@@ -56,49 +58,75 @@ def _cycles(vector: Any, n: int) -> float:
     return n * float((ticks / env.machine.couplings["velocity_steps"]).sum())
 
 
-def measure(drive: str, device: str) -> list[dict[str, float]]:
-    """Steps and cycles a second, by the number of machines."""
+def measure(drive: str, device: str) -> tuple[list[dict[str, float]], dict[str, float]]:
+    """Steps and cycles a second, by the number of machines; and what the cores are beside it."""
     kind = "cpu" if device == "cpu" else "cuda"
-    rows = []
+    rows: list[dict[str, float]] = []
+    beside: dict[str, float] = {}
     for n in MANY[kind]:
-        vector, peer = _vector(drive, n, device=device), _vector(drive, n)
-        there, here = vector.zeros() + SLOW, np.full((n, 1), SLOW)
+        vector = _vector(drive, n, device=device)
+        there = vector.zeros() + SLOW
         whole = _seconds(vector, lambda v=vector, a=there: v.step(a), STEPS[kind])
+        if not rows:
+            peer = _vector(drive, n)
+            here = np.full((n, 1), SLOW)
+            cores = _seconds(peer, lambda v=peer, a=here: v.step(a), STEPS[kind])
+            beside = {
+                "machines": n, "cycles_per_s": _cycles(peer, n) / cores,
+                "after_steps": WARM + STEPS[kind], **_apart(vector, peer),
+            }  # fmt: skip
+            peer.close()
         alone = _seconds(vector, vector.step_physics, STEPS[kind])
-        cores = _seconds(peer, lambda v=peer, a=here: v.step(a), STEPS[kind])
+        graphs, vector.in_graphs = vector.in_graphs, False
+        plain = _seconds(vector, vector.step_physics, STEPS[kind]) if graphs else alone
         cycles = _cycles(vector, n)
         rows.append({
-            "machines": n, "cycles_per_s": cycles / alone, "steps_per_s": n / whole,
-            "cycles_per_s_whole": cycles / whole, "cycles_per_s_on_the_cores": cycles / cores,
+            "machines": n, "cycles_per_s": cycles / alone, "cycles_per_s_no_graph": cycles / plain,
+            "step_ms": 1e3 * alone, "step_ms_no_graph": 1e3 * plain, "in_graphs": graphs,
+            "steps_per_s": n / whole, "cycles_per_s_whole": cycles / whole,
         })  # fmt: skip
         vector.close()
-        peer.close()
-    return rows
+    return rows, beside
+
+
+def _apart(vector: Any, peer: Any) -> dict[str, float]:
+    """The largest differences of joints between a device and the cores (µm, µm/s, mNm)."""
+    away = {}
+    for name, unit, there in zip(("qpos", "qvel", "ctrl"), APART, vector.state(), strict=True):
+        here = np.array([getattr(env.machine.data, name) for env in peer.envs])
+        away[unit] = APART[unit] * float(np.abs(there - here).max())
+    return away
 
 
 def run(drive: str, device: str, as_json: bool, console: Console) -> int:
     """Measure and print; -> exit status."""
     with console.status("measuring ..."):
-        rows = measure(drive, device)
+        rows, beside = measure(drive, device)
     packages = ("mujoco-warp", "warp-lang", "numba", "torch")
     results = {
         "drive": drive, "device": device, "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in packages}, "rows": rows,
+        "beside": beside,
     }  # fmt: skip
     if as_json:
         console.file.write(json.dumps(results, indent=1) + "\n")
         return 0
     table = Table(title=f"{ID}, drive {drive}, on the device {device}")
     for column in (
-        "machines", "drive cycles/s\nwith physics", "drive cycles/s\nwhole step", "steps/s",
-        "drive cycles/s\nof the loop",
+        "machines", "drive cycles/s\nwith physics", "without\na graph",
+        "drive cycles/s\nwhole step", "steps/s",
     ):  # fmt: skip
         table.add_column(column, justify="right")
     for row in rows:
-        keys = (
-            "machines", "cycles_per_s", "cycles_per_s_whole", "steps_per_s",
-            "cycles_per_s_on_the_cores",
-        )  # fmt: skip
-        table.add_row(*(f"{row[key]:,.0f}" for key in keys))
+        shown = [f"{row[key]:,.0f}" for key in ("machines", "cycles_per_s")]
+        shown.append(f"{row['cycles_per_s_no_graph']:,.0f}" if row["in_graphs"] else "no graph")
+        shown += [f"{row[key]:,.0f}" for key in ("cycles_per_s_whole", "steps_per_s")]
+        table.add_row(*shown)
     console.print(table)
+    console.print(
+        f"on the cores, {beside['machines']} machines: {beside['cycles_per_s']:,.0f} drive "
+        f"cycles/s; after {beside['after_steps']} steps under the same actions the device is "
+        f"{beside['position_um']:.3g} µm, {beside['velocity_um_s']:.3g} µm/s and "
+        f"{beside['torque_mNm']:.3g} mNm away from them at most"
+    )
     return 0

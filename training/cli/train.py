@@ -29,6 +29,9 @@ def add(train: argparse.ArgumentParser) -> None:
         "--demonstrate", metavar="POLICY", help="learn to act as this policy does, not by rewards"
     )
     train.add_argument(
+        "--device", help="of warp, on which it learns, see `servogym bench --gpu`: cuda, cpu"
+    )
+    train.add_argument(
         "--setting", action="append", metavar="NAME=VALUE", type=arguments.named,
         help="hyper-parameter, VALUE in JSON; repeatable",
     )  # fmt: skip
@@ -63,7 +66,7 @@ def _train(options: argparse.Namespace, console: Console) -> int:
         arguments=dict(options.argument) if options.argument else None,
         settings=dict(options.setting) if options.setting else None,
         residual=options.residual, bounds=options.bounds, start=options.start,
-        demonstrate=options.demonstrate,
+        demonstrate=options.demonstrate, device=options.device,
         progress=console.is_terminal, **given,
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from ...envs.device_env import vectors
 from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
@@ -27,7 +28,7 @@ from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
 
 def make(
     env_id: str, num_envs: int = 1, *, residual: str | None = None,
-    bounds: Sequence[float] | None = None, **arguments: Any,
+    bounds: Sequence[float] | None = None, device: str | None = None, **arguments: Any,
 ) -> "ServoVecEnv":  # fmt: skip
     """Environments for SB3.
 
@@ -36,6 +37,8 @@ def make(
         num_envs: how many.
         residual: a policy by name; the actions are bounded corrections of what it does.
         bounds: the largest correction of each component of an action, 0..1.
+        device: of warp, on which physics and drives are stepped; on the cores if not given. SB3
+            keeps what they give in arrays of NumPy, so it is brought back at each step.
         **arguments: of `ServoVectorEnv` and of the task.
 
     Raises:
@@ -49,12 +52,18 @@ def make(
             "that is corrected and the largest correction of each action, or neither"
         )
     if residual is not None and bounds is not None:
+        if device is not None:
+            raise ValueError(
+                f"residual = {residual!r} and device = {device!r}: a policy that is corrected acts "
+                "in Python, on the cores; leave one of them out"
+            )
         return ServoVecEnv(
             ResidualVectorEnv(
                 kind, num_envs, residual=residual, bounds=bounds, autoreset_mode=same, **arguments
             )
         )
-    return ServoVecEnv(ServoVectorEnv(kind, num_envs, autoreset_mode=same, **arguments))
+    made: Any = vectors(kind, num_envs, device=device, autoreset_mode=same, **arguments)
+    return ServoVecEnv(made)
 
 
 def learning_rate(rate: float | Sequence[float]) -> float | LinearSchedule:
@@ -119,7 +128,7 @@ class ServoVecEnv(VecEnv):
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [env.info() for env in self.vector.envs]
-        return observations
+        return _array(observations)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions for `step_wait`, shape ``(num_envs, actions)`` in [-1, 1]."""
@@ -127,13 +136,15 @@ class ServoVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """One step of each: observations, rewards, dones, infos."""
-        observations, rewards, terminated, truncated, ended = self.vector.step(self._actions)
+        *given, ended = self.vector.step(self._actions)
+        observations, rewards, terminated, truncated = map(_array, given)
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in dones]
+        last = _array(ended["final_obs"]) if dones.any() else observations
         for i in np.flatnonzero(dones).tolist():
             infos[i] = _row(ended["final_info"], i)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-            infos[i]["terminal_observation"] = ended["final_obs"][i].copy()
+            infos[i]["terminal_observation"] = last[i].copy()
             self.reset_infos[i] = self.vector.envs[i].info()
         return observations, rewards.astype(np.float32), dones, infos
 
@@ -177,6 +188,11 @@ class ServoVecEnv(VecEnv):
 
     def _chosen(self, indices: int | Iterable[int] | None) -> list[ServoEnv]:
         return [self.vector.envs[i] for i in self._get_indices(indices)]
+
+
+def _array(given: Any) -> np.ndarray:
+    """An array, or what a tensor holds on its device."""
+    return given.cpu().numpy() if isinstance(given, torch.Tensor) else given
 
 
 def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:

@@ -51,6 +51,7 @@ class Run:
         bounds: the largest correction of each component of an action, 0..1.
         start: what the checkpoint says whose weights it began with; none: random ones.
         demonstrate: a policy that shows what to do, and is imitated; none: rewards are sought.
+        device: of warp, on which the environments it learns in are stepped; none: on the cores.
 
     Raises:
         ValueError: naming the argument, its value and what is possible.
@@ -67,18 +68,19 @@ class Run:
     bounds: list[float] | None = None
     start: dict[str, Any] | None = None
     demonstrate: str | None = None
+    device: str | None = None
 
     def __post_init__(self):
         whole("seed", self.seed, 0, 2**31 - 1)
         whole("n_envs", self.envs, 1, MOST_ENVS)
 
-    def vector(self, envs: int) -> VecEnv:
+    def vector(self, envs: int, device: str | None = None) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""
         try:
             return VecMonitor(
                 sb3.make(
                     self.env_id, envs, drive=self.drive, residual=self.residual,
-                    bounds=self.bounds, **self.arguments,
+                    bounds=self.bounds, device=device, **self.arguments,
                 )
             )  # fmt: skip
         except TypeError as error:
@@ -95,7 +97,7 @@ def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | No
     return Run(
         kind.ID, asked["drive"] or "generic", algorithm, asked["seed"] or 0,
         chosen.pop("n_envs"), asked["arguments"] or {}, chosen, residual, asked["bounds"],
-        demonstrate=asked["demonstrate"],
+        demonstrate=asked["demonstrate"], device=asked["device"],
     )  # fmt: skip
 
 
@@ -124,6 +126,7 @@ def _started(
         about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
         chosen.pop("n_envs"), about["arguments"] | (asked["arguments"] or {}), chosen,
         asked["residual"] or about.get("residual"), about.get("bounds"), about,
+        device=asked["device"],
     )  # fmt: skip
 
 
@@ -165,6 +168,7 @@ def train(
     bounds: Sequence[float] | None = None,
     start: Path | None = None,
     demonstrate: str | None = None,
+    device: str | None = None,
     checkpoint_every: int = 50_000,
     evaluate_every: int = 25_000,
     progress: bool = False,
@@ -188,6 +192,8 @@ def train(
         start: a training or a checkpoint whose weights this run begins with; what is not given is
             as it was there, arguments one by one.
         demonstrate: a policy that is imitated in all `steps`; rewards are not looked at.
+        device: of warp, on which the environments it learns in are stepped, "cuda" or "cpu"; it is
+            judged on the cores.
         checkpoint_every: steps from one to the next.
         evaluate_every: steps from one to the next; a shorter run is evaluated at its end.
         progress: show a bar, where tqdm is installed.
@@ -205,7 +211,7 @@ def train(
     asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
              "arguments": arguments, "residual": residual,
              "bounds": None if bounds is None else [float(bound) for bound in bounds],
-             "demonstrate": demonstrate,
+             "demonstrate": demonstrate, "device": device,
     }  # fmt: skip
     if out is None:
         name = short(task(env_id).ID).replace("/", "-")
@@ -220,10 +226,10 @@ def train(
         )
     if resume and start is not None:
         raise ValueError("--start is for a new run, --resume goes on with one: give one of them")
-    if demonstrate and (resume or start or residual or algorithm not in (None, "PPO")):
+    if demonstrate and (resume or start or residual or device or algorithm not in (None, "PPO")):
         raise ValueError(
-            f"--demonstrate {demonstrate} is for a new run of PPO, done in one go: leave out "
-            "--resume, --start, --residual and --algorithm"
+            f"--demonstrate {demonstrate} is for a new run of PPO, done in one go, on the cores: "
+            "leave out --resume, --start, --residual, --device and --algorithm"
         )
     last = found[-1] if found else None
     if last:
@@ -242,7 +248,7 @@ def _train(
     run: Run, last: Path | None, out: Path, steps: int, checkpoint_every: int,
     evaluate_every: int, progress: bool, console: Console, first: weights.Weights | None,
 ) -> tuple[Score, Score]:  # fmt: skip
-    env, judged = run.vector(run.envs), run.vector(EPISODES)
+    env, judged = run.vector(run.envs, run.device), run.vector(EPISODES)
     settings = dict(run.hyperparameters)
     settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     if settings.pop("normalize"):
