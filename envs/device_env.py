@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
+from .batch import JUDGED_NAMES, shown
 from .engine import worlds
 from .engine.rows import Records, aligned
 from .engine.worlds import Images, Worlds
@@ -104,6 +105,13 @@ class DeviceVectorEnv(ServoVectorEnv):
         told, seen = ("commands", "controls"), ("seen", "status")
         self._told = [tables[name].numbers(torch.float64) for name in told if name in tables]
         self._seen = [tables[name].numbers(torch.float32) for name in seen if name in tables]
+        known = [name for name in JUDGED_NAMES if not shown(name)]
+        known += filter(shown, first.EPISODE.names or ())
+        layout: Any = first.EPISODE.fields
+        places = [range(at, at + kind.itemsize) for kind, at, *_ in map(layout.get, known)]
+        self._known_here = np.concatenate([*map(np.asarray, places)])
+        self._known = torch.as_tensor(self._known_here, device=self.device)
+        self._bytes_of_episodes = tables["episodes"].numbers(torch.uint8)
         shape = self.num_envs, first._history, sum(part.shape[1] for part in self._seen)
         self._frames = torch.zeros(shape, device=self.device)
         self._actions = torch.zeros(coming.actions.shape, dtype=torch.float64, device=self.device)
@@ -252,13 +260,19 @@ class DeviceVectorEnv(ServoVectorEnv):
         if self._done is not None:
             there.device.stream.record_event(self._done)
         made = self._made_meanwhile()
-        tables["episodes"].fetch(self._batch.episodes)
+        self._fetch_episodes()
         tables["tpdos"].fetch(self._batch.tpdos)
         self._keep(made)
         faulty = (self._batch.words & FAULT != 0).any(axis=1) & moving
         there.fetch(np.flatnonzero(faulty), physics=False)  # for the name of the fault
         if before is not None:
             self._batch.charge(self._parts[0], before)
+
+    def _fetch_episodes(self) -> None:
+        """Bring back what is known of the episodes; their memory, long paths even, stays there."""
+        brought = self._bytes_of_episodes[:, self._known].cpu().numpy()
+        here = self._batch.episodes.view(np.ndarray).view(np.uint8).reshape(self.num_envs, -1)
+        here[:, self._known_here] = brought
 
     def _inject(self, moving: np.ndarray) -> None:
         """Let the declared faults happen, in the records that are on the device."""
@@ -321,6 +335,7 @@ class DeviceVectorEnv(ServoVectorEnv):
     def render(self) -> tuple[Any, ...] | None:
         """An image of each environment, brought back for it."""
         self._there.fetch(range(self.num_envs))
+        self._tables["episodes"].fetch(self._batch.episodes)
         for name in KNOWN:
             getattr(self._coming, name)[:] = getattr(self._batch, name)
         return super().render()

@@ -1,10 +1,12 @@
 """Machines stepped together by mujoco-warp on its CPU device: each as if alone in the loop.
 
+With ``SERVOGYM_TEST_DEVICE=cuda`` they are stepped on a GPU instead.
 mujoco-warp computes in single precision: 6e-8 of 0.5 m are 30 nm, of 0.5 m/s 30 nm/s a step.
 """
 
 import copy
 import importlib.util
+import os
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ pytestmark = [
         reason="no mujoco-warp: pip install 'servogym[gpu]'",
     ),
 ]
+DEVICE = os.environ.get("SERVOGYM_TEST_DEVICE", "cpu")
 POSITION, VELOCITY, TORQUE = 2e-7, 2e-4, 0.02  # m, m/s, Nm; half of it is what was measured
 HERE = 35  # homing method: the present position becomes the zero
 NEW_SET_POINT = 0x1F
@@ -62,7 +65,7 @@ def test_a_move_is_the_same_within_single_precision_at_every_physics_step(build)
     machines = [moving(build(payload)) for payload in (2.0, 6.0)]
     begun = [machine.data.qpos.copy() for machine in machines]
     twins = copy.deepcopy(machines)
-    worlds = Worlds(machines, "cpu")
+    worlds = Worlds(machines, DEVICE)
     for _ in range(700):
         worlds.step(1)
         for row, twin in enumerate(twins):
@@ -89,7 +92,7 @@ def test_who_is_left_out_stands_still_and_who_is_not_finite_faults_as_in_the_loo
     machines[2].data.qpos[0] = np.nan
     twin = copy.deepcopy(machines[2])
     kept = copy.deepcopy(machines[1])
-    worlds = Worlds(machines, "cpu")
+    worlds = Worlds(machines, DEVICE)
     worlds.leave_out(np.array([False, True, False]))
     worlds.step(20)
     twin.step(10)
@@ -114,8 +117,8 @@ def test_a_device_without_room_says_for_how_many(monkeypatch):
     from servogym.envs.engine import worlds
 
     def full(*_, **__):
-        raise RuntimeError("Failed to allocate 9728 bytes on device 'cpu'\nand more")
+        raise RuntimeError("Failed to allocate 9728 bytes on it\nand more")
 
     monkeypatch.setattr(worlds.packages()[0], "clone", full)
-    with pytest.raises(MemoryError, match=r"^cpu has no room for 2 machines \(.*9728.*\): take"):
-        worlds.Worlds([linear_axis(), linear_axis()], "cpu")
+    with pytest.raises(MemoryError, match=r"^\S+ has no room for 2 machines \(.*9728.*\): take"):
+        worlds.Worlds([linear_axis(), linear_axis()], DEVICE)

@@ -1,8 +1,12 @@
-"""``make_vec(..., device=...)``: on the CPU device of warp what the vectors of the loop give."""
+"""``make_vec(..., device=...)``: on the CPU device of warp what the vectors of the loop give.
+
+With ``SERVOGYM_TEST_DEVICE=cuda`` all of it is tried on a GPU instead.
+"""
 
 import copy
 import importlib.util
 import json
+import os
 import re
 
 import gymnasium as gym
@@ -15,6 +19,7 @@ from servogym.training import cli
 from servogym.training.bench import device as device_bench
 
 ID = "servogym/LinearAxis-v0"
+DEVICE = os.environ.get("SERVOGYM_TEST_DEVICE", "cpu")
 DRAWN = {"friction": (0.5, 1.5), "gains": (0.8, 1.2), "delay": (0, 2), "encoder_noise": 1e-7}
 with_warp = [
     pytest.mark.slow,  # warp compiles its kernels for a CPU, the first time for minutes
@@ -31,7 +36,7 @@ def test_a_device_that_is_not_there_is_refused_with_the_next_step():
         gym.make_vec(ID, 2, device="cuda:99")
 
 
-class TestOnTheCpuDevice:
+class TestOnADevice:
     pytestmark = with_warp
 
     @pytest.mark.parametrize(
@@ -66,11 +71,11 @@ class TestOnTheCpuDevice:
 
         ours, theirs = (
             gym.make_vec(name, 3, max_episode_steps=12, **arguments, **where)
-            for where in ({"threads": 1}, {"device": "cpu"})
+            for where in ({"threads": 1}, {"device": DEVICE})
         )
         here, _ = ours.reset(seed=5)
         there, _ = theirs.reset(seed=5)
-        np.testing.assert_array_equal(here, there.numpy())
+        np.testing.assert_array_equal(here, there.cpu().numpy())
         generator = np.random.default_rng(1)
         cut = 0
         for _ in range(18):
@@ -78,15 +83,15 @@ class TestOnTheCpuDevice:
             here, there = ours.step(actions), theirs.step(torch.as_tensor(actions))
             assert isinstance(there[0], torch.Tensor)
             assert there[0].dtype == torch.float32
-            np.testing.assert_allclose(there[0].numpy(), here[0], rtol=0, atol=most)
-            np.testing.assert_allclose(there[1].numpy(), here[1], rtol=0, atol=most)
-            np.testing.assert_array_equal(there[2].numpy(), here[2])
-            np.testing.assert_array_equal(there[3].numpy(), here[3])
+            np.testing.assert_allclose(there[0].cpu().numpy(), here[0], rtol=0, atol=most)
+            np.testing.assert_allclose(there[1].cpu().numpy(), here[1], rtol=0, atol=most)
+            np.testing.assert_array_equal(there[2].cpu().numpy(), here[2])
+            np.testing.assert_array_equal(there[3].cpu().numpy(), here[3])
             assert set(there[4]) == set(here[4])
             cut += here[3].sum()
             if "final_obs" in here[4]:
                 np.testing.assert_allclose(
-                    there[4]["final_obs"].numpy(), here[4]["final_obs"], rtol=0, atol=most
+                    there[4]["final_obs"].cpu().numpy(), here[4]["final_obs"], rtol=0, atol=most
                 )
         assert cut >= 3
 
@@ -97,7 +102,7 @@ class TestOnTheCpuDevice:
         vectors = [
             gym.make_vec(task.ID, 4, max_episode_steps=3, autoreset_mode="SameStep",
                          randomise=DRAWN, **where)
-            for where in ({"threads": 1}, {"device": "cpu"})
+            for where in ({"threads": 1}, {"device": DEVICE})
         ]  # fmt: skip
         ours, theirs = vectors
         rest, mask = np.zeros(ours.action_space.shape, np.float32), np.array([0, 1, 0, 1], bool)
@@ -112,7 +117,7 @@ class TestOnTheCpuDevice:
             (here, *_, infos), (there, *_, its) = map(do, vectors)
             begun = ours._steps == 0
             np.testing.assert_array_equal(begun, theirs._steps == 0)
-            np.testing.assert_array_equal(there.numpy()[begun], here[begun])
+            np.testing.assert_array_equal(there.cpu().numpy()[begun], here[begun])
             for name in infos.get("parameters", {}):
                 np.testing.assert_array_equal(its["parameters"][name], infos["parameters"][name])
             count += begun.sum()
@@ -121,17 +126,17 @@ class TestOnTheCpuDevice:
 
     def test_options_are_heeded_though_the_next_episode_had_been_made(self, monkeypatch):
         monkeypatch.setattr(DeviceVectorEnv, "_busy", lambda vector: True)
-        vectors = [gym.make_vec(ID, 2, **where) for where in ({"threads": 1}, {"device": "cpu"})]
+        vectors = [gym.make_vec(ID, 2, **where) for where in ({"threads": 1}, {"device": DEVICE})]
         for vector in vectors:
             vector.reset(seed=3)
             vector.step(np.zeros((2, 1), np.float32))
         for options in ({"start": 0.2}, {}, {"goal": 0.3}):
             here, there = (vector.reset(options=options)[0] for vector in vectors)
-            np.testing.assert_array_equal(there.numpy(), here)
+            np.testing.assert_array_equal(there.cpu().numpy(), here)
         with pytest.raises(ValueError, match="start"):
             vectors[1].reset(options={"start": 99.0})
         here, there = (vector.reset(seed=4)[0] for vector in vectors)
-        np.testing.assert_array_equal(there.numpy(), here)
+        np.testing.assert_array_equal(there.cpu().numpy(), here)
 
     def test_stable_baselines3_gets_arrays_that_are_those_of_the_loop(self):
         pytest.importorskip("stable_baselines3")
@@ -139,7 +144,7 @@ class TestOnTheCpuDevice:
 
         ours, theirs = (
             sb3.make("LinearAxis-v0", 3, max_episode_steps=4, previous_action=True, **where)
-            for where in ({"threads": 1}, {"device": "cpu"})
+            for where in ({"threads": 1}, {"device": DEVICE})
         )
         for env in (ours, theirs):
             env.seed(2)
@@ -160,27 +165,25 @@ class TestOnTheCpuDevice:
                         got["terminal_observation"], expected["terminal_observation"], atol=4e-3
                     )
         assert ends == 6
-        with pytest.raises(
-            ValueError, match=r"residual = 'pd' and device = 'cpu': .* on the cores"
-        ):
-            sb3.make("LinearAxis-v0", 1, device="cpu", residual="pd", bounds=[0.1])
+        with pytest.raises(ValueError, match=r"residual = 'pd' and device = .* on the cores"):
+            sb3.make("LinearAxis-v0", 1, device=DEVICE, residual="pd", bounds=[0.1])
 
     def test_a_policy_is_trained_there_and_goes_on_where_it_was(self, tmp_path, capsys):
         pytest.importorskip("stable_baselines3")
         small = ["--envs", "4", "--argument", "max_episode_steps=5", "--setting", "n_steps=8",
-                 "--setting", "batch_size=16", "--setting", "n_epochs=1", "--device", "cpu",
+                 "--setting", "batch_size=16", "--setting", "n_epochs=1", "--device", DEVICE,
                  "--evaluate-every", "64"]  # fmt: skip
         to = ["--out", str(tmp_path / "run")]
         assert cli.main(["train", "LinearAxis-v0", "--steps", "32", *small, *to]) == 0
         assert cli.main(["train", "LinearAxis-v0", "--steps", "64", "--resume", *to]) == 0
         kept = sorted((tmp_path / "run" / "checkpoints").iterdir())[-1]
-        assert json.loads((kept / "checkpoint.json").read_text())["device"] == "cpu"
+        assert json.loads((kept / "checkpoint.json").read_text())["device"] == DEVICE
         assert "from step 32 on" in capsys.readouterr().out
 
     def test_a_fault_that_is_injected_happens_there_too(self):
         vectors = [
             gym.make_vec(ID, 3, faults={"encoder_loss": 0.1}, **where)
-            for where in ({"threads": 1}, {"device": "cpu"})
+            for where in ({"threads": 1}, {"device": DEVICE})
         ]
         seen = []
         for vector in vectors:
@@ -192,16 +195,17 @@ class TestOnTheCpuDevice:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            ({"faults": {"drop": 0.01}}, "faults of a bus are not there with device='cpu': each"),
+            ({"faults": {"drop": 0.01}}, "faults of a bus are not there with device="),
             ({"threads": 2}, "threads: a device has its own"),
         ],
     )
     def test_what_is_not_there_yet_is_refused(self, arguments, words):
         with pytest.raises(ValueError, match=words):
-            gym.make_vec(ID, 2, device="cpu", **arguments)
+            gym.make_vec(ID, 2, device=DEVICE, **arguments)
 
-    def test_the_bench_counts_drive_cycles(self, capsys):
-        assert cli.main(["bench", "--gpu", "cpu", "--json"]) == 0
+    def test_the_bench_counts_drive_cycles(self, capsys, monkeypatch):
+        monkeypatch.setattr(device_bench, "MANY", {"cpu": (2, 16), "cuda": (2, 64)})
+        assert cli.main(["bench", "--gpu", DEVICE, "--json"]) == 0
         told = json.loads(capsys.readouterr().out)
         for row in told["rows"]:
             cycles = row["cycles_per_s_whole"] / row["steps_per_s"]
@@ -211,15 +215,15 @@ class TestOnTheCpuDevice:
         assert 0 < told["beside"]["velocity_um_s"] < 200
 
     def test_the_bench_tells_a_person_how_far_device_and_cores_are_apart(self, capsys, monkeypatch):
-        monkeypatch.setattr(device_bench, "MANY", {"cpu": (1,)})
-        assert cli.main(["bench", "--gpu", "cpu"]) == 0
+        monkeypatch.setattr(device_bench, "MANY", {"cpu": (1,), "cuda": (1,)})
+        assert cli.main(["bench", "--gpu", DEVICE]) == 0
         told = " ".join(capsys.readouterr().out.split())
-        assert "no graph" in told
+        assert ("no graph" in told) == (DEVICE == "cpu")
         assert re.search(
-            r"on the cores, 1 machines: [\d,]+ drive cycles/s; after 8 steps .* µm", told
+            r"on the cores, 1 machines: [\d,]+ drive cycles/s; after [0-9]+ steps .* µm", told
         )
 
     def test_it_is_not_copied(self):
-        vector = gym.make_vec(ID, 1, device="cpu")
+        vector = gym.make_vec(ID, 1, device=DEVICE)
         with pytest.raises(TypeError, match="make it where it is needed"):
             copy.deepcopy(vector)
