@@ -17,21 +17,21 @@ from ..drive.model.near import near
 THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
 
 
-def in_range(name: str, value: float, low: float, high: float, unit: str) -> float:
+def in_range(name: str, value: float, low: float, high: float, unit: str = "") -> float:
     """`value` as a float. Raises ValueError naming it, its range and its unit."""
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not low <= number <= high:
-        raise ValueError(f"{name} = {value!r} is out of range {low:g}..{high:g} {unit}")
+        raise ValueError(f"{name} = {value!r} is out of range {low:g}..{high:g} {unit}".rstrip())
     return number
 
 
 def whole(name: str, value: float, low: int, high: int) -> int:
     """`value` as an int. Raises ValueError naming it and its range."""
     try:
-        number = int(value)
+        number = low - 1 if isinstance(value, bool) else int(value)
     except (TypeError, ValueError, OverflowError):
         number = low - 1
     if number != value or not low <= number <= high:

@@ -99,6 +99,8 @@ def load(path: Path, model: str, check: Callable[[str, int | float], str] | None
         return decode(text, model, check)
     except FileNotFoundError:
         return {}
+    except UnicodeDecodeError:
+        reason = "it is no text"
     except (ValueError, OSError) as error:
         reason = f"it cannot be read ({error})" if isinstance(error, OSError) else str(error)
     ignored(path, reason)

@@ -64,6 +64,7 @@ _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60
 _SILENT = re.compile(r"(?s)<!--.*?-->|<!\[CDATA\[.*?\]\]>")
 _TAG = re.compile(r"""<(/?)([a-z]+)((?:[^"'>]|"[^"]*"|'[^']*')*)>""")
 _ATTRIBUTE = re.compile(r"""([a-z_]+)\s*=\s*("[^"]*"|'[^']*')""")
+_NAN = re.compile(r"""(?i)([a-z_]+)\s*=\s*["'](?:[-+.\de]+\s+)*[-+]?nan\b""")  # among numbers
 # elements whose files MuJoCo opens while it parses, and where files of meshes are looked for
 _OPENS = re.compile(r"""<(?:include|model|flexcomp)\b(?:[^"'>]|"[^"]*"|'[^']*')*""")
 _FILE = re.compile(r"""\b(file|meshdir|assetdir)\s*=\s*("[^"]*"|'[^']*')""")
@@ -88,6 +89,8 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
         file = Path(mjcf)
         if not file.is_file():
             raise ValueError(f"there is no MJCF file {mjcf}")
+        if not file.suffix:  # MuJoCo knows files by that
+            raise ValueError(f"{mjcf}: a file of MJCF ends in .xml")
         base, text = file.parent, _text(file)
         seen.add(file.resolve())
     root = Path(base if folder is None else folder).resolve()
@@ -95,8 +98,10 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
     except ValueError as error:
-        where = str(mjcf) if seen else "MJCF"
-        raise ValueError(f"{where}: {' '.join(str(error).split())}") from None
+        where, said = str(mjcf) if seen else "MJCF", " ".join(str(error).split())
+        if "find decoder" in said:
+            said = "a file of MJCF ends in .xml"
+        raise ValueError(f"{where}: {said}") from None
     view = spec.visual.global_
     view.offwidth, view.offheight = max(view.offwidth, WIDTH), max(view.offheight, HEIGHT)
     for place, name in _assets(spec):
@@ -183,6 +188,8 @@ def _opened(
     if "<!ENTITY" in text:
         raise ValueError("it declares entities (<!ENTITY ...>), which MJCF has none of: write out "
                          "what they stand for")  # fmt: skip
+    if found := _NAN.search(_SILENT.sub("", text)):  # MuJoCo writes a log, and goes on with it
+        raise ValueError(f"{found[1]} has a NaN: give a number")
     attributes = [(name, html.unescape(value[1:-1])) for name, value in _FILE.findall(text)]
     places = ["", *(value for name, value in attributes if name != "file")]
     often = dict(asked.text(text, times))  # an include is one of a kind

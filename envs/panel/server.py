@@ -20,7 +20,7 @@ def free(host: str, port: int) -> None:
             probe.bind((host, port))
     except OSError as error:
         raise ValueError(
-            f"--host {host} --port {port}: {error.strerror or error}; choose another --port"
+            f"--host {host} --port {port}: {error.strerror or error}; choose another of them"
         ) from None
 
 

@@ -175,6 +175,38 @@ compare LinearAxis-v0 --policies learned --drive nothing
 compare Homing-v0 --policies learned,lqr
 train
 train nothing
+train LinearAxis-v0 --setting gamma=2
+train LinearAxis-v0 --setting batch_size=1
+train LinearAxis-v0 --setting n_epochs=0
+train LinearAxis-v0 --setting n_envs=true
+train LinearAxis-v0 --setting n_envs=2.5
+train LinearAxis-v0 --setting n_envs=1 --setting n_steps=1
+train LinearAxis-v0 --setting normalize=maybe
+train LinearAxis-v0 --setting clip_range=x
+train LinearAxis-v0 --setting ent_coef=x
+train LinearAxis-v0 --setting target_kl=x
+train LinearAxis-v0 --setting learning_rate=-1
+train LinearAxis-v0 --setting seed=3
+train LinearAxis-v0 --setting device=mars
+train LinearAxis-v0 --setting policy_kwargs=7
+train LinearAxis-v0 --setting policy_kwargs={"net_arch":"x"}
+train LinearAxis-v0 --setting policy_kwargs={"net_arch":[-1]}
+train LinearAxis-v0 --algorithm sac --setting train_freq=0
+train LinearAxis-v0 --algorithm sac --setting ent_coef=foo
+train LinearAxis-v0 --argument drive=generic
+watch LinearAxis-v0 --argument drive=generic --record x.gif
+watch LinearAxis-v0 --policy wrong.py --record x.gif
+watch LinearAxis-v0 --policy wrong.py:waits --record x.gif
+watch LinearAxis-v0 --policy wrong.py:yields --record x.gif
+watch LinearAxis-v0 --policy= --record x.gif
+watch LinearAxis-v0 --record=
+watch Robot-v0 --argument mjcf=nan.xml --record x.gif
+watch Robot-v0 --argument mjcf=FILE --record x.gif
+compare LinearAxis-v0 --policies hold --conditions=
+compare LinearAxis-v0 --policies hold --ray 300.300.300.300:1
+results --train FILE
+demo --out=
+node -i serial
 train LinearAxis-v0 --algorithm DQN
 train LinearAxis-v0 --steps 0
 train LinearAxis-v0 --steps 1e6
@@ -239,6 +271,12 @@ class Raises:
     def __init__(self, datasheet, seed): pass
     def reset(self, observation, info): pass
     def act(self, observation): return {}["speed"]
+
+async def waits(observation):
+    return [0.0]
+
+def yields(observation):
+    yield 0.0
 """
 
 
@@ -254,6 +292,7 @@ def place(tmp_path_factory):
     (folder / "broken.py").write_text("def act(:\n")
     (folder / "broken.xml").write_text("<mujoco><worldbody>")
     (folder / "robot.xml").write_text(ROBOT)
+    (folder / "nan.xml").write_text(ROBOT.replace('type="hinge"', 'range="0 nan"'))
     (folder / "wrong.py").write_text(WRONG)
     for suffix in ("log", "pcapng"):
         (folder / f"EMPTY.{suffix}").touch()

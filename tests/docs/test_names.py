@@ -1,8 +1,11 @@
 """What things call themselves: a line that tells them apart."""
 
+import shutil
 import subprocess
 import sys
+import zipfile
 from importlib.metadata import version
+from pathlib import Path
 
 import gymnasium
 
@@ -16,6 +19,19 @@ def test_the_version_is_that_of_the_distribution():
     code = "import servogym; print(servogym.__version__)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == version("servogym")
+
+
+def test_a_checkout_that_is_not_installed_has_no_version_and_a_zip_is_refused(tmp_path):
+    init = Path(__file__).parents[2] / "__init__.py"
+    (tmp_path / "servogym").mkdir()
+    shutil.copy(init, tmp_path / "servogym")
+    with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
+        archive.write(init, "servogym/__init__.py")
+    for place, said in ((tmp_path, "unknown"), (tmp_path / "all.zip", "unpack or install it")):
+        code = f"import sys; sys.path[:0] = [{str(place)!r}]; import servogym; "
+        command = [sys.executable, "-S", "-P", "-c", f"{code} print(servogym.__version__)"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert said in done.stdout + done.stderr
 
 
 def test_a_drive_tells_model_state_mode_and_fault():

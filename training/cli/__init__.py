@@ -9,7 +9,7 @@ import sys
 import threading
 import warnings
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
 
@@ -43,10 +43,21 @@ FORMAT = warnings.formatwarning
 BLAS = "OPENBLAS_NUM_THREADS"
 
 
+def _path(text: str) -> Path:
+    """A path; an empty word would be the working directory."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty, give a path")
+    return Path(text)
+
+
 class Parser(argparse.ArgumentParser):
     """One that says what might have been meant."""
 
     commands: dict[str, "Parser"]
+
+    def __init__(self, *args: Any, **options: Any):
+        super().__init__(*args, **options)
+        self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
         """Usage, what is wrong, and near names; exit status 2."""
@@ -74,9 +85,9 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """Tell it, and exit."""
-        from importlib.metadata import version
+        from ... import __version__
 
-        print(f"servogym {version('servogym')}")
+        print(f"servogym {__version__}")
         parser.exit()
 
 

@@ -18,7 +18,7 @@ LISTED = "help"  # instead of NAME=VALUE
 def add(parser: argparse.ArgumentParser) -> None:
     """``--argument NAME=VALUE`` of an environment."""
     parser.add_argument(
-        "--argument", action="append", metavar="NAME=VALUE", type=named, nargs="?",
+        "--argument", action="append", metavar="NAME=VALUE", type=_argument, nargs="?",
         const=(LISTED, None),
         help="of the environment, VALUE in JSON or text; repeatable; without a value: lists them",
     )  # fmt: skip
@@ -62,6 +62,14 @@ def named(text: str) -> tuple[str, Any]:
         return name, json.loads(value)
     except ValueError:
         return name, value.strip()
+
+
+def _argument(text: str) -> tuple[str, Any]:
+    """The same, of an environment."""
+    name, value = named(text)
+    if name == "drive":
+        raise argparse.ArgumentTypeError(f"the drive model is an option: --drive {value}")
+    return name, value
 
 
 def asked(options: argparse.Namespace) -> bool:

@@ -61,6 +61,10 @@ def _train(options: argparse.Namespace, console: Console) -> int:
             "--train takes --workers alone; it goes on by itself where it was interrupted"
         )
     out = Path(options.train) if options.train else None
+    if out is not None:
+        from ..report import writable
+
+        writable("--train", out, file=False)
     return repeat.run(options.folder or SHIPPED, out, options.workers, console)
 
 

@@ -101,6 +101,8 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
             known = [*dict.fromkeys(each for row in rows for each in (row.axis, row.name))]
             raise ValueError(f"--conditions: {name!r} is unknown here: {near(name, known)}")
         picked += [row for row in found if row not in picked]
+    if not picked:
+        raise ValueError("--conditions is empty: give names, separated by commas, or leave it out")
     return picked
 
 

@@ -192,7 +192,7 @@ def measure(
         except ValueError as error:
             left_out.append(f"{cell.name}: {error}")
     if not played:
-        raise ValueError(left_out[0])
+        raise ValueError(left_out[0] if left_out else "there is no environment to sweep over")
     jobs = [job for _, comparison in played for job in comparison.jobs]
     left = iter(work.map(jobs, folder=out, console=console, warm=ready))
     rows: dict[int, list[Row]] = {id(those): [] for those in each}

@@ -7,8 +7,10 @@ PPO is made smaller where it does not divide the rollout, `n_steps` times the en
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
+from ...envs.checks import flag, in_range, whole
 from ...envs.servo_env import ServoEnv
 
 COMMON: dict[str, dict[str, Any]] = {
@@ -45,6 +47,52 @@ RESIDUAL: dict[str, dict[str, Any]] = {
     "SAC": {},
 }
 STEPS = 500_000  # of training, of all environments together
+MOST = 10**9
+WHOLE = {  # the least and the most of those that are whole numbers
+    "n_envs": (1, 100_000), "n_steps": (1, MOST), "batch_size": (2, MOST), "n_epochs": (1, MOST),
+    "buffer_size": (1, MOST), "learning_starts": (0, MOST), "train_freq": (1, MOST),
+    "gradient_steps": (-1, MOST), "target_update_interval": (1, MOST), "sde_sample_freq": (-1, MOST),
+    "stats_window_size": (1, MOST),
+}  # fmt: skip
+REAL = {
+    "gamma": (0.0, 1.0), "gae_lambda": (0.0, 1.0), "tau": (0.0, 1.0), "clip_range": (0.0, 100.0),
+    "vf_coef": (0.0, 1e6), "max_grad_norm": (0.0, 1e6), "target_kl": (0.0, 1e6),
+}  # fmt: skip
+FLAGS = ("normalize", "normalize_advantage", "use_sde")
+OWN = {  # what a run says of itself
+    "seed": "give --seed", "env": "give the id of the environment", "policy": "it is MlpPolicy",
+    "device": "a run is on the processor", "tensorboard_log": "the files are in --out",
+}  # fmt: skip
+
+
+def checked(settings: Mapping[str, Any]) -> None:
+    """Raises ValueError naming a hyper-parameter that cannot be, its value and what is possible."""
+    for name, value in settings.items():
+        if name in OWN:
+            raise ValueError(f"{name} = {value!r} is no hyper-parameter: {OWN[name]}")
+        if name in WHOLE:
+            whole(name, value, *WHOLE[name])
+        elif name in REAL:
+            in_range(name, value, *REAL[name])
+        elif name in FLAGS:
+            flag(name, value)
+    kwargs = settings.get("policy_kwargs", {})
+    if not isinstance(kwargs, Mapping):
+        raise ValueError(f'policy_kwargs = {kwargs!r}: give values by name, {{"net_arch": [64]}}')
+    net = kwargs.get("net_arch", [])
+    for layers in net.values() if isinstance(net, Mapping) else [net]:
+        if not isinstance(layers, list | tuple):
+            raise ValueError(f"net_arch = {net!r}: give the width of each layer, [64, 64]")
+        for width in layers:
+            whole("net_arch", width, 1, 100_000)
+    rates = settings.get("learning_rate", 0.0)
+    for rate in rates if isinstance(rates, list | tuple) else [rates]:
+        in_range("learning_rate", rate, 0.0, 10.0)
+    ppo, entropy = "n_epochs" in settings, settings.get("ent_coef", 0.0)
+    if ppo or not str(entropy).startswith("auto"):
+        in_range("ent_coef", entropy, 0.0, 1e6)
+    if ppo and settings["n_steps"] * settings.get("n_envs", 2) < 2:
+        raise ValueError("n_steps = 1 and n_envs = 1: an update needs 2 steps at least")
 
 
 def of(
@@ -63,7 +111,17 @@ def of(
         chosen |= RESIDUAL[algorithm]
     if envs is not None:
         chosen["n_envs"] = envs
-    if "n_steps" in chosen:
+    return divided(chosen, {})
+
+
+def divided(table: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """`table` with `settings`, checked; where these say nothing of batches, they divide a rollout.
+
+    Raises ValueError as `checked` does.
+    """
+    chosen = {**table, **settings}
+    checked(chosen)
+    if "n_epochs" in chosen and "batch_size" not in settings:
         rollout = chosen["n_steps"] * chosen["n_envs"]
         batches = range(math.ceil(rollout / chosen["batch_size"]), rollout + 1)
         chosen["batch_size"] = rollout // next(n for n in batches if rollout % n == 0)

@@ -31,7 +31,7 @@ from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
-MOST, MOST_ENVS = 10**12, 100_000  # steps; environments
+MOST = 10**12  # steps
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 
@@ -72,7 +72,6 @@ class Run:
 
     def __post_init__(self):
         whole("seed", self.seed, 0, 2**31 - 1)
-        whole("n_envs", self.envs, 1, MOST_ENVS)
 
     def vector(self, envs: int, device: str | None = None) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""
@@ -93,7 +92,7 @@ def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | No
     algorithm = asked["algorithm"] or "PPO"
     residual = asked["residual"]
     table = hyperparameters.of(kind, algorithm, asked["envs"], residual=bool(residual))
-    chosen = table | dict(settings or {})
+    chosen = hyperparameters.divided(table, settings or {})
     return Run(
         kind.ID, asked["drive"] or "generic", algorithm, asked["seed"] or 0,
         chosen.pop("n_envs"), asked["arguments"] or {}, chosen, residual, asked["bounds"],
@@ -121,7 +120,7 @@ def _started(
                 f"{wanted[name]!r}: leave it out, or start from another checkpoint"
             )
     table = {"n_envs": asked["envs"] or about["envs"]} | about["hyperparameters"]
-    chosen = table | dict(settings or {})
+    chosen = hyperparameters.divided(table, settings or {})
     return Run(
         about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
         chosen.pop("n_envs"), about["arguments"] | (asked["arguments"] or {}), chosen,
@@ -206,7 +205,7 @@ def train(
     whole("steps", steps, 1, MOST)
     whole("checkpoint_every", checkpoint_every, 1, MOST)
     whole("evaluate_every", evaluate_every, 1, MOST)
-    whole("envs", 1 if envs is None else envs, 1, MOST_ENVS)
+    whole("envs", 1 if envs is None else envs, 1, 100_000)
     arguments = None if arguments is None else json.loads(json.dumps(dict(arguments)))
     asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
              "arguments": arguments, "residual": residual,
@@ -230,6 +229,11 @@ def train(
         raise ValueError(
             f"--demonstrate {demonstrate} is for a new run of PPO, done in one go, on the cores: "
             "leave out --resume, --start, --residual, --device and --algorithm"
+        )
+    if resume and settings:
+        raise ValueError(
+            f"{', '.join(settings)}: the hyper-parameters of a run stay as they are, leave out "
+            "--setting, or begin a new run with --start"
         )
     last = found[-1] if found else None
     if last:
@@ -257,7 +261,7 @@ def _train(
     model: Any
     try:
         model = ALGORITHMS[run.algorithm]("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
-    except TypeError as error:
+    except Exception as error:  # SB3 and torch raise anything
         known = inspect.signature(ALGORITHMS[run.algorithm]).parameters
         for name in settings.keys() - known.keys():
             raise ValueError(

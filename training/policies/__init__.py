@@ -155,7 +155,9 @@ def trainings(name: Any, task: str) -> list[str]:
     if not isinstance(name, str):
         return []
     folder = SHIPPED / task.rpartition("/")[2] if name == LEARNED else Path(name)
-    if name in POLICIES or not os.path.isdir(folder):  # False for any text, long as it may be
+    if (
+        name in POLICIES or not name.strip() or not os.path.isdir(folder)
+    ):  # False for any text, long as it may be
         if name != LEARNED:
             return []
         available = ", ".join(sorted(path.name for path in SHIPPED.glob("*-v*"))) or "none"

@@ -53,6 +53,11 @@ def _takes(name: str, function: Any, *arguments: str) -> None:
     """Raises ValueError where a function of the user's cannot be called as it will be."""
     if isinstance(function, staticmethod | classmethod) or not callable(function):
         return  # inherited, or of a kind of its own: it tells by itself
+    if inspect.iscoroutinefunction(function) or inspect.isgeneratorfunction(function):
+        raise ValueError(
+            f"policy {name!r}: {function.__name__} is a coroutine or a generator, give a function "
+            "that returns the action"
+        )
     try:
         inspect.signature(function).bind(*arguments)
     except TypeError as error:
@@ -79,7 +84,8 @@ class Own:
         """The action. Raises ValueError for what is no finite numbers of an action."""
         action = self._called("act", observation)
         try:
-            numbers = np.asarray(action, np.float32)
+            with np.errstate(over="ignore"):  # what is too large is told below
+                numbers = np.asarray(action, np.float32)
         except (TypeError, ValueError):
             numbers = np.array([np.nan])
         if numbers.ndim != 1 or not np.isfinite(numbers).all():
@@ -112,7 +118,9 @@ def from_file(name: str) -> Any:
     Raises:
         ValueError: there is no such file or name, or the file cannot be run.
     """
-    file, _, function = name.rpartition(":")
+    file, colon, function = name.rpartition(":")
+    if not colon:
+        raise ValueError(f"policy {name!r}: which of its functions? Write {name}:function")
     return _load(name, Path(file), function)
 
 
