@@ -1,6 +1,8 @@
 """Options that several commands have."""
 
 import argparse
+import gc
+import importlib
 import inspect
 import json
 from typing import TYPE_CHECKING, Any
@@ -42,12 +44,18 @@ def work(options: argparse.Namespace) -> "Work":
 
 
 def prepare(options: argparse.Namespace) -> None:
-    """Have workers on this machine loaded while the command loads itself."""
+    """Load the command, and meanwhile have workers on this machine loaded."""
     if options.workers and options.workers > 0 and options.ray is None:
         from ..scale.template import prepare
 
         played = {"env": options.env, "drive": options.drive}
         prepare([("servogym.training.evaluate.parts:once", played)])
+    gc.disable()  # it would look again and again through what stays
+    try:
+        importlib.import_module("servogym.training.evaluate.compare")
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def named(text: str) -> tuple[str, Any]:

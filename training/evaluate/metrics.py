@@ -121,7 +121,7 @@ def summarise(values: np.ndarray, better: str = "high", *, share: bool = False) 
         share: tell the mean instead of the interquartile mean.
     """
     statistic = mean if share else iqm
-    low, high = _interval(statistic(_drawn(values, 0)))
+    low, high = _interval(_estimates(values, 0, share))
     finite = np.sort(values[np.isfinite(values)])
     if share and np.isin(finite, (0.0, 1.0)).all():
         bounds = _wilson(float(finite.mean()), int(np.isfinite(values).any(axis=0).sum()))
@@ -149,18 +149,29 @@ def difference(one: np.ndarray, other: np.ndarray, *, share: bool = False) -> Di
     """
     statistic = mean if share else iqm
     value = statistic(one.reshape(1, -1))[0] - statistic(other.reshape(1, -1))[0]
-    low, high = _interval(statistic(_drawn(one, 0)) - statistic(_drawn(other, 1)))
+    low, high = _interval(_estimates(one, 0, share) - _estimates(other, 1, share))
     return Difference(float(value), low, high)
 
 
-def _drawn(values: np.ndarray, stream: int) -> np.ndarray:
-    """Resamples, shape ``(RESAMPLES, trainings × episodes)``; each stream draws other trainings."""
-    return values.ravel()[_chosen(*values.shape, stream)]
+def _estimates(values: np.ndarray, stream: int, share: bool) -> np.ndarray:
+    """Of each resample, shape ``(RESAMPLES,)``; each stream draws other trainings.
+
+    Kept, since the interval of a policy and its differences from others want the same.
+    """
+    trainings, episodes = values.shape
+    stream = stream if trainings > 1 else 0  # there is one to be drawn
+    return _kept(np.asarray(values, float).tobytes(), trainings, episodes, stream, share)
+
+
+@lru_cache(maxsize=512)
+def _kept(values: bytes, trainings: int, episodes: int, stream: int, share: bool) -> np.ndarray:
+    drawn = np.frombuffer(values)[_chosen(trainings, episodes, stream)]
+    return mean(drawn) if share else iqm(drawn)
 
 
 @lru_cache(maxsize=4)
 def _chosen(trainings: int, episodes: int, stream: int) -> np.ndarray:
-    """What `_drawn` draws, the same for all metrics."""
+    """The resamples, the same for all metrics, shape ``(RESAMPLES, trainings × episodes)``."""
     chosen = np.random.default_rng([BOOTSTRAP_SEED, 0])
     of_episodes = chosen.integers(0, episodes, (RESAMPLES, 1, episodes))
     chosen = np.random.default_rng([BOOTSTRAP_SEED, 1 + stream])

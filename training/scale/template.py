@@ -4,6 +4,7 @@ It is the fork server of `multiprocessing`, which imports this module first. A c
 before it loads anything itself: this module needs nothing but Python's own library.
 """
 
+import gc
 import json
 import os
 import signal
@@ -57,6 +58,7 @@ def _do(path: list[str], calls: list[Call]) -> None:
 
     sys.path[:] = path
     os.environ[THREADS] = "1"  # a process with threads cannot be forked
+    gc.disable()
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who sends the jobs
     try:
         for place, arguments in calls:
@@ -66,6 +68,8 @@ def _do(path: list[str], calls: list[Call]) -> None:
     finally:
         signal.signal(signal.SIGINT, before)
         del os.environ[THREADS]
+        gc.freeze()  # what is there stays, and stays in pages that all workers share
+        gc.enable()
 
 
 if GIVEN in os.environ:
