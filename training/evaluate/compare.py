@@ -6,7 +6,7 @@ returns over the same episodes. Every policy is compared with the best baseline,
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,13 +92,21 @@ class Comparison:
             (policy, repr(own)): Episodes(env, policy, drive, seeds, own, traced)
             for policy, own in (*self._played, *self._bounds)
         }
-        self.jobs = [job for episodes in self._episodes.values() for job in episodes.jobs]
+        jobs = [(key, job) for key, each in self._episodes.items() for job in each.jobs]
+        first = [i for i, (_, job) in enumerate(jobs) if job.arguments["traced"] is not None]
+        order = [*first, *(i for i in range(len(jobs)) if i not in first)]  # `Early` waits for them
+        self.jobs = [jobs[i][1] for i in order]
+        self._places = {
+            key: [order.index(i) for i, (owner, _) in enumerate(jobs) if owner == key]
+            for key in self._episodes
+        }
 
     def results(self, found: Sequence[Result]) -> list[Evaluation]:
         """Of each policy, from the results of the jobs; `score` where the task has a reference."""
-        left, done = iter(found), {}
-        for key, episodes in self._episodes.items():
-            done[key] = episodes.evaluation([next(left) for _ in episodes.jobs])
+        done = {
+            key: episodes.evaluation([found[k] for k in self._places[key]])
+            for key, episodes in self._episodes.items()
+        }
         results = [done[policy, repr(own)] for policy, own in self._played]
         if self._bounds:
             ends = [
@@ -109,6 +117,48 @@ class Comparison:
             ]:
                 result.values["score"] = score
         return results
+
+    def ready(self, found: Mapping[int, Result], k: int) -> Evaluation | None:
+        """Of the policy that the k-th job belongs to, where it was the last of them."""
+        key = next(key for key, places in self._places.items() if k in places)
+        if any(place not in found for place in self._places[key]):
+            return None
+        return self._episodes[key].evaluation([found[place] for place in self._places[key]])
+
+    def traces(self, found: Mapping[int, Result]) -> list[Recording] | None:
+        """Of the traced episode under each policy that recorded it; None while one is missing."""
+        traces = []
+        for policy, own in self._played:
+            key = policy, repr(own)
+            (k,) = (k for k in self._places[key] if self.jobs[k].arguments["traced"] is not None)
+            if k not in found:
+                return None
+            if "time" in found[k]:
+                traces.append(self._episodes[key].trace(found[k]))
+        return traces
+
+
+class Early:
+    """What is made of a comparison while others still play: the second picture, and intervals.
+
+    Args:
+        comparison: whose jobs are done.
+        draw: a picture of what was recorded.
+    """
+
+    def __init__(self, comparison: Comparison, draw: Callable[[Sequence[Recording]], None]):
+        self._comparison, self._draw = comparison, draw
+        self._found: dict[int, Result] = {}
+        self._drawn = False
+
+    def __call__(self, k: int, result: Result) -> None:
+        """The k-th job of the comparison is done."""
+        self._found[k] = result
+        if not self._drawn and (traces := self._comparison.traces(self._found)) is not None:
+            self._drawn = True
+            self._draw(traces)
+        if (evaluation := self._comparison.ready(self._found, k)) is not None:
+            summaries([evaluation])  # resamples are kept
 
 
 def evaluate(
@@ -236,8 +286,8 @@ def draw(
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
     height = 0.8 + rows * (1.1 + 0.3 * len(results))
-    figure = Figure((4.2 * columns, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = Figure((4.2 * columns, height), 110, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     names = [_label(result.policy) for result in results]
     for panel, metric in zip(panels.flat, shown, strict=False):
@@ -260,7 +310,7 @@ def draw(
         panel.set_visible(False)
     figure.suptitle(f"{title}: interquartile mean, 95 % interval; arrow: better", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    canvas.print_png(path, metadata={"Software": None})  # savefig would draw it three times
 
 
 def run(
@@ -282,7 +332,18 @@ def run(
     name = "-".join([command, folder_of(env), Path(drive).name])
     out = kept_folder(out, name, f"{command}.json", source["command"])
     comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
-    found = work.map(comparison.jobs, folder=out, console=console, warm=[warm(env, drive)])
+    title, episode = f"{env}, drive {drive}", f"episode {traced} of seed {seed}"
+
+    def picture(traces: Sequence[Recording]) -> None:
+        from ..pictures import episode as pictured  # matplotlib, which no job needs
+
+        if traces:  # a bound is never played
+            pictured.draw(out / f"{command}_trace.png", f"{title}, {episode}", _moving(traces))
+
+    found = work.map(
+        comparison.jobs, folder=out, console=console, warm=[warm(env, drive)],
+        then=Early(comparison, picture),
+    )  # fmt: skip
     results = comparison.results(found)
     table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
     heading = ["metric", *(_label(result.policy) for result in results)]
@@ -331,14 +392,9 @@ def run(
         for metric in table
         if metrics[metric].what
     )
-    title = f"{env}, drive {drive}"
     write_page(out / f"{command}.md", title, pages, source, notes)
     write_json(out / f"{command}.json", _data(source, env, drive, results, table, against, apart))
     draw(out / f"{command}.png", title, results, table)
-    from ..pictures import episode as pictured  # matplotlib, which no job needs
-
-    episode = f"episode {traced} of seed {seed}"
-    pictured.draw(out / f"{command}_trace.png", f"{title}, {episode}", _traces(results))
     console.print(f"{out / command}.md, .json, .png and _trace.png")
     work.clear(comparison.jobs, out)
     return 0
@@ -349,11 +405,10 @@ def folder_of(env: str) -> str:
     return short(task(env).ID).replace("/", "-")
 
 
-def _traces(results: Sequence[Evaluation]) -> list[Recording]:
-    """By their labels; idle policies only where there is no other."""
-    moving = [result for result in results if result.policy not in IDLE] or results
-    traces = [(result.trace, _label(result.policy)) for result in moving]
-    return [trace._replace(policy=name) for trace, name in traces if trace is not None]
+def _moving(traces: Sequence[Recording]) -> list[Recording]:
+    """By their labels; of idle policies only where there is no other."""
+    moving = [trace for trace in traces if trace.policy not in IDLE] or traces
+    return [trace._replace(policy=_label(trace.policy)) for trace in moving]
 
 
 def _quoted(name: str, value: Any) -> str:

@@ -89,7 +89,7 @@ class Episodes:
                 arguments={
                     "env": env, "drive": drive, "arguments": dict(arguments), "policy": policy,
                     "training": training, "seeds": self._seeds[begin:end],
-                    "traced": traced - begin if begin <= traced < end else None,
+                    "traced": None if training or not begin <= traced < end else traced - begin,
                     "options": list(options[begin:end]),
                 },
             )
@@ -105,7 +105,6 @@ class Episodes:
 
     def _training(self, parts: Sequence[Result]) -> Evaluation:
         names = [name for name in parts[0] if name.startswith("values/")]
-        seen = next((part for part in parts if "time" in part), None)
         return Evaluation(
             label(self._policy),
             self._seeds,
@@ -114,11 +113,15 @@ class Episodes:
                 for name in names
             },
             [fault for part in parts for fault in part["faults"]],
-            None if seen is None else Recording(
-                label(self._policy), self._channels, self._words, seen["time"], seen["samples"],
-                seen["done"], seen["ended"],
-            ),
+            next((self.trace(part) for part in parts if "time" in part), None),
             metrics=metrics(self._kind),
+        )
+
+    def trace(self, part: Result) -> Recording:
+        """Of the episode that was recorded in a part."""
+        return Recording(
+            label(self._policy), self._channels, self._words, part["time"], part["samples"],
+            part["done"], part["ended"],
         )  # fmt: skip
 
 

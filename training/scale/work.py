@@ -1,8 +1,11 @@
 """`Work`: a list of jobs in, their results in the same order out, whoever does them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -38,7 +41,7 @@ class Work:
 
     def map(
         self, jobs: Sequence[Job], *, folder: Path | None = None, console: Console | None = None,
-        warm: Sequence[Job] = (),
+        warm: Sequence[Job] = (), then: Callable[[int, Result], None] | None = None,
     ) -> list[Result]:  # fmt: skip
         """Results of all, in the order of the jobs.
 
@@ -47,9 +50,11 @@ class Work:
             folder: where results are kept until `clear`; none are if not given.
             console: where to tell how far it is.
             warm: small jobs, done once a machine before the others, so that it compiles once.
+            then: gets the number and the result of each job as soon as it is there, one after the
+                other; where others do the jobs, on a thread beside them.
 
         Raises:
-            Exception: of a job, or of the executor; what was done until then is kept.
+            Exception: of a job, of the executor or of `then`; what was done until then is kept.
         """
         console, kept = console or Console(quiet=True), Kept(folder, self.resume)
         found = [kept.get(job) for job in jobs]
@@ -62,12 +67,16 @@ class Work:
         )  # fmt: skip
         shown = Progress(*columns, console=console, transient=True, disable=not missing)
         try:
-            with shown:
+            with shown, self._beside(then) as tell:
+                for i, result in enumerate(found):
+                    if result is not None:
+                        tell(i, result)
                 bar = shown.add_task("jobs", total=len(jobs), completed=len(jobs) - len(missing))
                 todo = [jobs[i] for i in missing]
                 for k, data in self._done(todo, warm, console) if todo else ():
                     kept.put(todo[k], data)
-                    found[missing[k]] = decoded(data)
+                    found[missing[k]] = result = decoded(data)
+                    tell(missing[k], result)
                     shown.update(bar, advance=1, description=todo[k].name)
         except BaseException:
             done = sum(result is not None for result in found)
@@ -78,6 +87,28 @@ class Work:
                 )  # fmt: skip
             raise
         return [result for result in found if result is not None]
+
+    @contextmanager
+    def _beside(
+        self, then: Callable[[int, Result], None] | None
+    ) -> Iterator[Callable[[int, Result], Any]]:
+        """`then` as `map` calls it; the end waits for it, and raises what it raised."""
+        if then is None or self.alone:
+            yield then or (lambda i, result: None)
+            return
+        told: list[Future[None]] = []
+        thread = ThreadPoolExecutor(1, "servogym")
+        try:
+            yield lambda i, result: told.append(thread.submit(then, i, result))
+            for each in told:
+                each.result()
+        finally:
+            thread.shutdown(cancel_futures=True)
+
+    @property
+    def alone(self) -> bool:
+        """Whether this process does the jobs itself."""
+        return self.ray is None and self.workers is None
 
     def clear(self, jobs: Sequence[Job], folder: Path) -> None:
         """Remove what was kept of them: the results are written."""
