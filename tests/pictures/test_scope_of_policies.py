@@ -137,8 +137,9 @@ def test_the_episode_asked_for_is_drawn(tmp_path, capsys):
 
 def test_idle_policies_are_drawn_only_alone(tmp_path):
     results = compare.evaluate("LinearAxis-v0", ["hold", "ruckig", "random"], "generic", 1, 0)
-    assert [one.policy for one in compare._traces(results)] == ["ruckig"]
-    assert [one.policy for one in compare._traces(results[:1])] == ["hold"]
+    traces = [result.trace for result in results]
+    assert [one.policy for one in compare._moving(traces)] == ["ruckig"]
+    assert [one.policy for one in compare._moving(traces[:1])] == ["hold"]
 
 
 def test_eight_policies_have_eight_colours(tmp_path):

@@ -15,7 +15,7 @@ from servogym.envs.checks import cores
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training import cli
-from servogym.training.evaluate.compare import evaluate
+from servogym.training.evaluate.compare import Comparison, Early, evaluate
 from servogym.training.scale import job as jobs
 from servogym.training.scale import processes
 from servogym.training.scale.job import Job, encoded
@@ -196,6 +196,46 @@ def test_the_files_of_two_workers_are_those_of_none(command, tmp_path):
     assert names == sorted(path.name for path in (tmp_path / "two").iterdir())
     for name in names:
         assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+@pytest.mark.parametrize("work", [ALONE, TWO], ids=["alone", "two"])
+def test_each_result_is_told_once_as_it_comes_and_what_was_kept_too(work, tmp_path):
+    todo, told = listed(deeds.counted, folder=str(tmp_path)), {}
+
+    def then(k, result):
+        assert k not in told
+        told[k] = result["x"]
+
+    ALONE.map(todo[:2], folder=tmp_path)
+    again = Work(work.workers, resume=True)
+    again.map(todo, folder=tmp_path, then=then)
+    assert told == {0: 0, 1: 1, 2: 2, 3: 3}
+    assert sorted(calls(tmp_path)) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("work", [ALONE, TWO], ids=["alone", "two"])
+def test_what_fails_when_it_is_told_of_a_result_ends_the_command_and_loses_none(work, tmp_path):
+    todo = listed(deeds.counted, folder=str(tmp_path))
+
+    def then(k, result):
+        if k == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        work.map(todo, folder=tmp_path, then=then)
+    assert len([*tmp_path.glob("jobs/*.npz")]) == 4
+
+
+def test_the_traced_episode_is_drawn_before_the_last_job_is_done():
+    comparison = Comparison("LinearAxis-v0", ["ruckig", "pd"], "generic", 25, 0, traced=20)
+    drawn = []
+    early = Early(comparison, drawn.append)
+    early(1, comparison.jobs[1]())
+    assert not drawn
+    early(0, comparison.jobs[0]())
+    assert [trace.policy for trace in drawn[0]] == ["ruckig", "pd"]
+    early(2, comparison.jobs[2]())
+    assert len(drawn) == 1
 
 
 def test_workers_out_of_range_are_one_line(capsys):

@@ -8,7 +8,7 @@ from rich.console import Console
 def add(bench: argparse.ArgumentParser) -> None:
     """Its options."""
     bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    bench.add_argument("--repeat", type=int, default=200, help="pairs of blocks (200)")
+    bench.add_argument("--repeat", type=int, help="pairs of blocks (200), or of runs (1)")
     bench.add_argument("--can", action="store_true", help="SDO servers, and drives in lock-step")
     bench.add_argument(
         "--envs", action="store_true", help="the environments, beside the loop and their peers"
@@ -22,13 +22,24 @@ def add(bench: argparse.ArgumentParser) -> None:
         "--gpu", nargs="?", const="cuda", metavar="DEVICE",
         help="machines on a device of warp: cuda if none is named, cuda:1, cpu",
     )  # fmt: skip
+    bench.add_argument(
+        "--workers", nargs="?", const=2, type=int, metavar="N",
+        help="comparisons alone and by N processes (2)",
+    )  # fmt: skip
     bench.add_argument("--json", action="store_true", help="machine-readable")
     bench.set_defaults(run=_bench)
 
 
 def _bench(options: argparse.Namespace, console: Console) -> int:
-    if options.repeat < 1:
+    if options.repeat is not None and options.repeat < 1:
         raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
+    if options.workers is not None:
+        from ..bench import workers as worker_bench
+
+        return worker_bench.run(
+            options.drive, options.workers, options.repeat or 1, options.json, console
+        )
+    options.repeat = options.repeat or 200
     if options.train:
         from ..bench import train as train_bench
 
