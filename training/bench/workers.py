@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -16,14 +17,18 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-ROWS = (  # task and four policies; `learned` of some tasks counts for several trainings
-    ("LinearAxisTracking-v0", "hold,learned,feed_forward,adaptive_feed_forward"),
-    ("CompliantAxis-v0", "hold,ruckig+zvd,lqr,learned"),
-    ("Homing-v0", "hold,search,built_in,learned"),
-    ("GantrySway-v0", "hold,lqr,adaptive_lqr,learned"),
-    ("LinearAxis-v0", "hold,trapezoid,ruckig,learned"),
-)
+from ...envs import TASKS
+from ...envs.registry import short, task
+from ..evaluate.compare import ZERO
+from ..policies import LEARNED, SHIPPED
+
 EPISODES = 50
+
+
+def rows() -> list[tuple[str, str]]:
+    """Of each task that something learned comes for, its id and four policies."""
+    found = [short(each.ID) for each in TASKS if (SHIPPED / each.ID.rpartition("/")[2]).is_dir()]
+    return [(env, ",".join([ZERO, LEARNED, *task(env).POLICIES[:2]])) for env in found]
 
 
 def _seconds(env: str, policies: str, drive: str, out: Path, more: list[str]) -> float:
@@ -69,20 +74,23 @@ def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> d
     }
 
 
-def run(drive: str, workers: int, repeat: int, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
+def run(
+    drive: str, workers: int, compared: Sequence[tuple[str, str]], repeat: int, as_json: bool,
+    console: Console,
+) -> int:  # fmt: skip
+    """Measure and print; -> exit status. `compared`: environments and policies; else `rows`."""
     results: dict[str, Any] = {"workers": workers, "cores": os.cpu_count(), "rows": []}
     if hasattr(os, "getloadavg"):
         results["load_before"] = round(os.getloadavg()[0], 1)
     with console.status("") as status:
-        for env, policies in ROWS:
+        for env, policies in compared or rows():
             status.update(f"measuring {env} ...")
             results["rows"].append(measure(env, policies, drive, workers, repeat))
     if as_json:
         console.file.write(json.dumps(results, indent=1) + "\n")
         return 0
     table = Table(
-        title=f"servogym compare, 4 policies, {EPISODES} episodes; {results['cores']} cores, load "
+        title=f"servogym compare, {EPISODES} episodes; {results['cores']} cores, load "
         f"before {results.get('load_before', 'unknown')}; the files are the same"
     )
     for column in ("", "alone (s)", f"--workers {workers} (s)", "ratio"):
