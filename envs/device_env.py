@@ -334,6 +334,8 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     def render(self) -> tuple[Any, ...] | None:
         """An image of each environment, brought back for it."""
+        if self.render_mode is None:
+            return None
         self._there.fetch(range(self.num_envs))
         self._tables["episodes"].fetch(self._batch.episodes)
         for name in KNOWN:

@@ -32,7 +32,7 @@ VIEWS: tuple[Any, ...] = (  # blocks whose result is an array
     friction.response,
 )  # fmt: skip
 HOPPER = (9, 0)  # compute capability of an H100 or H200
-THREADS = 64  # of a block; a drive takes many registers (inferred, not measured)
+THREADS = 32  # of a block: 4096 machines are a block for each multiprocessor (not measured)
 ENTRY = "servogym"
 
 

@@ -15,6 +15,8 @@ from servogym.drive.memory import address, integers_at
 from servogym.envs import TASKS, faces
 from servogym.envs.engine import gpu
 from servogym.envs.engine.rows import aligned
+from servogym.envs.engine.world import MOVE
+from servogym.envs.engine.worlds import _row
 from servogym.envs.tasks.gantry_sync import GantrySyncEnv
 from servogym.envs.vector_env import ServoVectorEnv
 
@@ -155,6 +157,29 @@ def test_machine_code_is_made_once_for_all_it_depends_on(tmp_path, monkeypatch):
         gpu.code(kernel, (10, 0))
 
 
+def astray(record, at=0, name=""):
+    """Numbers of a record that do not lie at a multiple of their size."""
+    kind = record.base
+    if kind.names:
+        inner = [(kind.fields[each], f"{name}.{each}") for each in kind.names]
+        return [
+            each for (field, place, *_), full in inner for each in astray(field, at + place, full)
+        ]
+    return [name] if at % kind.itemsize else []
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
+def test_a_gpu_finds_each_number_at_a_multiple_of_its_size(task):
+    env = task()
+    machine = _row(env.machine)
+    assert machine.itemsize % 8 == env.EPISODE.itemsize % 8 == 0
+    images = map(aligned, env._images)
+    for record in (machine, env.EPISODE, env.ACTION, env.OBSERVATION, MOVE, *images):
+        assert not astray(record)
+        assert not astray(record, record.itemsize), "nor in the next row"
+    assert astray(np.dtype([("a", "u1"), ("b", "f8")])) == [".b"]
+
+
 def test_a_kernel_is_launched_with_a_thread_a_machine_and_its_addresses(monkeypatch):
     """On a driver that only takes note."""
     launched = []
@@ -171,7 +196,7 @@ def test_a_kernel_is_launched_with_a_thread_a_machine_and_its_addresses(monkeypa
     device = types.SimpleNamespace(arch=100, ordinal=1, stream=types.SimpleNamespace(cuda_stream=5))
     wp = types.SimpleNamespace(ScopedDevice=lambda device: contextlib.nullcontext())
     gpu.launcher(wp, device, gpu.of_part("begin"), 129)(2**40, 4728)
-    assert launched == [(5, (3, 64), ((10, 0), "servogym"), 2**40, 4728, 129)]
+    assert launched == [(5, (5, 32), ((10, 0), "servogym"), 2**40, 4728, 129)]
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """``make_vec(..., device=...)``: on the CPU device of warp what the vectors of the loop give.
 
-With ``SERVOGYM_TEST_DEVICE=cuda`` all of it is tried on a GPU instead.
+With ``SERVOGYM_TEST_DEVICE=cuda`` all of it is tried on a GPU instead; ``SERVOGYM_TEST_STEPS=400``
+plays whole episodes, which takes the CPU device minutes.
 """
 
 import copy
@@ -19,6 +20,8 @@ from servogym.training import cli
 from servogym.training.bench import device as device_bench
 
 ID = "servogym/LinearAxis-v0"
+STEPS = int(os.environ.get("SERVOGYM_TEST_STEPS", "40"))
+SEEN, REWARD = 4e-3, 0.1  # some units of an object; what is rewarded may be a matter of 1 µm
 DEVICE = os.environ.get("SERVOGYM_TEST_DEVICE", "cpu")
 DRAWN = {"friction": (0.5, 1.5), "gains": (0.8, 1.2), "delay": (0, 2), "encoder_noise": 1e-7}
 with_warp = [
@@ -95,6 +98,26 @@ class TestOnADevice:
                 )
         assert cut >= 3
 
+    @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
+    def test_an_episode_of_each_task_is_that_of_the_loop(self, task):
+        import torch
+
+        ours, theirs = (
+            gym.make_vec(task.ID, 2, **where) for where in ({"threads": 1}, {"device": DEVICE})
+        )
+        for vector in (ours, theirs):
+            vector.reset(seed=3)
+        generator = np.random.default_rng(5)
+        for step in range(min(task.STEPS, STEPS)):
+            if step % 10 == 0:
+                actions = generator.uniform(-0.2, 0.2, ours.action_space.shape).astype(np.float32)
+            here, there = ours.step(actions), theirs.step(torch.as_tensor(actions))
+            seen, reward, ended, cut = (each.cpu().numpy() for each in there[:4])
+            np.testing.assert_allclose(seen, here[0], rtol=0, atol=SEEN)
+            np.testing.assert_allclose(reward, here[1], rtol=0, atol=REWARD)
+            np.testing.assert_array_equal(ended, here[2])
+            np.testing.assert_array_equal(cut, here[3])
+
     @pytest.mark.parametrize("ahead", [False, True], ids=["late", "ahead"])
     @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
     def test_who_begins_anew_begins_bit_for_bit_as_in_the_loop(self, task, ahead, monkeypatch):
@@ -105,8 +128,8 @@ class TestOnADevice:
             for where in ({"threads": 1}, {"device": DEVICE})
         ]  # fmt: skip
         ours, theirs = vectors
-        rest, mask = np.zeros(ours.action_space.shape, np.float32), np.array([0, 1, 0, 1], bool)
-        step = lambda vector: vector.step(rest)  # noqa: E731
+        acts, mask = np.full(ours.action_space.shape, 0.1, np.float32), np.array([0, 1, 0, 1], bool)
+        step = lambda vector: vector.step(acts)  # noqa: E731
         seeded = lambda vector: vector.reset(seed=[9, 1, 9, 2], options={"reset_mask": mask})  # noqa: E731
         partly = lambda vector: vector.reset(  # noqa: E731
             seed=[None, 5, None, None], options={"reset_mask": mask}
