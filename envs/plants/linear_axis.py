@@ -1,5 +1,7 @@
 """A linear axis with one drive, commissioned as a user would: through its objects."""
 
+import copy
+import functools
 import math
 from importlib import resources
 from pathlib import Path
@@ -65,7 +67,8 @@ def linear_axis(
         timestep = drive_model.cycle_time["velocity"]
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
-    machine = Machine(_plant(parameters, drive_model, timestep), {"x": drive_model})
+    plant = copy.copy(_plant(parameters, drive_model.rotor_inertia, timestep))
+    machine = Machine(plant, {"x": drive_model})
     commission(machine, "x", parameters)
     if parameter_file is not None:
         machine.drives["x"].use_parameter_file(parameter_file)
@@ -73,12 +76,14 @@ def linear_axis(
     return machine
 
 
-def _plant(p: LinearAxisParameters, drive_model: DriveModel, timestep: float) -> mujoco.MjModel:
+@functools.lru_cache(maxsize=16)  # of a vector, a benchmark, a sweep all are the same
+def _plant(p: LinearAxisParameters, rotor: float, timestep: float) -> mujoco.MjModel:
+    """The model for these parameters on a motor with the inertia `rotor` (kg·m²)."""
     spec = mujoco.MjSpec.from_file(str(MJCF))
     gear = 2 * math.pi / p.feed_constant
     spec.option.timestep = timestep
     joint = spec.joint("x")
-    rotor = drive_model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
+    rotor = rotor if p.rotor_inertia is None else p.rotor_inertia
     joint.armature = (rotor + p.transmission_inertia) * gear**2
     joint.frictionloss = p.coulomb_friction
     joint.damping[0] = p.viscous_friction
