@@ -163,12 +163,17 @@ def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str,
 
 
 def write_text(path: Path, text: str) -> None:
+    """As `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
     """Completely or not at all: a full disk leaves what was there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        scratch.write_text(text, encoding="utf-8", newline="")
+        scratch.write_bytes(data)
         scratch.replace(path)
     except OSError as error:
         scratch.unlink(missing_ok=True)
-        raise OSError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise type(error)(f"{path} cannot be written: {error.strerror or error}") from None

@@ -132,6 +132,23 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays(tmp_path, monkeypatc
     assert calls(tmp_path) == [0, 1, 2, 2, 3]
 
 
+def test_the_same_command_beside_this_one_may_clear_the_folder_meanwhile(tmp_path, monkeypatch):
+    todo, write, cleared = listed(deeds.counted, folder=str(tmp_path)), Path.write_bytes, []
+
+    def clearing(path, data):
+        write(path, data)
+        if len(cleared) < 2:
+            cleared.append(path)
+            ALONE.clear(todo, tmp_path)
+        return len(data)
+
+    monkeypatch.setattr(Path, "write_bytes", clearing)
+    with pytest.raises(OSError, match="No such file"):
+        ALONE.map(todo[:1], folder=tmp_path)
+    cleared[1:] = []
+    assert ALONE.map(todo, folder=tmp_path)[3] == {"x": 3}
+
+
 def test_a_changed_file_of_a_policy_is_another_job(tmp_path):
     file = tmp_path / "own.py"
     file.write_text("a = 1")
@@ -229,13 +246,14 @@ def test_what_fails_when_it_is_told_of_a_result_ends_the_command_and_loses_none(
 def test_the_traced_episode_is_drawn_before_the_last_job_is_done():
     comparison = Comparison("LinearAxis-v0", ["ruckig", "pd"], "generic", 25, 0, traced=20)
     drawn = []
-    early = Early(comparison, drawn.append)
+    early = Early(comparison, lambda traces: drawn.append(traces) or b"PNG")
     early(1, comparison.jobs[1]())
-    assert not drawn
+    assert early.picture is None
     early(0, comparison.jobs[0]())
     assert [trace.policy for trace in drawn[0]] == ["ruckig", "pd"]
     early(2, comparison.jobs[2]())
     assert len(drawn) == 1
+    assert early.picture == b"PNG"
 
 
 def test_workers_out_of_range_are_one_line(capsys):

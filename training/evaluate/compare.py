@@ -4,6 +4,7 @@ Score: 0 is holding still, 1 the reference of the task, both as the interquartil
 returns over the same episodes. Every policy is compared with the best baseline, episode by episode.
 """
 
+import io
 import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +26,7 @@ from ..report import (
     markdown,
     number,
     origin,
+    write_bytes,
     write_json,
     write_page,
 )
@@ -143,20 +145,19 @@ class Early:
 
     Args:
         comparison: whose jobs are done.
-        draw: a picture of what was recorded.
+        draw: gives the bytes of a picture of what was recorded.
     """
 
-    def __init__(self, comparison: Comparison, draw: Callable[[Sequence[Recording]], None]):
+    def __init__(self, comparison: Comparison, draw: Callable[[Sequence[Recording]], bytes]):
         self._comparison, self._draw = comparison, draw
         self._found: dict[int, Result] = {}
-        self._drawn = False
+        self.picture: bytes | None = None
 
     def __call__(self, k: int, result: Result) -> None:
         """The k-th job of the comparison is done."""
         self._found[k] = result
-        if not self._drawn and (traces := self._comparison.traces(self._found)) is not None:
-            self._drawn = True
-            self._draw(traces)
+        if self.picture is None and (traces := self._comparison.traces(self._found)) is not None:
+            self.picture = self._draw(traces) if traces else b""  # a bound is never played
         if (evaluation := self._comparison.ready(self._found, k)) is not None:
             summaries([evaluation])  # resamples are kept
 
@@ -309,8 +310,9 @@ def draw(
     for panel in list(panels.flat)[len(shown) :]:
         panel.set_visible(False)
     figure.suptitle(f"{title}: interquartile mean, 95 % interval; arrow: better", fontsize=11)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    canvas.print_png(path, metadata={"Software": None})  # savefig would draw it three times
+    file = io.BytesIO()
+    canvas.print_png(file, metadata={"Software": None})  # savefig would draw it three times
+    write_bytes(path, file.getvalue())
 
 
 def run(
@@ -334,15 +336,15 @@ def run(
     comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
     title, episode = f"{env}, drive {drive}", f"episode {traced} of seed {seed}"
 
-    def picture(traces: Sequence[Recording]) -> None:
+    def picture(traces: Sequence[Recording]) -> bytes:
         from ..pictures import episode as pictured  # matplotlib, which no job needs
 
-        if traces:  # a bound is never played
-            pictured.draw(out / f"{command}_trace.png", f"{title}, {episode}", _moving(traces))
+        return pictured.drawn(f"{title}, {episode}", _moving(traces))
 
+    early = Early(comparison, picture)
     found = work.map(
         comparison.jobs, folder=out, console=console, warm=[warm(env, drive)],
-        then=Early(comparison, picture),
+        then=early,
     )  # fmt: skip
     results = comparison.results(found)
     table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
@@ -395,6 +397,8 @@ def run(
     write_page(out / f"{command}.md", title, pages, source, notes)
     write_json(out / f"{command}.json", _data(source, env, drive, results, table, against, apart))
     draw(out / f"{command}.png", title, results, table)
+    if early.picture:
+        write_bytes(out / f"{command}_trace.png", early.picture)
     console.print(f"{out / command}.md, .json, .png and _trace.png")
     work.clear(comparison.jobs, out)
     return 0

@@ -1,5 +1,6 @@
 """One fixed episode under several policies, as an oscilloscope shows it: panels over the time."""
 
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from ...envs.view.channels import Channel
-from ..report import GRID
+from ..report import GRID, write_bytes
 from .recording import Recording
 from .scope import DEMAND, FORBIDDEN, show_both
 
@@ -28,6 +29,11 @@ DASHED = (0, (5, 2))
 
 def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
     """A panel a channel, a colour a policy, to `path`. All are of the same task."""
+    write_bytes(path, drawn(title, traces))
+
+
+def drawn(title: str, traces: Sequence[Recording]) -> bytes:
+    """The same as the bytes of a PNG."""
     shown = traces[0].channels
     figure = Figure((9.5, 0.9 + 0.22 * len(traces) + 1.35 * len(shown)), 110, layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -50,10 +56,11 @@ def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
         handles=keys, loc="outside lower center", ncols=2, frameon=False, fontsize=8
     )  # fmt: skip
     figure.suptitle(title, fontsize=11)
-    path.parent.mkdir(parents=True, exist_ok=True)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    image.quantize(palette=_palette(), dither=Image.Dither.NONE).save(path, optimize=True)
+    file = io.BytesIO()
+    image.quantize(palette=_palette(), dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
+    return file.getvalue()
 
 
 def _style(i: int) -> Any:

@@ -103,7 +103,8 @@ def _reach(address: str) -> None:
         socket.create_connection((host, port), SECONDS).close()
     except OSError as error:
         raise ValueError(
-            f"--ray {address}: nobody answers there ({error.strerror or error}): see `ray status` on that machine"
+            f"--ray {address}: nobody answers there ({error.strerror or error}): see "
+            "`ray status` on that machine"
         ) from None
 
 

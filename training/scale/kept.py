@@ -1,8 +1,8 @@
 """Results of jobs in a folder: each there completely or not at all, under the digest of its job."""
 
-import os
 from pathlib import Path
 
+from ..report import write_bytes
 from .job import Job, Result, decoded
 
 FOLDER = "jobs"  # in the folder of the results
@@ -34,14 +34,10 @@ class Kept:
         if self.folder is None:
             return
         path = self._path(job)
-        scratch = path.with_suffix(f".{os.getpid()}")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            scratch.write_bytes(data)
-            scratch.replace(path)
-        except OSError as error:
-            scratch.unlink(missing_ok=True)
-            raise OSError(f"{path} cannot be written: {error.strerror or error}") from None
+            write_bytes(path, data)
+        except FileNotFoundError:  # the same command, run beside this one, has just cleared all
+            write_bytes(path, data)
 
     def clear(self, jobs: list[Job]) -> None:
         """Remove those of these jobs, and the folder where no other is in it."""
