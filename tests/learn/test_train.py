@@ -402,7 +402,8 @@ def test_the_bench_trains_both_on_the_same(monkeypatch):
     monkeypatch.setattr(train_bench, "ROLLOUT", 512)
     with sb3.one_thread():
         rows = train_bench.measure("generic", 1, (8,))
-    assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", "ServoVecEnv of 8"]
+    ours = ["ServoVecEnv of 8", "ServoVecEnv of 8, PPO of SB3"]
+    assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", *ours]
     assert rows[0]["ratio"] == 1.0
     assert all(row["rollout_us"] > 0 and row["update_us"] > 0 for row in rows)
 

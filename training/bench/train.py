@@ -1,7 +1,8 @@
 """`servogym bench --train`: PPO on our vector beside PPO on SB3's `DummyVecEnv`, in one run.
 
-The same environment, net, rollout, batches and epochs; only what steps the environments differs.
-Blocks alternate, so a machine that grows slower meanwhile slows both.
+The same environment, net, rollout, batches and epochs; what steps the environments differs, and
+ours acts and learns by compiled code, except in the last row. Blocks alternate, so a machine that
+grows slower meanwhile slows all.
 """
 
 import json
@@ -22,6 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from ...envs import POINT_TO_POINT
 from ..learn import checkpoint, hyperparameters
+from ..learn.compiled import CompiledPPO
 
 ENV = POINT_TO_POINT.ID
 ROLLOUT = 8192  # steps between updates, of all environments together
@@ -45,13 +47,13 @@ class _Stopwatch(BaseCallback):
         return True
 
 
-def _learner(env: VecEnv) -> PPO:
+def _learner(kind: type[PPO], env: VecEnv) -> PPO:
     chosen = hyperparameters.of(POINT_TO_POINT, "PPO")
     names = ("batch_size", "n_epochs", "learning_rate", "gamma", "policy_kwargs")
     settings = {name: chosen[name] for name in names}
     settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     n_steps = ROLLOUT // env.num_envs
-    return PPO("MlpPolicy", VecMonitor(env), n_steps=n_steps, seed=0, device="cpu", **settings)
+    return kind("MlpPolicy", VecMonitor(env), n_steps=n_steps, seed=0, device="cpu", **settings)
 
 
 def _block(model: PPO) -> tuple[float, float]:
@@ -65,13 +67,12 @@ def _block(model: PPO) -> tuple[float, float]:
 
 def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> list[dict[str, Any]]:
     """Medians of `blocks` after one for warming up; the first row is that of the peer."""
-    environments: dict[str, VecEnv] = {
-        f"DummyVecEnv of {PEERS}": DummyVecEnv(
-            [lambda: gym.make(ENV, drive=drive) for _ in range(PEERS)]
-        )
-    }
-    environments |= {f"ServoVecEnv of {n}": sb3.make(ENV, n, drive=drive) for n in ours}
-    learners = {name: _learner(env) for name, env in environments.items()}
+    dummy = DummyVecEnv([lambda: gym.make(ENV, drive=drive) for _ in range(PEERS)])
+    learners = {f"DummyVecEnv of {PEERS}": _learner(PPO, dummy)}
+    for n in ours:
+        learners[f"ServoVecEnv of {n}"] = _learner(CompiledPPO, sb3.make(ENV, n, drive=drive))
+    last = f"ServoVecEnv of {ours[-1]}, PPO of SB3"
+    learners[last] = _learner(PPO, sb3.make(ENV, ours[-1], drive=drive))
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in learners}
     for _ in range(blocks + 1):
         for name, learner in learners.items():
@@ -89,8 +90,8 @@ def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> l
             "ratio": float(np.median(ratio)),
             "ratio_of_the_rollouts": float(np.median(first[:, 0] / found[:, 0])),
         })  # fmt: skip
-    for env in environments.values():
-        env.close()
+    for learner in learners.values():
+        learner.get_env().close()  # type: ignore[union-attr]
     return rows
 
 

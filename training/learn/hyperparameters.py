@@ -1,7 +1,8 @@
 """Hyper-parameters of the training runs: for each algorithm the common ones, and what a task says.
 
 The names are those of the arguments of SB3's algorithms; `n_envs` and `normalize` (running mean and
-variance of observations and rewards) are of what is put around the environments. `batch_size` of
+variance of observations and rewards) are of what is put around the environments; `compiled` is
+whether PPO acts and learns by `servogym.training.learn.compiled` or by torch. `batch_size` of
 PPO is made smaller where it does not divide the rollout, `n_steps` times the environments. A
 `learning_rate` of two numbers goes from the first to the second in the course of the run.
 """
@@ -17,6 +18,7 @@ COMMON: dict[str, dict[str, Any]] = {
     "PPO": {
         "n_envs": 64,
         "normalize": True,
+        "compiled": True,
         "n_steps": 64,  # an environment and update
         "batch_size": 512,
         "n_epochs": 5,
@@ -58,7 +60,7 @@ REAL = {
     "gamma": (0.0, 1.0), "gae_lambda": (0.0, 1.0), "tau": (0.0, 1.0), "clip_range": (0.0, 100.0),
     "vf_coef": (0.0, 1e6), "max_grad_norm": (0.0, 1e6), "target_kl": (0.0, 1e6),
 }  # fmt: skip
-FLAGS = ("normalize", "normalize_advantage", "use_sde")
+FLAGS = ("normalize", "compiled", "normalize_advantage", "use_sde")
 OWN = {  # what a run says of itself
     "seed": "give --seed", "env": "give the id of the environment", "policy": "it is MlpPolicy",
     "device": "a run is on the processor", "tensorboard_log": "the files are in --out",

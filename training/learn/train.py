@@ -29,6 +29,7 @@ from ...envs.registry import short, task
 from ..policies import saved, weights
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
+from .compiled import CompiledPPO
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
 MOST = 10**12  # steps
@@ -258,11 +259,14 @@ def _train(
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)
         env = VecNormalize(env, gamma=settings["gamma"])
+    kind = ALGORITHMS[run.algorithm]
+    if kind is PPO and settings.pop("compiled", False):  # an older checkpoint does not say it
+        kind = CompiledPPO
     model: Any
     try:
-        model = ALGORITHMS[run.algorithm]("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
+        model = kind("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
     except Exception as error:  # SB3 and torch raise anything
-        known = inspect.signature(ALGORITHMS[run.algorithm]).parameters
+        known = inspect.signature(kind).parameters
         for name in settings.keys() - known.keys():
             raise ValueError(
                 f"{run.algorithm} has no hyper-parameter {name!r}: {near(name, known)}"
