@@ -460,6 +460,24 @@ def test_a_bar_counts_the_steps_where_it_is_asked_for(tmp_path, capfd):
     assert "256/256" in "".join(capfd.readouterr())
 
 
+def test_ctrl_c_while_a_checkpoint_is_written_leaves_that_checkpoint(tmp_path, monkeypatch):
+    write, written = weights.save, []
+
+    def cut_off(model, folder):
+        write(model, folder)
+        written.append(folder)
+        if len(written) == 2:  # the first is of the best policy
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(weights, "save", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        brief(tmp_path)
+    (only,) = checkpoint.numbered(tmp_path)
+    assert weights.arrays(only / "state.npz")["num_timesteps"] == 128
+    assert written[1] == written[2], "in the same place"
+    assert not list(tmp_path.glob("checkpoints/.*"))
+
+
 def test_in_a_terminal_it_shows_a_bar_and_ctrl_c_says_how_to_continue(tmp_path):
     pytest.importorskip("tqdm")
     pty = pytest.importorskip("pty", reason="no terminals on this system")

@@ -49,6 +49,7 @@ def save(model, about: dict[str, Any], folder: Path, *, resumable: bool = True) 
         resumable: whether a run can go on from it; else it is the policy alone.
     """
     scratch = folder.with_name(f".{folder.name}.{os.getpid()}")
+    shutil.rmtree(scratch, ignore_errors=True)  # Ctrl-C came while this one was written
     scratch.mkdir(parents=True)
     weights.save(model, scratch)
     if resumable:
