@@ -53,8 +53,8 @@ MOST = 10**9
 WHOLE = {  # the least and the most of those that are whole numbers
     "n_envs": (1, 100_000), "n_steps": (1, MOST), "batch_size": (2, MOST), "n_epochs": (1, MOST),
     "buffer_size": (1, MOST), "learning_starts": (0, MOST), "train_freq": (1, MOST),
-    "gradient_steps": (-1, MOST), "target_update_interval": (1, MOST), "sde_sample_freq": (-1, MOST),
-    "stats_window_size": (1, MOST),
+    "gradient_steps": (-1, MOST), "target_update_interval": (1, MOST),
+    "sde_sample_freq": (-1, MOST), "stats_window_size": (1, MOST),
 }  # fmt: skip
 REAL = {
     "gamma": (0.0, 1.0), "gae_lambda": (0.0, 1.0), "tau": (0.0, 1.0), "clip_range": (0.0, 100.0),
