@@ -4,6 +4,7 @@ import argparse
 import atexit
 import gc
 import importlib
+import io
 import os
 import re
 import signal
@@ -158,8 +159,16 @@ def main(arguments: list[str] | None = None) -> int:
     """
     os.environ.setdefault(BLAS, "1")
     atexit.register(gc.freeze)  # Python would look for garbage in what ends anyway: 0.6 s
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # modules with tasks of your own, as `python -m` finds them
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that has no µ shows a ?
+    try:
+        here = os.getcwd()
+    except OSError:
+        print("servogym: the working directory is there no longer", file=sys.stderr)
+        return 2
+    if here not in sys.path:
+        sys.path.append(here)  # modules with tasks of your own, as `python -m` finds them
     options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
     console = Console()
     warnings.formatwarning = _warned
@@ -173,6 +182,9 @@ def main(arguments: list[str] | None = None) -> int:
 
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
         return options.run(options, console)
+    except BrokenPipeError:  # who reads has enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (Exception, KeyboardInterrupt) as error:
         from ..report import interrupted
 

@@ -144,6 +144,9 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
         finally:
             adapter.shutdown()
         return 0
+    for name in ("listen", "units"):
+        if getattr(options, name):
+            raise ValueError(f"--{name} is for nodes on a bus: give --node-id")
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         machine = _machine(options)
         machine.step()
