@@ -1,6 +1,6 @@
 """Faults to order of an environment: causes inside its drives, and what goes wrong on their bus."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -33,9 +33,13 @@ def sort(faults: Faults) -> tuple[dict[str, float], list["Fault"]]:
 
     if not isinstance(faults, Mapping):
         lines = [faults] if isinstance(faults, str) else faults
+        if not isinstance(lines, Iterable):
+            raise ValueError(f"faults = {faults!r}: give probabilities by name, or lines of a bus")
         return {}, [line if isinstance(line, Fault) else Fault.parse(line) for line in lines]
     causes, bus = {}, []
     for key, probability in faults.items():
+        if not isinstance(key, str):
+            raise ValueError(f"faults[{key!r}]: name a cause, as {{'encoder_loss': 1e-4}}")
         if next(iter(key.split()), "") in KINDS:
             again = "" if " count=" in key else " count=0"
             bus.append(Fault.parse(f"{key}{again} rate={probability}"))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from numbers import Real
 from typing import Any, SupportsFloat, TypeVar
 
 from .. import advice
@@ -37,6 +38,8 @@ class Drives:
     """Drives of a port, looked at together; `Master` commands them."""
 
     def __init__(self, port: Port, *axes: str):
+        if not hasattr(port, "models"):
+            raise ValueError(f"port = {port!r}: give a port, as MachinePort(machine) makes one")
         self.port = port
         self.axes = axes or tuple(port.models)
         if not set(self.axes) <= set(port.models):
@@ -210,7 +213,7 @@ class Drives:
             homing: statusword bit 13 is a homing error.
             alarm: gives a reason to stop all drives, or an empty text.
         """
-        end = self.port.now() + timeout
+        end = self._end(timeout)
 
         def holds(word: int, axis: str) -> bool:
             return (not powered or state_of(word) is State.OPERATION_ENABLED) and condition(
@@ -235,6 +238,12 @@ class Drives:
             if len(self.axes) > 1 or isinstance(error, Interlock):
                 self._stop()
             raise
+
+    def _end(self, timeout: float) -> float:
+        """Until when to wait (s)."""
+        if not isinstance(timeout, Real) or not timeout >= 0.0:
+            raise ValueError(f"timeout = {timeout!r}: give seconds, 0 or more")
+        return self.port.now() + float(timeout)
 
     def _touching(self, *axes: str) -> str:
         """What is in the way of the drives, where the port can see it."""

@@ -89,7 +89,7 @@ class Master(Drives):
         if not faulty:
             return
         faults = ", ".join(f"{axis}: {self._fault(axis)}" for axis in faulty)
-        end = self.port.now() + timeout
+        end = self._end(timeout)
         while still := [axis for axis in faulty if in_fault(self._fresh(axis))]:
             if self.port.now() >= end:
                 raise Timeout(
@@ -186,7 +186,7 @@ class Master(Drives):
         self, bits: int, immediate: bool, what: str, wait: bool, timeout: float
     ) -> None:  # fmt: skip
         """The handshake of profile position."""
-        end = self.port.now() + timeout
+        end = self._end(timeout)
         self.control(bits)
         full = immediate and any(self._word(axis) & S.MODE_12 for axis in self.axes)
         if full:  # such a set-point needs no room
@@ -290,7 +290,7 @@ class Master(Drives):
         if method is not None:
             self._put("homing_method", method)
         self.set_mode(Mode.HOMING)
-        end = self.port.now() + timeout
+        end = self._end(timeout)
         self.control(ENABLED)
         self.control(ENABLED | C.NEW_SET_POINT)
         self.wait(self.port.latency)

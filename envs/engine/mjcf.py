@@ -84,6 +84,8 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
     """
     if not isinstance(mjcf, str | Path):
         raise ValueError(f"mjcf = {mjcf!r}: give the path of an MJCF file, or its text")
+    if not isinstance(folder, str | Path | None):
+        raise ValueError(f"folder = {folder!r}: give the path of a folder")
     text, base, seen = str(mjcf), Path(), set[Path]()
     if not text.lstrip().startswith("<"):
         file = Path(mjcf)

@@ -60,8 +60,10 @@ def commission_joint(
         ValueError: a name without a drive, an argument that is not above 0, or a value the drive
             cannot take, with what to change.
     """
+    if not isinstance(machine, Machine):
+        raise ValueError(f"machine = {machine!r}: give a Machine, as Machine.from_mjcf makes one")
     if name not in machine.drives:
-        raise ValueError(f"name: there is no drive {name!r}: {near(name, machine.drives)}")
+        raise ValueError(f"name: there is no drive {name!r}: {near(str(name), machine.drives)}")
     drive = machine.drives[name]
     if not drive.model.positions:
         return

@@ -215,6 +215,8 @@ class RobotEnv(ServoEnv):
         spec = read(mjcf, folder)
         if drives is None or isinstance(drives, Mapping):
             self._models = named("drives", drives, '{"joint": "generic"}')
+        elif not isinstance(drives, Iterable):
+            raise ValueError(f"drives = {drives!r}: give names, or drive models by name")
         else:
             self._models = dict.fromkeys([drives] if isinstance(drives, str) else drives, "")
         self._models = self._models or dict.fromkeys(_drivable(spec), "")
@@ -222,7 +224,7 @@ class RobotEnv(ServoEnv):
         if not 0 < len(names) <= MOST:
             raise ValueError(f"drives: {len(names)} joints would get one, 1..{MOST} are possible")
         goals = [goals] if isinstance(goals, str) else goals
-        if not (goals is None or isinstance(goals, Iterable)):
+        if not (goals is None or (isinstance(goals, Iterable) and [*goals])):
             raise ValueError(f"goals = {goals!r}: give names of drives, as ['{names[0]}']")
         for name in goals or ():
             if name not in names:

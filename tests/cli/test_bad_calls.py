@@ -35,6 +35,7 @@ from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
 from servogym.envs.vector_env import ServoVectorEnv
+from servogym.training.evaluate.episodes import Evaluator
 from servogym.training.policies import make
 
 HOUSE = tuple(str(Path(next(iter(part.__path__)))) for part in [servogym.envs]) + tuple(
@@ -232,6 +233,17 @@ CALLS = {
     "robot goals": lambda s: RobotEnv(mjcf=ROBOT, goals=3),
     "robot site": lambda s: RobotEnv(mjcf=ROBOT, site=3),
     "robot xml": lambda s: RobotEnv(mjcf="<mujoco><worldbody>"),
+    "timeout that is none": lambda s: s.master.enable(timeout=NAN),
+    "timeout text": lambda s: s.master.enable(timeout="1"),
+    "master of nothing": lambda s: Master(None, "x"),
+    "faults number": lambda s: LinearAxisEnv(faults=3),
+    "faults without a name": lambda s: LinearAxisEnv(faults={None: 0.1}),
+    "robot drives": lambda s: RobotEnv(mjcf=ROBOT, drives=3),
+    "robot folder": lambda s: RobotEnv(mjcf=ROBOT, folder=3),
+    "robot without goals": lambda s: RobotEnv(mjcf=ROBOT, goals=[]),
+    "commission nothing": lambda s: commission_joint(None, "elbow"),
+    "commission no name": lambda s: commission_joint(s.machine, None),
+    "episodes text": lambda s: Evaluator("LinearAxis-v0", episodes="3"),
     "family": lambda s: FAMILY["belt"] if "belt" in FAMILY else linear_axis(mechanics="belt "),
 }  # fmt: skip
 RAW = (

@@ -1,5 +1,6 @@
 """The command line: what each command prints, and how it ends."""
 
+import os
 import re
 import subprocess
 import sys
@@ -201,3 +202,30 @@ def test_who_asks_for_a_version_or_the_commands_loads_no_drive():
 def test_every_command_does_something():
     for name in cli.COMMANDS:
         assert callable(cli.parser(name).commands[name].get_default("run")), name
+
+
+def shell(script, **environment):
+    """What a line of a shell prints, with `servogym` in it, and its exit statuses."""
+    run = f"{sys.executable} -W error -m servogym.training.cli"
+    return subprocess.run(
+        ["bash", "-c", script.replace("servogym", run)], capture_output=True, text=True,
+        env=os.environ | environment, timeout=300,
+    )  # fmt: skip
+
+
+def test_a_pipe_that_is_closed_early_is_no_error():
+    done = shell("servogym drives generic | head -1")
+    assert "Generic CiA 402 servo drive" in done.stdout
+    assert done.stderr == ""
+
+
+def test_a_terminal_without_greek_letters_is_no_error():
+    done = shell("servogym drives", PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "position cycle" in done.stdout
+
+
+def test_a_working_directory_that_is_gone_is_told(tmp_path):
+    done = shell(f"mkdir {tmp_path}/gone; cd {tmp_path}/gone; rmdir ../gone; servogym drives")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "servogym: the working directory is there no longer\n"

@@ -7,6 +7,7 @@ small seeds, does not meet them. All episodes run side by side in a vector envir
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -69,10 +70,10 @@ def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
 
 def fixed(seed: int, episodes: int) -> list[int]:
     """Of the fixed episodes. Raises ValueError for numbers out of range."""
-    if not 1 <= episodes <= SEEDS_APART:
-        raise ValueError(f"--episodes = {episodes} is out of range 1..{SEEDS_APART}")
-    if not 0 <= seed <= 1_000_000:
-        raise ValueError(f"--seed = {seed} is out of range 0..1000000")
+    if not (isinstance(episodes, Integral) and 1 <= episodes <= SEEDS_APART):
+        raise ValueError(f"--episodes = {episodes!r} is out of range 1..{SEEDS_APART}")
+    if not (isinstance(seed, Integral) and 0 <= seed <= 1_000_000):
+        raise ValueError(f"--seed = {seed!r} is out of range 0..1000000")
     first = FIRST_SEED + SEEDS_APART * seed
     return list(range(first, first + episodes))
 
