@@ -169,7 +169,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     if here not in sys.path:
         sys.path.append(here)  # modules with tasks of your own, as `python -m` finds them
-    options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
+    try:
+        options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
     console = Console()
     warnings.formatwarning = _warned
     if threading.current_thread() is threading.main_thread():
