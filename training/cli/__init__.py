@@ -152,13 +152,19 @@ def _warned(
     return FORMAT(message, category, filename, lineno, line)
 
 
+def _freeze() -> None:
+    """Python would look for garbage in what ends anyway: 0.6 s; triton would tell of its own."""
+    if "triton" not in sys.modules:
+        gc.freeze()
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; what a user got wrong is one line on stderr and exit status 2.
 
     SIGTERM ends a command as Ctrl-C does.
     """
     os.environ.setdefault(BLAS, "1")
-    atexit.register(gc.freeze)  # Python would look for garbage in what ends anyway: 0.6 s
+    atexit.register(_freeze)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no µ shows a ?
