@@ -397,9 +397,11 @@ def run(
     write_page(out / f"{command}.md", title, pages, source, notes)
     write_json(out / f"{command}.json", _data(source, env, drive, results, table, against, apart))
     draw(out / f"{command}.png", title, results, table)
+    written = f"{out / command}.md, .json and .png"
     if early.picture:
         write_bytes(out / f"{command}_trace.png", early.picture)
-    console.print(f"{out / command}.md, .json, .png and _trace.png")
+        written = f"{out / command}.md, .json, .png and _trace.png"
+    console.print(written)
     work.clear(comparison.jobs, out)
     return 0
 
