@@ -64,7 +64,9 @@ _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60
 _SILENT = re.compile(r"(?s)<!--.*?-->|<!\[CDATA\[.*?\]\]>")
 _TAG = re.compile(r"""<(/?)([a-z]+)((?:[^"'>]|"[^"]*"|'[^']*')*)>""")
 _ATTRIBUTE = re.compile(r"""([a-z_]+)\s*=\s*("[^"]*"|'[^']*')""")
-_NAN = re.compile(r"""(?i)([a-z_]+)\s*=\s*["'](?:[-+.\de]+\s+)*[-+]?nan\b""")  # among numbers
+_NAN = re.compile(  # a value of numbers among which one is none; what is only a word may be a name
+    r"""(?i)([a-z_]+)\s*=\s*["']\s*(?:[-+.\de]+\s+)*(?<!name=["'])[-+]?nan(?:\s+[-+.\deNA]+)*\s*["']"""
+)
 # elements whose files MuJoCo opens while it parses, and where files of meshes are looked for
 _OPENS = re.compile(r"""<(?:include|model|flexcomp)\b(?:[^"'>]|"[^"]*"|'[^']*')*""")
 _FILE = re.compile(r"""\b(file|meshdir|assetdir)\s*=\s*("[^"]*"|'[^']*')""")

@@ -27,8 +27,8 @@ def recipe(name):
     """A function of the page."""
     text = PAGE.read_text(encoding="utf-8")
     block = next(b for b in re.findall(r"^```python\n(.*?)^```", text, re.S | re.M) if name in b)
-    scope = {}
-    definitions = re.findall(r"^(?:from|import) .*|^def .*?(?=^\S|\Z)", block, re.S | re.M)
+    scope = {}  # of imports and functions only: the rest of the block serves a node of its own
+    definitions = re.findall(r"^(?:from|import) [^\n]*|^def .*?(?=^\S|\Z)", block, re.S | re.M)
     exec("\n".join(definitions), scope)
     return scope[name]
 

@@ -361,9 +361,9 @@ child(fail); m.step(5)
     "bad input": """
 # a number of cycles that is none
 m = linear_axis()
-for wrong in (1.5, -5, "3", None, float("nan"), float("inf"), 10**30, [1], np.float64(0.5)):
+for wrong in (1.5, -5, "3", None, True, float("nan"), float("inf"), 10**30, [1], np.float64(0.5)):
     refused(ValueError, "cycles", m.step, wrong)
-m.step(0); m.step(np.int64(2)); m.step(True); assert round(m.time / m.cycle_time) == 3
+m.step(0); m.step(np.int64(2)); assert round(m.time / m.cycle_time) == 2
 # an index in the couplings
 for field in ("qpos", "dof", "ctrl"):
     for wrong in (10**12, -1, 2**62):
