@@ -50,10 +50,15 @@ def add_curves(curves: argparse.ArgumentParser) -> None:
 
 
 def _train(options: argparse.Namespace, console: Console) -> int:
-    from ..learn import train
+    from ...drive.model.model import load
+    from ...envs.registry import task
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)
+    task(options.env)  # refused before torch is loaded, which takes seconds
+    load(options.drive or "generic")
+    from ..learn import train
+
     console = get_console()  # on which the bar lives: what is printed comes above it
     given = {
         name: getattr(options, name)
