@@ -59,12 +59,16 @@ def test_23_an_object_of_2_kb_comes_in_segments_of_a_64_byte_mailbox(tmp_path):
 
 
 def test_27_the_dictionary_online_is_that_of_the_model():
-    online = on_the_wire("pysoem_services", "dictionary", *GENERIC)
     model = load("generic", "ethercat")
     offline = [
         [index, object_name(rows), rows[-1].subindex, rows]
         for index, rows in members(model).items()
     ]
+    for _ in range(3):  # SOEM leaves an entry empty whose answer comes late, on a busy machine
+        online = on_the_wire("pysoem_services", "dictionary", *GENERIC)
+        pairs = zip(online, offline, strict=True)
+        if all(each[2][row.subindex][0] for each, (*_, rows) in pairs for row in rows):
+            break
     assert [row[0] for row in online] == [row[0] for row in offline]
     for (index, name, entries), (_, wanted, last, rows) in zip(online, offline, strict=True):
         assert name == wanted
