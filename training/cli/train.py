@@ -56,7 +56,8 @@ def _train(options: argparse.Namespace, console: Console) -> int:
     if arguments.asked(options):
         return arguments.listing(options.env, console)
     task(options.env)  # refused before torch is loaded, which takes seconds
-    load(options.drive or "generic")
+    if options.drive:
+        load(options.drive)
     from ..learn import train
 
     console = get_console()  # on which the bar lives: what is printed comes above it

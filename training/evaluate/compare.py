@@ -105,10 +105,7 @@ class Comparison:
 
     def results(self, found: Sequence[Result]) -> list[Evaluation]:
         """Of each policy, from the results of the jobs; `score` where the task has a reference."""
-        done = {
-            key: episodes.evaluation([found[k] for k in self._places[key]])
-            for key, episodes in self._episodes.items()
-        }
+        done = {key: self._evaluation(key, found) for key in self._episodes}
         results = [done[policy, repr(own)] for policy, own in self._played]
         if self._bounds:
             ends = [
@@ -125,7 +122,12 @@ class Comparison:
         key = next(key for key, places in self._places.items() if k in places)
         if any(place not in found for place in self._places[key]):
             return None
-        return self._episodes[key].evaluation([found[place] for place in self._places[key]])
+        return self._evaluation(key, found)
+
+    def _evaluation(
+        self, key: tuple[Any, str], found: Sequence[Result] | Mapping[int, Result]
+    ) -> Evaluation:
+        return self._episodes[key].evaluation([found[k] for k in self._places[key]])
 
     def traces(self, found: Mapping[int, Result]) -> list[Recording] | None:
         """Of the traced episode under each policy that recorded it; None while one is missing."""

@@ -124,8 +124,7 @@ class Node:
             return f"{data.hex(' ').upper()} (bytes)" if data else "nothing"
         if not row.format:
             return json.dumps(data.decode("ascii", "replace"))
-        value = row.unpack(data)
-        return self._number(row, value)
+        return self._number(row, row.unpack(data))
 
     def learn(self, index: int, subindex: int, data: bytes) -> None:
         """The object has this value from now on."""
