@@ -22,7 +22,7 @@ from ...drive.kernel.jit import DISABLED, block, entry
 from ...drive.memory import address, bytes_at, floats_at, integers_at, peek, viewer
 from . import friction, tick
 from .arrays import positions, velocities
-from .guard import JOB, guarded
+from .guard import JOB, clock, guarded
 from .physics import STATE, mj_get_state, mj_reset, mj_set_state, mj_step1, mj_step2
 from .probe import begin_step, probes_at
 from .tick import axes_at, coordinates, copy, couplings_at, mechanics_at, sense, speeds, world_at
@@ -286,14 +286,15 @@ def run(
     """
     job = guarded.job
     more = False
-    while True:
-        begin = time.perf_counter()
-        more = _piece(job, worlds, ticks, rpdos, tpdos, more)
-        if not more:
-            break
-        _settle_pace(int(job["paced"][0]), time.perf_counter() - begin)
-        if stopped and stopped():
-            raise RuntimeError(INTERRUPTED)
+    with clock:
+        while True:
+            begin = time.perf_counter()
+            more = _piece(job, worlds, ticks, rpdos, tpdos, more)
+            if not more:
+                break
+            _settle_pace(int(job["paced"][0]), time.perf_counter() - begin)
+            if stopped and stopped():
+                raise RuntimeError(INTERRUPTED)
     if job["refused"][0] == EXCEPTION:
         _stop(worlds)
         raise RuntimeError(f"the record of a drive holds what no drive can be in: {RESET}")

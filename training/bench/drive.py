@@ -3,7 +3,8 @@
 The drive runs a motion once and its torques are recorded. Then blocks alternate: physics alone with
 those torques replayed, and drive and physics together, both from the same state, both inside a
 compiled loop. Physics alone is `mj_step` on the same model with MuJoCo's own friction in it. Both
-see the same motion, and a machine that grows slower meanwhile slows both.
+see the same motion, and a machine that grows slower meanwhile slows both. MuJoCo's clock stands
+still for both, see `servogym.envs.engine.guard`; what it costs is told too.
 """
 
 import copy
@@ -27,6 +28,7 @@ from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode
 from ...drive.master import Master
 from ...envs.engine import loop
+from ...envs.engine.guard import clock
 from ...envs.engine.machine import NO_IMAGES, Machine
 from ...envs.engine.physics import STATE, addresses, mj_step
 from ...envs.masters.port import MachinePort
@@ -96,6 +98,10 @@ def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, An
         physics_alone(model, data, plain_data.ctrl, torques)
         return (time.perf_counter() - begin) / steps * 1e9
 
+    def without_clock() -> float:
+        with clock:
+            return alone()
+
     machine.restore(snapshot)
     begin_state = np.empty(mujoco.mj_stateSize(plain, STATE))
     mujoco.mj_getState(machine.model, machine.data, begin_state, STATE)
@@ -106,11 +112,13 @@ def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, An
     if np.abs(plain_data.qpos - machine.data.qpos).max() > SAME_MOTION:
         raise RuntimeError("the replay of the torques does not reproduce the motion")
     with_drive()
-    pairs = np.array([(with_drive(), alone()) for _ in range(repeat)])
-    ratios = pairs[:, 0] / pairs[:, 1]
+    taken = np.array([(with_drive(), without_clock(), alone()) for _ in range(repeat)])
+    ratios = taken[:, 0] / taken[:, 1]
+    drive_and_step, step, with_clock = np.median(taken, axis=0).tolist()
     return {
-        "mj_step_ns": float(np.median(pairs[:, 1])),
-        "drive_and_mj_step_ns": float(np.median(pairs[:, 0])),
+        "mj_step_ns": step,
+        "drive_and_mj_step_ns": drive_and_step,
+        "mj_step_with_clock_ns": with_clock,
         "ratio": float(np.median(ratios)),
         "ratio_quartiles": [float(q) for q in np.percentile(ratios, (25, 75))],
         "steps_per_block": steps,
@@ -136,7 +144,8 @@ def two_threads(drive: str, repeat: int) -> dict[str, float]:
 
     def batch(threads: int) -> float:
         begin = time.perf_counter()
-        batches[threads].step(nstep=steps)
+        with clock:
+            batches[threads].step(nstep=steps)
         return time.perf_counter() - begin
 
     run(machines)
@@ -201,6 +210,11 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
             f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
         )  # fmt: skip
     console.print(table)
+    rates: Any = results["rates_of_the_model"]
+    console.print(
+        "MuJoCo's clock stands still in both; where it is read for MjData.timer, mj_step takes "
+        f"{rates['mj_step_with_clock_ns']:.0f} ns"
+    )
     threads: Any = results["two_threads_over_one"]
     console.print(
         f"two machines on two threads over one: {threads['machines']:.2f} times the steps "

@@ -1,0 +1,124 @@
+"""MuJoCo's clock stands still while a machine is stepped, and in nothing that is not ours."""
+
+import multiprocessing
+import os
+import threading
+import time
+
+import mujoco
+import pytest
+
+from servogym.envs import linear_axis
+from servogym.envs.engine.guard import clock
+
+STEP = int(mujoco.mjtTimer.mjTIMER_POSITION)
+FOREIGN = (
+    '<mujoco><worldbody><body><joint type="slide"/><geom size="1"/></body></worldbody></mujoco>'
+)
+
+
+def timed(steps=50):
+    """Seconds MuJoCo's timer has for steps of somebody else's model."""
+    model = mujoco.MjModel.from_xml_string(FOREIGN)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, steps)
+    assert data.timer[STEP].number == steps
+    return data.timer[STEP].duration
+
+
+def test_the_timers_of_a_machine_count_but_take_no_time():
+    machine = linear_axis()
+    before, taken = machine.data.timer[STEP].number, machine.data.timer[STEP].duration
+    machine.step(3)
+    assert machine.data.timer[STEP].number == before + 3 * machine.physics_steps
+    assert machine.data.timer[STEP].duration == taken
+
+
+def test_the_clock_goes_on_for_others():
+    assert timed() > 0.0
+    linear_axis().step()
+    assert timed() > 0.0
+
+
+def test_it_goes_on_after_a_step_that_failed():
+    machine = linear_axis()
+
+    def fail(model, data):
+        raise ArithmeticError("of the user's own")
+
+    mujoco.set_mjcb_control(fail)
+    try:
+        with pytest.raises(ArithmeticError):
+            machine.step()
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert timed() > 0.0
+
+
+def test_a_clock_of_the_users_own_is_read_and_kept():
+    machine, calls = linear_axis(), [0]
+
+    def count():
+        calls[0] += 1
+        return float(calls[0])
+
+    mujoco.set_mjcb_time(count)
+    try:
+        machine.step()
+        assert calls[0] > 0
+        assert mujoco.get_mjcb_time() is count
+    finally:
+        mujoco.set_mjcb_time(None)
+    assert timed() > 0.0
+
+
+def test_a_clock_set_while_machines_are_stepped_is_kept():
+    with clock:
+        mujoco.set_mjcb_time(time.perf_counter)
+    try:
+        assert mujoco.get_mjcb_time() is time.perf_counter
+    finally:
+        mujoco.set_mjcb_time(None)
+    assert timed() > 0.0
+
+
+def test_the_last_thread_starts_it():
+    inside, leave = threading.Barrier(3), [threading.Event() for _ in range(2)]
+
+    def stay(event):
+        with clock:
+            inside.wait()
+            event.wait()
+
+    threads = [threading.Thread(target=stay, args=(event,)) for event in leave]
+    for thread in threads:
+        thread.start()
+    inside.wait()
+    for thread, event in zip(threads, leave, strict=True):
+        assert timed() == 0.0
+        event.set()
+        thread.join()
+    assert timed() > 0.0
+
+
+def test_threads_that_come_and_go_leave_it_going():
+    def step(machine):
+        for _ in range(200):
+            machine.step()
+
+    threads = [threading.Thread(target=step, args=(linear_axis(),)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert timed() > 0.0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_child_forked_in_the_middle_has_it_going():
+    with clock:
+        with multiprocessing.get_context("fork").Pool(1) as pool:
+            taken = pool.apply(timed)
+        assert timed() == 0.0
+    assert taken > 0.0
+    assert timed() > 0.0
