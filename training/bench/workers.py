@@ -1,6 +1,7 @@
 """`servogym bench --workers`: `servogym compare` alone and by workers, in turns, as a user runs it.
 
-Each run is a process of its own, from its start to its end; the files of both have to be the same.
+Alone it steps physics on all cores, so it is measured on one thread too. Each run is a process of
+its own, from its start to its end; the files of all have to be the same.
 """
 
 import json
@@ -31,13 +32,16 @@ def rows() -> list[tuple[str, str]]:
     return [(env, ",".join([ZERO, LEARNED, *task(env).POLICIES[:2]])) for env in found]
 
 
-def _seconds(env: str, policies: str, drive: str, out: Path, more: list[str]) -> float:
+def _seconds(
+    env: str, policies: str, drive: str, out: Path, more: Sequence[str] = (), **variables: str
+) -> float:
     words = ["compare", env, "--policies", policies, "--drive", drive]
     words += ["--episodes", str(EPISODES), "--out", str(out), *more]
     begin = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "servogym.training.cli", *words], capture_output=True, text=True
-    )
+        [sys.executable, "-m", "servogym.training.cli", *words],
+        capture_output=True, text=True, env=os.environ | variables,
+    )  # fmt: skip
     seconds = time.perf_counter() - begin
     if done.returncode:
         raise RuntimeError(f"servogym {' '.join(words)}: {done.stderr.strip()}")
@@ -49,28 +53,31 @@ def _files(folder: Path) -> dict[str, bytes]:
 
 
 def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> dict[str, Any]:
-    """Seconds of `repeat` pairs of runs, and the median of their ratios.
+    """Seconds of `repeat` runs on one thread, on all and by workers, and medians of their ratios.
 
     Raises RuntimeError where the files differ, or a run fails.
     """
-    pairs = []
+    taken = []
     with tempfile.TemporaryDirectory() as scratch:
-        alone, shared = Path(scratch, "alone"), Path(scratch, "shared")
-        _seconds(env, policies, drive, alone, [])  # compiles what is not kept yet
+        serial, alone, shared = (Path(scratch, name) for name in ("serial", "alone", "shared"))
+        _seconds(env, policies, drive, alone)  # compiles what is not kept yet
         for _ in range(repeat):
-            pairs.append((
-                _seconds(env, policies, drive, alone, []),
+            taken.append((
+                _seconds(env, policies, drive, serial, SERVOGYM_THREADS="1"),
+                _seconds(env, policies, drive, alone),
                 _seconds(env, policies, drive, shared, ["--workers", str(workers)]),
             ))  # fmt: skip
-            if _files(alone) != _files(shared):
+            if not _files(serial) == _files(alone) == _files(shared):
                 raise RuntimeError(f"{env}: the files of {workers} workers are not those of none")
     return {
         "env": env,
         "policies": policies,
-        "alone_s": median(one for one, _ in pairs),
-        "workers_s": median(other for _, other in pairs),
-        "ratio": median(one / other for one, other in pairs),
-        "pairs": pairs,
+        "one_thread_s": median(one for one, _, _ in taken),
+        "alone_s": median(two for _, two, _ in taken),
+        "workers_s": median(three for _, _, three in taken),
+        "ratio_to_one_thread": median(one / three for one, _, three in taken),
+        "ratio": median(two / three for _, two, three in taken),
+        "taken": taken,
     }
 
 
@@ -93,10 +100,13 @@ def run(
         title=f"servogym compare, {EPISODES} episodes; {results['cores']} cores, load "
         f"before {results.get('load_before', 'unknown')}; the files are the same"
     )
-    for column in ("", "alone (s)", f"--workers {workers} (s)", "ratio"):
+    heads = ("one thread\n(s)", "alone\n(s)", f"--workers {workers}\n(s)",
+             "over\none thread", "over\nalone")  # fmt: skip
+    for column in ("", *heads):
         table.add_column(column, justify="right" if column else "left")
     for row in results["rows"]:
-        seconds = (f"{row[name]:.1f}" for name in ("alone_s", "workers_s"))
-        table.add_row(f"{row['env']}: {row['policies']}", *seconds, f"{row['ratio']:.2f}")
+        seconds = (f"{row[name]:.1f}" for name in ("one_thread_s", "alone_s", "workers_s"))
+        ratios = (f"{row[name]:.2f}" for name in ("ratio_to_one_thread", "ratio"))
+        table.add_row(f"{row['env']}: {row['policies']}", *seconds, *ratios)
     console.print(table)
     return 0
