@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servogym.training import cli
-from servogym.training.evaluate import compare, leaderboard, suite
+from servogym.training.evaluate import comparison, leaderboard, suite
 from servogym.training.evaluate.submission import FILES, HEAD, fits, read, write
 from servogym.training.policies import SHIPPED
 
@@ -109,7 +109,7 @@ def test_a_submission_is_checked_from_its_weights_and_ranked(entries):
     assert set(made.files) == files
     weights = (SHIPPED / "LinearAxis-v0" / "seed_1" / "weights.npz").read_bytes()
     assert made.files["LinearAxis-v0/seed_1/weights.npz"] == weights
-    by_hand = compare.evaluate(
+    by_hand = comparison.evaluate(
         "LinearAxis-v0", [ONE], "generic", 1, 181, {"randomise": {"payload": (7.5, 15.0)}}
     )[0]
     told = made.table["LinearAxis-v0"]["held_out"]["settling_time"]

@@ -7,7 +7,7 @@ import pytest
 from servogym.envs import FAMILY
 from servogym.envs.registry import task
 from servogym.training import cli
-from servogym.training.evaluate import compare, conditions
+from servogym.training.evaluate import comparison, conditions, tables
 from servogym.training.evaluate.matrix import Matrix
 
 TRACKING = task("LinearAxisTracking-v0")
@@ -66,11 +66,11 @@ def test_a_condition_is_the_evaluation_with_these_arguments(tmp_path):
     assert data["version"] == conditions.VERSION
     assert [*data["conditions"]] == ["payload_of_range=1.5", "delay=1"]
     by_hand = {"payload": 15.0, "friction": (0.5, 2.0)}
-    results = compare.evaluate(
+    results = comparison.evaluate(
         "LinearAxisTracking-v0", ["hold", "feed_forward"], "generic", 2, 0, {"randomise": by_hand}
     )
     found = data["conditions"]["payload_of_range=1.5"]
-    for result, summary in zip(results, compare.summaries(results)["load_error"], strict=True):
+    for result, summary in zip(results, tables.summaries(results)["load_error"], strict=True):
         assert found[result.policy]["summary"]["iqm"] == summary.iqm
     assert found["hold"]["difference"]["value"] > 0.0
     page = (tmp_path / "conditions.md").read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.training import cli
-from servogym.training.evaluate import compare
+from servogym.training.evaluate import compare, comparison, tables
 from servogym.training.evaluate.episodes import FIRST_SEED, Evaluator
 from servogym.training.evaluate.homing import repeatability
 from servogym.training.evaluate.metrics import METRICS, iqm
@@ -178,9 +178,11 @@ def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
 
 
 def test_holding_still_scores_0_and_the_reference_1():
-    results = compare.evaluate("LinearAxis-v0", ["hold", "ruckig", "proportional"], "generic", 6, 0)
+    results = comparison.evaluate(
+        "LinearAxis-v0", ["hold", "ruckig", "proportional"], "generic", 6, 0
+    )
     hold, ruckig, proportional = (
-        s.iqm for s in compare.summaries(results)["score"] if s is not None
+        s.iqm for s in tables.summaries(results)["score"] if s is not None
     )
     assert hold == pytest.approx(0.0, abs=1e-12)
     assert ruckig == pytest.approx(1.0)
@@ -188,7 +190,7 @@ def test_holding_still_scores_0_and_the_reference_1():
 
 
 def test_each_policy_plays_the_same_episodes_in_the_environment_it_needs():
-    ruckig, pd = compare.evaluate("LinearAxis-v0", ["ruckig", "pd"], "generic", 4, 0)
+    ruckig, pd = comparison.evaluate("LinearAxis-v0", ["ruckig", "pd"], "generic", 4, 0)
     assert ruckig.seeds == pd.seeds
     assert ruckig.values["success"].all()
     assert pd.values["success"].all()
@@ -196,7 +198,7 @@ def test_each_policy_plays_the_same_episodes_in_the_environment_it_needs():
     assert 0.8 < iqm(pd.values["score"]) < 1.0
     assert ruckig.by_training("peak_error") is not None
     assert pd.by_training("peak_error") is None, "in cst nothing follows a position"
-    heavy, hold = compare.evaluate(
+    heavy, hold = comparison.evaluate(
         "LinearAxis-v0", ["pd", "hold"], "generic", 4, 0, {"payload": 20.0, "mode": "cst"}
     )
     assert (heavy.values["settling_time"] > pd.values["settling_time"]).all()
@@ -213,9 +215,9 @@ def test_arguments_of_the_environment_are_on_the_page(tmp_path):
 
 def test_there_is_no_score_where_the_reference_earns_no_more_than_holding_still():
     low, high = np.array([1.0, 3.0]), np.array([4.0, 6.0])
-    assert compare.scores(high, low, high).tolist() == pytest.approx([2 / 3, 4 / 3])
-    assert np.isnan(compare.scores(high, high, low)).all()
-    assert np.isnan(compare.scores(high, low, low)).all()
+    assert comparison.scores(high, low, high).tolist() == pytest.approx([2 / 3, 4 / 3])
+    assert np.isnan(comparison.scores(high, high, low)).all()
+    assert np.isnan(comparison.scores(high, low, low)).all()
 
 
 def test_one_seed_writes_the_same_bytes(tmp_path):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from servogym.training.evaluate.compare import best
 from servogym.training.evaluate.metrics import Summary, _wilson, difference, iqm, mean, summarise
+from servogym.training.evaluate.tables import best
 
 
 def of_one(values):

@@ -10,7 +10,7 @@ from later import Later, only_with
 from servogym.envs.registry import task
 from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training import cli
-from servogym.training.evaluate import compare
+from servogym.training.evaluate import comparison
 from servogym.training.policies import make
 from servogym.training.policies.residual import ResidualVectorEnv, corrected
 
@@ -103,7 +103,7 @@ def test_a_trained_correction_brings_its_baseline_along(made):
 
 def test_it_is_evaluated_as_it_was_trained(made):
     """Through the door of policies, and as corrections in the vector it was trained in."""
-    learned, base = compare.evaluate(ID, [str(made), "feed_forward"], "generic", 2, 0)
+    learned, base = comparison.evaluate(ID, [str(made), "feed_forward"], "generic", 2, 0)
     policy = make(str(made), task(ID)())
     inner = policy._actor
     env = residual(2, "Disabled", previous_action=True)

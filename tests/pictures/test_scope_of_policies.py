@@ -12,7 +12,7 @@ from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
-from servogym.training.evaluate import compare
+from servogym.training.evaluate import compare, comparison
 from servogym.training.evaluate.episodes import Evaluator
 from servogym.training.pictures import episode as trace
 from servogym.training.policies import make
@@ -136,7 +136,7 @@ def test_the_episode_asked_for_is_drawn(tmp_path, capsys):
 
 
 def test_idle_policies_are_drawn_only_alone(tmp_path):
-    results = compare.evaluate("LinearAxis-v0", ["hold", "ruckig", "random"], "generic", 1, 0)
+    results = comparison.evaluate("LinearAxis-v0", ["hold", "ruckig", "random"], "generic", 1, 0)
     traces = [result.trace for result in results]
     assert [one.policy for one in compare._moving(traces)] == ["ruckig"]
     assert [one.policy for one in compare._moving(traces[:1])] == ["hold"]

@@ -14,7 +14,7 @@ from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
-from servogym.training.evaluate import compare
+from servogym.training.evaluate import comparison, tables
 from servogym.training.policies import ANYWHERE, POLICIES, make
 from servogym.training.policies.bound import least_time
 from servogym.training.policies.datasheet import Vibration, datasheet
@@ -72,12 +72,12 @@ def test_a_load_on_a_soft_spring_takes_longer_than_on_a_stiff_one_and_that_as_lo
 
 
 def test_a_bound_is_a_row_of_settling_time_alone_and_below_all_others(tmp_path):
-    results = compare.evaluate("LinearAxis-v0", ["ruckig", "bound"], "generic", 2, 7)
-    table = compare.summaries(results)
+    results = comparison.evaluate("LinearAxis-v0", ["ruckig", "bound"], "generic", 2, 7)
+    table = tables.summaries(results)
     assert [s is None for s in table["episode_return"]] == [False, True]
     times = [result.values["settling_time"] for result in results]
     assert (times[1] < times[0]).all()
-    assert compare.best(table, ["ruckig", "bound"], "settling_time", "low") == "ruckig"
+    assert tables.best(table, ["ruckig", "bound"], "settling_time", "low") == "ruckig"
 
 
 def test_the_first_rehearsal_is_the_episode_as_it_would_be_and_the_eighth_a_fifth_of_its_error():

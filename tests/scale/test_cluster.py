@@ -9,7 +9,7 @@ import pytest
 from later import Later, only_with
 
 from servogym.training import cli
-from servogym.training.evaluate.compare import evaluate
+from servogym.training.evaluate.comparison import evaluate
 from servogym.training.scale import cluster, job
 from servogym.training.scale.job import Job, encoded
 from servogym.training.scale.work import ALONE, Work

@@ -6,7 +6,8 @@ import json
 import pytest
 
 from servogym.training import cli
-from servogym.training.evaluate.compare import evaluate, summaries
+from servogym.training.evaluate.comparison import evaluate
+from servogym.training.evaluate.tables import summaries
 
 
 def rows(folder):

@@ -15,7 +15,7 @@ from servogym.envs.checks import cores
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training import cli
-from servogym.training.evaluate.compare import Comparison, Early, evaluate
+from servogym.training.evaluate.comparison import Comparison, Early, evaluate
 from servogym.training.scale import job as jobs
 from servogym.training.scale import processes
 from servogym.training.scale.job import Job, encoded

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from ...envs import TASKS
 from ...envs.registry import short, task
-from ..evaluate.compare import ZERO
+from ..evaluate.comparison import ZERO
 from ..policies import LEARNED, SHIPPED
 
 EPISODES = 50

@@ -1,24 +1,21 @@
-"""`servogym eval` and `servogym compare`: policies on the same fixed episodes.
+"""`servogym eval` and `servogym compare`: page, data and pictures of policies on the same episodes.
 
-Score: 0 is holding still, 1 the reference of the task, both as the interquartile means of their
-returns over the same episodes. Every policy is compared with the best baseline, episode by episode.
+Every policy is compared with the best baseline, episode by episode.
 """
 
 import io
 import json
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ...envs.about import Metric
 from ...envs.registry import short, task
 from ..pictures.recording import Recording
-from ..policies import POLICIES, needed
+from ..policies import needed
 from ..report import (
     GRID,
     INK,
@@ -30,212 +27,18 @@ from ..report import (
     write_json,
     write_page,
 )
-from ..scale.job import Result
 from ..scale.work import ALONE, Work
-from .episodes import Evaluation, fixed
-from .metrics import METRICS, RESAMPLES, Difference, Summary, difference, iqm, summarise
-from .parts import Episodes, warm
+from .comparison import ZERO, Comparison, Early
+from .episodes import Evaluation
+from .metrics import METRICS, RESAMPLES, Difference, Summary
+from .parts import warm
+from .tables import IDLE, SCORE, SHARES, ahead, best, differences, summaries
 
-ZERO = "hold"
-SCORE = Metric("score", "high", "")
-# arguments that are a way to command and not a part of the task
-COMMANDING = {name for row in POLICIES.values() for name in row.arguments}
 ARROWS = {"high": " →", "low": " ←", "": ""}
-SHARES = ("success", "limited", "faults")  # told as means in percent
 SHOWN = (  # in the picture, the first six that apply
     "score", "settling_time", "tracking_error", "overshoot", "vibration", "sway",
     "reference_error", "peak_error", "rms_torque", "energy",
 )  # fmt: skip
-IDLE = ("hold", "random")  # would spoil the scales of all but the score
-
-
-def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
-    """Of each episode; not a number where `one` earns no more than `zero`."""
-    low, high = float(iqm(zero)), float(iqm(one))
-    span = high - low
-    return (returns - low) / span if span > 0.0 else np.full_like(returns, np.nan)
-
-
-class Comparison:
-    """Policies on the fixed episodes: the jobs that play them, and the evaluations they give.
-
-    Args:
-        env: id of the environment.
-        policies: by name, each in an environment with the arguments it needs; or classes and
-            functions (`policies.file.policy_of`).
-        drive: drive model.
-        episodes: how many, 1..1000.
-        seed: of the episodes.
-        arguments: of the environment; the ends of the score keep the way they command.
-        traced: the episode to be recorded, 0 being the first.
-        console: a terminal shows there how far it is.
-
-    Raises:
-        ValueError: an unknown environment, drive or policy, before the first episode.
-    """
-
-    def __init__(
-        self, env: str, policies: Sequence[Any], drive: str, episodes: int, seed: int,
-        arguments: Mapping[str, Any] | None = None, traced: int = 0,
-    ):  # fmt: skip
-        given = dict(arguments or {})
-        common = {name: value for name, value in given.items() if name not in COMMANDING}
-        kind = task(env)
-        ends = [ZERO, kind.REFERENCE] if kind.REFERENCE else []
-        seeds = fixed(seed, episodes)
-        if not 0 <= traced < episodes:
-            raise ValueError(
-                f"--trace = {traced} is out of range 0..{episodes - 1}: "
-                "choose one of the episodes, counted from 0"
-            )
-        self._played = [(policy, needed(policy) | given) for policy in dict.fromkeys(policies)]
-        self._bounds = [(policy, common | needed(policy)) for policy in ends]
-        self._episodes = {
-            (policy, repr(own)): Episodes(env, policy, drive, seeds, own, traced)
-            for policy, own in (*self._played, *self._bounds)
-        }
-        jobs = [(key, job) for key, each in self._episodes.items() for job in each.jobs]
-        first = [i for i, (_, job) in enumerate(jobs) if job.arguments["traced"] is not None]
-        order = [*first, *(i for i in range(len(jobs)) if i not in first)]  # `Early` waits for them
-        self.jobs = [jobs[i][1] for i in order]
-        self._places = {
-            key: [order.index(i) for i, (owner, _) in enumerate(jobs) if owner == key]
-            for key in self._episodes
-        }
-
-    def results(self, found: Sequence[Result]) -> list[Evaluation]:
-        """Of each policy, from the results of the jobs; `score` where the task has a reference."""
-        done = {key: self._evaluation(key, found) for key in self._episodes}
-        results = [done[policy, repr(own)] for policy, own in self._played]
-        if self._bounds:
-            ends = [
-                done[policy, repr(own)].values["episode_return"] for policy, own in self._bounds
-            ]
-            for result, score in [
-                (result, scores(result.values["episode_return"], *ends)) for result in results
-            ]:
-                result.values["score"] = score
-        return results
-
-    def ready(self, found: Mapping[int, Result], k: int) -> Evaluation | None:
-        """Of the policy that the k-th job belongs to, where it was the last of them."""
-        key = next(key for key, places in self._places.items() if k in places)
-        if any(place not in found for place in self._places[key]):
-            return None
-        return self._evaluation(key, found)
-
-    def _evaluation(
-        self, key: tuple[Any, str], found: Sequence[Result] | Mapping[int, Result]
-    ) -> Evaluation:
-        return self._episodes[key].evaluation([found[k] for k in self._places[key]])
-
-    def traces(self, found: Mapping[int, Result]) -> list[Recording] | None:
-        """Of the traced episode under each policy that recorded it; None while one is missing."""
-        traces = []
-        for policy, own in self._played:
-            key = policy, repr(own)
-            (k,) = (k for k in self._places[key] if self.jobs[k].arguments["traced"] is not None)
-            if k not in found:
-                return None
-            if "time" in found[k]:
-                traces.append(self._episodes[key].trace(found[k]))
-        return traces
-
-
-class Early:
-    """What is made of a comparison while others still play: the second picture, and intervals.
-
-    Args:
-        comparison: whose jobs are done.
-        draw: gives the bytes of a picture of what was recorded.
-    """
-
-    def __init__(self, comparison: Comparison, draw: Callable[[Sequence[Recording]], bytes]):
-        self._comparison, self._draw = comparison, draw
-        self._found: dict[int, Result] = {}
-        self.picture: bytes | None = None
-
-    def __call__(self, k: int, result: Result) -> None:
-        """The k-th job of the comparison is done."""
-        self._found[k] = result
-        if self.picture is None and (traces := self._comparison.traces(self._found)) is not None:
-            self.picture = self._draw(traces) if traces else b""  # a bound is never played
-        if (evaluation := self._comparison.ready(self._found, k)) is not None:
-            summaries([evaluation])  # resamples are kept
-
-
-def evaluate(
-    env: str, policies: Sequence[Any], drive: str, episodes: int, seed: int,
-    arguments: Mapping[str, Any] | None = None, traced: int = 0, work: Work = ALONE,
-) -> list[Evaluation]:  # fmt: skip
-    """Each policy on the fixed episodes; what is given is that of `Comparison`, and who works."""
-    comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
-    return comparison.results(work.map(comparison.jobs, warm=[warm(env, drive)]))
-
-
-def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
-    """By metric that applies to any: a summary for each policy, None where it does not apply."""
-    table = {}
-    for metric in ("score", *results[0].metrics):
-        better = _row(results, metric).better
-        columns = [result.by_training(metric) for result in results]
-        if any(values is not None for values in columns):
-            table[metric] = [
-                None if values is None else summarise(values, better, share=metric in SHARES)
-                for values in columns
-            ]
-    return table
-
-
-def _row(results: Sequence[Evaluation], metric: str) -> Metric:
-    return SCORE if metric == "score" else results[0].metrics[metric]
-
-
-def _base(name: str) -> str:
-    """Of a policy, without what stands behind the colon."""
-    return name.partition(":")[0]
-
-
-def best(
-    table: Mapping[str, Sequence[Summary | None]], names: Sequence[str], metric: str, better: str
-) -> str:
-    """The best baseline by the interquartile mean of a metric; an idle one if there is no other.
-
-    An oracle is no baseline: it knows what no controller can.
-
-    Args:
-        table: of `summaries`.
-        names: of its columns.
-        metric: of the task.
-        better: "high" or "low".
-
-    Returns the first policy where no baseline has that metric.
-    """
-    known = {
-        name: s
-        for name, s in zip(names, table.get(metric, ()), strict=False)
-        if s is not None and _base(name) in POLICIES
-    }
-    rivals = [n for n in known if n not in IDLE and not POLICIES[_base(n)].told] or list(known)
-    sign = -1.0 if better == "high" else 1.0
-    return min(rivals, key=lambda name: sign * known[name].iqm, default=names[0])
-
-
-def differences(results: Sequence[Evaluation], against: str) -> dict[str, list[Difference | None]]:
-    """By metric: each policy less the one it is compared with, None where one has no value."""
-    (other,) = (result for result in results if result.policy == against)
-    table: dict[str, list[Difference | None]] = {}
-    for metric in ("score", *results[0].metrics):
-        base = other.by_training(metric)
-        columns = [result.by_training(metric) for result in results]
-        if base is not None:
-            table[metric] = [
-                None
-                if values is None or result is other
-                else difference(values, base, share=metric in SHARES)
-                for result, values in zip(results, columns, strict=True)
-            ]
-    return table
 
 
 def _cell(metric: str, summary: Summary | None) -> str:
@@ -268,11 +71,6 @@ def _apart(metric: str, found: Difference | None, better: str) -> str:
     else:
         text = f"{number(found.value)} [{number(found.low)}, {number(found.high)}]"
     return f"**{text}**" if ahead(found, better) else text
-
-
-def ahead(found: Difference, better: str) -> bool:
-    """Whether the interval of a difference leaves 0 out, on the better side."""
-    return found.low > 0.0 if better == "high" else found.high < 0.0 and better == "low"
 
 
 def draw(

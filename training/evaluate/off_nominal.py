@@ -12,11 +12,12 @@ from ..pictures import heat_map
 from ..policies import label
 from ..report import GRID, kept_folder, markdown, number, origin, write_json, write_page
 from ..scale.work import ALONE, Work
-from .compare import _label, ahead, best, folder_of, summaries
+from .compare import _label, folder_of
 from .conditions import NOMINAL, TABLES, VERSION, Condition, chosen, suiting
 from .matrix import Matrix
 from .metrics import Difference, Summary, difference, metrics
 from .parts import warm
+from .tables import ahead, best, summaries
 
 GAP = "gap"
 

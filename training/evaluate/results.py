@@ -18,9 +18,9 @@ from ...envs.registry import task
 from ..policies import LEARNED, SHIPPED
 from ..report import markdown, number
 from . import repeat
-from .compare import SHARES, ahead
 from .metrics import METRICS, Difference, Summary, metrics
 from .repeat import folders, text
+from .tables import SHARES, ahead
 
 FILE, PAGE, HONEST = "compare.json", "README.md", "**Where the baseline is better**"
 PICTURES = {  # as far as they are there

@@ -20,9 +20,11 @@ from ..report import markdown, number, origin, write_csv, write_json, write_page
 from ..scale.job import Job, Result
 from ..scale.work import Work
 from . import conditions
-from .compare import SCORE, Comparison, _label, summaries
+from .compare import _label
+from .comparison import Comparison
 from .metrics import metrics
 from .parts import warm
+from .tables import SCORE, summaries
 
 AT_A_TIME = 8  # trials of a study that are asked for before the first of them is judged
 SAMPLER_SEED = 0
