@@ -202,10 +202,13 @@ def code(kernel: Kernel, capability: tuple[int, int] = HOPPER) -> bytes:
         return path.read_bytes()
     name = re.compile(r"^(\.visible \.entry )(\w+)", re.M)
     made = machine_code(name.sub(rf"\1{ENTRY}", ptx(kernel, capability)), capability)
-    with suppress(OSError):
-        part = path.with_suffix(f".{os.getpid()}")
+    part = path.with_suffix(f".{os.getpid()}")
+    try:
         part.write_bytes(made)
         part.replace(path)
+    except OSError:  # a full disk, say: it is compiled again the next time
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
     return made
 
 
