@@ -158,7 +158,7 @@ class Machine:
 
     @property
     def data(self) -> mujoco.MjData:
-        """The state of the physics."""
+        """The state of the physics; its ``timer`` counts calls, see `guard`, and takes no time."""
         if self._residence:
             with self.turn:
                 loop.enter(self.addresses)
