@@ -23,7 +23,7 @@ from ..checks import in_range, whole
 from ..engine.machine import Machine
 from .identify import identify
 from .margins import LEAST_COHERENCE
-from .needs import control
+from .needs import scipy
 from .response import Response, mean_of_neighbours
 from .stand import (
     LIMITED,
@@ -88,9 +88,9 @@ def bode(
     Raises:
         ValueError: no such drive, one that has nothing to tune, no room, an argument out of range.
         RuntimeError: a drive has left the run with a fault.
-        ImportError: without the package control.
+        ImportError: without the package scipy.
     """
-    control()
+    scipy("interpolate")
     stand = Stand(machine, drive)
     possible(amplitude, seed)
     nyquist = 0.5 / stand.period

@@ -1,16 +1,18 @@
 """Margins of an open loop that is known at some frequencies."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from .needs import control
+from .needs import scipy
 
 LEAST_COHERENCE = 0.8  # of what counts as measured
 TOO_HIGH = 30.0  # of a loop: above it too little of the excitation is left to tell the phase
 FARTHEST = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
+
+Loop = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,36 @@ class Margins:
         return f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
 
 
+def crossings(omega: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray, Loop]:
+    """Where a loop crosses -180 degrees, where it crosses 1, and the loop between its frequencies.
+
+    A cubic spline goes through the points. The numbers are those of `stability_margins` of
+    python-control, which asks its spline for one frequency at a time.
+    """
+    interpolate, brentq = scipy("interpolate"), scipy("optimize").brentq
+    weights, degree = 1 / (np.abs(loop) + 0.001), min(3, len(loop) - 1)
+    spline, _ = interpolate.splprep([loop.real, loop.imag], u=omega, w=weights, s=0.0, k=degree)
+
+    def between(at: np.ndarray) -> np.ndarray:
+        if not np.size(at):
+            return np.zeros(0, complex)
+        real, imaginary = interpolate.splev(at, spline)
+        return real + 1j * imaginary
+
+    def behind(at: np.ndarray) -> np.ndarray:
+        return np.angle(-between(at))
+
+    def above(at: np.ndarray) -> np.ndarray:
+        return np.abs(between(at)) - 1
+
+    def roots(function: Loop, where: np.ndarray) -> np.ndarray:
+        at = np.flatnonzero((np.diff(np.sign(function(omega))) != 0) & where[:-1])
+        return np.array([brentq(function, omega[k], omega[k + 1]) for k in at])
+
+    left = between(omega).real <= 0
+    return roots(behind, left), roots(above, np.ones_like(left)), between
+
+
 def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
     """Margins of an open loop that is stable but for its integrators.
 
@@ -46,9 +78,9 @@ def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
         frequencies: Hz, shape ``(n,)``, from far below the crossover to far above it.
         loop: complex, shape ``(n,)``.
     """
-    omega = 2 * np.pi * frequencies
-    data = control().frd(loop, omega, smooth=True)
-    gains, phases, _, at_phase, at_gain, _ = control().stability_margins(data, returnall=True)
+    at_phase, at_gain, between = crossings(2 * np.pi * frequencies, loop)
+    gains = 1 / np.abs(between(at_phase))
+    phases = np.remainder(np.angle(between(at_gain), deg=True), 360.0) - 180.0
     decibel = np.abs(20 * np.log10(np.maximum(gains, 1e-9)))
     worst = int(np.argmin(decibel)) if len(decibel) else None
     least = int(np.argmin(np.abs(phases))) if len(phases) else None

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...drive.drive import Drive
+from ...drive.kernel.record import AXIS
 from ...drive.kernel.words import Limit, Mode, State
 from ...drive.master import Master
 from ...drive.model.near import near
@@ -21,7 +22,8 @@ from ..engine.machine import Machine
 from ..masters.port import MachinePort
 from ..plants.gantry import PAIR
 
-SAMPLED = ("torque_offset", "torque_command", "velocity", "position")
+SAMPLED = ("torque_offset", "torque_command", "velocity", "position", "limits")
+PACKED = np.dtype([(name, AXIS[name]) for name in SAMPLED])
 ROOM = 0.9  # share of the free way that a run may use
 CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
 # what is sampled after each position cycle
@@ -214,25 +216,25 @@ class Stand:
         movers = [(machine.drives[name], 1) for name in self.movers]
         if against:
             movers[1] = movers[1][0], -1
-        # fields as arrays: by name in each step they took longer than the step
+        # a row of the record a step, looked at afterwards: each value by itself took half a step
         fields: list[tuple[Any, ...]] = [
             (drive.index, sign, drive.axes["od"]["torque_offset"], drive.axes["parameters_changed"],
-             *(drive.axes[name] for name in SAMPLED), drive.axes["limits"])
+             drive.axes[list(SAMPLED)], np.zeros(len(offsets), PACKED))
             for drive, sign in movers
         ]  # fmt: skip
-        samples = np.zeros((len(offsets), 6))
-        for sample, value in zip(samples, np.rint(offsets / per_mille).astype(int), strict=True):
+        for k, value in enumerate(np.rint(offsets / per_mille).astype(int).tolist()):
             for axis, sign, offset, changed, *_ in fields:
                 offset[axis] = sign * value
                 changed[axis] = 1
             machine.step()
-            for axis, sign, _, _, excited, commanded, velocity, position, limits in fields:
-                speed = velocity[axis]
-                sample += (
-                    sign * excited[axis], sign * commanded[axis], sign * speed,
-                    sign * position[axis], bool(limits[axis] & limited),
-                    speed * self._heading <= 0.0,
-                )  # fmt: skip
+            for axis, _, _, _, row, rows in fields:
+                rows[k] = row[axis]
+        samples = np.zeros((len(offsets), 6))
+        for _, sign, *_, rows in fields:
+            for column, name in enumerate(SAMPLED[:LIMITED]):
+                samples[:, column] += sign * rows[name]
+            samples[:, LIMITED] += rows["limits"] & limited != 0
+            samples[:, TURNED] += rows["velocity"] * self._heading <= 0.0
         samples[:, :LIMITED] /= len(movers)
         for name in self.movers:
             drive = machine.drives[name]

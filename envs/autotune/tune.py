@@ -14,7 +14,7 @@ from ..checks import in_range
 from ..engine.machine import Machine
 from .bode import HIGHEST, calm, measured, possible
 from .fit import Asked, fit, why_not
-from .needs import control, scipy
+from .needs import scipy
 from .response import Response
 from .stand import Stand, gains_of, in_units
 from .trial import Friction, Trial, friction, trial
@@ -121,9 +121,9 @@ def tune(
     Raises:
         ValueError: no such drive, one that has nothing to tune, no room, an argument out of range.
         RuntimeError: a drive has left the run with a fault, or oscillates with any gain.
-        ImportError: without the packages control and scipy.
+        ImportError: without the package scipy.
     """
-    control(), scipy("optimize")
+    scipy("optimize")
     possible(amplitude, seed)
     asked = Asked(
         in_range("gain_margin", gain_margin, 2.0, 40.0, "dB"),

@@ -8,9 +8,11 @@ the same lifted to a position cycle. Friction keeps its sign in motion and is le
 
 import mujoco
 import numpy as np
+from later import Later
 
-from servogym.envs.autotune.needs import control
 from servogym.envs.autotune.stand import gains_of
+
+control = Later("control")
 
 
 def plant(machine, names):
@@ -54,7 +56,7 @@ def plant(machine, names):
     whole[-2, : 2 * n] = angle[0]
     whole[-1] = speed[0]
     out = np.vstack([speed, np.hstack([place, np.zeros((1, 3))])])
-    return control().ss(whole, into, out, 0, period)
+    return control.ss(whole, into, out, 0, period)
 
 
 def loops(machine, names, gains=None):
@@ -63,16 +65,16 @@ def loops(machine, names, gains=None):
     gains = gains or gains_of(first)
     mechanics = plant(machine, names)
     period, cycles = mechanics.dt, int(first.axis.velocity_cycles)
-    pi = control().ss(
+    pi = control.ss(
         [[1.0]], [[period / gains.integral_time]], [[gains.velocity_gain]],
         [[gains.velocity_gain]], period,
     )  # fmt: skip
-    velocity = control().series(pi, mechanics)
+    velocity = control.series(pi, mechanics)
     # closed with its command held for a position cycle, the angle looked at as it begins
-    closed = control().feedback(velocity, control().ss([], [], [], [[1.0, 0.0]], period))
+    closed = control.feedback(velocity, control.ss([], [], [], [[1.0, 0.0]], period))
     a, b = np.asarray(closed.A), np.asarray(closed.B)
     held = sum(np.linalg.matrix_power(a, k) for k in range(cycles)) @ b
-    position = control().ss(
+    position = control.ss(
         np.linalg.matrix_power(a, cycles), held * gains.position_gain, closed.C[1:], 0,
         period * cycles,
     )  # fmt: skip
@@ -81,7 +83,7 @@ def loops(machine, names, gains=None):
 
 def smallest(loop):
     """-> gain margin (dB), phase margin (degree), whether the closed loop is stable."""
-    poles = np.abs(np.linalg.eigvals(control().feedback(loop, 1).A))
+    poles = np.abs(np.linalg.eigvals(control.feedback(loop, 1).A))
     z = np.exp(1j * np.geomspace(0.3 * loop.dt, np.pi, 6_000))[:, None, None]
     value = (loop.C @ np.linalg.solve(z * np.eye(len(loop.A)) - loop.A, loop.B) + loop.D)[:, 0, 0]
     phase = np.unwrap(np.angle(value)) / np.pi

@@ -24,9 +24,9 @@ def add(bode: argparse.ArgumentParser) -> None:
 
 def _bode(options: argparse.Namespace, console: Console) -> int:
     from ...envs.autotune.bode import bode
-    from ...envs.autotune.needs import control
+    from ...envs.autotune.needs import scipy
 
-    control()
+    scipy("interpolate")
     machine, name = machines.made(options)
     response = bode(
         machine, name, amplitude=options.amplitude, speed=options.speed, lowest=options.lowest,

@@ -31,11 +31,11 @@ def add(tune: argparse.ArgumentParser) -> None:
 
 
 def _tune(options: argparse.Namespace, console: Console) -> int:
-    from ...envs.autotune.needs import control
+    from ...envs.autotune.needs import scipy
     from ...envs.autotune.stand import Stand, detune
     from ...envs.autotune.tune import tune
 
-    control()
+    scipy("interpolate")
     machine, name = machines.made(options)
     if options.detuned != 1.0:
         for mover in Stand(machine, name).movers:
