@@ -169,11 +169,18 @@ def _write(
         f"title = {json.dumps(title)}", 'based_on = "generic"', 'buses = ["can"]',
         f"without = {json.dumps(without)} # objects.csv has all there are",
     ]  # fmt: skip
+    listed = getattr(od.get(0x60E3), "subindices", {})
+    said = {row.default for subindex, row in listed.items() if subindex}
+    methods = [method for method in base.homing_methods if method in said]
+    if modes or methods:
+        lines += ["", "[capabilities] # 6502h, 60E3h"]
     if modes:
-        lines += ["", "[capabilities] # 6502h", f"modes = {json.dumps(modes)}"]
+        lines.append(f"modes = {json.dumps(modes)}")
+    if methods:
+        lines.append(f"homing_methods = {json.dumps(methods)}")
     (folder / "drive.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "README.md").write_text(
-        _readme(title, eds, bool(modes), unknown, left_out), encoding="utf-8"
+        _readme(title, eds, bool(modes), bool(methods), unknown, left_out), encoding="utf-8"
     )
     return len(rows), tuple(unknown), tuple(left_out)
 
@@ -275,11 +282,12 @@ def _name(variable: ODVariable, taken: set[str]) -> str:
 
 
 def _readme(
-    title: str, eds: Path, modes: bool, unknown: list[str], left_out: list[str]
+    title: str, eds: Path, modes: bool, methods: bool, unknown: list[str], left_out: list[str]
 ) -> str:  # fmt: skip
     def listed(items: list[str]) -> str:
         return "\n".join(f"- {item}" for item in items) or "- none"
 
+    methods_from = "from 60E3h" if methods else "`inferred`: those of `generic`, 60E3h names none"
     modes_from = "from 6502h" if modes else "`inferred`: those of `generic`, 6502h has no default"
     return f"""# {title}
 
@@ -287,9 +295,9 @@ Made from `{_text(eds.name)}` by `servogym drives --from-eds`. An EDS tells obje
 defaults and PDOs. It does not tell what the drive does.
 
 - Behaviour of the objects that CiA 402 knows: `inferred`, as the model `generic`.
-- Cycle times, motor, homing methods, faults: `inferred`, those of `generic`. Correct them in
+- Cycle times, motor, faults: `inferred`, those of `generic`. Correct them in
   `drive.toml`.
-- Modes of operation: {modes_from}.
+- Modes of operation: {modes_from}. Homing methods: {methods_from}.
 - Units of the gains, and what 1010h stores of the drive's own objects: `inferred`.
 
 ## Unknown: objects that keep what is written and do nothing

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from ..kernel.faults import Cause
-from ..kernel.homing import NUMBERS
 from ..kernel.process_data import MAX_BITS
 from ..kernel.record import FIELDS, OD, Axis
-from ..kernel.words import MODE_ABBREVIATION, Mode
+from ..kernel.words import Mode
+from .capabilities import read_capabilities, with_capabilities
 from .ethercat import EtherCat, need_assignment, read_ethercat
 from .near import near
 from .pdo import Mapping, read_pdos
@@ -72,7 +72,6 @@ WITHOUT_POSITION = (
     Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE,
     Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
 )  # fmt: skip
-MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
 
 
 @dataclass(frozen=True)
@@ -334,6 +333,8 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     }
     if bus == "ethercat":
         need_assignment(objects, folder / "objects.csv")
+    modes, methods = read_capabilities(reader.table("capabilities"), reader.path)
+    objects = with_capabilities(objects, modes, methods)
     objects = with_sections(_with_defaults(objects, toml, reader.path), toml.get("sections", {}))
     rpdos, tpdos = read_pdos(file["pdo.csv"], objects, BUSES[bus])
     for row in objects.values():
@@ -342,14 +343,9 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
             raise ValueError(f"{row.where}: {file['pdo.csv']} has only {number} {row.area}s")
     microseconds = reader.cycle_times()
     motor = reader.numbers("motor", ("torque_time_constant_us", "rotor_inertia_kgm2"))
-    capabilities = reader.table("capabilities")
     reader.known("quirks", QUIRKS)
     reader.known("fixed", OD.names or ())
     reader.known("units", UNITS)
-    for kind, known in (("modes", MODES), ("homing_methods", NUMBERS)):
-        for name in capabilities.get(kind, ()):
-            if name not in known:
-                raise ValueError(f"{reader.path}: unknown {kind} {name!r}, known: {[*known]}")
     return DriveModel(
         name=folder.name,
         folder=folder,
@@ -359,8 +355,8 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         cycle_time={name: value * 1e-6 for name, value in microseconds.items()},
         torque_time_constant=motor["torque_time_constant_us"] * 1e-6,
         rotor_inertia=motor["rotor_inertia_kgm2"],
-        modes=tuple(MODES[name] for name in capabilities.get("modes", ())),
-        homing_methods=tuple(capabilities.get("homing_methods", ())),
+        modes=modes,
+        homing_methods=methods,
         quirks={k: Quirk(int(v["value"]), v["source"]) for k, v in toml.get("quirks", {}).items()},
         abort_codes={int(k[:-1], 16): v["value"] for k, v in toml.get("abort_codes", {}).items()},
         units=UNITS | toml.get("units", {}),

@@ -1,0 +1,50 @@
+"""What a model can, from `[capabilities]` of its drive.toml; 6502h and 60E3h repeat it."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..kernel.homing import NUMBERS
+from ..kernel.words import MODE_ABBREVIATION, Mode
+from .rows import Object
+
+MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
+SUPPORTED_MODES, SUPPORTED_METHODS = 0x6502, 0x60E3
+OF_THE_STANDARD = sum(1 << mode - 1 for mode in Mode if mode)  # bits of 6502h; 16-31: the maker's
+
+
+def read_capabilities(
+    table: dict[str, Any], path: Path
+) -> tuple[tuple[Mode, ...], tuple[int, ...]]:
+    """Modes and homing methods. Raises ValueError for one that there is not."""
+    for kind, known in (("modes", MODES), ("homing_methods", NUMBERS)):
+        for name in table.get(kind, ()):
+            if name not in known:
+                raise ValueError(f"{path}: unknown {kind} {name!r}, known: {[*known]}")
+    return tuple(MODES[name] for name in table.get("modes", ())), tuple(
+        table.get("homing_methods", ())
+    )
+
+
+def with_capabilities(
+    objects: dict[tuple[int, int], Object], modes: tuple[Mode, ...], methods: tuple[int, ...]
+) -> dict[tuple[int, int], Object]:
+    """The objects, of which 6502h and 60E3h say what the drive can, where it has them."""
+    told: dict[tuple[int, int], Object] = {}
+    for (index, subindex), row in objects.items():
+        if index == SUPPORTED_MODES and row.format:
+            others = int(row.default) & ~OF_THE_STANDARD
+            row = replace(row, default=others | sum(1 << mode - 1 for mode in modes))
+        elif index == SUPPORTED_METHODS and not subindex:
+            row = replace(row, default=len(methods) if (index, 1) in objects else 0)
+        elif index == SUPPORTED_METHODS:
+            if subindex == 1:  # the others are like the first
+                for n, method in enumerate(methods, 1):
+                    named = f"{row.name.removesuffix('_1')}_{n}"
+                    one = objects.get((index, n)) or replace(
+                        row, subindex=n, name=named, area="constant", offset=0
+                    )
+                    told[index, n] = replace(one, default=method)
+            continue
+        told[index, subindex] = row
+    return told

@@ -1,0 +1,64 @@
+"""6502h and 60E3h tell a master what the drive can, whatever the base of its model could."""
+
+from pathlib import Path
+
+import canopen
+import pytest
+
+from servogym.drive import Drive
+from servogym.drive.canopen import eds
+from servogym.drive.canopen.eds_import import import_eds
+from servogym.drive.kernel.words import Mode
+from servogym.drive.model.model import load
+
+TWO_MODES = 'modes = ["pp", "hm"]\nhoming_methods = [17, -18, 35]\n'
+LIST_OF_ONE = """\
+index,subindex,name,object_type,data_type,access,pdo,unit,min,max,default,storable,section,note,field,when,hook
+0x60E3,0x00,,,,,,,,,,,,,,,
+0x60E3,0x01,,,,,,,,,,,,,,,
+"""
+
+
+def made(folder: Path, base: str, capabilities: str, objects: str = "", defaults: str = "") -> Path:
+    folder.mkdir()
+    text = f'based_on = "{base}"\n[capabilities]\n{capabilities}{defaults}'
+    (folder / "drive.toml").write_text(text, encoding="utf-8")
+    if objects:
+        (folder / "objects.csv").write_text(objects, encoding="utf-8")
+    return folder
+
+
+def told(drive: Drive) -> tuple[list[int], list[int]]:
+    """Modes and methods, as a master asks for them."""
+    bits = drive.read(0x6502)
+    methods = [drive.read(0x60E3, n + 1) for n in range(drive.read(0x60E3, 0))]
+    return [n + 1 for n in range(32) if bits >> n & 1], methods
+
+
+@pytest.mark.parametrize("base", ["generic", "kollmorgen_akd"])
+def test_a_model_with_fewer_modes_and_methods_than_its_base_says_so(tmp_path, base):
+    drive = Drive(made(tmp_path / "own", base, TWO_MODES))
+    assert told(drive) == ([Mode.PROFILE_POSITION, Mode.HOMING], [17, -18, 35])
+    assert (0x60E3, 4) not in drive.model.objects
+
+
+def test_a_model_with_more_methods_than_rows_gets_rows(tmp_path):
+    model = load(made(tmp_path / "own", "festo_cmmp_as", TWO_MODES, LIST_OF_ONE))
+    assert [Drive(model).read(0x60E3, n) for n in range(4)] == [3, 17, -18, 35]
+    assert model.objects[0x60E3, 3].name == "supported_homing_method_3"
+
+
+def test_a_data_sheet_tells_the_same_and_comes_back_with_it(tmp_path):
+    sheet = tmp_path / "own.eds"
+    eds.write(load(made(tmp_path / "own", "generic", TWO_MODES)), sheet)
+    assert canopen.import_od(str(sheet))[0x60E3][0].default == 3
+    again = load(import_eds(sheet, tmp_path / "again").folder)
+    assert again.modes == (Mode.PROFILE_POSITION, Mode.HOMING)
+    assert sorted(again.homing_methods) == [-18, 17, 35]
+
+
+def test_a_default_of_ones_own_and_the_bits_of_the_maker_stay(tmp_path):
+    own = "[defaults]\nsupported_drive_modes = 0x20021\n"
+    folder = made(tmp_path / "own", "generic", TWO_MODES, defaults=own)
+    assert told(Drive(folder))[0] == [1, 6, 18]
+    assert told(Drive(made(tmp_path / "next", str(folder), 'modes = ["pp"]\n')))[0] == [1, 6, 18]
