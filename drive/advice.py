@@ -121,7 +121,10 @@ def advice(model: DriveModel, statusword: int, controlword: int) -> str:
         if statusword & mask == value and model.quirk(quirk) == kind
     ]
     command = command_of(controlword)
-    needed = f"{command.name}: {OBEYED[command]}; else look for a missing enable input (60FDh)"
+    if state_of(statusword) in LEADS_TO.get(command, ()):
+        needed = f"it obeys {command.name}: look at the limit switches (60FDh) and the mode (6061h)"
+    else:
+        needed = f"{command.name}: {OBEYED[command]}; else look for a missing enable input (60FDh)"
     return "; ".join(hindrances) or needed
 
 

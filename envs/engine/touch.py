@@ -25,7 +25,7 @@ def hindrances(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[s
     against = {
         "its limit": data.qfrc_constraint[dof] if limit.any() else 0.0,
         f"its damping of {model.dof_damping[dof]:g}": damping,
-        "its spring": data.qfrc_passive[dof] - damping,
+        "its spring": data.qfrc_spring[dof],
         "weight or the motion of other joints": -data.qfrc_bias[dof],
     }
     slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE

@@ -115,8 +115,8 @@ class Datasheet:
         """The first. Raises ValueError where there is none."""
         if not self.axes:
             raise ValueError(
-                f"{self.task} has no data sheet of its axes: give the task `datasheet` and "
-                "`STROKE`, or use hold or random"
+                f"{self.task} has no data sheet of its axes, which its baselines need, that of "
+                "REFERENCE too: give the task `datasheet` and `STROKE`"
             )
         return self.axes[0]
 
