@@ -125,7 +125,8 @@ def _oscillate(generator, limits, start, times, first, last):
     phase = 2 * math.pi * first * times + rate * times**2 / 2
     omega = 2 * math.pi * first + rate * times
     moving = phase < 2 * math.pi * math.floor(phase[-1] / (2 * math.pi) + 1e-9)
-    sine, cosine = np.sin(phase), np.cos(phase)
+    # those of NumPy differ in the last bit from processor to processor
+    sine, cosine = (np.array([*map(of, phase.tolist())]) for of in (math.sin, math.cos))
     return Reference(
         start + amplitude * (1.0 - cosine) * moving,
         amplitude * omega * sine * moving,
@@ -137,7 +138,7 @@ def _frequencies(generator, times):
     """Two for which a period fits into `times` and has enough samples (Hz), the lower first."""
     finest = 1 / (SAMPLES_PER_PERIOD * (times[1] - times[0]))
     low, high = (max(min(f, finest), 1 / times[-1]) for f in FREQUENCIES)
-    return np.sort(np.exp(generator.uniform(math.log(low), math.log(high), 2)))
+    return sorted(map(math.exp, generator.uniform(math.log(low), math.log(high), 2)))
 
 
 def _sine(generator, limits, start, times):

@@ -12,20 +12,11 @@ import math
 import numpy as np
 
 from ...drive.kernel.jit import block, entry
+from ..policies.network import ONE, ZERO, tanh
 
 ROWS = 32  # of a block: all their numbers fit into the first cache
 HALF_LOG_TAU = np.float32(0.5 * math.log(2.0 * math.pi))
-ZERO, HALF, ONE, TWO = np.array([0.0, 0.5, 1.0, 2.0], np.float32)
-# tanh as a rational function (that of Eigen): within 4e-7 of it, and vectorised by the compiler
-FLAT = np.float32(7.90531110763549805)  # beyond which it is 1
-A0, A1, A2, A3, A4, A5, A6 = np.array([
-    -2.76076847742355e-16, 2.00018790482477e-13, -8.60467152213735e-11, 5.12229709037114e-08,
-    1.48572235717979e-05, 6.37261928875436e-04, 4.89352455891786e-03,
-], np.float32)  # fmt: skip
-B0, B1, B2, B3 = np.array([
-    1.19825839466702e-06, 1.18534705686654e-04, 2.26843463243900e-03, 4.89352518554385e-03,
-], np.float32)  # fmt: skip
-
+HALF, TWO = np.array([0.5, 2.0], np.float32)
 SETTINGS = np.dtype([
     ("batch", "i8"),
     ("rate", "f8"), ("beta1", "f8"), ("beta2", "f8"), ("epsilon", "f8"),  # of Adam
@@ -33,15 +24,6 @@ SETTINGS = np.dtype([
     ("clip", "f4"), ("entropy", "f4"), ("value", "f4"),  # range of the ratio; weights in the loss
 ])  # fmt: skip
 LOSSES = np.dtype([("policy", "f8"), ("value", "f8"), ("divergence", "f8"), ("clipped", "f8")])
-
-
-@block
-def _tanh(z):
-    for i in range(z.shape[0]):
-        x = min(max(z[i], -FLAT), FLAT)
-        s = x * x
-        above = (((((A0 * s + A1) * s + A2) * s + A3) * s + A4) * s + A5) * s + A6
-        z[i] = x * above / (((B0 * s + B1) * s + B2) * s + B3)
 
 
 @block
@@ -127,7 +109,7 @@ def _forward(numbers, widths, begin, turned, n, told):
         _times(told[i], turned[i, : w.size].reshape(inputs, outputs), z, n, inputs, outputs)
         if i < last:
             for r in range(n):
-                _tanh(z[r, : b.shape[0]])
+                tanh(z[r, : b.shape[0]])
 
 
 @block

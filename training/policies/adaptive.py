@@ -7,6 +7,7 @@ sum of squared errors so far is believed: its path, shaped for its resonance, an
 of the loads that `CompliantAxis-v0` draws; weights and shaper are those of `lqr`.
 """
 
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -45,7 +46,7 @@ class Identified(Regulated):
         path = time_optimal(float(seen.distance) * self._axis.stroke - self._rest, self._bounds)
         times, ratio = self._times, self._vibration.ratio
         root = np.sqrt(1.0 - ratio**2)
-        share = np.exp(-np.pi * ratio / root)  # of the second pulse, as `shaped` has it
+        share = math.exp(-np.pi * ratio / root)  # of the second pulse, as `shaped` has it
         halves = np.pi / (self._frequencies * root)
         places = np.tile(path(times), (MODELS, 1))
         for _ in range(SHAPERS):

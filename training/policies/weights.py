@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .network import CLIP, RELU, TANH, forward
 from .saved import ABOUT, MODEL, STATISTICS, read, stable_baselines3
 
 WEIGHTS = "weights.npz"
@@ -26,30 +27,21 @@ COMMAND = "python -m servogym.training.policies.weights {} --unpickle"
 Layer = tuple[np.ndarray, np.ndarray]  # weights (outputs, inputs), biases (outputs,)
 
 PLAIN = {"net_arch", "log_std_init"}  # of policy_kwargs: what changes no more than the widths
-UNIT, ZERO = np.float32(1.0), np.float32(0.0)
 
 
 class Kind(NamedTuple):
-    """How the networks of an algorithm are built."""
+    """How the networks of an algorithm are built; what their layers do is of `network`."""
 
     hidden: str  # prefix of its layers
     last: str
-    activation: Callable[[np.ndarray], np.ndarray]
-    output: Callable[[np.ndarray], np.ndarray]  # of the last layer's numbers
-
-
-def _clipped(x: np.ndarray) -> np.ndarray:
-    return np.minimum(np.maximum(x, -UNIT), UNIT)  # np.clip takes ten times as long
-
-
-def _relu(x: np.ndarray) -> np.ndarray:
-    return np.maximum(x, ZERO)
+    activation: int
+    output: int  # of the last layer
 
 
 KNOWN = {
-    "PPO": Kind("mlp_extractor.policy_net", "action_net", np.tanh, _clipped),
-    "A2C": Kind("mlp_extractor.policy_net", "action_net", np.tanh, _clipped),
-    "SAC": Kind("actor.latent_pi", "actor.mu", _relu, np.tanh),
+    "PPO": Kind("mlp_extractor.policy_net", "action_net", TANH, CLIP),
+    "A2C": Kind("mlp_extractor.policy_net", "action_net", TANH, CLIP),
+    "SAC": Kind("actor.latent_pi", "actor.mu", RELU, TANH),
 }
 
 
@@ -85,10 +77,10 @@ class Weights(NamedTuple):
     def actor(self, about: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray]:
         """The mean action for an observation as it was seen; raises as `policy` does.
 
-        By NumPy where the network is one that `by_numpy` knows, else by torch.
+        Compiled where the network is one that `compiled` knows, else by torch.
         """
         try:
-            mean = by_numpy(about, self.network, self.shape)
+            mean = compiled(about, self.network, self.shape)
         except ValueError as error:
             raise ValueError(f"{WEIGHTS} does not fit the network: {error}") from None
         if mean is not None:
@@ -105,7 +97,7 @@ class Weights(NamedTuple):
         return np.minimum(np.maximum(scaled, -clip), clip).astype(np.float32)
 
 
-def by_numpy(
+def compiled(
     about: Mapping[str, Any], arrays: Mapping[str, np.ndarray], shape: tuple[int, int]
 ) -> Callable[[np.ndarray], np.ndarray] | None:
     """The mean action, float32 in -1..1, for a normalised observation; None for other networks.
@@ -135,12 +127,14 @@ def by_numpy(
         wanted = len(weights)
     if wanted != shape[1]:
         raise ValueError(f"{wanted} numbers come out, there are {shape[1]} actions")
-    *inner, (final, offset) = chain
+    numbers = np.concatenate([part.ravel() for w, b in chain for part in (w.T, b)])
+    widths = np.array([shape[0], *(len(b) for _, b in chain)])
 
     def mean(x: np.ndarray) -> np.ndarray:
-        for weights, biases in inner:
-            x = known.activation(weights @ x + biases)
-        return known.output(final @ x + offset)
+        told = np.empty(shape[1], np.float32)
+        seen = np.ascontiguousarray(x, np.float32)
+        forward(numbers, widths, known.activation, known.output, seen, told)
+        return told
 
     return mean
 

@@ -1,0 +1,71 @@
+"""A network of a few layers, compiled, with one order of its sums: the same bits on any processor.
+
+A library for matrices, and NumPy for a tanh, choose by the processor they find how they add and
+approximate. The last bit then differs from machine to machine, and after some hundred steps of a
+task so does everything.
+"""
+
+import numpy as np
+
+from ...drive.kernel.jit import block, entry
+
+ZERO, ONE = np.array([0.0, 1.0], np.float32)
+TANH, RELU, CLIP = range(3)  # what a layer does with its sums
+# tanh as a rational function (that of Eigen): within 4e-7 of it, and vectorised by the compiler
+FLAT = np.float32(7.90531110763549805)  # beyond which it is 1
+A0, A1, A2, A3, A4, A5, A6 = np.array([
+    -2.76076847742355e-16, 2.00018790482477e-13, -8.60467152213735e-11, 5.12229709037114e-08,
+    1.48572235717979e-05, 6.37261928875436e-04, 4.89352455891786e-03,
+], np.float32)  # fmt: skip
+B0, B1, B2, B3 = np.array([
+    1.19825839466702e-06, 1.18534705686654e-04, 2.26843463243900e-03, 4.89352518554385e-03,
+], np.float32)  # fmt: skip
+
+
+@block
+def tanh(z):
+    """Of each number of an array, in its place."""
+    for i in range(z.shape[0]):
+        x = min(max(z[i], -FLAT), FLAT)
+        s = x * x
+        above = (((((A0 * s + A1) * s + A2) * s + A3) * s + A4) * s + A5) * s + A6
+        z[i] = x * above / (((B0 * s + B1) * s + B2) * s + B3)
+
+
+@block
+def _shape(z, does):
+    if does == TANH:
+        tanh(z)
+    else:
+        low = ZERO if does == RELU else -ONE
+        for i in range(z.shape[0]):
+            z[i] = max(z[i], low)
+            if does == CLIP:
+                z[i] = min(z[i], ONE)
+
+
+@entry
+def forward(numbers, widths, inner, last, seen, told):
+    """What the last layer tells of what is seen.
+
+    Args:
+        numbers: of each layer the weights, (inputs, outputs), and the biases, float32.
+        widths: numbers seen, and told by each layer.
+        inner: TANH, RELU or CLIP: of all layers but the last.
+        last: of the last.
+        seen: shape ``(widths[0],)``, float32.
+        told: to write, shape ``(widths[-1],)``, float32.
+    """
+    x, begin = seen, 0
+    for layer in range(widths.shape[0] - 1):
+        inputs, outputs = widths[layer], widths[layer + 1]
+        middle = begin + inputs * outputs
+        w = numbers[begin:middle].reshape(inputs, outputs)
+        begin = middle + outputs
+        z = numbers[middle:begin].copy()
+        for k in range(inputs):
+            for j in range(outputs):
+                z[j] += w[k, j] * x[k]
+        _shape(z, last if layer == widths.shape[0] - 2 else inner)
+        x = z
+    told[:] = x
