@@ -8,7 +8,8 @@ import pytest
 
 from servogym.training import cli
 from servogym.training.evaluate import repeat
-from servogym.training.policies import SHIPPED, saved
+from servogym.training.policies import SHIPPED
+from servogym.training.policies.trained import saved
 
 TWO_HOURS = 2 * 3600  # s, of two cores
 LINE = "servogym train LinearAxis-v0 --steps {steps} --seed {seed}"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from later import Later, only_with
 
-from servogym.training.policies import weights
+from servogym.training.policies.trained import weights
 
 PPO = Later("stable_baselines3", "PPO")
 VecMonitor = Later("stable_baselines3.common.vec_env", "VecMonitor")
@@ -112,7 +112,7 @@ def test_it_acts_as_the_policy_says():
 
 def test_the_compiled_tanh_is_tanh():
     x = np.linspace(-12, 12, 100_001, dtype=np.float32)
-    from servogym.training.policies.network import tanh
+    from servogym.training.policies.trained.network import tanh
 
     told = x.copy()
     tanh(told)

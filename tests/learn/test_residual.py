@@ -12,7 +12,7 @@ from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training import cli
 from servogym.training.evaluate import comparison
 from servogym.training.policies import make
-from servogym.training.policies.residual import ResidualVectorEnv, corrected
+from servogym.training.policies.trained.residual import ResidualVectorEnv, corrected
 
 sb3 = Later("servogym.training.learn.sb3")
 train = Later("servogym.training.learn.train", "train")

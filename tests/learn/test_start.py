@@ -6,7 +6,7 @@ import pytest
 from later import Later, only_with
 
 from servogym.training import cli
-from servogym.training.policies import weights
+from servogym.training.policies.trained import weights
 
 train = Later("servogym.training.learn.train", "train")
 pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")

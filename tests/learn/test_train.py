@@ -24,7 +24,8 @@ from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
 from servogym.training.learn import hyperparameters
-from servogym.training.policies import make, saved, weights
+from servogym.training.policies import make
+from servogym.training.policies.trained import saved, weights
 
 EvalCallback = Later("stable_baselines3.common.callbacks", "EvalCallback")
 VecMonitor = Later("stable_baselines3.common.vec_env", "VecMonitor")

@@ -18,7 +18,7 @@ from servogym.envs import TASKS
 from servogym.envs.registry import short
 from servogym.training.evaluate.comparison import evaluate
 from servogym.training.policies import POLICIES
-from servogym.training.policies.network import CLIP, RELU, TANH, forward
+from servogym.training.policies.trained.network import CLIP, RELU, TANH, forward
 
 WIDE = [name for name in ("X86_V4", "AVX512_ICL", "AVX512_SPR") if features.get(name)]
 OTHERS = {  # variables under which libraries believe in another processor

@@ -11,8 +11,9 @@ import pytest
 from later import Later, only_with
 
 from servogym.envs.tasks.compliant import CompliantAxisEnv
-from servogym.training.policies import SHIPPED, weights
-from servogym.training.policies.learned import Learned
+from servogym.training.policies import SHIPPED
+from servogym.training.policies.trained import weights
+from servogym.training.policies.trained.learned import Learned
 
 stable_baselines3 = Later("stable_baselines3")
 PPO = Later("stable_baselines3", "PPO")
@@ -56,7 +57,8 @@ def test_the_actions_are_those_of_the_algorithm(trained, tmp_path, algorithm):
 
 def test_what_comes_with_the_laboratory_acts_without_torch():
     code = """
-from servogym.training.policies import SHIPPED, learned
+from servogym.training.policies import SHIPPED
+from servogym.training.policies.trained import learned
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 env = CompliantAxisEnv()
 seen, info = env.reset(seed=1)
@@ -125,7 +127,7 @@ def test_an_older_checkpoint_is_refused_with_the_command_that_converts_it(
     (folder / weights.WEIGHTS).unlink()
     trained[0].save(folder / "model.zip")
     trained[0].get_vec_normalize_env().save(str(folder / "vecnormalize.pkl"))
-    with pytest.raises(ValueError, match=r"policies\.weights .* --unpickle"):
+    with pytest.raises(ValueError, match=r"policies\.trained\.weights .* --unpickle"):
         Learned(folder, CompliantAxisEnv())
     with pytest.raises(SystemExit, match="2"):
         weights.main([str(folder)])

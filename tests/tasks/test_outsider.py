@@ -11,7 +11,7 @@ import pytest
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.vector_env import ServoVectorEnv
-from servogym.training.policies.residual import ResidualVectorEnv
+from servogym.training.policies.trained.residual import ResidualVectorEnv
 
 MADE = {
     "wrapped environment": lambda: gym.make("servogym/RotaryAxis-v0"),

@@ -22,7 +22,7 @@ from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
 from ..pictures.recording import Recorder, Recording
 from ..policies import Bound, BuiltIn, label, make, trainings
-from ..policies.residual import PUBLIC
+from ..policies.trained.residual import PUBLIC
 from .metrics import METRICS, metrics
 
 FIRST_SEED, SEEDS_APART = 1_000_000, 1_000

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 
 from ...envs.checks import whole
-from ..policies.saved import read
+from ..policies.trained.saved import read
 from ..report import markdown
 
 FILE, MAKER = "trainings.json", "the commands of its trainings"

@@ -21,8 +21,8 @@ from ...envs.registry import task
 from ..learn.hyperparameters import COMMON
 from ..policies import ENTRY_POINTS, LEARNED, POLICIES, trainings
 from ..policies.file import SUFFIX
-from ..policies.saved import ABOUT
-from ..policies.weights import WEIGHTS, arrays
+from ..policies.trained.saved import ABOUT
+from ..policies.trained.weights import WEIGHTS, arrays
 from .suite import Suite
 
 HEAD, FILES, ENDING = "submission.json", "files/", ".npz"

@@ -1,6 +1,6 @@
 """Checkpoints of a training run: one folder each, there completely or not at all.
 
-What is in one: the policy (`servogym.training.policies.saved`) and what the run goes on with
+What is in one: the policy (`training.policies.trained.saved`) and what the run goes on with
 (`servogym.training.learn.state`). A folder is written beside its place and renamed, so a run that
 is killed leaves the checkpoint before.
 """
@@ -19,8 +19,8 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import CSVOutputFormat
 
-from ..policies import weights
-from ..policies.saved import ABOUT
+from ..policies.trained import weights
+from ..policies.trained.saved import ABOUT
 from . import state
 
 try:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..policies.saved import stable_baselines3
+from ..policies.trained.saved import stable_baselines3
 from .gradient import HALF_LOG_TAU, LOSSES, SETTINGS, tell, update
 
 stable_baselines3()  # tells what has to be installed

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ...drive.kernel.jit import block, entry
-from ..policies.network import ONE, ZERO, tanh
+from ..policies.trained.network import ONE, ZERO, tanh
 
 ROWS = 32  # of a block: all their numbers fit into the first cache
 HALF_LOG_TAU = np.float32(0.5 * math.log(2.0 * math.pi))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from ..policies.residual import baseline, public
+from ..policies.trained.residual import baseline, public
 from .sb3 import ServoVecEnv
 
 UPDATES, BATCH, RATE = 20_000, 512, 3e-3  # of the fit; the rate falls to 0, as a cosine

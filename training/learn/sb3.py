@@ -15,8 +15,8 @@ from ...envs.device_env import vectors
 from ...envs.registry import task
 from ...envs.servo_env import ServoEnv
 from ...envs.vector_env import ServoVectorEnv
-from ..policies.residual import ResidualVectorEnv
-from ..policies.saved import stable_baselines3
+from ..policies.trained.residual import ResidualVectorEnv
+from ..policies.trained.saved import stable_baselines3
 
 stable_baselines3()  # tells what has to be installed
 

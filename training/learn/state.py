@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 
-from ..policies import weights
+from ..policies.trained import weights
 
 STATE, REPLAY = "state.npz", "replay.npz"
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")  # attributes of SB3's algorithms

@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from ...drive.model.near import near
 from ...envs.checks import whole
 from ...envs.registry import short, task
-from ..policies import saved, weights
+from ..policies.trained import saved, weights
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .compiled import CompiledPPO

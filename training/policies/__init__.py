@@ -30,7 +30,6 @@ from .file import SUFFIX, from_file, policy_of
 from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring
 from .homing import BuiltIn, search_policy
 from .idle import Chance, Hold
-from .learned import Learned
 from .lqr import Lqr
 from .oracle import oracle
 from .pd import Proportional, ProportionalDifferential
@@ -45,6 +44,7 @@ from .profiles import (
     ruckig_zvd_policy,
 )
 from .repeated import repeated
+from .trained.learned import Learned
 
 
 class Policy(Protocol):

@@ -7,7 +7,7 @@ task so does everything.
 
 import numpy as np
 
-from ...drive.kernel.jit import block, entry
+from ....drive.kernel.jit import block, entry
 
 ZERO, ONE = np.array([0.0, 1.0], np.float32)
 TANH, RELU, CLIP = range(3)  # what a layer does with its sums

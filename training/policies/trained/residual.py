@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ...envs import fields
-from ...envs.servo_env import ServoEnv
-from ...envs.vector_env import ServoVectorEnv
-from .bound import Bound
-from .homing import BuiltIn
+from ....envs import fields
+from ....envs.servo_env import ServoEnv
+from ....envs.vector_env import ServoVectorEnv
+from ..bound import Bound
+from ..homing import BuiltIn
 
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
@@ -43,7 +43,7 @@ def checked(bounds: Sequence[float], env: ServoEnv) -> np.ndarray:
 
 def baseline(name: str, env: ServoEnv, seed: int = 0) -> Any:
     """The policy that is corrected. Raises ValueError where it does not fit the task."""
-    from . import make
+    from .. import make
 
     policy = make(name, env, seed)
     if isinstance(policy, BuiltIn | Bound):

@@ -5,7 +5,7 @@ running means its observations are normalised by. Playing it takes NumPy and no 
 checkpoint, which had to be unpickled, is converted by its owner, who says so: unpickling runs what
 the file says::
 
-    python -m servogym.training.policies.weights FOLDER --unpickle
+    python -m servogym.training.policies.trained.weights FOLDER --unpickle
 """
 
 import argparse
@@ -23,7 +23,7 @@ from .saved import ABOUT, MODEL, STATISTICS, read, stable_baselines3
 WEIGHTS = "weights.npz"
 LARGEST = 256 * 2**20  # bytes, unpacked
 NETWORK = "network/"
-COMMAND = "python -m servogym.training.policies.weights {} --unpickle"
+COMMAND = "python -m servogym.training.policies.trained.weights {} --unpickle"
 Layer = tuple[np.ndarray, np.ndarray]  # weights (outputs, inputs), biases (outputs,)
 
 PLAIN = {"net_arch", "log_std_init"}  # of policy_kwargs: what changes no more than the widths
