@@ -3,7 +3,11 @@
 import atexit
 import contextlib
 import gc
+import importlib
 import os
+import sys
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,6 +113,20 @@ def group(nodeid):
     """Of a test: the file it is in, or several files."""
     file = nodeid.partition("::")[0]
     return next((name for name, parts in TOGETHER.items() if any(p in file for p in parts)), file)
+
+
+def pytest_collection(session):
+    """Each worker begins with files of its own, whose assertions the others then find rewritten."""
+    about = getattr(session.config, "workerinput", None)
+    if about is None:
+        return
+    files = sorted(file for name in session.config.args for file in Path(name).rglob("test_*.py"))
+    for file in files[int(about["workerid"].removeprefix("gw")) :: about["workercount"]]:
+        if (folder := str(file.parent.absolute())) not in sys.path:
+            sys.path.insert(0, folder)
+        with warnings.catch_warnings(), contextlib.suppress(Exception, pytest.skip.Exception):
+            warnings.simplefilter("error")
+            importlib.import_module(file.stem)  # an error is told when the file is collected
 
 
 def pytest_collection_modifyitems(items):
