@@ -323,26 +323,37 @@ def concise(data):
     assert at == len(data)
 
 
-@pytest.mark.parametrize("model", CAN_MODELS)
-def test_the_drive_accepts_each_download_of_the_concise_dcf_that_dcfgen_makes(tmp_path, model):
-    eds.write(model, tmp_path / "drive.eds")
-    objects = load(model).objects
-    heartbeat = "  heartbeat_producer: 100\n" if (0x1017, 0) in objects else ""
-    sync = "  tpdo: {1: {enabled: true, cob_id: auto, transmission: 1}}\n"
-    sync = sync if (0x6064, 0) in objects else ""
-    (tmp_path / "bus.yml").write_text(
-        "master:\n  node_id: 127\n"
-        f"axis:\n  dcf: drive.eds\n  node_id: {NODE_ID}\n{heartbeat}{sync}"
-        "  sdo: [{index: 0x6040, sub_index: 0, value: 0}]\n"
-    )
+@pytest.fixture(scope="module")
+def bus(tmp_path_factory):
+    """A folder with what dcfgen makes of a bus of all models; node ids and least downloads."""
+    folder, slaves, nodes = tmp_path_factory.mktemp("bus"), "", {}
+    for node_id, model in enumerate(CAN_MODELS, NODE_ID):
+        eds.write(model, folder / f"{model}.eds")
+        objects = load(model).objects
+        heartbeat = "  heartbeat_producer: 100\n" if (0x1017, 0) in objects else ""
+        sync = "  tpdo: {1: {enabled: true, cob_id: auto, transmission: 1}}\n"
+        sync = sync if (0x6064, 0) in objects else ""
+        slaves += (
+            f"{model}:\n  dcf: {model}.eds\n  node_id: {node_id}\n{heartbeat}{sync}"
+            "  sdo: [{index: 0x6040, sub_index: 0, value: 0}]\n"
+        )
+        nodes[model] = node_id, 1 + bool(heartbeat) + 2 * bool(sync)
+    (folder / "bus.yml").write_text(f"master:\n  node_id: 127\n{slaves}")
     result = subprocess.run(
         [sys.executable, "-c", "from dcfgen.cli import main; main()", "-v", "bus.yml"],
-        capture_output=True, text=True, timeout=60, cwd=tmp_path,
+        capture_output=True, text=True, timeout=60, cwd=folder,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert (tmp_path / "master.dcf").is_file()
-    drive = Drive(model, node_id=NODE_ID)
-    downloads = [*concise((tmp_path / "axis.bin").read_bytes())]
-    assert len(downloads) >= 1 + bool(heartbeat) + 2 * bool(sync)
+    assert (folder / "master.dcf").is_file()
+    return folder, nodes
+
+
+@pytest.mark.parametrize("model", CAN_MODELS)
+def test_the_drive_accepts_each_download_of_the_concise_dcf_that_dcfgen_makes(bus, model):
+    folder, nodes = bus
+    node_id, least = nodes[model]
+    drive = Drive(model, node_id=node_id)
+    downloads = [*concise((folder / f"{model}.bin").read_bytes())]
+    assert len(downloads) >= least
     for index, subindex, data in downloads:
         assert drive.objects.write(index, subindex, data) == 0, f"{index:04X}h:{subindex:02X}h"
