@@ -29,7 +29,11 @@ def read_capabilities(
 def with_capabilities(
     objects: dict[tuple[int, int], Object], modes: tuple[Mode, ...], methods: tuple[int, ...]
 ) -> dict[tuple[int, int], Object]:
-    """The objects, of which 6502h and 60E3h say what the drive can, where it has them."""
+    """The objects, of which 6502h and 60E3h say what the drive can, where it has them.
+
+    6060h and 6098h know it as well, to tell it to who writes something else.
+    """
+    possible = {"mode": (0, *map(int, modes)), "homing_method": methods}
     told: dict[tuple[int, int], Object] = {}
     for (index, subindex), row in objects.items():
         if index == SUPPORTED_MODES and row.format:
@@ -46,5 +50,7 @@ def with_capabilities(
                     )
                     told[index, n] = replace(one, default=method)
             continue
+        elif row.hook in possible:
+            row = replace(row, possible=possible[row.hook])
         told[index, subindex] = row
     return told

@@ -66,6 +66,7 @@ class Object:
     hook: str = ""  # `objects.hooks.HOOKS`: what reading or writing does beside moving bytes
     per_node: bool = False  # the node-id is added to the default
     where: str = ""  # file and line it was read from
+    possible: tuple[int, ...] = ()  # values that its hook lets through, told to who writes another
 
     @property
     def format(self) -> str:

@@ -60,8 +60,8 @@ class Slot:
     def accepts(self) -> str:
         """What a master may write, for people."""
         row = self.row
-        if row.allowed is not None:
-            return f"{row.name} may be one of {sorted(row.allowed)}"
+        if row.possible or row.allowed is not None:
+            return f"{row.name} may be one of {sorted(row.possible or row.allowed or ())}"
         if row.format and row.access == "rw":
             limits = f"{row.minimum:.0f}..{row.maximum:.0f}"
             return f"{row.name} {row.data_type} {limits} {row.unit}".strip()

@@ -79,7 +79,9 @@ class Machine:
         self, model: mujoco.MjModel, drives: Mapping[str, str | Path | DriveModel]
     ) -> None:
         if not drives:
-            raise ValueError(f"drives is empty: name at least one actuator of {_actuators(model)}")
+            joints = [model.joint(i).name for i in range(model.njnt)]
+            named = [name for name in dict.fromkeys([*_actuators(model), *joints]) if name]
+            raise ValueError(f"drives is empty: name at least one actuator or joint of {named}")
         if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
             raise ValueError(
                 "integrator RK4 takes several steps in one, friction and drive act once in each: "

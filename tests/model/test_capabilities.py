@@ -10,6 +10,7 @@ from servogym.drive.canopen import eds
 from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load
+from servogym.drive.objects.abort import SdoAbort
 
 TWO_MODES = 'modes = ["pp", "hm"]\nhoming_methods = [17, -18, 35]\n'
 LIST_OF_ONE = """\
@@ -46,6 +47,16 @@ def test_a_model_with_more_methods_than_rows_gets_rows(tmp_path):
     model = load(made(tmp_path / "own", "festo_cmmp_as", TWO_MODES, LIST_OF_ONE))
     assert [Drive(model).read(0x60E3, n) for n in range(4)] == [3, 17, -18, 35]
     assert model.objects[0x60E3, 3].name == "supported_homing_method_3"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [("modes_of_operation", 9, r"\[0, 1, 6\]"), ("homing_method", 1, r"\[-18, 17, 35\]")],
+)
+def test_who_writes_another_one_is_told_those_there_are(tmp_path, name, value, says):
+    drive = Drive(made(tmp_path / "own", "generic", TWO_MODES))
+    with pytest.raises(SdoAbort, match=rf"\(06090030h\); {name} may be one of {says}"):
+        drive.write(name, value)
 
 
 def test_a_data_sheet_tells_the_same_and_comes_back_with_it(tmp_path):

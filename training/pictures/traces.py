@@ -71,7 +71,7 @@ def _states(axes: Axes, time: np.ndarray, words: np.ndarray) -> None:
         Patch(color=STATE_COLOUR[s], alpha=0.45, label=s.name.lower().replace("_", " "))
         for s in map(State, np.unique(state[state >= 0]))
     ]
-    axes.legend(
-        handles=key, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=max(len(key), 1),
-        frameon=False, fontsize=8,
+    axes.figure.legend(
+        handles=key, loc="outside lower center", ncols=min(max(len(key), 1), 5), frameon=False,
+        fontsize=8,
     )  # fmt: skip
