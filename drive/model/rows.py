@@ -131,6 +131,19 @@ KINDS_OF_UNITS = (  # first words of a unit -> of a signed type, of an unsigned 
 )
 
 
+QUANTITIES = {  # what is measured -> its unit, as the manuals spell it
+    "position": r"position units?",
+    "velocity": r"(velocity|speed) units?",
+    "acceleration": r"acceleration units?",
+    "torque": r"rated torque/1000|per mille of motor_rated_torque( \(.*\))?",
+}
+
+
+def quantity(unit: str) -> str:
+    """What a unit of the factor group or of the rated torque measures; "" for any other."""
+    return next((name for name, spelt in QUANTITIES.items() if re.fullmatch(spelt, unit)), "")
+
+
 def own_stored(objects: dict[tuple[int, int], Object]) -> tuple[tuple[int, int, int], ...]:
     """Values in units of the factor group that stand in the model's own bytes.
 

@@ -5,7 +5,7 @@ from typing import Any
 from nicegui import ui
 
 from ....drive.diagrams import MODE_ABBREVIATION
-from ....drive.model.rows import Object
+from ....drive.model.rows import Object, quantity
 from .desk import Desk, over, refuse
 from .homing_diagram import homing_svg
 from .widgets import Entry, Readout, Tag, button, card, live, told
@@ -30,6 +30,7 @@ PARAMETERS = {
         "velocity_filter_time", "velocity_feed_forward", "acceleration_feed_forward",
     ),
 }  # fmt: skip
+FASTEST = ("max_profile_velocity", "profile_velocity")  # not every model has the first
 
 
 class MotionPage:
@@ -200,8 +201,8 @@ class MotionPage:
     def _top_speed(self) -> None:
         """The range of the jog speed, and a twentieth of it at first."""
         bench, axis = self.desk.bench, self.desk.axis
-        name = "max_profile_velocity"
-        top = bench.value(axis, name) if name in self.names else 1e9
+        name = next((name for name in FASTEST if name in self.names), "")
+        top = bench.value(axis, name) if name else 1e9
         if top is not None and top != self._jog_speed:
             speed = max(float(top) * bench.units(axis).velocity * self.scale, 0.001)
             if not self._jog_speed:
@@ -286,12 +287,12 @@ def physical(desk: Desk, row: Object) -> tuple[float, str]:
     if unit == "units":
         return 0.0, ""
     known = {
-        "position unit": (units.position * scale, unit),
-        "velocity unit": (units.velocity * scale, f"{unit}/s"),
-        "acceleration unit": (desk.bench.acceleration(desk.axis) * scale, f"{unit}/s²"),
-        "rated torque/1000": (0.1, "% rated"),
+        "position": (units.position * scale, unit),
+        "velocity": (units.velocity * scale, f"{unit}/s"),
+        "acceleration": (desk.bench.acceleration(desk.axis) * scale, f"{unit}/s²"),
+        "torque": (0.1, "% rated"),
     }
-    return known.get(row.unit, (0.0, ""))
+    return known.get(quantity(row.unit), (0.0, ""))
 
 
 class _Stroke:
