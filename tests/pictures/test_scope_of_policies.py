@@ -68,6 +68,14 @@ def test_what_is_reached_without_settling_is_told_too():
     assert trace.outcome(result.trace) == ": a lap within the window after 1.255 s (dot)"
 
 
+@pytest.mark.parametrize("task", [task for task in TASKS if not any(task.DONE)])
+def test_a_task_that_goes_on_to_its_end_has_no_moment_of_success(task):
+    result = Evaluator(task.ID, episodes=1).run(task.POLICIES[0])
+    assert result.values["success"][0] == 1.0
+    assert math.isnan(result.trace.done)
+    assert trace.outcome(result.trace) == ""
+
+
 def test_a_fault_ends_a_trace():
     result = Evaluator("LinearAxis-v0", episodes=4).run("random")
     i = int(np.flatnonzero(result.values["faults"])[0])

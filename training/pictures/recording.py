@@ -58,6 +58,8 @@ class Recorder:
         """What was kept; `done` is when the agent declared it, where it does, right or wrong."""
         if self._declared is not None:
             done = self._times[-1] if self._declared else math.nan
+        if not any(self._env.DONE):  # the task goes on to its end
+            done = math.nan
         ended = self._env.outcome() or (f"fault {fault.partition(' ')[0]}" if fault else "")
         return Recording(
             policy, self._channels, self._env.DONE, np.array(self._times), np.array(self._rows),
