@@ -177,7 +177,8 @@ class Master(Drives):
             for (axis, name), (_, value) in line.items():
                 self._tell(axis, name, value)
             self._put("target_position", targets)
-            self._set_point(bits, immediate, f"target {position}", wait, timeout)
+            shown = position if isinstance(position, Mapping) else f"{position:.9g}"
+            self._set_point(bits, immediate, f"target {shown}", wait, timeout)
         finally:
             for (axis, name), (kept, _) in line.items():
                 self._tell(axis, name, kept)

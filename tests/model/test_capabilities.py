@@ -11,6 +11,7 @@ from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load
 from servogym.drive.objects.abort import SdoAbort
+from servogym.training.cli import main
 
 TWO_MODES = 'modes = ["pp", "hm"]\nhoming_methods = [17, -18, 35]\n'
 LIST_OF_ONE = """\
@@ -73,3 +74,13 @@ def test_a_default_of_ones_own_and_the_bits_of_the_maker_stay(tmp_path):
     folder = made(tmp_path / "own", "generic", TWO_MODES, defaults=own)
     assert told(Drive(folder))[0] == [1, 6, 18]
     assert told(Drive(made(tmp_path / "next", str(folder), 'modes = ["pp"]\n')))[0] == [1, 6, 18]
+
+
+def test_the_list_of_changes_does_not_say_twice_what_the_model_can(tmp_path, capsys):
+    folder = made(tmp_path / "own", "generic", TWO_MODES)
+    assert main(["drives", str(folder)]) == 0
+    said = capsys.readouterr().out
+    for row in ("pp hm", "17 -18 35"):
+        assert row in said
+    assert "6502h" not in said
+    assert "60E3h" not in said

@@ -31,6 +31,7 @@ def _modes(model) -> str:
 
 def _changes(model) -> Iterator[tuple[str, str]]:
     """What differs from the objects of the model it is based on, a row of the summary each."""
+    from ...drive.model.capabilities import SUPPORTED_METHODS, SUPPORTED_MODES
     from ...drive.model.model import load
 
     if model.based_on is None:
@@ -39,11 +40,13 @@ def _changes(model) -> Iterator[tuple[str, str]]:
     if model.bus in base.buses:
         base = load(base, model.bus)
     yield "based on", base.name
-    added = [row for address, row in model.objects.items() if address not in base.objects]
+    told = {SUPPORTED_METHODS, SUPPORTED_MODES} & set(_indices(base))  # by rows of their own
+    objects = {a: row for a, row in model.objects.items() if a[0] not in told}
+    added = [row for address, row in objects.items() if address not in base.objects]
     yield "objects added", "\n".join(f"{_called(row)} {_limits(row)}".rstrip() for row in added)
     gone = [f"{index:04X}h" for index in _indices(base) if index not in _indices(model)]
     yield "objects left out", " ".join(gone)
-    both = [(row, base.objects[a]) for a, row in model.objects.items() if a in base.objects]
+    both = [(row, base.objects[a]) for a, row in objects.items() if a in base.objects]
     for what, of in (("limits", _limits), ("default", lambda row: str(row.default))):
         changed = [(row, of(row), of(other)) for row, other in both if of(row) != of(other)]
         lines = [
