@@ -54,13 +54,18 @@ def motion(n=1000, window=1000):
     }
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """What `draw` drew, and its file: once, for nobody changes it."""
+    figures, save = [], Figure.savefig
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", lambda self, *a: (figures.append(self), save(self, *a)))
+        path = draw(motion(), PHASES, tmp_path_factory.mktemp("scope") / "scope.png", "a title")
+    return figures[0], path
+
+
 @pytest.fixture
-def figure(tmp_path, monkeypatch):
-    """What `draw` drew."""
-    drawn = []
-    save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda self, *a: (drawn.append(self), save(self, *a)))
-    draw(motion(), PHASES, tmp_path / "scope.png", "a title")
+def figure(drawn):
     return drawn[0]
 
 
@@ -68,9 +73,8 @@ def texts(figure):
     return {text for text in figure.findobj(Text) if text.get_text()}
 
 
-def test_the_picture_is_a_png_of_its_size(tmp_path):
-    path = draw(motion(), PHASES, tmp_path / "scope.png", "a title")
-    head = path.read_bytes()[:24]
+def test_the_picture_is_a_png_of_its_size(drawn):
+    head = drawn[1].read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
     assert struct.unpack(">II", head[16:]) == (1625, 1175)
 
@@ -134,7 +138,8 @@ def test_the_following_error_window_is_in_sight_unless_it_is_off(tmp_path, monke
         assert low < -window
 
 
-def test_the_recorded_arrays_are_left_alone(tmp_path):
+def test_the_recorded_arrays_are_left_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_: None)
     data = motion()
     before = {name: column.copy() for name, column in data.items()}
     draw(data, PHASES, tmp_path / "scope.png", "")
