@@ -13,12 +13,14 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
+from ..drive.kernel.words import Mode
 from ..drive.model.near import near
-from .checks import told
+from .checks import told, whole
 from .device_env import vectors
 from .servo_env import ServoEnv
 
 NAMESPACE = "servogym/"
+MOST_STEPS = 10**9  # of an episode
 
 
 def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = None) -> None:
@@ -29,11 +31,17 @@ def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = Non
         vector: entry point of its vector environments; `device_env.vectors` if not given.
 
     Raises:
-        ValueError: it has no ID, or one Gymnasium does not take.
+        ValueError: it has no ID, or one Gymnasium does not take; STEPS or MODES that are none.
     """
     identity = getattr(task, "ID", None)
     if not isinstance(identity, str):
         raise ValueError(f"task {task.__name__} lacks ID: give it one such as 'mylab/Nudge-v0'")
+    whole(f"task {task.__name__}: STEPS", task.STEPS, 1, MOST_STEPS)
+    if not all(isinstance(mode, Mode) for mode in task.MODES):
+        raise ValueError(
+            f"task {task.__name__}: MODES = {task.MODES!r}: give members of Mode, such as "
+            "(Mode.CYCLIC_SYNC_VELOCITY, Mode.HOMING)"
+        )
     try:
         gymnasium.register(
             identity,

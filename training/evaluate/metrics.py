@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...drive.model.near import near
 from ...envs.about import Metric, in_unit
 from ...envs.servo_env import ServoEnv
 
@@ -55,10 +56,13 @@ METRICS: dict[str, Metric] = {
 
 
 def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
-    """The common ones, and those of a task."""
+    """The common ones, and those of a task. Raises ValueError for a METRIC that is none of them."""
+    known = {**METRICS, **task.METRICS}
+    if task.METRIC not in known:
+        hint = near(str(task.METRIC), known)
+        raise ValueError(f"task {task.__name__}: METRIC = {task.METRIC!r} is unknown: {hint}")
     return {
-        name: row._replace(heading=in_unit(row.heading, task.UNIT))
-        for name, row in {**METRICS, **task.METRICS}.items()
+        name: row._replace(heading=in_unit(row.heading, task.UNIT)) for name, row in known.items()
     }
 
 

@@ -1,0 +1,35 @@
+"""A class of a task that is written wrong is refused in words, before anything runs."""
+
+import math
+
+import gymnasium
+import pytest
+
+from servogym.envs import register
+from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.training.evaluate.metrics import metrics
+
+
+def written(**attributes):
+    return type("WrongEnv", (LinearAxisEnv,), {"ID": "test/Wrong-v0", **attributes})
+
+
+@pytest.mark.parametrize(
+    ("attributes", "says"),
+    [
+        ({"STEPS": math.nan}, r"task WrongEnv: STEPS = nan must be a whole number 1\.\."),
+        ({"STEPS": 0}, "task WrongEnv: STEPS = 0 must be a whole number"),
+        ({"STEPS": "200"}, "task WrongEnv: STEPS = '200' must be a whole number"),
+        ({"MODES": ("csv",)}, r"task WrongEnv: MODES = \('csv',\): give members of Mode"),
+        ({"MODES": (9,)}, r"task WrongEnv: MODES = \(9,\): give members of Mode"),
+    ],
+)
+def test_steps_and_modes_that_are_none(attributes, says):
+    with pytest.raises(ValueError, match=says):
+        register(written(**attributes))
+    assert "test/Wrong-v0" not in gymnasium.registry
+
+
+def test_a_metric_that_is_none():
+    with pytest.raises(ValueError, match=r"METRIC = 'setling_time' is unknown: did you mean set"):
+        metrics(written(METRIC="setling_time"))
