@@ -16,6 +16,7 @@ from hypothesis import settings
 from servogym.drive.drive import Drive
 from servogym.drive.kernel.words import State
 
+gc.disable()  # until all is collected
 os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo looks at it when it is imported
 with contextlib.suppress(ImportError):
     import triton  # noqa: F401 (its LLVM has to be there before Mesa's, see envs/view/picture.py)
@@ -141,8 +142,8 @@ def pytest_collection_modifyitems(items):
 
 def pytest_collection_finish():
     """What there is now stays until the end: nobody needs to look through it for garbage."""
-    gc.collect()
     gc.freeze()
+    gc.enable()
     gc.set_threshold(20_000, 20, 20)
     atexit.register(gc.unfreeze)  # libraries look then whether all of theirs is gone
 
