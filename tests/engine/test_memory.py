@@ -390,11 +390,13 @@ e = LinearAxisEnv(); e.reset(seed=1); e.drive.map_pdos([], []); refused(RuntimeE
 v = vector(2); v.envs[1].drive.map_pdos([], []); refused(RuntimeError, "machine 1", v.step, act(v))
 # a record of PDOs filled with noise
 m = linear_axis(); d = m.drives["x"]; g = np.random.default_rng(2)
-for _ in range(12):  # of images of gigabytes
-    d.rpdos.view(np.uint8)[:] = g.integers(0, 256, d.rpdos.nbytes); d.tpdos.view(np.uint8)[:] = g.integers(0, 256, d.tpdos.nbytes)
+for k in range(30):
+    for pdos in (d.rpdos, d.tpdos):
+        pdos.view(np.uint8)[:] = g.integers(0, 256, pdos.nbytes)
+        pdos["valid"], pdos["width"] = 1, g.integers(-1, 99, len(pdos))
+        if k % 2: pdos["length"] = g.integers(-2, 9, pdos["length"].shape)
     d.image_changed(); m.step()
-    try: d.exchange(bytes(d.rpdo_size))
-    except (ValueError, MemoryError): pass
+    if d.rpdo_size >= 0 and d.tpdo_size >= 0: d.exchange(bytes(d.rpdo_size))
 # each object at its ends
 d = Drive()
 for name, (kind, *_) in record.OD.fields.items():
