@@ -4,14 +4,8 @@ import csv
 import io
 import itertools
 import json
-import os
 import pickle
-import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -250,34 +244,6 @@ def test_the_state_of_another_network_is_refused(learners, tmp_path):
         state.load_replay(other, tmp_path / "sac")
 
 
-def test_a_killed_run_continues_from_its_last_checkpoint(tmp_path):
-    command = [
-        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--out",
-        str(tmp_path), "--steps", "10000000", "--checkpoint-every", "256", "--evaluate-every",
-        "1024", "--argument", "max_episode_steps=10", "--setting", "n_epochs=1",
-    ]  # fmt: skip
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    try:
-        end = time.monotonic() + 120
-        while len(checkpoint.numbered(tmp_path)) < 3 and process.poll() is None:
-            assert time.monotonic() < end
-            time.sleep(0.05)
-    finally:
-        process.kill()
-        said = process.communicate()[0]
-    assert process.returncode == -signal.SIGKILL, said
-    steps = saved.read(checkpoint.numbered(tmp_path)[-1])["steps"]
-    with (tmp_path / "progress.csv").open("a") as file:
-        file.write("1,2")  # a row cut off
-    (tmp_path / "checkpoints" / ".0000009999.1").mkdir()
-    train(ID, out=tmp_path, steps=steps + 256, resume=True)
-    assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] == steps + 256
-    seen = counts(tmp_path)
-    assert seen == sorted(seen)
-    assert seen[-1] == steps + 256
-    assert not list(tmp_path.glob("checkpoints/.*"))
-
-
 @pytest.mark.parametrize(
     ("env_id", "arguments", "says"),
     [
@@ -477,45 +443,6 @@ def test_ctrl_c_while_a_checkpoint_is_written_leaves_that_checkpoint(tmp_path, m
     assert weights.arrays(only / "state.npz")["num_timesteps"] == 128
     assert written[1] == written[2], "in the same place"
     assert not list(tmp_path.glob("checkpoints/.*"))
-
-
-def test_in_a_terminal_it_shows_a_bar_and_ctrl_c_says_how_to_continue(tmp_path):
-    pytest.importorskip("tqdm")
-    pty = pytest.importorskip("pty", reason="no terminals on this system")
-    command = [
-        sys.executable, "-m", "servogym.training.cli", "train", ID, "--envs", "4", "--steps",
-        "10000000", "--evaluate-every", "256", "--checkpoint-every", "256", "--argument",
-        "max_episode_steps=10", "--setting", "n_epochs=1", "--out", str(tmp_path),
-    ]  # fmt: skip
-    own, its = pty.openpty()
-    process = subprocess.Popen(
-        command, stdin=its, stdout=its, stderr=its,
-        env=os.environ | {"TERM": "xterm", "COLUMNS": "120"},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
-    )  # fmt: skip
-    os.close(its)
-    said, interrupted = b"", False
-    try:
-        while part := os.read(own, 4096):
-            said += part
-            if said.count(b"reward of an episode") > 2 and not interrupted:
-                process.send_signal(signal.SIGINT)
-                interrupted = True
-    except OSError:  # Linux, when the other end is closed
-        pass
-    finally:
-        os.close(own)
-    assert process.wait(60) == 130, said
-    text = re.sub(r"\x1b\[2K", "\n", said.decode())  # a line is cleared
-    lines = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", text).replace("\r", "\n").splitlines()
-    assert any("/10,000,000" in line and "━" in line for line in lines)
-    told = [line for line in lines if "steps: reward of an episode" in line]
-    assert len(told) >= 3
-    assert not any("━" in line for line in told)
-    assert "the same command with --resume goes on from there" in " ".join(" ".join(lines).split())
-    assert [line.strip() for line in lines].count("interrupted") == 1
-    assert "Traceback" not in text
-    assert checkpoint.numbered(tmp_path)
 
 
 def test_a_training_that_has_fallen_for_good_stops_and_says_where_the_best_is(

@@ -1,5 +1,6 @@
 """Evaluation of policies: the same episodes each time, and holding still beside them."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from . import checkpoint
 
 PATIENCE, FALL = 8, 0.15  # evaluations running so far below the best end a training
 EPISODES = 16  # of an evaluation, one in each of as many environments
+WRITTEN = ".evaluations"  # what a kill may leave half done, until it is whole
 EPISODES_SEED = 20_000_000  # they are the same for every run
 
 
@@ -57,6 +59,7 @@ class EvaluationCallback(EvalCallback):
         super().__init__(
             env, n_eval_episodes=EPISODES, eval_freq=freq, log_path=str(out), verbose=0
         )
+        self.log_path = str(out / WRITTEN)
         self.about, self.out, self.console = about, out, console
         self.fallen = 0  # evaluations running that were far below the best
 
@@ -96,6 +99,8 @@ class EvaluationCallback(EvalCallback):
         self.eval_env.seed(EPISODES_SEED)
         best = self.best_mean_reward
         super()._on_step()
+        with suppress(FileNotFoundError):
+            (self.out / f"{WRITTEN}.npz").replace(self.out / "evaluations.npz")
         better = self.best_mean_reward > best
         if better:
             about = self.about | {"mean_reward": self.best_mean_reward}

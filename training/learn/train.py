@@ -20,8 +20,10 @@ from . import sb3  # first: tells what has to be installed
 
 # isort: split
 from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import ProgressBarCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+from torch.optim import Optimizer
 
 from ...drive.model.near import near
 from ...envs.checks import whole
@@ -292,6 +294,7 @@ def _train(
     out.mkdir(parents=True, exist_ok=True)
     model.set_logger(_logger(out, model.num_timesteps))
     callbacks = [evaluation, checkpoint.Checkpoints(asdict(run), out, checkpoint_every)]
+    bar = ProgressBarCallback() if progress and find_spec("tqdm") is not None else None
     remaining = steps - model.num_timesteps
     try:
         if remaining > 0 and run.demonstrate:
@@ -312,10 +315,11 @@ def _train(
         elif remaining > 0:
             try:
                 model.learn(
-                    remaining, callbacks, reset_num_timesteps=not last,
-                    progress_bar=progress and find_spec("tqdm") is not None,
-                )  # fmt: skip
+                    remaining, [*callbacks, *([bar] if bar else [])], reset_num_timesteps=not last
+                )
             except BaseException as error:
+                if bar and hasattr(bar, "pbar"):  # or it may wait at the end, for ever
+                    bar.pbar.close()
                 if not interrupted(error):
                     raise
                 checkpoint.save_numbered(model, asdict(run), out)
@@ -342,8 +346,20 @@ def _logger(out: Path, steps: int) -> Logger:
     return Logger(str(out), formats)
 
 
+def _without_compiler() -> None:
+    """Spare optimizers torch's compiler, which they import only to say that they are not compiled.
+
+    That took 1.7 s of each command. Not done to who calls `train`, and may compile with torch.
+    """
+    for name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
+        plain = getattr(getattr(Optimizer, name), "__wrapped__", None)
+        if plain is not None:
+            vars(plain).setdefault("__dynamo_disable", plain)
+
+
 def run(env_id: str, out: Path | None, console: Console, **options: Any) -> int:
     """The command; -> exit status."""
+    _without_compiler()
     scores = train(env_id, out=out, console=console, **options)
     still = f"{options['residual']} alone" if options.get("residual") else "holding still"
     console.print(f"trained policy: {scores[0]}; {still}: {scores[1]}")

@@ -5,6 +5,7 @@ versions wrote `model.zip` of stable-baselines3 and `vecnormalize.pkl`, which ar
 """
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,13 +18,12 @@ def stable_baselines3() -> ModuleType:
     """The library. Raises ImportError, with the command that installs it, where it is missing."""
     try:
         import stable_baselines3
-
-        # its optimizers import it in any case; after Mesa has rendered, its LLVM makes that crash
-        import torch._dynamo  # noqa: F401
     except ModuleNotFoundError as error:
         raise ImportError(
             f"training needs stable-baselines3 ({error}): pip install 'servogym[train]'"
         ) from None
+    with suppress(ImportError):  # optimizers do it, whose LLVM makes it crash after Mesa's
+        import triton  # noqa: F401
     return stable_baselines3
 
 
