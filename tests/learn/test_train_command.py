@@ -79,13 +79,15 @@ def test_a_killed_run_continues_from_its_last_checkpoint(tmp_path, command):
     steps = saved.read(checkpoint.numbered(tmp_path)[-1])["steps"]
     with (tmp_path / "progress.csv").open("a") as file:
         file.write("1,2")  # a row cut off
+    (tmp_path / ".evaluations.npz").write_bytes(b"PK\x03\x04 half of them")
     (tmp_path / "checkpoints" / ".0000009999.1").mkdir()
-    train(ID, out=tmp_path, steps=steps + 256, resume=True)
+    train(ID, out=tmp_path, steps=steps + 256, evaluate_every=256, resume=True)
     assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] == steps + 256
     with (tmp_path / "progress.csv").open() as file:
         seen = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
     assert seen == sorted(seen)
     assert seen[-1] == steps + 256
+    assert not list(tmp_path.glob("**/.e*"))
     assert not list(tmp_path.glob("checkpoints/.*"))
 
 
