@@ -185,6 +185,7 @@ class Randomisation:
             ],
             model.body_inertia[body] / mass if mass > 0.0 else np.zeros(3),
         )
+        self.gains = self._nominal.gains  # built with: by object, for each drive
         self._usual = {name: KNOBS[name].nominal(machine) for name in ranges}
 
     def draw(self, generator: np.random.Generator) -> dict[str, float]:

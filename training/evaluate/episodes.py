@@ -149,8 +149,8 @@ class Evaluator:
             self._measured(env, "")
 
     def _run(self, policy: Any) -> Evaluation:
-        first = make(policy, self.env, self.seeds[0])
         observations, infos = self._reset()
+        first = make(policy, self.env, self.seeds[0])
         if isinstance(first, BuiltIn):
             return self._built_in(policy, first)
         if isinstance(first, Bound):

@@ -121,6 +121,7 @@ class Datasheet:
         return self.axes[0]
 
 
+UNTOLD: Mapping[str, float] = MappingProxyType({})
 # Fields of a data sheet that hold what a knob of the randomisation turns: as it is, or as a share.
 VALUES = ("payload", "cable_length")
 SHARES = {
@@ -140,8 +141,8 @@ def _told(parameters: Any, truth: Mapping[str, float]) -> Any:
     return replace(parameters, **values)
 
 
-def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) -> Datasheet:
-    """What a policy may know of `env`.
+def datasheet(env: ServoEnv, truth: Mapping[str, float] = UNTOLD) -> Datasheet:
+    """What a policy may know of `env`: the same whatever was drawn for its present episode.
 
     Args:
         env: the environment.
@@ -153,14 +154,13 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = MappingProxyType({})) 
         parameters = _told(parameters, truth)
     axes: tuple[Axis, ...] = ()
     if isinstance(parameters, LinearAxisParameters):
-        axes = (_linear(env, parameters, _heaviest(env, parameters.payload, truth)),)
+        axes = (_linear(env, parameters, truth),)
     elif isinstance(parameters, RotaryParameters):
-        axes = (_rotary(env, parameters),)
+        axes = (_rotary(env, parameters, truth),)
     elif isinstance(parameters, GantryParameters):
-        heaviest = _heaviest(env, parameters.payload, truth)
-        axes = tuple(_of_gantry(env, parameters, heaviest, d) for d in range(len(env.drives)))
+        axes = tuple(_of_gantry(env, parameters, truth, d) for d in range(len(env.drives)))
     elif isinstance(parameters, Joints):
-        axes = tuple(map(_joint, env.drives, parameters.ranges))
+        axes = tuple(_joint(env, d, half) for d, half in enumerate(parameters.ranges))
     return Datasheet(
         task=env.ID,
         action_record=env.action_record,
@@ -188,8 +188,8 @@ def _of_class(task: type[ServoEnv]) -> dict[str, Any]:
     return {name: value for each in reversed(own) for name, value in vars(each).items()}
 
 
-def _linear(env: ServoEnv, p: LinearAxisParameters, heaviest: float) -> Axis:
-    task, drive = vars(env), env.drive
+def _linear(env: ServoEnv, p: LinearAxisParameters, truth: Mapping[str, float]) -> Axis:
+    task, drive, heaviest = vars(env), env.drive, _heaviest(env, p.payload, truth)
     gear = 2 * math.pi / p.feed_constant
     rotor = drive.model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
     fastest = _object(drive, "max_profile_velocity") / METRE
@@ -215,12 +215,12 @@ def _linear(env: ServoEnv, p: LinearAxisParameters, heaviest: float) -> Axis:
         fastest=fastest,
         profile=Bounds(p.max_velocity, p.max_acceleration, p.max_jerk),
         vibration=_spring(p),
-        lag=_lag(drive),
+        lag=_lag(env, 0, truth),
         sensor=env.sensor(),
     )
 
 
-def _rotary(env: ServoEnv, p: RotaryParameters) -> Axis:
+def _rotary(env: ServoEnv, p: RotaryParameters, truth: Mapping[str, float]) -> Axis:
     """An axis without ends: rad for m, Nm for N, kg·m² for kg; half its range is the farthest."""
     drive, units = env.drive, env.units
     fastest = _object(drive, "max_profile_velocity") / units
@@ -241,13 +241,14 @@ def _rotary(env: ServoEnv, p: RotaryParameters) -> Axis:
         fastest=fastest,
         profile=Bounds(p.max_velocity, p.max_acceleration, math.inf),
         vibration=None,
-        lag=_lag(drive),
+        lag=_lag(env, 0, truth),
         sensor=None,
     )
 
 
-def _joint(drive: Drive, half: float) -> Axis:
+def _joint(env: ServoEnv, d: int, half: float) -> Axis:
     """Of somebody's robot, of which only the drive is known: rad or m."""
+    drive = env.drives[d]
     speed, rate = (_object(drive, f"profile_{of}") / METRE for of in ("velocity", "acceleration"))
     profile = Bounds(speed, rate, math.inf)
     unknown = math.nan
@@ -256,7 +257,7 @@ def _joint(drive: Drive, half: float) -> Axis:
         coulomb_friction=unknown, viscous_friction=unknown, weight=unknown, lost=unknown,
         force=unknown, offset=0.0, stroke=half, speed=profile.velocity,
         fastest=_object(drive, "max_profile_velocity") / METRE, profile=profile,
-        vibration=None, lag=_lag(drive), sensor=None,
+        vibration=None, lag=_lag(env, d), sensor=None,
     )  # fmt: skip
 
 
@@ -271,9 +272,9 @@ def _spring(p: LinearAxisParameters) -> Vibration | None:
     return Vibration(math.sqrt(stiffness / mass), damping / (2.0 * math.sqrt(stiffness * mass)))
 
 
-def _of_gantry(env: ServoEnv, p: GantryParameters, heaviest: float, d: int) -> Axis:
+def _of_gantry(env: ServoEnv, p: GantryParameters, truth: Mapping[str, float], d: int) -> Axis:
     """Axis X or Y: all that hangs on it is carried."""
-    task, drive = vars(env), env.drives[d]
+    task, drive, heaviest = vars(env), env.drives[d], _heaviest(env, p.payload, truth)
     gear = 2 * math.pi / FEED_CONSTANT
     fastest = _object(drive, "max_profile_velocity") / METRE
     speed = task.get("speed", fastest)
@@ -300,7 +301,7 @@ def _of_gantry(env: ServoEnv, p: GantryParameters, heaviest: float, d: int) -> A
         fastest=fastest,
         profile=Bounds(min(p.max_velocity, speed), acceleration, jerk),
         vibration=vibration,
-        lag=_lag(drive),
+        lag=_lag(env, d, truth),
         sensor=env.sensor(),
     )
 
@@ -337,10 +338,15 @@ def _torque(drive: Drive) -> float:
     return _object(drive, "max_torque") * 1e-3 * rated
 
 
-def _lag(drive: Drive) -> float:
-    """Of the position loop behind the share of the velocity that is not fed forward (s)."""
-    od = drive.axis.od
-    gain = float(od.position_control_gain) * float(drive.axis.position_gain_unit)
+def _lag(env: ServoEnv, d: int, truth: Mapping[str, float] = UNTOLD) -> float:
+    """Of the position loop behind the share of the velocity that is not fed forward (s).
+
+    With the gain the drive was built with: what it has now was drawn for an episode.
+    """
+    axis = env.drives[d].axis
+    built = env.randomisation.gains[d].get("position_control_gain", 0)
+    gain = truth.get("gains", 1.0) * built * float(axis.position_gain_unit)
+    od = axis.od
     return (1.0 - 1e-3 * float(od.velocity_feed_forward)) / gain if gain > 0.0 else 0.0
 
 
