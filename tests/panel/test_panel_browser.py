@@ -35,7 +35,7 @@ pytestmark = needs_chromium
 
 @pytest.fixture(scope="module")
 def server():
-    server = Server("--pictures", "8")
+    server = Server("--pictures", "4")
     yield server
     server.kill()
 
@@ -400,7 +400,7 @@ def node():
 
 
 def test_a_node_on_a_bus_is_watched_commanded_and_says_what_a_bus_cannot_give(browser, node):
-    server = Server(*node, "--units", "1e-6", "--pictures", "8")
+    server = Server(*node, "--units", "1e-6", "--pictures", "4")
     try:
         page = tab(browser, server)  # nobody has control until a tab takes it
         open_page(page, "motion")

@@ -27,7 +27,7 @@ OVERLAPPING = """() => {
 
 @pytest.fixture(scope="module")
 def gantry():
-    server = Server("--axis", "gantry")
+    server = Server("--axis", "gantry", "--pictures", "4")
     with sync_api.sync_playwright() as playwright:
         browser = chromium(playwright)
         yield browser, server

@@ -1,6 +1,7 @@
 """servogym/Commissioning-v0: a PLC's step chain does it, chance and patience do not."""
 
 import pickle
+from functools import cache
 
 import gymnasium as gym
 import numpy as np
@@ -22,12 +23,19 @@ from servogym.training.policies.plc import action as plc_action
 assert servogym.envs
 
 
+@cache
+def sheet():
+    return datasheet(CommissioningEnv())
+
+
 def action(*arguments):
     """Controlword, mode and target position as an action."""
-    return plc_action(datasheet(CommissioningEnv()), *arguments)
+    return plc_action(sheet(), *arguments)
 
 
-HOLD = action(0, Mode.HOMING, 0.0)
+def hold():
+    return action(0, Mode.HOMING, 0.0)
+
 
 MILESTONES = ("fault_cleared", "operation_enabled", "homed", "moving", "in_position")
 CAPABLE = [name for name in model_names() if Mode.HOMING in load(name).modes]
@@ -77,7 +85,7 @@ def test_a_plc_does_it_with_every_drive_model_that_can_home(model):
 def test_holding_still_earns_nothing():
     env = CommissioningEnv()
     env.reset(seed=1)
-    assert sum(env.step(HOLD)[1] for _ in range(500)) == 0.0
+    assert sum(env.step(hold())[1] for _ in range(500)) == 0.0
 
 
 def test_random_actions_do_not_come_to_a_reference():
@@ -164,7 +172,7 @@ def test_a_pickled_environment_goes_on_bit_for_bit():
     env = CommissioningEnv()
     env.reset(seed=5, options={"outage": 15})
     for _ in range(10):
-        env.step(HOLD)
+        env.step(hold())
     again = pickle.loads(pickle.dumps(env))
     for step in range(30):
         given = action(C.FAULT_RESET if step % 2 else ENABLED, Mode.HOMING, 0.3)
