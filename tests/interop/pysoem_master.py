@@ -8,6 +8,7 @@ import pysoem
 
 PORT, SECOND = "vb", "vb2"
 WAIT = 1_000_000  # µs; SOEM's own 2 ms are short for a machine that does other things as well
+SCANS = 20
 COMMANDS = {0x40: 0x06, 0x21: 0x07, 0x23: 0x0F}  # status & 6Fh -> controlword
 
 
@@ -19,8 +20,11 @@ def opened(second=False):
 
 def scan_of(master):
     """Find the slaves; SOEM finds none where an answer takes longer than its 2 ms."""
-    if master.config_init() < 1:
-        raise RuntimeError("the scan did not go on in time")
+    for _ in range(SCANS):
+        if master.config_init() > 0:
+            return
+        time.sleep(0.02)
+    raise RuntimeError("the scan did not go on in time")
 
 
 def cycle(master, times=1):
