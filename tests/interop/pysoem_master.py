@@ -1,5 +1,6 @@
 """What an unmodified pysoem does on the wire; each function runs beside `servogym ethercat`."""
 
+import contextlib
 import hashlib
 import struct
 import time
@@ -124,6 +125,15 @@ def recover(master, tries=40):
     return sorted(steps)
 
 
+def read_again(slave, index):
+    """An SDO; where its answer comes later than SOEM waits, the next one."""
+    for _ in range(SCANS):
+        with contextlib.suppress(pysoem.WkcError):
+            return slave.sdo_read(index, 0)
+        time.sleep(0.02)
+    return slave.sdo_read(index, 0)
+
+
 def suffer(line, models=("kollmorgen_akd", "kollmorgen_akd")):
     """One fault, what the master saw of it, and its way back."""
     import wire
@@ -139,7 +149,7 @@ def suffer(line, models=("kollmorgen_akd", "kollmorgen_akd")):
                 refused = f"SdoError {error.abort_code:08X}"
             except (pysoem.MailboxError, pysoem.PacketError, pysoem.WkcError) as error:
                 refused = type(error).__name__
-            seen.append(master.slaves[0].sdo_read(0x1008, 0).decode())
+            seen.append(read_again(master.slaves[0], 0x1008).decode())
         else:
             seen = [one_cycle(master) for _ in range(150)]
         master.read_state()
