@@ -3,7 +3,7 @@
 import struct
 
 import pysoem
-from pysoem_master import opened, scan_of
+from pysoem_master import opened, read_again, scan_of
 
 
 def refused(action, *arguments, **options):
@@ -103,6 +103,6 @@ def lossy(line, times=60):
             except (pysoem.WkcError, pysoem.MailboxError, pysoem.PacketError) as error:
                 failed.append(f"{type(error).__name__} {getattr(error, 'wkc', '')}")
         written = [refused(drive.sdo_write, 0x6065, 0, struct.pack("<I", n)) for n in range(20)]
-        last = int.from_bytes(drive.sdo_read(0x6065, 0), "little")
+        last = int.from_bytes(read_again(drive, 0x6065), "little")
         master.close()
     return {"read": read, "failed": failed, "written": written, "last": last}
