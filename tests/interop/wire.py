@@ -62,9 +62,6 @@ class _Helper:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
             env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # who has threads cannot fork
         )  # fmt: skip
-        # as masters run where time matters; what it forks inherits it
-        with contextlib.suppress(PermissionError):
-            os.sched_setscheduler(self.process.pid, os.SCHED_RR, os.sched_param(1))
         atexit.register(self.close)
 
     def close(self):
