@@ -8,22 +8,20 @@ travels, friction keeps its sign.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ...drive.drive import Drive
-from ...drive.kernel.record import AXIS
 from ...drive.kernel.words import Limit, Mode, State
 from ...drive.master import Master
 from ...drive.model.near import near
 from ..checks import in_range
 from ..engine.machine import Machine
+from ..engine.series import Series
 from ..masters.port import MachinePort
 from ..plants.gantry import PAIR
 
 SAMPLED = ("torque_offset", "torque_command", "velocity", "position", "limits")
-PACKED = np.dtype([(name, AXIS[name]) for name in SAMPLED])
 ROOM = 0.9  # share of the free way that a run may use
 CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
 # what is sampled after each position cycle
@@ -107,6 +105,7 @@ class Stand:
         together = PAIR if name in PAIR and all(x in machine.drives for x in PAIR) else (name,)
         self.movers = [x for x in together if machine.drives[x].model.positions]
         self._heading = 1.0
+        self._series = Series(machine, self.movers, "torque_offset", SAMPLED)
         self._kept = machine.snapshot()
         servos = [x for x, drive in machine.drives.items() if drive.model.positions]
         self.master = Master(MachinePort(machine), *servos)
@@ -211,33 +210,18 @@ class Stand:
         Raises:
             RuntimeError: a drive has left OPERATION_ENABLED, with its fault.
         """
-        machine, limited = self.machine, int(Limit.TORQUE)
+        limited = int(Limit.TORQUE)
         per_mille = float(self.drive.axis.rated_torque) * 1e-3
-        movers = [(machine.drives[name], 1) for name in self.movers]
-        if against:
-            movers[1] = movers[1][0], -1
-        # a row of the record a step, looked at afterwards: each value by itself took half a step
-        fields: list[tuple[Any, ...]] = [
-            (drive.index, sign, drive.axes["od"]["torque_offset"], drive.axes["parameters_changed"],
-             drive.axes[list(SAMPLED)], np.zeros(len(offsets), PACKED))
-            for drive, sign in movers
-        ]  # fmt: skip
-        for k, value in enumerate(np.rint(offsets / per_mille).astype(int).tolist()):
-            for axis, sign, offset, changed, *_ in fields:
-                offset[axis] = sign * value
-                changed[axis] = 1
-            machine.step()
-            for axis, _, _, _, row, rows in fields:
-                rows[k] = row[axis]
+        signs = np.array([1, -1 if against else 1][: len(self.movers)])
+        told = np.rint(offsets / per_mille).astype(int)
+        rows = self._series.run(told[:, None] * signs)
         samples = np.zeros((len(offsets), 6))
-        for _, sign, *_, rows in fields:
-            for column, name in enumerate(SAMPLED[:LIMITED]):
-                samples[:, column] += sign * rows[name]
-            samples[:, LIMITED] += rows["limits"] & limited != 0
-            samples[:, TURNED] += rows["velocity"] * self._heading <= 0.0
-        samples[:, :LIMITED] /= len(movers)
+        for column, name in enumerate(SAMPLED[:LIMITED]):
+            samples[:, column] = rows[name] @ signs / len(signs)
+        samples[:, LIMITED] = np.sum(rows["limits"] & limited != 0, axis=1)
+        samples[:, TURNED] = np.sum(rows["velocity"] * self._heading <= 0.0, axis=1)
         for name in self.movers:
-            drive = machine.drives[name]
+            drive = self.machine.drives[name]
             if drive.state != State.OPERATION_ENABLED:
                 why = drive.fault or drive.describe()
                 raise RuntimeError(f"drive {name!r} has left the measuring run: {why}")

@@ -1,0 +1,76 @@
+"""Many cycles of a machine with a value for each, by the compiled loop.
+
+The process images of a step, one a cycle: with a mapping of their own, which may name any field of
+a drive's record, mapped by the model or not.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...drive.kernel import process_data
+from ...drive.kernel.record import AXIS, OD
+from ...drive.memory import address
+from . import loop
+from .machine import Machine
+from .world import PDOS
+
+
+class Series:
+    """What is written before each cycle, and read after it.
+
+    Args:
+        machine: whose PDOs stay as they are.
+        drives: names of those that are written and read, in the order of the machine.
+        written: an object of each drive, by its field.
+        read: fields of each drive's record.
+    """
+
+    def __init__(self, machine: Machine, drives: Sequence[str], written: str, read: Sequence[str]):
+        self._machine = machine
+        self._value = OD[written]
+        self._row = np.dtype([(name, AXIS[name]) for name in read])
+        of_od = int(AXIS.fields["od"][1]) + int(OD.fields[written][1])  # type: ignore[index]
+        self._rpdos = _mapped({of_od: self._value.itemsize})
+        self._tpdos = _mapped(
+            {int(AXIS.fields[name][1]): AXIS[name].itemsize for name in read}  # type: ignore[index]
+        )
+        self._count = len(drives)
+        self._directory = np.zeros(len(machine.drives), PDOS)
+        for i, name in enumerate(machine.drives):
+            if name in drives:
+                self._directory[i] = address(self._rpdos), 1, address(self._tpdos), 1
+
+    def run(self, values: np.ndarray) -> np.ndarray:
+        """A cycle for each row of `values`, shape ``(n, drives)``; -> what was read, likewise.
+
+        Raises as `Machine.step` does; where it is interrupted, the machine needs a `restore`.
+        """
+        machine, count = self._machine, self._count
+        images = np.ascontiguousarray(values, self._value).reshape(len(values), count)
+        rows = np.zeros((len(values), count), self._row)
+        worlds = np.repeat(machine.addresses, len(values))
+        with machine.turn:
+            world = machine.world
+            kept = {name: world[name].copy() for name in ("pdos", "delay")}
+            world["pdos"], world["delay"] = address(self._directory), 0
+            try:
+                loop.run(worlds, machine.physics_steps, _bytes(images), _bytes(rows))
+            finally:
+                for name, value in kept.items():
+                    world[name] = value
+        return rows
+
+
+def _bytes(rows: np.ndarray) -> np.ndarray:
+    """A row of bytes for each row; a view."""
+    return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)
+
+
+def _mapped(places: Mapping[int, int]) -> np.ndarray:
+    """One PDO of so many bytes at places of a drive's record."""
+    pdo = process_data.make(1)
+    pdo["valid"], pdo["count"], pdo["width"] = 1, len(places), sum(places.values())
+    pdo["offset"][0, : len(places)] = [*places]
+    pdo["length"][0, : len(places)] = [*places.values()]
+    return pdo
