@@ -32,7 +32,7 @@ from .comparison import ZERO, Comparison, Early
 from .episodes import Evaluation
 from .metrics import METRICS, RESAMPLES, Difference, Summary
 from .parts import warm
-from .tables import IDLE, SCORE, SHARES, ahead, best, differences, summaries
+from .tables import IDLE, SCORE, SHARES, ahead, best, column_of, differences, summaries
 
 ARROWS = {"high": " →", "low": " ←", "": ""}
 SHOWN = (  # in the picture, the first six that apply
@@ -90,7 +90,7 @@ def draw(
     figure = Figure((4.2 * columns, height), 110, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    names = [_label(result.policy) for result in results]
+    names = [column_of(result.policy) for result in results]
     for panel, metric in zip(panels.flat, shown, strict=False):
         for y, (name, s) in enumerate(zip(names, table[metric], strict=True)):
             if s is None or (metric != "score" and name in IDLE):
@@ -148,7 +148,7 @@ def run(
     )  # fmt: skip
     results = comparison.results(found)
     table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
-    heading = ["metric", *(_label(result.policy) for result in results)]
+    heading = ["metric", *(column_of(result.policy) for result in results)]
     rows = [
         [metrics[metric].heading, *(_cell(metric, s) for s in columns)]
         for metric, columns in table.items()
@@ -164,7 +164,7 @@ def run(
     sorted_out = [metric for metric in table if metrics[metric].better]
     pages = markdown(heading, rows)
     if apart:
-        pages += f"\n## Against {_label(against)}, on the same episodes\n\n" + markdown(
+        pages += f"\n## Against {column_of(against)}, on the same episodes\n\n" + markdown(
             heading,
             [
                 [
@@ -214,17 +214,12 @@ def folder_of(env: str) -> str:
 def _moving(traces: Sequence[Recording]) -> list[Recording]:
     """By their labels; of idle policies only where there is no other."""
     moving = [trace for trace in traces if trace.policy not in IDLE] or traces
-    return [trace._replace(policy=_label(trace.policy)) for trace in moving]
+    return [trace._replace(policy=column_of(trace.policy)) for trace in moving]
 
 
 def _quoted(name: str, value: Any) -> str:
     """As typed in a shell: ``NAME=VALUE``, a text as it is, all else in JSON."""
     return shlex.quote(f"{name}={value if isinstance(value, str) else json.dumps(value)}")
-
-
-def _label(policy: str) -> str:
-    """Of a folder its name."""
-    return Path(policy).name if Path(policy).is_dir() else policy
 
 
 def _scale(env: str, results: Sequence[Evaluation]) -> str:

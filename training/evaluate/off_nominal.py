@@ -12,12 +12,12 @@ from ..pictures import heat_map
 from ..policies import label
 from ..report import GRID, kept_folder, markdown, number, origin, write_json, write_page
 from ..scale.work import ALONE, Work
-from .compare import _label, folder_of
+from .compare import folder_of
 from .conditions import NOMINAL, TABLES, VERSION, Condition, chosen, suiting
 from .matrix import Matrix
 from .metrics import Difference, Summary, difference, metrics
 from .parts import warm
-from .tables import ahead, best, summaries
+from .tables import ahead, best, column_of, summaries
 
 GAP = "gap"
 
@@ -63,10 +63,10 @@ def run(
             for result in results
         ]
         console.print(f"{name}: " + ", ".join(
-            f"{_label(policy)} {number(s.iqm) if s else GAP}"
+            f"{column_of(policy)} {number(s.iqm) if s else GAP}"
             for policy, s in zip(labels, table[name], strict=True)
         ), highlight=False)  # fmt: skip
-    shown = [_label(policy) for policy in labels]
+    shown = [column_of(policy) for policy in labels]
     better = row_of[metric].better
     cells = [
         [name, *(_cell(*each, better) for each in zip(
@@ -75,7 +75,7 @@ def run(
     ]  # fmt: skip
     off = [name for name in table if name != NOMINAL]
     cells.append(
-        [f"ahead of {_label(against)}, of {len(off)}"]
+        [f"ahead of {column_of(against)}, of {len(off)}"]
         + [
             "–" if policy == against else _ahead([apart[name][i] for name in off], better)
             for i, policy in enumerate(labels)
@@ -83,9 +83,10 @@ def run(
     )
     notes = (
         f"{row_of[metric].heading}, interquartile mean [95 % interval over trainings and "
-        f"episodes], and success. In bold: the paired difference from {_label(against)} is on the "
-        f"better side of 0 with its interval. Table of conditions {VERSION}. Policies know the "
-        "data sheet of the drive and the mechanics they meet, and nothing else of the condition."
+        "episodes], and success. In bold: the paired difference from "
+        f"{column_of(against)} is on the better side of 0 with its interval. Table of conditions "
+        f"{VERSION}. Policies know the data sheet of the drive and the mechanics they meet, and "
+        "nothing else of the condition."
     )
     if matrix.gaps:
         notes += f"\n\nA {GAP} is a condition that a policy does not fit:\n\n{matrix.told()}"

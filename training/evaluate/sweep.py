@@ -20,11 +20,10 @@ from ..report import markdown, number, origin, write_csv, write_json, write_page
 from ..scale.job import Job, Result
 from ..scale.work import Work
 from . import conditions
-from .compare import _label
 from .comparison import Comparison
 from .metrics import metrics
 from .parts import warm
-from .tables import SCORE, summaries
+from .tables import SCORE, column_of, summaries
 
 AT_A_TIME = 8  # trials of a study that are asked for before the first of them is judged
 SAMPLER_SEED = 0
@@ -211,7 +210,7 @@ def _rows(cell: _Cell, results: Any) -> Iterator[Row]:
     for i, result in enumerate(results):
         row: Row = {"task": cell.task, "drive": Path(cell.drive).name}
         row |= {"condition": cell.condition, "seed": cell.seed, **cell.values}
-        row |= {"policy": _label(result.policy), "metric": kind.METRIC}
+        row |= {"policy": column_of(result.policy), "metric": kind.METRIC}
         row["better"] = known[kind.METRIC].better
         for name, metric in (("", kind.METRIC), ("score", "score"), ("success", "success")):
             summary = table.get(metric, [None] * len(results))[i]

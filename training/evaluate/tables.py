@@ -1,6 +1,7 @@
 """Policies beside one another: summaries by metric, the best baseline, differences from it."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from ...envs.about import Metric
 from ..policies import POLICIES
@@ -10,6 +11,11 @@ from .metrics import Difference, Summary, difference, summarise
 SCORE = Metric("score", "high", "")
 SHARES = ("success", "limited", "faults")  # told as means in percent
 IDLE = ("hold", "random")  # would spoil the scales of all but the score
+
+
+def column_of(policy: str) -> str:
+    """Heading of a policy: of a folder its name."""
+    return Path(policy).name if Path(policy).is_dir() else policy
 
 
 def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
