@@ -27,6 +27,7 @@ from .engine.rates import interpolation_period, step_cycles
 from .faces import FACES, FAULT, PDO
 from .injection import Faults, injections, sort
 from .masters.port import MachinePort
+from .needed import NEEDED, built, check
 from .plants.axis_parameters import Joints, LinearAxisParameters
 from .plants.gantry import GantryParameters
 from .plants.rotary import RotaryParameters
@@ -47,17 +48,6 @@ INTERPOLATING = {  # modes in which the drive has to know the period of the set-
     Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY,
     Mode.CYCLIC_SYNC_TORQUE,
 }  # fmt: skip
-NEEDED = {  # what a task has to say: what it is
-    "ID": "its id in the registry of Gymnasium, such as 'mylab/Nudge-v0'",
-    "RPDO": "the names of the objects the agent commands",
-    "ACTION": "a record made by servogym.envs.fields.action",
-    "OBSERVATION": "a record made by servogym.envs.fields.observation",
-    "EPISODE": "a record made by servogym.envs.batch.episode",
-    "act": "a compiled function (worlds, episodes, actions, rpdos)",
-    "judge": "a compiled function (worlds, episodes, rpdos, tpdos, observations)",
-    "_make": "a method (model) that builds the machine",
-    "_begin": "a method (options) that begins an episode",
-}
 
 
 class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -137,10 +127,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         faults: Faults = None,
         render_mode: str | None = None,
     ):
-        for name, what in NEEDED.items():
-            given = vars(self).get(name, getattr(type(self), name, None))
-            if given is getattr(ServoEnv, name, None):
-                raise ValueError(f"task {type(self).__name__} lacks {name}: give it {what}")
+        check(self, ServoEnv)
         causes, bus_faults = sort(faults)
         model = load(drive, "ethercat" if bus_faults else None)
         for mode in self.MODES:
@@ -154,7 +141,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
         self.render_mode = render_mode
         self.face = action
-        self.machine = self._make(model)
+        self.machine = built(self, self._make(model))
         self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
         self.drive = self.drives[0]
         self.cycles_per_step = step_cycles(step_time, self.STEP_TIME, self.machine.cycle_time)
@@ -431,8 +418,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
-        episode = getattr(cls, "EPISODE", None)  # without one no environment can be made
-        names = (episode.names if isinstance(episode, np.dtype) else None) or JUDGED_NAMES
+        episode: Any = getattr(cls, "EPISODE", None)  # without one no environment can be made
+        names = episode.names if NEEDED["EPISODE"].fits(episode) else JUDGED_NAMES
         cls._REWARD, cls._TERMINATED = names.index("reward"), names.index("_terminated")
         cls._SHOWN = [(i, name) for i, name in enumerate(names) if shown(name)]
 

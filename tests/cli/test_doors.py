@@ -139,6 +139,31 @@ def test_a_task_that_lacks_something_says_what(name):
         whole(**{name: None})()
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ID", 5), ("RPDO", "target_position"), ("RPDO", 5), ("TPDO", 4), ("DRIVES", 3),
+        ("ACTION", ("velocity",)), ("ACTION", observation("velocity")),
+        ("OBSERVATION", np.dtype("f4")), ("OBSERVATION", action("distance")),
+        ("EPISODE", np.dtype("f8")), ("EPISODE", np.dtype([("goal", "f8")])), ("act", 5),
+        ("judge", "judge"), ("_make", 5), ("_make", lambda self: None),
+        ("_make", lambda self, model: None), ("_make", lambda self, model: linear_axis),
+        ("_begin", lambda self: None), ("_begin", lambda self, options, more: None),
+    ],
+)  # fmt: skip
+def test_what_a_task_has_wrong_is_told(name, value):
+    with pytest.raises(ValueError, match=rf"^task Part: {name} [^\n]+$"):
+        whole(**{name: value})()
+
+
+def test_a_policy_of_a_task_that_is_none_is_told():
+    task = whole(POLICIES=("ruckig", "trapezod"))()
+    with pytest.raises(
+        ValueError, match=r"^task Part: POLICIES names .trapezod.: did you mean trapezoid"
+    ):
+        make("ruckig", task)
+
+
 def test_a_task_without_an_id_is_not_registered():
     with pytest.raises(ValueError, match="task Part lacks ID"):
         register(whole(ID=None))

@@ -211,6 +211,10 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
             f"policy {name!r} is unknown for {task}: {near(base, names(env))}; "
             "or give FILE.py:name, or a folder of `servogym train`"
         )
+    for each in env.POLICIES:
+        if each not in POLICIES:
+            who = f"task {type(env).__name__}: POLICIES names {each!r}"
+            raise ValueError(f"{who}: {near(each, POLICIES)}")
     anywhere = base in ANYWHERE
     if not anywhere and base not in env.POLICIES:
         others = ", ".join(each.ID for each in TASKS if base in each.POLICIES)

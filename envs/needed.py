@@ -1,0 +1,96 @@
+"""What a task has to say of itself before it can be made, and how it is told where it is wrong."""
+
+import inspect
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .batch import JUDGED_NAMES
+from .engine.machine import Machine
+
+
+class Need(NamedTuple):
+    """Of one attribute: what it is, and whether a value could be it."""
+
+    what: str
+    fits: Callable[[Any], bool]
+
+
+def _texts(value: Any) -> bool:
+    return isinstance(value, tuple | list) and all(isinstance(text, str) for text in value)
+
+
+def _numbers(kind: str) -> Callable[[Any], bool]:
+    """A record, with records in it or not, of one kind of numbers."""
+
+    def fits(value: Any) -> bool:
+        return isinstance(value, np.dtype) and bool(value.names) and all(map(leaf, _parts(value)))
+
+    def leaf(part: np.dtype) -> bool:
+        return fits(part) if part.names else part == np.dtype(kind)
+
+    return fits
+
+
+def _parts(record: np.dtype) -> list[np.dtype]:
+    return [record[name].base for name in record.names or ()]
+
+
+def _episode(value: Any) -> bool:
+    return isinstance(value, np.dtype) and {*JUDGED_NAMES} <= {*(value.names or ())}
+
+
+def _takes_one(value: Any) -> bool:
+    if not callable(value):
+        return False
+    try:
+        inspect.signature(value).bind(None)
+    except TypeError:
+        return False
+    return True
+
+
+NEEDED = {
+    "ID": Need(
+        "its id in the registry of Gymnasium, such as 'mylab/Nudge-v0'",
+        lambda value: isinstance(value, str),
+    ),
+    "RPDO": Need("a tuple of the names of the objects the agent commands", _texts),
+    "TPDO": Need("a tuple of the names of the objects it sees", _texts),
+    "DRIVES": Need("a tuple of the names of the drives the agent commands", _texts),
+    "ACTION": Need("a record made by servogym.envs.fields.action", _numbers("f8")),
+    "OBSERVATION": Need("a record made by servogym.envs.fields.observation", _numbers("f4")),
+    "EPISODE": Need("a record made by servogym.envs.batch.episode", _episode),
+    "act": Need("a compiled function (worlds, episodes, actions, rpdos)", callable),
+    "judge": Need("a compiled function (worlds, episodes, rpdos, tpdos, observations)", callable),
+    "_make": Need("a method (model) that builds the machine", _takes_one),
+    "_begin": Need("a method (options) that begins an episode", _takes_one),
+}
+
+
+def check(task: Any, base: type) -> None:
+    """Raises ValueError naming what a task lacks or has wrong, and what to give it.
+
+    Args:
+        task: an environment; some of it may depend on its arguments.
+        base: the class of which all tasks are; what only that one has, a task lacks.
+    """
+    name = type(task).__name__
+    for attribute, need in NEEDED.items():
+        value = getattr(task, attribute, None)
+        own = vars(task).get(attribute, getattr(type(task), attribute, None))
+        if own is None or (callable(own) and own is getattr(base, attribute, None)):
+            raise ValueError(f"task {name} lacks {attribute}: give it {need.what}")
+        if not need.fits(value):
+            raise ValueError(f"task {name}: {attribute} = {own!r:.80}: give it {need.what}")
+
+
+def built(task: Any, machine: Any) -> Machine:
+    """What ``_make`` of a task has returned. Raises ValueError where it is no machine."""
+    if not isinstance(machine, Machine):
+        raise ValueError(
+            f"task {type(task).__name__}: _make returned {machine!r:.80}: return the machine, as "
+            "linear_axis(model) makes one"
+        )
+    return machine
