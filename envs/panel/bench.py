@@ -2,7 +2,8 @@
 
 `session.Session` is the bench of a machine in this process, `bus.BusBench` that of nodes on a bus.
 A motion runs to its end inside its call, exchange by exchange; whatever paces that looks after
-other requests meanwhile and may end the motion with `Interrupted`.
+other requests meanwhile and may end the motion with `Interrupted`. A change of state or mode, which
+what comes after it needs, is carried through, unless it is a stop that comes.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -82,6 +83,7 @@ class Bench:
         self.time = 0.0  # s that have passed, over resets and snapshots
         self.pace: Callable[[], None] = lambda: None
         self.doing = ""  # the motion under way
+        self.carried_through = False  # it does not end for the next one
         self.messages: list[tuple[int, str, str]] = []  # number, kind, text
         self._number = 0
         self.agent: Agent | None = None
@@ -219,11 +221,17 @@ class Bench:
 
     # ---------------------------------------------------------------- motions
 
-    def run(self, what: str, motion: Callable[[], None]) -> str:
-        """Carry out a motion to its end; -> what came of it, empty if all went well."""
+    def run(self, what: str, motion: Callable[[], None], *, through: bool = False) -> str:
+        """Carry out a motion; -> what came of it, empty if all went well.
+
+        Args:
+            what: it is, in words.
+            motion: lets time pass until it is done.
+            through: whether the next motion waits for its end.
+        """
         if self.agent is not None:
             return self._failed(what, f"{self.agent.name} has the machine: take it back first")
-        self.doing = what
+        self.doing, self.carried_through = what, through
         try:
             motion()
         except Interrupted:
@@ -231,7 +239,7 @@ class Bench:
         except (ServoError, SdoAbort) as error:
             return self._failed(what, _words(error))
         finally:
-            self.doing = ""
+            self.doing, self.carried_through = "", False
         self.tell("done", what)
         return ""
 
@@ -241,7 +249,7 @@ class Bench:
 
     def enable(self, axis: str) -> str:
         """Walk to OPERATION_ENABLED."""
-        return self.run(f"{axis}: enable", self.masters[axis].enable)
+        return self.run(f"{axis}: enable", self.masters[axis].enable, through=True)
 
     def disable(self, axis: str) -> str:
         """Take the power off."""
@@ -249,13 +257,14 @@ class Bench:
 
     def reset_fault(self, axis: str) -> str:
         """Reset the fault."""
-        return self.run(f"{axis}: fault reset", self.masters[axis].reset_fault)
+        return self.run(f"{axis}: fault reset", self.masters[axis].reset_fault, through=True)
 
     def set_mode(self, axis: str, mode: int) -> str:
         """Select a mode of operation."""
         return self.run(
             f"{axis}: mode {Mode(mode).name.lower()}",
             lambda: self.masters[axis].set_mode(Mode(mode)),
+            through=True,
         )
 
     def home(self, axis: str, method: int | None = None) -> str:

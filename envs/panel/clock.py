@@ -1,11 +1,13 @@
 """Clock: a session against the wall clock, in a thread that alone touches it.
 
-Requests are served between two cycles; a motion goes on until it ends or the next one begins.
+Requests are served between two cycles; a motion goes on until it ends or the next one begins, which
+waits for a change of state or mode, unless it is a stop.
 """
 
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -34,9 +36,7 @@ class Clock:
         self._requests: queue.SimpleQueue[tuple[Callable[[Bench], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
-        self._motions: queue.SimpleQueue[tuple[Callable[[Bench], Any], Future[Any]]] = (
-            queue.SimpleQueue()
-        )
+        self._motions: deque[tuple[Callable[[Bench], Any], Future[Any], bool]] = deque()
         self._single = 0
         self._stopping = False
         self._begin = self._begun = self._drawn = 0.0
@@ -64,10 +64,10 @@ class Clock:
         self._requests.put((request, future))
         return future
 
-    def move(self, motion: Callable[[Bench], Any]) -> "Future[Any]":
-        """Carry out a motion; one under way ends."""
+    def move(self, motion: Callable[[Bench], Any], *, at_once: bool = False) -> "Future[Any]":
+        """Carry out a motion; one under way ends, or is carried through first if not `at_once`."""
         future: Future[Any] = Future()
-        self._motions.put((motion, future))
+        self._motions.append((motion, future, at_once))
         return future
 
     def set_speed(self, speed: float) -> None:
@@ -101,8 +101,8 @@ class Clock:
         session.pace = self._pace
         while not self._stopping:
             try:
-                if not self._motions.empty():
-                    motion, future = self._motions.get()
+                if self._motions:
+                    motion, future, _ = self._motions.popleft()
                     self._in_motion = True
                     self._answer(motion, future)
                 elif session.agent is not None:
@@ -119,9 +119,10 @@ class Clock:
             finally:
                 self._in_motion = False
         session.pace = lambda: None
-        for requests in (self._requests, self._motions):
-            while not requests.empty():
-                requests.get()[1].cancel()
+        while not self._requests.empty():
+            self._requests.get()[1].cancel()
+        while self._motions:
+            self._motions.popleft()[1].cancel()
 
     def _answer(self, request: Callable[[Bench], Any], future: "Future[Any]") -> None:
         if not future.set_running_or_notify_cancel():
@@ -138,7 +139,7 @@ class Clock:
         """Wait until the next cycle is due, and look after requests."""
         while True:
             self._serve()
-            if self._stopping or (self._in_motion and not self._motions.empty()):
+            if self._stopping or self._is_over():
                 raise Interrupted
             now = time.monotonic()
             if now - self._drawn >= PICTURE:
@@ -150,7 +151,7 @@ class Clock:
                     self._single -= 1
                     self._rebase()
                     return
-                if not self._motions.empty():
+                if self._motions:
                     self.paused = False  # who commands a motion wants to see it
                     continue
                 self._rebase()
@@ -164,6 +165,14 @@ class Clock:
                     self._rebase()
                 return
             self._wait(max(ahead / self.speed, NAP))
+
+    def _is_over(self) -> bool:
+        """Whether the motion under way ends for one that waits."""
+        if not self._in_motion or not self._motions:
+            return False
+        if not self.session.carried_through:
+            return True
+        return any(at_once for *_, at_once in self._motions.copy())
 
     def _wait(self, seconds: float) -> None:
         """Sleep, but not over a request."""

@@ -173,6 +173,49 @@ def test_a_motion_ends_the_one_before_it(clock):
     assert second.result(20) == ""
 
 
+def at_once_after(clock, *motions):
+    """Futures of motions that are given between two cycles, as by quick clicks or keys."""
+    return clock.ask(lambda _: [clock.move(motion, **how) for motion, how in motions]).result(20)
+
+
+def test_enable_clicked_right_after_reset_fault_comes_after_it(clock):
+    drive = clock.session.machine.drives["x"]
+    clock.ask(lambda _: drive.inject("overvoltage")).result(20)
+    moved = clock.move(lambda s: s.move("x", 0.3)).result(20)
+    assert "over-voltage" in moved
+    clock.ask(lambda _: drive.clear_injected()).result(20)
+    given = at_once_after(
+        clock,
+        (lambda s: s.reset_fault("x"), {}),
+        (lambda s: s.set_mode("x", 1), {}),
+        (lambda s: s.enable("x"), {}),
+        (lambda s: s.move("x", 0.2), {}),
+    )
+    assert [each.result(20) for each in given] == [""] * 4
+    assert clock.ask(state).result(20) is State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("stop", ["disable", "quick_stop", "halt"])
+def test_a_stop_does_not_wait_for_a_reset_that_waits_for_its_cause(clock, stop):
+    drive = clock.session.machine.drives["x"]
+    clock.ask(lambda _: drive.inject("overvoltage")).result(20)
+    assert clock.move(lambda s: s.move("x", 0.3)).result(20)
+    begun = clock.ask(lambda s: s.time).result(20)
+    given = at_once_after(
+        clock,
+        (lambda s: s.reset_fault("x"), {}),
+        (lambda s: s.enable("x"), {}),
+        (lambda s: (getattr(s, stop)("x"), s.time), {"at_once": True}),
+    )
+    first, second, ended = (each.result(20) for each in given)
+    assert "ended by another command" in first
+    assert second
+    assert ended[1] - begun < 0.5  # a reset goes on for 2 s
+    after = clock.move(lambda s: s.reset_fault("x"))  # carried through again, to its own end
+    assert clock.move(lambda s: s.halt("x")).result(20) is not None
+    assert "still present" in after.result(20)
+
+
 def test_time_stands_while_it_is_paused_and_goes_cycle_by_cycle(clock):
     clock.pause(True)
     at = clock.ask(lambda s: s.time).result(20)

@@ -65,8 +65,8 @@ class Desk:
 
         return await self._told(self.clock.ask(checked))
 
-    async def motion(self, motion: Request) -> Any:
-        """Let the session carry out a motion; words, where it fails."""
+    async def motion(self, motion: Request, *, at_once: bool = False) -> Any:
+        """Let the session carry out a motion, as `Clock.move` does; words, where it fails."""
         if not self.in_control:  # a motion under way is not ended by who may not command
             return await self.command(lambda session: "")
 
@@ -74,7 +74,7 @@ class Desk:
             session.control.check(self.tab)
             return motion(session)
 
-        return await self._told(self.clock.move(checked))
+        return await self._told(self.clock.move(checked, at_once=at_once))
 
     async def _told(self, future: Any) -> Any:
         try:

@@ -147,13 +147,13 @@ class MotionPage:
         await self._go("enable")
 
     async def _disable(self) -> None:
-        await self._go("disable")
+        await self._go("disable", at_once=True)
 
     async def _reset(self) -> None:
         await self._go("reset_fault")
 
     async def _halt(self) -> None:
-        await self._go("halt")
+        await self._go("halt", at_once=True)
 
     async def _home(self) -> None:
         method = self.method.value
@@ -167,9 +167,9 @@ class MotionPage:
         if mode is not None and mode != self.desk.seen["mode"]:
             await self._go("set_mode", int(mode))
 
-    async def _go(self, what: str, *arguments: Any) -> None:
-        axis = self.desk.axis
-        refuse(await self.desk.motion(lambda s: getattr(s, what)(axis, *arguments)))
+    async def _go(self, what: str, *arguments: Any, at_once: bool = False) -> None:
+        axis, desk = self.desk.axis, self.desk
+        refuse(await desk.motion(lambda s: getattr(s, what)(axis, *arguments), at_once=at_once))
 
     async def _absolute(self, target: float) -> str:
         axis = self.desk.axis
@@ -196,7 +196,7 @@ class MotionPage:
         """End jogging, if it does."""
         if self.desk.jogging:
             self.desk.jogging = False
-            await self._go("jog", 0.0)
+            await self._go("jog", 0.0, at_once=True)
 
     def _top_speed(self) -> None:
         """The range of the jog speed, and a twentieth of it at first."""

@@ -199,7 +199,7 @@ class Shell:
             await self.desk.ask(lambda session: session.control.take(tab))
 
     async def _quick_stop(self) -> None:
-        refuse(await self.desk.motion(lambda session: session.quick_stop()))
+        refuse(await self.desk.motion(lambda session: session.quick_stop(), at_once=True))
 
     async def _take_back(self) -> None:
         refuse(await self.desk.command(lambda session: session.release()))
@@ -305,7 +305,7 @@ class Shell:
         if self.desk.jogging:
             self.desk.jogging = False
             axis = self.desk.axis
-            self.clock.move(lambda session: session.jog(axis, 0.0))
+            self.clock.move(lambda session: session.jog(axis, 0.0), at_once=True)
 
     def leave(self) -> None:
         """The tab is closed for good."""
