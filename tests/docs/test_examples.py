@@ -5,13 +5,13 @@ import runpy
 import sys
 from pathlib import Path
 
-import matplotlib
-import matplotlib.image
-import matplotlib.pyplot as plt
 import pytest
+from later import Later
 
 from servogym.drive.kernel.words import State
 
+matplotlib = Later("matplotlib")
+plt = Later("matplotlib.pyplot")
 FOLDER = Path(__file__).parents[2] / "examples"
 LESSONS = sorted(FOLDER.glob("*.py"))
 
@@ -64,7 +64,7 @@ def test_a_lesson_draws_its_picture_and_its_claim_holds(lesson, tmp_path, monkey
     finally:
         plt.close("all")
         matplotlib.use(before)
-    height, width, _ = matplotlib.image.imread(picture).shape
+    height, width, _ = plt.imread(picture).shape
     assert width > 600
     assert height > 400
     assert FACTS[lesson.stem](names)

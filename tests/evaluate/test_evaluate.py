@@ -7,6 +7,7 @@ from importlib import resources
 
 import numpy as np
 import pytest
+from later import Later
 
 from servogym.drive.kernel.words import ENABLED, Mode
 from servogym.drive.master import Master
@@ -23,9 +24,10 @@ from servogym.training.evaluate import compare, comparison, tables
 from servogym.training.evaluate.episodes import FIRST_SEED, Evaluator
 from servogym.training.evaluate.homing import repeatability
 from servogym.training.evaluate.metrics import METRICS, iqm
-from servogym.training.pictures import episode as pictured
 from servogym.training.policies import make
 from servogym.training.report import number
+
+pictured = Later("servogym.training.pictures.episode")
 
 
 @pytest.fixture

@@ -9,11 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from matplotlib.figure import Figure
-from matplotlib.text import Text
+from later import Later
 
 from servogym.drive.kernel.words import Mode
-from servogym.training.pictures.scope import draw, round_up, runs
+
+Figure = Later("matplotlib.figure", "Figure")
+draw = Later("servogym.training.pictures.scope", "draw")
+round_up = Later("servogym.training.pictures.scope", "round_up")
+runs = Later("servogym.training.pictures.scope", "runs")
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ def figure(drawn):
 
 
 def texts(figure):
+    from matplotlib.text import Text
+
     return {text for text in figure.findobj(Text) if text.get_text()}
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from later import Later
 from PIL import Image
 
 from servogym.envs import TASKS
@@ -14,9 +15,9 @@ from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
 from servogym.training.evaluate import compare, comparison
 from servogym.training.evaluate.episodes import Evaluator
-from servogym.training.pictures import episode as trace
 from servogym.training.policies import make
 
+trace = Later("servogym.training.pictures.episode")
 VALUE, AIM, WINDOW = range(3)
 
 

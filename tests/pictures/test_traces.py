@@ -1,10 +1,12 @@
 """The picture of channels over time, from a machine, a bus or a log."""
 
-from matplotlib.figure import Figure
+from later import Later
 
 from servogym.drive.kernel.words import state_of
 from servogym.drive.trace import Recording
-from servogym.training.pictures.traces import draw
+
+Figure = Later("matplotlib.figure", "Figure")
+draw = Later("servogym.training.pictures.traces", "draw")
 
 # statuswords of all states but the one without power, as a day with a fault has them
 DAY = (0x0250, 0x0231, 0x0233, 0x0237, 0x0217, 0x021F, 0x0218)

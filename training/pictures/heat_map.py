@@ -4,12 +4,7 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.colors import LogNorm
 
 from ..report import number
 
@@ -58,6 +53,12 @@ def draw(
         why: gives the reason of an outlier by panel, row and column; below the picture these are
             told in words, the farthest first.
     """
+    import matplotlib  # not with every evaluation, it takes a while
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import LogNorm
+
     width = 1.0 + 0.85 * len(columns)
     figure, places = plt.subplots(
         1, len(panels), figsize=(1.0 + width * len(panels), 2.2 + 0.27 * len(rows)),

@@ -10,10 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from rich.console import Console
 from rich.progress import track
@@ -98,6 +94,11 @@ def home(machine: Machine, start: float, name: str = "") -> Run:
 
 def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None:
     """One diagram to `path`; the suffix chooses the format."""
+    import matplotlib  # only where it is drawn, it takes a while
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
     figure, (panel, strip) = plt.subplots(
         2, 1, figsize=(8, 6.4), sharex=True, layout="constrained",
         gridspec_kw={"height_ratios": [4, 1.3]},
