@@ -221,7 +221,7 @@ def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(pa
 
 
 def test_gains_are_tuned_on_a_copy_taken_over_and_put_back(page):
-    pytest.importorskip("control", reason="margins need servogym[tune]")
+    pytest.importorskip("scipy", reason="margins need servogym[tune]")
     ready(page)
     gain = at(page, "value-position_control_gain")
     before = gain.inner_text()
