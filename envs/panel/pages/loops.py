@@ -16,8 +16,9 @@ from ...autotune.tune import Tuned, tune
 from ...engine.machine import Machine
 from .charts import SMALL, bode_chart, move_chart, step_chart
 from .desk import Desk, refuse
-from .widgets import Entry, Tag, button, card
+from .widgets import Entry, Tag, button, card, two_sided
 
+TAKE_OVER, PUT_BACK = "Take over", "Put back"
 VIEWS = {"bode": "Bode", "step": "Step", "move": "Move"}
 
 
@@ -31,6 +32,7 @@ class LoopsPage:
         self.responses: list[Response] = []
         self.tuned: Tuned | None = None
         self.taken: dict[str, int] | None = None  # what the drive had before
+        self._taking = asyncio.Lock()
         with ui.element("div").classes("columns loop-columns"):
             with card("Open loops, measured", "bode"):
                 self.view = ui.toggle(VIEWS, value="bode", on_change=self._draw)
@@ -72,7 +74,7 @@ class LoopsPage:
             self.verdict = ui.label("").classes("prose").props("data-test=tune-verdict")
             self.gains = ui.element("div").classes("results gains").props("data-test=gains")
             with ui.element("div").classes("cluster"):
-                self.take = button("Take over", self._take, "take-gains", "main")
+                self.take = two_sided(TAKE_OVER, self._take, "take-gains", "main")
                 self.discard = button("Discard", self._discard, "discard-gains")
             self._buttons()
 
@@ -136,10 +138,13 @@ class LoopsPage:
 
     # ----------------------------------------------------------- taken, or not
 
-    async def _take(self) -> None:
-        tuned, axis = self.tuned, self.desk.axis
-        if tuned is None:
-            return
+    async def _take(self, shown: str) -> None:
+        async with self._taking:  # pressed twice, it is done once
+            if self.tuned is not None and shown == self.take.text:
+                await self._take_or_put_back(self.tuned)
+
+    async def _take_or_put_back(self, tuned: Tuned) -> None:
+        axis = self.desk.axis
         if self.taken is None:
             before = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
             words = await self.desk.command(lambda s: s.commission(axis, tuned.objects))
@@ -167,7 +172,7 @@ class LoopsPage:
     def _buttons(self) -> None:
         self.take.set_visibility(self.tuned is not None)
         self.discard.set_visibility(self.tuned is not None and self.taken is None)
-        self.take.set_text("Put back" if self.taken else "Take over")
+        self.take.set_text(PUT_BACK if self.taken else TAKE_OVER)
         self.view.set_visibility(self.tuned is not None)
         if self.tuned is None:
             self.view.set_value("bode")

@@ -19,7 +19,7 @@ from .motion import MotionPage
 from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
-from .widgets import Readout, Tag, button, card, live, pending, told
+from .widgets import Readout, Tag, button, card, live, pending, told, two_sided
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 MODES = {int(mode): name for mode, name in MODE_ABBREVIATION.items()} | {0: "no mode"}
@@ -30,6 +30,8 @@ for (const id in texts) {
   if (element?.firstChild) element.firstChild.nodeValue = texts[id];
 }
 return 1"""
+TAKE_CONTROL = "Take control"
+PAUSE, GO_ON = "pause", "play_arrow"  # icons
 SLOWEST = 20.0  # s that a browser may take for a picture
 GONE = 2.0  # s, while an axis is jogged
 PAGES: Sequence[type[Any]] = (
@@ -95,8 +97,8 @@ class Shell:
             self.doing = ui.label("").classes("doing").props("data-test=doing")
             ui.space()
             with ui.element("div").classes("time cluster"):
-                self.pause = button("", self._pause, "pause", "icon")
-                self.pause.props("icon=pause aria-label=Pause")
+                self.pause = two_sided("", self._pause, "pause", "icon")
+                self.pause.props(f"icon={PAUSE} aria-label=Pause")
                 step = button("", self._single, "single", "icon").props(
                     "icon=skip_next aria-label='One cycle' title='One position cycle'"
                 )
@@ -111,7 +113,7 @@ class Shell:
                         made.props("disable")
                         made.props(f'title="{why}"')
                 self.measured = ui.label("").classes("quiet mono").props("data-test=measured")
-            self.seat = button("Take control", self._seat, "control", "seat")
+            self.seat = two_sided(TAKE_CONTROL, self._seat, "control", "seat")
             button("", self._theme, "theme", "icon").props(
                 "icon=contrast aria-label='Dark or light'"
             )
@@ -168,9 +170,9 @@ class Shell:
         self.kept["dark"] = not self.dark.value
         self.dark.set_value(self.kept["dark"])
 
-    def _pause(self) -> None:
+    def _pause(self, shown: str) -> None:
         if self._may_stop_time():
-            self.clock.pause(not self.clock.paused)
+            self.clock.pause(shown == PAUSE)
 
     def _single(self) -> None:
         if self._may_stop_time():
@@ -191,12 +193,12 @@ class Shell:
                   position="bottom-left")  # fmt: skip
         return False
 
-    async def _seat(self) -> None:
+    async def _seat(self, shown: str) -> None:
         tab = self.desk.tab
-        if self.desk.in_control:
-            await self.desk.ask(lambda session: session.control.leave(tab))
-        else:
+        if shown == TAKE_CONTROL:
             await self.desk.ask(lambda session: session.control.take(tab))
+        else:
+            await self.desk.ask(lambda session: session.control.leave(tab))
 
     async def _quick_stop(self) -> None:
         refuse(await self.desk.motion(lambda session: session.quick_stop(), at_once=True))
@@ -228,7 +230,7 @@ class Shell:
         if event.key.number is not None and 1 <= event.key.number <= len(names):
             self.go(names[event.key.number - 1])
         elif str(event.key) == "p":
-            self._pause()
+            self._pause(GO_ON if self.clock.paused else PAUSE)
         elif str(event.key) == ".":
             self._single()
 
@@ -250,7 +252,7 @@ class Shell:
         self.position.show(told(seen["position"], 0 if unit == "units" else 3), unit)
         self.doing.set_text(seen["fault"] or shown["doing"])
         holds, holder = self.desk.in_control, shown["holder"]
-        self.seat.set_text("In control" if holds else "Take control")
+        self.seat.set_text("In control" if holds else TAKE_CONTROL)
         self.seat.classes(**({"add": "held"} if holds else {"remove": "held"}))
         self.banner.set_visibility(not holds)
         self.banner_text.set_text(
@@ -264,7 +266,7 @@ class Shell:
         if lesson is not None:
             title, number, text = lesson
             self.task_text.set_text(f"{title} · {f'{number + 1}. {text}' if text else 'done'}")
-        self.pause.props(f"icon={'play_arrow' if clock.paused else 'pause'}")
+        self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)
         pulse = "paused" if clock.paused else f"{told(clock.achieved, 2)}× real time"

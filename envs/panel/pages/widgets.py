@@ -204,10 +204,22 @@ class Bits:
         self._shown, self._names = word, names
 
 
-def button(text: str, click: Callable[..., Any], test: str = "", kind: str = "") -> ui.button:
+def button(
+    text: str, click: Callable[..., Any] | None, test: str = "", kind: str = ""
+) -> ui.button:
     """A button of the panel; `kind` is main, stop or quiet."""
     made = ui.button(text, on_click=click, color=None).props("no-caps unelevated")
     made.classes(f"btn {kind}")
     if test:
         made._props["data-test"] = test  # it may be what somebody has typed
     return made
+
+
+def two_sided(text: str, press: Callable[[str], Any], test: str = "", kind: str = "") -> ui.button:
+    """A button that says one thing or another; `press` gets what it showed when it was pressed.
+
+    What it stands for may have changed meanwhile: nobody gets the other thing for that.
+    """
+    made = button(text, None, test, kind)
+    shown = "(event) => emit(event.currentTarget.textContent.trim())"
+    return made.on("click", lambda event: press(event.args), js_handler=shown)
