@@ -26,18 +26,19 @@ OVERLAPPING = """() => {
 
 
 @pytest.fixture(scope="module")
-def gantry():
+def page():
+    """Of a gantry, which has the most to show."""
     server = Server("--axis", "gantry", "--pictures", "4")
     with sync_api.sync_playwright() as playwright:
         browser = chromium(playwright)
-        yield browser, server
+        yield tab(browser, server)
         browser.close()
     server.kill()
 
 
 @pytest.mark.parametrize("width", [390, 820])
-def test_nothing_is_beside_the_window_and_the_quick_stop_is_in_sight(gantry, width):
-    page = tab(*gantry, width, 844)
+def test_nothing_is_beside_the_window_and_the_quick_stop_is_in_sight(page, width):
+    page.set_viewport_size({"width": width, "height": 844})
     for name in PAGES:
         open_page(page, name)
         room, needed = page.evaluate(
@@ -50,4 +51,3 @@ def test_nothing_is_beside_the_window_and_the_quick_stop_is_in_sight(gantry, wid
         assert 0 <= box["y"] <= 844 - box["height"], name
         if name in ("state", "motion"):
             assert page.evaluate(OVERLAPPING) == [], name
-    page.context.close()
