@@ -83,8 +83,14 @@ class _Helper:
 _helper = functools.cache(_Helper)
 
 
-def on_the_wire(module, scenario, *server, timeout=300, ports=1, **arguments):
-    """Let a function of a module of this folder talk to `servogym ethercat`; -> what it returns."""
+def on_the_wire(
+    module, scenario, *server, timeout=300, ports=1, in_time=lambda result: True, **arguments
+):
+    """Let a function of a module of this folder talk to `servogym ethercat`; -> what it returns.
+
+    It does so again where something came later than the master waits: it then ends with an error of
+    `LATE`, or with what is not `in_time`.
+    """
     if (package := module.split("_")[0]) in FROM_PYPI:
         pytest.importorskip(package)
     if reason := why_not():
@@ -93,10 +99,12 @@ def on_the_wire(module, scenario, *server, timeout=300, ports=1, **arguments):
             "arguments": arguments}  # fmt: skip
     for _ in range(ATTEMPTS):
         status, said = _helper().do(task, timeout)
-        if status == 0 or not any(late in said for late in LATE):
+        if status == 0 and in_time(result := json.loads(said.splitlines()[-1])):
+            return result
+        if status and not any(late in said for late in LATE):
             break
     assert status == 0, said
-    return json.loads(said.splitlines()[-1])
+    return result
 
 
 def _serve(options, said):
