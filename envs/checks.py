@@ -46,6 +46,17 @@ def flag(name: str, value: bool) -> bool:
     return bool(value)
 
 
+def misfit(function: Any, *arguments: Any) -> str:
+    """Why it cannot be called so; empty where it can, or has no signature as compiled code."""
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        return str(error)
+    except ValueError:
+        return ""
+    return ""
+
+
 def cores() -> int:
     """Of this machine, those that this process may use."""
     if hasattr(os, "sched_getaffinity"):

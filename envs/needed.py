@@ -1,12 +1,12 @@
 """What a task has to say of itself before it can be made, and how it is told where it is wrong."""
 
-import inspect
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .batch import JUDGED_NAMES
+from .checks import misfit
 from .engine.machine import Machine
 
 
@@ -42,13 +42,7 @@ def _episode(value: Any) -> bool:
 
 
 def _takes_one(value: Any) -> bool:
-    if not callable(value):
-        return False
-    try:
-        inspect.signature(value).bind(None)
-    except TypeError:
-        return False
-    return True
+    return callable(value) and not misfit(value, None)
 
 
 NEEDED = {

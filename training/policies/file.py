@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.checks import told
+from ...envs.checks import misfit, told
 from .datasheet import Datasheet
 
 SUFFIX = ".py"
@@ -58,16 +58,12 @@ def _takes(name: str, function: Any, *arguments: str) -> None:
             f"policy {name!r}: {function.__name__} is a coroutine or a generator, give a function "
             "that returns the action"
         )
-    try:
-        inspect.signature(function).bind(*arguments)
-    except TypeError as error:
+    if why := misfit(function, *arguments):
         given = ", ".join(each for each in arguments if each != "self")
         raise ValueError(
             f"policy {name!r}: {function.__name__} is called with ({given}), which it does not "
-            f"take: {error}"
-        ) from None
-    except ValueError:  # it has no signature, as what is compiled
-        return
+            f"take: {why}"
+        )
 
 
 class Own:
