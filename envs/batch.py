@@ -256,7 +256,8 @@ class Batch:
 
 def _with(record: np.dtype, name: str, kind: np.dtype, drives: int) -> np.dtype:
     """A record of a task, and what the face "pdo" adds for each drive."""
-    return np.dtype([*((n, record[n]) for n in record.names or ()), (name, kind, (drives,))])
+    fields: list[Any] = [(n, record[n]) for n in record.names or ()]
+    return np.dtype([*fields, (name, kind, (drives,))])
 
 
 def _bytes(records: np.ndarray) -> np.ndarray:

@@ -202,9 +202,8 @@ class _Robot(Fitting):
 def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
     """Of a machine of one's own, with a goal for one of its joints."""
     slides = machine.joint(axis)[1] == "m"
-    place = [*machine.drives].index(axis)
     unit = "mm" if slides else "°"
-    low, high = (float(machine.mechanics[end][place]) / UNIT[unit] for end in ("low", "high"))
+    low, high = (end / UNIT[unit] for end in machine.range(axis))
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         low, high = (-1000.0, 1000.0) if slides else (-360.0, 360.0)
     return _Robot(

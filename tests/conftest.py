@@ -105,8 +105,9 @@ TOGETHER = {
 }
 # what takes longest, first: or one worker waits for it at the end
 LONGEST_FIRST = (
-    "torch", "test_panel_browser", "interop", "test_memory", "test_pages", "test_scope_of_policies",
-    "test_evaluate", "test_jit", "test_policies", "test_homing_gallery", "test_every_port",
+    "torch", "test_panel_browser", "interop", "test_memory", "test_pages", "test_picture",
+    "test_scope_of_policies", "test_evaluate", "test_jit", "test_policies", "test_homing_gallery",
+    "test_every_port", "test_watch", "test_over_ethercat",
 )  # fmt: skip
 
 
@@ -114,6 +115,12 @@ def group(nodeid):
     """Of a test: the file it is in, or several files."""
     file = nodeid.partition("::")[0]
     return next((name for name, parts in TOGETHER.items() if any(p in file for p in parts)), file)
+
+
+def pytest_configure(config):
+    """A worker that has told all ends at once: to tear its objects down takes it seconds."""
+    if hasattr(config, "workerinput"):
+        atexit.register(os._exit, 0)  # after all that is registered later
 
 
 def pytest_collection(session):
@@ -148,12 +155,13 @@ def pytest_collection_finish():
     atexit.register(gc.unfreeze)  # libraries look then whether all of theirs is gone
 
 
-@pytest.hookimpl(wrapper=True)
+@pytest.hookimpl(wrapper=True, optionalhook=True)
 def pytest_xdist_auto_num_workers():
     """For ``-n auto``: one more, as tests wait for browsers, buses and processes."""
     return (yield) + 1
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """For ``--dist loadfile``: a worker gets the tests of a group, not of a file."""
     from xdist.scheduler import LoadFileScheduling

@@ -72,14 +72,8 @@ class Receiver:
         rpdos, before = self._drive.rpdos, self._rpdos
         self._rpdos, self.routes = {}, []
         numbers = np.flatnonzero(rpdos["valid"])
-        for number, cob_id, kind, timer, width in zip(
-            numbers.tolist(),
-            *(
-                rpdos[field][numbers].tolist()
-                for field in ("cob_id", "transmission_type", "event_timer", "width")
-            ),
-            strict=True,
-        ):
+        rows = rpdos[["cob_id", "transmission_type", "event_timer", "width"]][numbers].tolist()
+        for number, (cob_id, kind, timer, width) in zip(numbers.tolist(), rows, strict=True):
             rpdo = before.pop(number) if number in before else _Receive(number)
             self._rpdos[number] = rpdo
             rpdo.width, rpdo.synchronous = width, kind in SYNCHRONOUS

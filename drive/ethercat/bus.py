@@ -177,11 +177,8 @@ class Bus:
             for plant in self._plants:
                 edges = int(self.segment.escs["sync0_count"][plant.slaves[0]])
                 if edges > plant.edges and self._synchronised(plant):
-                    cycle = int.from_bytes(
-                        self.segment.escs["memory"][plant.slaves[0], 0x09A0:0x09A4].tobytes(),
-                        "little",
-                    )
-                    ran |= plant.run(cycle)
+                    memory = self.segment.escs["memory"][plant.slaves[0]]
+                    ran |= plant.run(int.from_bytes(memory[0x09A0:0x09A4].tobytes(), "little"))
                 plant.edges = edges
             if ran:
                 self.segment.publish(due)

@@ -147,7 +147,7 @@ class Stand:
     def room(self) -> tuple[float, float]:
         """Free way to the left and to the right (m or rad), to the limits of drive and joint."""
         here, coupling = self.place, self.machine.couplings[self.number]
-        low, high = (float(self.machine.mechanics[x][self.number]) for x in ("low", "high"))
+        low, high = self.machine.range(self.name)
         for first, last in zip(coupling.switch_from[:2], coupling.switch_to[:2], strict=True):
             if first <= last <= here:
                 low = max(low, float(last))

@@ -258,6 +258,11 @@ class Machine:
         coupling = self.couplings[[*self.drives.values()].index(self.drives[name])]
         return float(coupling.gear), _unit(self._model, self._model.dof_jntid[coupling.dof])
 
+    def range(self, name: str) -> tuple[float, float]:
+        """Where the joint of a drive has its ends (m or rad), infinite where it has none."""
+        joint = self.mechanics[list(self.drives).index(name)]
+        return float(joint.low), float(joint.high)
+
     def step(self, cycles: int = 1) -> None:
         """Run `cycles` position-controller cycles of the slowest drive; Ctrl-C stops between two.
 
@@ -295,8 +300,7 @@ class Machine:
                 )
             coupling = self.couplings[list(self.drives).index(name)]
             joint = self.model.dof_jntid[coupling.dof]
-            number = list(self.drives).index(name)
-            low, high = (float(self.mechanics[end][number]) for end in ("low", "high"))
+            low, high = self.range(name)
             if not (isinstance(position, Real) and low <= float(position) <= high):
                 raise ValueError(
                     f"positions[{name!r}] = {position!r} is out of the joint's range "

@@ -20,10 +20,10 @@ class Disturbance(NamedTuple):
 
 
 def _noise(session: Session, axis: int, value: float) -> None:
-    couplings = session.machine.couplings
-    couplings["noise"][axis] = value
-    if not couplings["noise_state"][axis]:
-        couplings["noise_state"][axis] = 0x9E3779B97F4A7C15 + axis  # its generator is never at 0
+    coupling = session.machine.couplings[axis]
+    coupling.noise = value
+    if not coupling.noise_state:
+        coupling.noise_state = 0x9E3779B97F4A7C15 + axis  # its generator is never at 0
 
 
 def _friction(machine: Machine, axis: int) -> float:

@@ -80,7 +80,7 @@ def _marks(machine: Machine, axis: int) -> list[dict[str, Any]]:
     if model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_SLIDE):
         return []
     name = [*machine.drives][axis]
-    low, high = (float(machine.mechanics[end][axis]) for end in ("low", "high"))
+    low, high = machine.range(name)
     spans = []
     for number, switch in enumerate(SWITCHES):
         begin, end = float(coupling.switch_from[number]), float(coupling.switch_to[number])

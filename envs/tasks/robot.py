@@ -259,7 +259,7 @@ class RobotEnv(ServoEnv):
         if robot.nkey:
             data.qpos[:] = robot.key_qpos[0]
         self._own = {
-            name: self._within(machine, i, float(data.qpos[machine.couplings[i].qpos]))
+            name: self._within(machine, name, float(data.qpos[machine.couplings[i].qpos]))
             for i, name in enumerate(machine.drives)
         }
         machine.reset(positions=self._own)
@@ -274,9 +274,9 @@ class RobotEnv(ServoEnv):
         return machine
 
     @staticmethod
-    def _within(machine: Machine, i: int, position: float) -> float:
-        """A coordinate of the i-th drive within the range of its joint."""
-        low, high = (float(machine.mechanics[end][i]) for end in ("low", "high"))
+    def _within(machine: Machine, name: str, position: float) -> float:
+        """A coordinate of a drive within the range of its joint."""
+        low, high = machine.range(name)
         return min(max(position, low), high)
 
     def _begin(self, options: dict[str, Any]) -> None:
@@ -314,14 +314,13 @@ class RobotEnv(ServoEnv):
     def _given(self, option: str, places: Any) -> dict[str, float]:
         """Places by drive, each in the range of its joint."""
         given = named(f"options[{option!r}]", places, '{"joint": 0.3}')
-        names, mechanics = [*self.machine.drives], self.machine.mechanics
+        names = [*self.machine.drives]
         for name, place in given.items():
             if name not in names:
                 raise ValueError(
                     f"options[{option!r}]: there is no drive {name!r}: {near(name, names)}"
                 )
-            low, high = (float(mechanics[end][names.index(name)]) for end in ("low", "high"))
-            in_range(f"options[{option!r}][{name!r}]", place, low, high, "m or rad")
+            in_range(f"options[{option!r}][{name!r}]", place, *self.machine.range(name), "m or rad")
         return given
 
     def _goal(self, start: Mapping[str, float], given: Any) -> tuple[dict[str, float], np.ndarray]:
@@ -335,12 +334,12 @@ class RobotEnv(ServoEnv):
         before, goal = self._touching(start), dict(start)
         for _ in range(TRIES):
             goal = dict(start)
-            for i, name in enumerate(self.machine.drives):
+            for name in self.machine.drives:
                 if name in self.goals:
-                    low, high = (float(self.machine.mechanics[end][i]) for end in ("low", "high"))
+                    low, high = self.machine.range(name)
                     way = self.span * (high - low if math.isfinite(high - low) else 1.0)
                     drawn = start[name] + self.np_random.uniform(-way, way)
-                    goal[name] = self._within(self.machine, i, drawn)
+                    goal[name] = self._within(self.machine, name, drawn)
             goal |= wanted
             if self._touching(goal) <= before:
                 break
@@ -356,7 +355,7 @@ class RobotEnv(ServoEnv):
         for i, name in enumerate(self.machine.drives):
             data.qpos[self.machine.couplings[i].qpos] = pose[name]
         mujoco.mj_forward(model, data)
-        joints = [int(model.dof_jntid[dof]) for dof in self.machine.couplings["dof"]]
+        joints = model.dof_jntid[self.machine.couplings["dof"]].tolist()
         return {contact for joint in joints for contact in obstacles(model, data, joint)}
 
 

@@ -175,7 +175,7 @@ class Overlay:
                 ((x, y),) = seen(track[-1:])
                 draw.ellipse((x - 4, y - 4, x + 4, y + 4), TEXT)
         step = 10.0 ** math.floor(math.log10(room / zoom / 2))  # m
-        end = FRAME + step * zoom
+        end = float(FRAME + step * zoom)
         draw.line([(FRAME, INSET - 12), (end, INSET - 12)], TEXT, 2)
         draw.text((end + 6, INSET - 12), f"{1e3 * step:g} mm", TEXT, _font(13), "lm")
         pixels[:] = strip

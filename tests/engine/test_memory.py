@@ -283,12 +283,14 @@ for _ in range(50): t = threading.Thread(target=m.step); t.start(); t.join()
 sent = []
 def after(delay, *machines):
     main = threading.main_thread().ident
-    def send():
-        sent[:] = [time.process_time(), sum(int(m.world["tick"][0]) for m in machines)]
+    def send():  # and only then look: this thread may have to wait between the two
         signal.pthread_kill(main, signal.SIGINT)
-    threading.Timer(delay, send).start()
+        sent[:] = [time.process_time(), sum(int(m.world["tick"][0]) for m in machines)]
+    timer = threading.Timer(delay, send)
+    timer.start()
+    return timer
 def interrupted(call, *machines, cores=1, delay=0.3):
-    after(delay, *machines); refused(KeyboardInterrupt, "", call)
+    timer = after(delay, *machines); refused(KeyboardInterrupt, "", call); timer.join()
     spent = (time.process_time() - sent[0]) / cores
     ticks = sum(int(m.world["tick"][0]) for m in machines) - sent[1]
     pace = max(int(m.world["pace"][0]) for m in machines)

@@ -81,15 +81,15 @@ def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> l
     first = next(iter(taken.values()))
     rows = []
     for name, found in taken.items():
-        ratio = first.sum(axis=1) / found.sum(axis=1)
-        rows.append({
-            "environments": name,
-            "steps_per_s": float(1e6 / np.median(found.sum(axis=1))),
-            "rollout_us": float(np.median(found[:, 0])),
-            "update_us": float(np.median(found[:, 1])),
-            "ratio": float(np.median(ratio)),
-            "ratio_of_the_rollouts": float(np.median(first[:, 0] / found[:, 0])),
-        })  # fmt: skip
+        whole = found.sum(axis=1)
+        medians: dict[str, Any] = {
+            "steps_per_s": 1e6 / np.median(whole),
+            "rollout_us": np.median(found[:, 0]),
+            "update_us": np.median(found[:, 1]),
+            "ratio": np.median(first.sum(axis=1) / whole),
+            "ratio_of_the_rollouts": np.median(first[:, 0] / found[:, 0]),
+        }
+        rows.append({"environments": name} | {key: float(x) for key, x in medians.items()})
     for learner in learners.values():
         learner.get_env().close()  # type: ignore[union-attr]
     return rows

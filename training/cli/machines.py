@@ -77,8 +77,8 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
 
 def _middles(machine: Machine) -> dict[str, float]:
     places = {}
-    for n, name in enumerate(machine.drives):
-        low, high = (float(machine.mechanics[end][n]) for end in ("low", "high"))
+    for name in machine.drives:
+        low, high = machine.range(name)
         if abs(low) < 1e6 and abs(high) < 1e6:
             places[name] = (low + high) / 2
     return places

@@ -225,7 +225,7 @@ class Evaluator:
         probes = env.machine.probes
         ticks = max(int(probes["ticks"][0]), 1)
         rated = env.machine.axes["rated_torque"]
-        values = {
+        values: dict[str, Any] = {
             "peak_error": 1e6 * probes["error_peak"].max(),
             "rms_error": 1e6 * np.sqrt(probes["error_squares"] / ticks).max(),
             "peak_torque": (probes["torque_peak"] / rated).max(),

@@ -61,7 +61,8 @@ def _states(axes: Axes, time: np.ndarray, words: np.ndarray) -> None:
     axes.set_yticks(range(len(seen)), [f"{word:04X}h" for word in seen], fontsize=8)
     axes.set_ylim(-0.5, len(seen) - 0.5)
     state = np.full(len(words), -1)
-    state[valid] = np.array([-1 if (s := state_of(int(w))) is None else s for w in seen])[level]
+    told = [state_of(word) for word in seen.tolist()]
+    state[valid] = np.array([-1 if each is None else each for each in told])[level]
     ends = np.append(time, time[-1])
     for first, behind in runs(state):
         if state[first] >= 0:

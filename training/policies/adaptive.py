@@ -26,10 +26,9 @@ def bank(vibration: Vibration, dt: float) -> tuple[np.ndarray, ...]:
     frequencies = vibration.frequency * np.geomspace(LOWEST, HIGHEST, MODELS)
     members = [Vibration(float(frequency), vibration.ratio) for frequency in frequencies]
     pairs = [model(member, dt) for member in members]
-    return (
-        frequencies, np.array([a for a, _ in pairs]), np.array([b[:, 0] for _, b in pairs]),
-        np.array([gain(member, dt) for member in members]),
-    )  # fmt: skip
+    models, inputs = np.array([a for a, _ in pairs]), np.array([b[:, 0] for _, b in pairs])
+    gains = np.array([gain(member, dt) for member in members])
+    return frequencies, models, inputs, gains
 
 
 class Identified(Regulated):
