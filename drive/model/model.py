@@ -232,7 +232,9 @@ def _folder(model: str | Path, beside: Path | None = None) -> Path:
     folder = Path(model)
     if beside is not None and (beside / folder / "drive.toml").is_file():
         folder = beside / folder
-    elif points := metadata.entry_points(group=ENTRY_POINTS, name=str(model)):
+    elif len(folder.parts) == 1 and (
+        points := metadata.entry_points(group=ENTRY_POINTS, name=str(model))
+    ):  # a name, no path: to look through all packages takes a while
         folder = _declared(next(iter(points)))
     if not (folder / "drive.toml").is_file():
         hint = near(str(model), [*model_names(), *foreign_names()])

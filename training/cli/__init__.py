@@ -164,6 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
     SIGTERM ends a command as Ctrl-C does.
     """
     os.environ.setdefault(BLAS, "1")
+    gc.set_threshold(50_000)  # or Python looks for garbage in what is loaded, again and again
     atexit.register(_freeze)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

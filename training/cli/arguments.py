@@ -1,7 +1,6 @@
 """Options that several commands have."""
 
 import argparse
-import gc
 import importlib
 import inspect
 import json
@@ -50,12 +49,7 @@ def prepare(options: argparse.Namespace) -> None:
 
         played = {"env": options.env, "drive": options.drive}
         prepare([("servogym.training.evaluate.parts:once", played)])
-    gc.disable()  # it would look again and again through what stays
-    try:
-        importlib.import_module("servogym.training.evaluate.compare")
-    finally:
-        gc.freeze()
-        gc.enable()
+    importlib.import_module("servogym.training.evaluate.compare")
 
 
 def named(text: str) -> tuple[str, Any]:
