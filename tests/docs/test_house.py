@@ -37,12 +37,13 @@ def test_no_file_is_too_long_and_half_of_them_are_short():
     assert statistics.median(lines(path) for path in FILES) <= MEDIAN
 
 
-@pytest.mark.parametrize("folder", ROOMS, ids=lambda p: p.relative_to(ROOT).as_posix())
-def test_a_room_can_be_looked_over_and_says_what_it_is_for(folder):
-    assert len([*folder.glob("*.py")]) <= IN_A_ROOM
-    first = (folder / "__init__.py").read_text(encoding="utf-8").lstrip()
-    assert first.startswith('"""')
-    assert len(first.split('"""')[1].split()) >= 4
+def test_a_room_can_be_looked_over_and_says_what_it_is_for():
+    assert len(ROOMS) > 20
+    for folder in ROOMS:
+        assert len([*folder.glob("*.py")]) <= IN_A_ROOM, folder
+        first = (folder / "__init__.py").read_text(encoding="utf-8").lstrip()
+        assert first.startswith('"""'), folder
+        assert len(first.split('"""')[1].split()) >= 4, folder
 
 
 def test_no_file_imports_itself_over_others(graph):
