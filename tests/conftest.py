@@ -100,9 +100,12 @@ class Shaft:
 
 # tests of one worker, because they share what takes long to load: torch, the forked masters
 TOGETHER = {
-    "torch": ("learn/", "policies/test_weights", "evaluate/test_repeat", "cli/test_doors"),
+    "torch": (
+        "learn/", "policies/test_weights", "evaluate/test_repeat", "cli/test_doors",
+        "cli/test_bad_commands", "tasks/test_positioning",
+    ),
     "interop": ("interop/",),
-}
+}  # fmt: skip
 # what takes longest, first: or one worker waits for it at the end
 LONGEST_FIRST = (
     "torch", "test_panel_browser", "interop", "test_memory", "test_pages", "test_picture",
