@@ -98,19 +98,20 @@ class Shaft:
         return self.drive.read(name)
 
 
-# tests of one worker, because they share what takes long to load: torch, the forked masters
+# tests of one worker, because they share what takes long to load, such as the forked masters
 TOGETHER = {
     "torch": (
         "learn/", "policies/test_weights", "evaluate/test_repeat", "cli/test_doors",
         "cli/test_bad_commands", "tasks/test_positioning",
     ),
     "interop": ("interop/",),
+    "control": ("autotune/test_bode", "autotune/test_tune", "docs/test_examples"),
 }  # fmt: skip
 # what takes longest, first: or one worker waits for it at the end
 LONGEST_FIRST = (
-    "torch", "test_panel_browser", "interop", "test_memory", "test_pages", "test_picture",
-    "test_scope_of_policies", "test_evaluate", "test_jit", "test_policies", "test_homing_gallery",
-    "test_every_port", "test_watch", "test_over_ethercat",
+    "torch", "test_panel_browser", "interop", "control", "test_memory", "test_pages",
+    "test_picture", "test_scope_of_policies", "test_evaluate", "test_jit", "test_policies",
+    "test_homing_gallery", "test_every_port", "test_watch", "test_over_ethercat",
 )  # fmt: skip
 
 
