@@ -255,13 +255,19 @@ class Machine:
 
     def joint(self, name: str) -> tuple[float, str]:
         """Gear of a drive (rad of motor shaft per unit of its joint), and that unit: m or rad."""
-        coupling = self.couplings[[*self.drives.values()].index(self.drives[name])]
+        coupling = self.couplings[self._number(name)]
         return float(coupling.gear), _unit(self._model, self._model.dof_jntid[coupling.dof])
 
     def range(self, name: str) -> tuple[float, float]:
-        """Where the joint of a drive has its ends (m or rad), infinite where it has none."""
-        joint = self.mechanics[list(self.drives).index(name)]
+        """Where the joint of a drive has its ends (m or rad), infinite where it has none.
+
+        Raises KeyError for a name without a drive.
+        """
+        joint = self.mechanics[self._number(name)]
         return float(joint.low), float(joint.high)
+
+    def _number(self, name: str) -> int:
+        return [*self.drives.values()].index(self.drives[name])
 
     def step(self, cycles: int = 1) -> None:
         """Run `cycles` position-controller cycles of the slowest drive; Ctrl-C stops between two.
@@ -298,7 +304,7 @@ class Machine:
                 raise ValueError(
                     f"positions: there is no drive {name!r}: {near(name, self.drives)}"
                 )
-            coupling = self.couplings[list(self.drives).index(name)]
+            coupling = self.couplings[self._number(name)]
             joint = self.model.dof_jntid[coupling.dof]
             low, high = self.range(name)
             if not (isinstance(position, Real) and low <= float(position) <= high):

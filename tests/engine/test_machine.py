@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from servogym.envs import Machine, linear_axis
+from servogym.envs import Machine, gantry, linear_axis, rotary_axis
 from servogym.envs.engine.machine import Residence
 
 SLIDE = """
@@ -49,6 +49,16 @@ def test_reset_leaves_the_drive_powered_disabled_and_not_referenced():
     assert x.read("position_actual_value") == 0, "an incremental encoder begins where it is"
     assert not x.axis.homed
     assert x.read("profile_velocity") == 4711, "commissioning is kept"
+
+
+def test_the_range_of_a_joint_is_that_of_mujoco_and_none_is_infinite():
+    machine = gantry()
+    for name in machine.drives:
+        number = machine.model.dof_jntid[machine.couplings[[*machine.drives].index(name)].dof]
+        assert machine.range(name) == tuple(machine.model.jnt_range[number])
+    assert rotary_axis().range("x") == (-np.inf, np.inf)
+    with pytest.raises(KeyError, match="no drive 'q': choose one of x, y, z"):
+        machine.range("q")
 
 
 def test_a_hinge_and_a_slide_with_drives_of_their_own():
