@@ -1,7 +1,6 @@
 """Machine: a MuJoCo model whose actuators are moved by emulated drives."""
 
 import copy
-import math
 import zlib
 from collections.abc import Mapping
 from numbers import Real
@@ -19,15 +18,14 @@ from ...drive.model.near import named, near
 from ...drive.objects import snapshot as snapshots
 from ..checks import whole
 from . import loop, mechanics
+from .coupling import couple, unit
 from .guard import Turn
-from .mechanics import numeric
-from .mjcf import actuator_of, attach, read
+from .mjcf import attach, read
 from .physics import STATE, addresses
 from .probe import PROBE
-from .rates import rates, whole_ratio
+from .rates import rates
 from .world import COUPLING, FIELD, PDOS, WORLD
 
-SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 MOST = 10**12  # cycles of a step
 # of MjModel, what may differ between machines that share one
 VARIABLE = (
@@ -98,7 +96,7 @@ class Machine:
             },
         )
         for (name, drive), coupling in zip(self.drives.items(), self.couplings, strict=True):
-            _couple(model, name, drive, coupling)
+            couple(model, name, drive, coupling)
         for name, coupling, joint in zip(drives, self.couplings, self.mechanics, strict=True):
             mechanics.fit(model, name, coupling, joint)
         self.cycle_time, self.physics_steps = rates(model, self.drives)
@@ -256,7 +254,7 @@ class Machine:
     def joint(self, name: str) -> tuple[float, str]:
         """Gear of a drive (rad of motor shaft per unit of its joint), and that unit: m or rad."""
         coupling = self.couplings[self._number(name)]
-        return float(coupling.gear), _unit(self._model, self._model.dof_jntid[coupling.dof])
+        return float(coupling.gear), unit(self._model, self._model.dof_jntid[coupling.dof])
 
     def range(self, name: str) -> tuple[float, float]:
         """Where the joint of a drive has its ends (m or rad), infinite where it has none.
@@ -310,7 +308,7 @@ class Machine:
             if not (isinstance(position, Real) and low <= float(position) <= high):
                 raise ValueError(
                     f"positions[{name!r}] = {position!r} is out of the joint's range "
-                    f"{low:g}..{high:g} {_unit(self.model, joint)}"
+                    f"{low:g}..{high:g} {unit(self.model, joint)}"
                 )
             places[int(coupling.qpos)] = float(position)
         with self.turn:
@@ -448,56 +446,3 @@ def _checksum(model: mujoco.MjModel) -> int:
 
 def _actuators(model: mujoco.MjModel) -> list[str]:
     return [model.actuator(i).name for i in range(model.nu)]
-
-
-def _unit(model: mujoco.MjModel, joint: int) -> str:
-    return "m" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
-
-
-def _couple(model: mujoco.MjModel, name: str, drive: Drive, coupling) -> None:
-    """Fill the coupling of the drive on actuator `name`."""
-    number = actuator_of(model, name)
-    joint = model.actuator_trnid[number, 0]
-    on_joint = model.actuator_trntype[number] == int(mujoco.mjtTrn.mjTRN_JOINT)
-    sliding = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
-    if not on_joint or model.jnt_type[joint] not in sliding:
-        raise ValueError(
-            f"actuator {name!r} does not act on a slide or hinge joint: "
-            f'a drive needs <motor name="{name}" joint="..." gear="..."/>'
-        )
-    gear = float(model.actuator_gear[number, 0])
-    if not math.isfinite(gear) or gear == 0.0:
-        raise ValueError(
-            f"actuator {name!r}: gear = {gear} rad/{_unit(model, joint)} must be finite and not 0; "
-            "it is the motor's angle per unit of joint travel"
-        )
-    plain = (
-        model.actuator_gaintype[number] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and model.actuator_gainprm[number, 0] == 1.0
-        and model.actuator_biastype[number] == int(mujoco.mjtBias.mjBIAS_NONE)
-        and model.actuator_dyntype[number] == int(mujoco.mjtDyn.mjDYN_NONE)
-    )
-    if not plain:
-        raise ValueError(
-            f"actuator {name!r} is not a plain motor (gain 1, no bias, no dynamics): "
-            "the drive is the controller, so use <motor> with the mechanics as its gear"
-        )
-    model.actuator_ctrllimited[number] = 0
-    coupling.qpos = model.jnt_qposadr[joint]
-    coupling.dof = model.jnt_dofadr[joint]
-    coupling.ctrl = number
-    coupling.gear = gear
-    coupling.friction = model.dof_frictionloss[coupling.dof]
-    model.dof_frictionloss[coupling.dof] = 0.0
-    velocity_cycle = drive.model.cycle_time["velocity"]
-    coupling.velocity_steps = whole_ratio(
-        velocity_cycle, model.opt.timestep, f"velocity cycle of drive {name!r}", "physics step"
-    )
-    for i, switch in enumerate(SWITCHES):
-        span = numeric(model, f"{name}.{switch}", 3)
-        coupling.switch_from[i], coupling.switch_to[i] = span[:2] if span else (1.0, -1.0)
-        coupling.switch_hysteresis[i] = span[2] if span else 0.0
-    brake = numeric(model, f"{name}.brake_torque", 1)
-    if brake:
-        coupling.brake_friction = brake[0] * abs(gear)
-        drive.commission({"brake_fitted": 1})

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from ...drive.diagrams import Mode
-from ..engine.machine import SWITCHES, Machine
+from ..engine.coupling import SWITCHES
+from ..engine.machine import Machine
 from ..view.camera import beside, corners, floor, seen
 from ..view.decor import Part, parts
 
