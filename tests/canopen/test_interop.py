@@ -141,8 +141,8 @@ def test_the_library_switches_all_modes_the_model_has(node):
 def test_the_library_homes_and_the_axis_moves(node):
     node.sdo[0x6098].raw = 34
     node.sdo[0x6099][2].raw = 50_000
-    # the library may see a statusword of before its command, target reached and homing not attained,
-    # and take it for an interruption; where there is one, it is still there when it is asked again
+    # the library may see a statusword of before its command, target reached and homing not yet
+    # attained, and take it for an interruption; where there is one, asked again it is still there
     assert node.homing(timeout=60) or node.homing(timeout=60)
     assert node.is_homed()
     node.controlword = 0x0F  # in time: two RPDOs of one position cycle make no edge of bit 4
