@@ -493,3 +493,14 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_one(tmp_path, monkeypatch, int
     assert len(checkpoint.numbered(tmp_path)) == 1
     brief(tmp_path, resume=True)
     assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] >= 256
+
+
+def test_where_the_last_policy_is_not_the_one_that_is_played_both_are_named(tmp_path):
+    told = io.StringIO()
+    brief(tmp_path, steps=384, evaluate_every=256, console=Console(file=told, width=300))
+    best = saved.read(tmp_path / "best")
+    assert best["steps"] == 256
+    assert (
+        f"{tmp_path} plays the best evaluated, {best['mean_reward']:.1f} after 256 steps; "
+        f"the last is {tmp_path / 'checkpoints' / '0000000384'}\n"
+    ) in told.getvalue()

@@ -332,6 +332,12 @@ def _train(
         if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
             judged.obs_rms = env.obs_rms
         scores = score(model, judged), score(HoldStill(env.action_space), judged)
+        best = saved.read(out / "best") if (out / "best").is_dir() else {}
+        if best and best["steps"] < model.num_timesteps:
+            console.print(
+                f"{out} plays the best evaluated, {best['mean_reward']:.1f} after {best['steps']} "
+                f"steps; the last is {checkpoint.numbered(out)[-1]}"
+            )
     finally:
         model.logger.close()
         env.close()
