@@ -2,17 +2,17 @@
 
 from .autotune.bode import bode
 from .autotune.tune import tune
-from .batch import episode
 from .engine.machine import Machine
-from .faces import clip, faulted, limited
-from .fields import action, observation
+from .environment.registry import register, task
+from .environment.servo_env import METRE, ServoEnv
+from .exchange.batch import episode
+from .exchange.faces import clip, faulted, limited
+from .exchange.fields import action, observation
 from .plants.axis_parameters import FAMILY, LinearAxisParameters
 from .plants.commissioning import commission_joint
 from .plants.gantry import Gantry, GantryParameters, gantry
 from .plants.linear_axis import linear_axis
 from .plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
-from .registry import register, task
-from .servo_env import METRE, ServoEnv
 from .tasks import ON_MODELS, POINT_TO_POINT, TASKS
 
 __all__ = [

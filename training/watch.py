@@ -43,7 +43,7 @@ def run(
         raise ValueError(f"--seed = {seed} is out of range 0..")
     if not 0.01 <= speed <= 100.0:
         raise ValueError(f"--speed = {speed:g} is out of range 0.01..100; 1 is real time")
-    from ..envs.registry import task
+    from ..envs.environment.registry import task
     from ..envs.view.picture import Picture, require_display
 
     identity = task(name).ID

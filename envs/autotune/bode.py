@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..checks import in_range, whole
+from ..engine.checks import in_range, whole
 from ..engine.machine import Machine
 from .identify import identify
 from .margins import LEAST_COHERENCE

@@ -15,7 +15,7 @@ from ...drive.drive import Drive
 from ...drive.kernel.words import Limit, Mode, State
 from ...drive.master import Master
 from ...drive.model.near import near
-from ..checks import in_range
+from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.series import Series
 from ..masters.port import MachinePort

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..checks import in_range
+from ..engine.checks import in_range
 from ..engine.machine import Machine
 from .bode import HIGHEST, calm, measured, possible
 from .fit import Asked, fit, why_not

@@ -16,8 +16,8 @@ from ...drive.memory import address, peek
 from ...drive.model.model import DriveModel, load
 from ...drive.model.near import named, near
 from ...drive.objects import snapshot as snapshots
-from ..checks import whole
 from . import loop, mechanics
+from .checks import whole
 from .coupling import couple, unit
 from .guard import Turn
 from .mjcf import attach, read

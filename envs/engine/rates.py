@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import mujoco
 
 from ...drive.drive import Drive
-from ..checks import in_range
+from .checks import in_range
 
 
 def whole_ratio(slow: float, fast: float, slow_name: str, fast_name: str, remedy: str = "") -> int:

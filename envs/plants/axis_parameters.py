@@ -6,7 +6,7 @@ Values marked `inferred` are of the size catalogues give for axes of this class,
 from dataclasses import dataclass, fields, replace
 
 from ...drive.model.near import near
-from ..checks import in_range
+from ..engine.checks import in_range
 
 # lowest, highest, unit
 RANGES = {

@@ -13,7 +13,7 @@ import mujoco
 
 from ...drive.model.model import DriveModel, load
 from ...drive.model.near import near
-from ..checks import in_range
+from ..engine.checks import in_range
 from ..engine.machine import Machine
 from .commissioning import commission_joint
 from .linear_axis import motor_and_encoder, tune

@@ -10,16 +10,16 @@ from ...drive.kernel.faults import Cause, Reaction
 from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode, State
 from ...drive.model.model import DriveModel
-from ..batch import episode
-from ..checks import in_range
-from ..device_env import vectors
+from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.tick import axes_at, world_at
-from ..faces import PDO, clip, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import PDO, clip, limited
+from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
-from ..servo_env import METRE, ServoEnv
 from ..view.channels import Channel, goal, in_mm, position, velocity
 from .positioning import STROKE
 

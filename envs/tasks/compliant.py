@@ -8,17 +8,17 @@ import numpy as np
 
 from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
-from ..about import Sensor
-from ..batch import episode
-from ..checks import flag, in_range
-from ..device_env import vectors
+from ..engine.checks import flag, in_range
 from ..engine.machine import Machine
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds, world_at
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.axis_parameters import chosen
 from ..plants.linear_axis import LinearAxisParameters, linear_axis
-from ..servo_env import METRE, ServoEnv
+from ..view.about import Sensor
 from ..view.channels import MM, Channel, joint
 from ..view.channels import linear_axis as linear_axis_channels
 from .exploration import CALM
@@ -106,7 +106,7 @@ class CompliantAxisEnv(ServoEnv):
     the drive is enabled and referenced. The drive measures the carriage only.
 
     ## Action space
-    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

@@ -8,16 +8,16 @@ import numpy as np
 
 from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
-from ..about import Metric
-from ..batch import episode
-from ..checks import choice, in_range
-from ..device_env import vectors
+from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
 from ..engine.tick import coordinates, world_at
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.gantry import AXES, GantryParameters, gantry
-from ..servo_env import METRE, ServoEnv
+from ..view.about import Metric
 from ..view.channels import MM, UM, Channel, joint
 
 CONTOURS = ("circle", "square")
@@ -150,7 +150,7 @@ class GantryContourEnv(ServoEnv):
     parked on its brake.
 
     ## Action space
-    `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more a drive, see `servogym.envs.faces`
+    `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more a drive: `envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

@@ -13,18 +13,18 @@ from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
 from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
-from ..batch import episode
-from ..checks import choice, in_range
-from ..device_env import vectors
+from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
 from ..engine.tick import HOME, NEGATIVE, POSITIVE, world_at
-from ..faces import PDO, clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import PDO, clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..masters.homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
 from ..masters.port import MachinePort
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
-from ..servo_env import METRE, ServoEnv
 from ..view.channels import MM, Channel, in_mm, position, tolerance, velocity
 from .exploration import CALM
 from .positioning import STROKE
@@ -159,7 +159,7 @@ class HomingEnv(ServoEnv):
     by `built_in`.
 
     ## Action space
-    `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+    `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

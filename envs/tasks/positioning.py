@@ -9,15 +9,15 @@ import numpy as np
 from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
-from ..batch import episode
-from ..checks import choice, in_range
-from ..device_env import vectors
+from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
-from ..servo_env import METRE, ServoEnv
 from ..view.channels import linear_axis as linear_axis_channels
 from .rewards import closeness
 
@@ -113,7 +113,7 @@ class LinearAxisEnv(ServoEnv):
     limits, limit switches and the end stops.
 
     ## Action space
-    `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+    `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

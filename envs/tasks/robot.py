@@ -12,18 +12,18 @@ import numpy as np
 from ...drive.kernel.jit import entry
 from ...drive.model.model import DriveModel
 from ...drive.model.near import named, near
-from ..batch import episode
-from ..checks import in_range
-from ..device_env import vectors
+from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES, read
 from ..engine.tick import coordinates, world_at
 from ..engine.touch import obstacles
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.axis_parameters import Joints
 from ..plants.commissioning import commission_joint
-from ..servo_env import METRE, ServoEnv
 from ..view.channels import FIRST_DRIVE, Channel
 from . import chain
 from .rewards import closeness, decades

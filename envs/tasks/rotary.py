@@ -8,14 +8,14 @@ import numpy as np
 
 from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
-from ..batch import episode
-from ..checks import in_range
-from ..device_env import vectors
+from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
-from ..servo_env import ServoEnv
 from ..view.channels import Channel
 from .rewards import closeness
 
@@ -90,7 +90,7 @@ class RotaryAxisEnv(ServoEnv):
     fault ends the episode.
 
     ## Action space
-    `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+    `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

@@ -9,16 +9,16 @@ import numpy as np
 
 from ...drive.kernel.jit import block, entry
 from ...drive.model.model import DriveModel
-from ..about import Sensor
-from ..batch import episode
-from ..checks import flag, in_range
-from ..device_env import vectors
+from ..engine.checks import flag, in_range
 from ..engine.machine import Machine
 from ..engine.tick import coordinates, load_noise, speeds, world_at
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.gantry import GantryParameters, gantry
-from ..servo_env import METRE, ServoEnv
+from ..view.about import Sensor
 from ..view.channels import MM, Channel, drives, joint, tolerance
 from .rewards import closeness, decades
 
@@ -167,7 +167,7 @@ class GantrySwayEnv(ServoEnv):
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, with ``axes="xy"`` 2; with ``action="pdo"`` ten more an axis, see
-    `servogym.envs.faces`
+    `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

@@ -10,18 +10,18 @@ import numpy as np
 from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
-from ..about import Metric
-from ..batch import episode
-from ..checks import choice, in_range
-from ..device_env import vectors
+from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
 from ..engine.probe import elastic
 from ..engine.tick import coordinates, speeds, world_at
-from ..faces import clip, faulted, limited
-from ..fields import action, observation
+from ..environment.device_env import vectors
+from ..environment.servo_env import METRE, ServoEnv
+from ..exchange.batch import episode
+from ..exchange.faces import clip, faulted, limited
+from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
-from ..servo_env import METRE, ServoEnv
+from ..view.about import Metric
 from ..view.channels import MM, UM, Channel, in_mm, position, velocity
 from .positioning import MARGIN, STROKE
 from .references import REFERENCES, Limits, make_reference
@@ -114,7 +114,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     and adds torque. Before the first step the drive is enabled and referenced.
 
     ## Action space
-    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more, see `servogym.envs.faces`
+    `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
     |----|------|--------|--------|---------|

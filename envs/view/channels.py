@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..about import in_unit
+from .about import in_unit
 
 SWITCHED_OFF = 0xFFFFFFFF  # of a window
 MM, UM = 1e3, 1e6

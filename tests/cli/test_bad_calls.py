@@ -27,6 +27,7 @@ from servogym.envs import (
     task,
     tune,
 )
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.tasks.contour import GantryContourEnv
 from servogym.envs.tasks.homing import HomingEnv
@@ -34,7 +35,6 @@ from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
-from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training.evaluate.episodes import Evaluator
 from servogym.training.policies import make
 

@@ -10,7 +10,7 @@ from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
 from servogym.envs import gantry
 from servogym.envs.masters.port import MachinePort
-from servogym.envs.randomisation import Randomisation
+from servogym.envs.variation.randomisation import Randomisation
 
 G = 9.81
 SPAN = 0.6  # m between the rails

@@ -12,13 +12,14 @@ import pytest
 
 from servogym.drive.kernel.record import AXIS, accessible
 from servogym.drive.memory import address, integers_at
-from servogym.envs import TASKS, faces
+from servogym.envs import TASKS
 from servogym.envs.engine import gpu
 from servogym.envs.engine.rows import aligned
 from servogym.envs.engine.world import MOVE
 from servogym.envs.engine.worlds import _row
+from servogym.envs.environment.vector_env import ServoVectorEnv
+from servogym.envs.exchange import faces
 from servogym.envs.tasks.gantry_sync import GantrySyncEnv
-from servogym.envs.vector_env import ServoVectorEnv
 
 without_numba_cuda = pytest.mark.skipif(
     importlib.util.find_spec("numba_cuda") is None,

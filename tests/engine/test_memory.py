@@ -24,7 +24,7 @@ from servogym.envs import Machine, linear_axis, gantry
 from servogym.envs.engine.machine import Residence
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
-from servogym.envs.vector_env import ServoVectorEnv
+from servogym.envs.environment.vector_env import ServoVectorEnv
 
 def refused(error, words, call, *arguments, **named):
     try:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servogym.envs.registry import task
+from servogym.envs.environment.registry import task
 from servogym.training.evaluate.episodes import Evaluator
 from servogym.training.policies.datasheet import datasheet
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from servogym.envs import FAMILY
-from servogym.envs.registry import task
+from servogym.envs.environment.registry import task
 from servogym.training import cli
 from servogym.training.evaluate import comparison, conditions, tables
 from servogym.training.evaluate.matrix import Matrix

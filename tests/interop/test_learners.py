@@ -12,8 +12,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import servogym.envs  # noqa: F401, registers
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
-from servogym.envs.vector_env import ServoVectorEnv
 
 pytestmark = [pytest.mark.interop, pytest.mark.filterwarnings("default")]
 

@@ -44,7 +44,7 @@ def test_it_trains_twice_alike_and_keeps_curve_and_weights(ppo, tmp_path):
     reason="no mujoco-warp: pip install 'servogym[gpu]'",
 )
 def test_it_trains_on_a_device_with_tensors_that_stay_there(ppo, tmp_path, monkeypatch):
-    from servogym.envs.device_env import DeviceVectorEnv
+    from servogym.envs.environment.device_env import DeviceVectorEnv
 
     given, step = [], DeviceVectorEnv.step
     monkeypatch.setattr(

@@ -7,8 +7,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from later import Later, only_with
 
-from servogym.envs.registry import task
-from servogym.envs.vector_env import ServoVectorEnv
+from servogym.envs.environment.registry import task
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.training import cli
 from servogym.training.evaluate import comparison
 from servogym.training.policies import make

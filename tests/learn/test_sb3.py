@@ -8,8 +8,8 @@ from later import Later, only_with
 import servogym.envs
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load, model_names
-from servogym.envs.registry import task
-from servogym.envs.vector_env import ServoVectorEnv
+from servogym.envs.environment.registry import task
+from servogym.envs.environment.vector_env import ServoVectorEnv
 
 PPO = Later("stable_baselines3", "PPO")
 check_env = Later("stable_baselines3.common.env_checker", "check_env")

@@ -10,7 +10,6 @@ from servogym.drive.diagrams import HOME, NEGATIVE, POSITIVE, homing_path, trans
 from servogym.drive.kernel.homing import HERE, NUMBERS
 from servogym.drive.kernel.words import State
 from servogym.envs import Machine, commission_joint, gantry, rotary_axis
-from servogym.envs.fitting import FITTING, NONE, robot
 from servogym.envs.panel.bench import Interrupted
 from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
 from servogym.envs.panel.geometry import Poses, scene
@@ -19,6 +18,7 @@ from servogym.envs.panel.pages.homing_diagram import homing_svg
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import AXES
 from servogym.envs.plants.linear_axis import linear_axis
+from servogym.envs.tasks.fitting import FITTING, NONE, robot
 from servogym.envs.tasks.robot import ARM
 from servogym.training.policies.takeover import Laboratory, TakeOver
 

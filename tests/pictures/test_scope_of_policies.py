@@ -8,7 +8,7 @@ from later import Later
 from PIL import Image
 
 from servogym.envs import TASKS
-from servogym.envs.servo_env import ServoEnv
+from servogym.envs.environment.servo_env import ServoEnv
 from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv

@@ -15,7 +15,7 @@ import pytest
 from numpy._core._multiarray_umath import __cpu_features__ as features
 
 from servogym.envs import TASKS
-from servogym.envs.registry import short
+from servogym.envs.environment.registry import short
 from servogym.training.evaluate.comparison import evaluate
 from servogym.training.policies import POLICIES
 from servogym.training.policies.trained.network import CLIP, RELU, TANH, forward

@@ -39,7 +39,7 @@ def killed(x, folder, always=False):
 
 
 def threads():
-    from servogym.envs.checks import threads as granted
+    from servogym.envs.engine.checks import threads as granted
 
     return {"threads": granted()}
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from servogym.envs.checks import cores
+from servogym.envs.engine.checks import cores
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
-from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training import cli
 from servogym.training.evaluate.comparison import Comparison, Early, evaluate
 from servogym.training.scale import job as jobs

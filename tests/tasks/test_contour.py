@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.contour import GantryContourEnv, deviation, length, point
-from servogym.envs.vector_env import ServoVectorEnv
 
 CIRCLE, SQUARE = 0, 1
 POSITION_GAIN = 95.2  # 1/s, of the generic drive on this gantry

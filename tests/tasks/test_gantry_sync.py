@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from servogym.drive.kernel.words import State
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.gantry_sync import GantrySyncEnv
-from servogym.envs.vector_env import ServoVectorEnv
 
 MAX_TWIST = 0.01  # m
 

@@ -11,7 +11,7 @@ import servogym.envs
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load, model_names
 from servogym.envs import tasks
-from servogym.envs.vector_env import ServoVectorEnv
+from servogym.envs.environment.vector_env import ServoVectorEnv
 
 assert servogym.envs
 TASKS = [task for task in tasks.TASKS if task.ID.startswith("servogym/Gantry")]

@@ -12,7 +12,7 @@ import servogym.envs
 from servogym.drive.kernel.words import ENABLED, TO_ENABLED, Mode, State, state_of
 from servogym.drive.model.model import load, model_names
 from servogym.envs.engine.tick import HOME
-from servogym.envs.fields import width
+from servogym.envs.exchange.fields import width
 from servogym.envs.masters.homing_figures import true_home
 from servogym.envs.tasks.homing import REFERENCES, HomingEnv
 from servogym.envs.tasks.homing import vector as make_vector

@@ -10,9 +10,9 @@ from gymnasium.utils.env_checker import check_env
 
 from servogym.drive.master import Master, ServoError
 from servogym.envs import Machine, commission_joint
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.tasks.robot import RobotEnv
-from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training.policies import make
 
 REACHER = Path(gym.__file__).parent / "envs/mujoco/assets/reacher.xml"

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
-from servogym.envs.vector_env import ServoVectorEnv
 
 G, SPEED = 9.81, 0.4  # m/s², m/s
 STEPS = GantrySwayEnv.STEPS

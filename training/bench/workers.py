@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ...envs import TASKS
-from ...envs.registry import short, task
+from ...envs.environment.registry import short, task
 from ..evaluate.comparison import ZERO
 from ..policies import LEARNED, SHIPPED
 

@@ -133,7 +133,7 @@ def _parsed(words: list[str]) -> argparse.Namespace:
 def _told(error: BaseException) -> str:
     """An error of the user, their task or policy in a line; empty for one of ours."""
     from ...drive.objects.abort import SdoAbort
-    from ...envs.checks import place_of, told
+    from ...envs.engine.checks import place_of, told
 
     if not isinstance(error, (ValueError, OSError, RuntimeError, ImportError, SdoAbort)):
         return told(error) if place_of(error) else ""

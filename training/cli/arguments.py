@@ -81,7 +81,7 @@ def asked(options: argparse.Namespace) -> bool:
 
 def listing(env: str, console: Console) -> int:
     """Print the arguments of an environment with their defaults; -> exit status."""
-    from ...envs.registry import task
+    from ...envs.environment.registry import task
 
     kind = task(env)
     table = Table("argument", "default", title=f"arguments of {kind.ID}")
@@ -97,6 +97,6 @@ def listing(env: str, console: Console) -> int:
 
 def arguments_of(kind: type) -> dict[str, inspect.Parameter]:
     """All an environment takes, of its own and of its bases."""
-    from ...envs.checks import accepted
+    from ...envs.engine.checks import accepted
 
     return accepted(kind)

@@ -119,10 +119,10 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
 
 def _panel(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
-    from ...envs import fitting
     from ...envs.panel import server
     from ...envs.panel.lessons import load_all
     from ...envs.panel.session import Session
+    from ...envs.tasks import fitting
     from ..policies.takeover import Laboratory
 
     if not 1 <= options.port <= 65535:

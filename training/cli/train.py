@@ -51,7 +51,7 @@ def add_curves(curves: argparse.ArgumentParser) -> None:
 
 def _train(options: argparse.Namespace, console: Console) -> int:
     from ...drive.model.model import load
-    from ...envs.registry import task
+    from ...envs.environment.registry import task
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)

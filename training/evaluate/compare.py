@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ...envs.registry import short, task
+from ...envs.environment.registry import short, task
 from ..pictures.recording import Recording
 from ..policies import needed
 from ..report import (

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.registry import task
+from ...envs.environment.registry import task
 from ..pictures.recording import Recording
 from ..policies import POLICIES, needed
 from ..scale.job import Result

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from ...drive.model.model import load, model_names
 from ...drive.model.near import near
 from ...envs import FAMILY
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.servo_env import ServoEnv
 
 VERSION = "v1"
 NOMINAL = "nominal"

@@ -15,11 +15,11 @@ from gymnasium.vector import AutoresetMode
 
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
-from ...envs.about import Metric
 from ...envs.engine import probe
-from ...envs.registry import task
-from ...envs.servo_env import ServoEnv
-from ...envs.vector_env import ServoVectorEnv
+from ...envs.environment.registry import task
+from ...envs.environment.servo_env import ServoEnv
+from ...envs.environment.vector_env import ServoVectorEnv
+from ...envs.view.about import Metric
 from ..pictures.recording import Recorder, Recording
 from ..policies import Bound, BuiltIn, label, make, trainings
 from ..policies.trained.residual import PUBLIC

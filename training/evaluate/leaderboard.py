@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
-from ...envs.registry import task
+from ...envs.environment.registry import task
 from ..policies import POLICIES, Bound, make, needed
 from ..report import PACKAGES, markdown, number, origin, write_text
 from ..scale.work import ALONE, Work

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...envs.registry import task
+from ...envs.environment.registry import task
 from ..policies import make, needed
 from ..scale.job import Job, Result
 from .conditions import Condition, setting

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...drive.model.near import near
-from ...envs.about import Metric, in_unit
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.servo_env import ServoEnv
+from ...envs.view.about import Metric, in_unit
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95

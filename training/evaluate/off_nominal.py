@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from ...envs.registry import task
+from ...envs.environment.registry import task
 from ..pictures import heat_map
 from ..policies import label
 from ..report import GRID, kept_folder, markdown, number, origin, write_json, write_page

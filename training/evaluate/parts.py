@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.registry import task
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.registry import task
+from ...envs.environment.servo_env import ServoEnv
 from ..pictures.recording import Recording
 from ..policies import label, make, trainings
 from ..policies.file import SUFFIX

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from ...envs.checks import whole
+from ...envs.engine.checks import whole
 from ..policies.trained.saved import read
 from ..report import markdown
 

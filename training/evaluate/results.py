@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from ...envs.about import Metric
-from ...envs.registry import task
+from ...envs.environment.registry import task
+from ...envs.view.about import Metric
 from ..policies import LEARNED, SHIPPED
 from ..report import markdown, number
 from . import repeat

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...drive.model.near import near
-from ...envs.registry import task
+from ...envs.environment.registry import task
 from ..learn.hyperparameters import COMMON
 from ..policies import ENTRY_POINTS, LEARNED, POLICIES, trainings
 from ..policies.file import SUFFIX

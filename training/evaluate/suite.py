@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...drive.model.near import near
-from ...envs.registry import short, task
+from ...envs.environment.registry import short, task
 from .conditions import NOMINAL, Condition, suiting
 from .episodes import fixed
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ...drive.model.model import load
-from ...envs.registry import short, task
+from ...envs.environment.registry import short, task
 from ..report import markdown, number, origin, write_csv, write_json, write_page
 from ..scale.job import Job, Result
 from ..scale.work import Work

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ...envs.about import Metric
+from ...envs.view.about import Metric
 from ..policies import POLICIES
 from .episodes import Evaluation
 from .metrics import Difference, Summary, difference, summarise

@@ -11,8 +11,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ...envs.checks import flag, in_range, whole
-from ...envs.servo_env import ServoEnv
+from ...envs.engine.checks import flag, in_range, whole
+from ...envs.environment.servo_env import ServoEnv
 
 COMMON: dict[str, dict[str, Any]] = {
     "PPO": {

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from ...envs.device_env import vectors
-from ...envs.registry import task
-from ...envs.servo_env import ServoEnv
-from ...envs.vector_env import ServoVectorEnv
+from ...envs.environment.device_env import vectors
+from ...envs.environment.registry import task
+from ...envs.environment.servo_env import ServoEnv
+from ...envs.environment.vector_env import ServoVectorEnv
 from ..policies.trained.residual import ResidualVectorEnv
 from ..policies.trained.saved import stable_baselines3
 
@@ -33,7 +33,7 @@ def make(
     """Environments for SB3.
 
     Args:
-        env_id: of any task, see `servogym.envs.registry.task`.
+        env_id: of any task, see `servogym.envs.environment.registry.task`.
         num_envs: how many.
         residual: a policy by name; the actions are bounded corrections of what it does.
         bounds: the largest correction of each component of an action, 0..1.

@@ -26,8 +26,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from torch.optim import Optimizer
 
 from ...drive.model.near import near
-from ...envs.checks import whole
-from ...envs.registry import short, task
+from ...envs.engine.checks import whole
+from ...envs.environment.registry import short, task
 from ..policies.trained import saved, weights
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
@@ -179,7 +179,7 @@ def train(
     """Train a policy -> score of it and of actions of 0, on the fixed episodes.
 
     Args:
-        env_id: of any task, see `servogym.envs.registry.task`.
+        env_id: of any task, see `servogym.envs.environment.registry.task`.
         steps: of all environments together, from the beginning of the run.
         out: folder of the run; ``out/ENV-DRIVE-ALGORITHM-SEED`` if not given.
         resume: go on from the latest checkpoint; what is not given is as it was.

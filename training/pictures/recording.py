@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.servo_env import ServoEnv
 from ...envs.view.channels import Channel
 
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from ...drive.model.near import near
 from ...envs import TASKS
-from ...envs.checks import told
-from ...envs.faces import PDO, SETPOINT
-from ...envs.servo_env import ServoEnv
+from ...envs.engine.checks import told
+from ...envs.environment.servo_env import ServoEnv
+from ...envs.exchange.faces import PDO, SETPOINT
 from .adaptive import AdaptiveLqr
 from .adaptive_feed_forward import AdaptiveFeedForward, LeadingFeedForward
 from .bound import Bound

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.servo_env import ServoEnv
 from .datasheet import Axis, Datasheet, datasheet
 
 PARTS = 30  # of the time until it has settled

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...drive.drive import Drive
-from ...envs import fields
-from ...envs.about import Sensor
+from ...envs.environment.servo_env import METRE, ServoEnv
+from ...envs.exchange import fields
 from ...envs.plants.axis_parameters import Joints, LinearAxisParameters
 from ...envs.plants.gantry import FEED_CONSTANT, PAIR, GantryParameters
 from ...envs.plants.linear_axis import GRAVITY
 from ...envs.plants.rotary import RotaryParameters
-from ...envs.randomisation import PAYLOAD
-from ...envs.servo_env import METRE, ServoEnv
+from ...envs.variation.randomisation import PAYLOAD
+from ...envs.view.about import Sensor
 
 
 class Bounds(NamedTuple):

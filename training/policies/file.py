@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.checks import misfit, told
+from ...envs.engine.checks import misfit, told
 from .datasheet import Datasheet
 
 SUFFIX = ".py"

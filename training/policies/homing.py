@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from ...envs.servo_env import METRE
+from ...envs.environment.servo_env import METRE
 from .datasheet import Datasheet
 from .profiles import of_the_drive
 from .script import Script, Steps

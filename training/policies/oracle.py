@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.servo_env import ServoEnv
 from .adaptive_feed_forward import AdaptiveFeedForward
 from .datasheet import Datasheet, datasheet
 from .gantry import Squaring

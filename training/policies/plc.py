@@ -7,7 +7,7 @@ import numpy as np
 from ...drive.kernel.words import TO_ENABLED, Mode, State, state_of
 from ...drive.kernel.words import Controlword as C
 from ...drive.kernel.words import Statusword as S
-from ...envs.faces import CONTROL_BITS, STATUS_BITS
+from ...envs.exchange.faces import CONTROL_BITS, STATUS_BITS
 from .datasheet import Datasheet
 from .script import Script, Steps
 

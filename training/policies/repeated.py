@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.servo_env import ServoEnv
+from ...envs.environment.servo_env import ServoEnv
 from .datasheet import datasheet
 from .feed_forward import FeedForward
 from .gantry import FullFeed

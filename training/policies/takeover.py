@@ -2,7 +2,7 @@
 
 An environment is made around the machine as it stands: its `place`, which brings a machine where an
 episode begins, only enables the drives. Its process images go through whoever lets time pass. What
-fits a machine is said by `envs.fitting`: a task, what a goal is there, what is looked at.
+fits a machine is said by `envs.tasks.fitting`: a task, what a goal is there, what is looked at.
 """
 
 import copy
@@ -15,9 +15,9 @@ import numpy as np
 from ...drive.diagrams import Mode, State
 from ...drive.master import Master
 from ...envs.engine.machine import Machine
-from ...envs.fitting import LINEAR, Fitting
 from ...envs.masters.port import MachinePort
 from ...envs.panel.bench import Interrupted
+from ...envs.tasks.fitting import LINEAR, Fitting
 from . import Bound, BuiltIn, make, needed
 
 TIME = 1.5  # s that policies are compared for

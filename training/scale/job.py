@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...envs.checks import THREADS
+from ...envs.engine.checks import THREADS
 
 Result = dict[str, Any]  # by name: an array, or what JSON has
 REST = "_rest"  # of the archive: what is no array

@@ -8,7 +8,7 @@ from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from ...envs.checks import cores
+from ...envs.engine.checks import cores
 from .job import Done, Job, do, result, stamp
 from .template import prepare
 

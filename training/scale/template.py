@@ -54,7 +54,7 @@ def prepare(calls: Sequence[Call]) -> bool:
 
 def _do(path: list[str], calls: list[Call]) -> None:
     """In the new process; what fails here fails again in a job, which tells of it."""
-    from ...envs.checks import THREADS
+    from ...envs.engine.checks import THREADS
 
     sys.path[:] = path
     os.environ[THREADS] = "1"  # a process with threads cannot be forked

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...envs.checks import cores, whole
+from ...envs.engine.checks import cores, whole
 from .job import Job, Result, decoded, encoded
 from .kept import Kept
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.servo_env import ServoEnv
+from ....envs.environment.servo_env import ServoEnv
 from . import saved, weights
 from .residual import baseline, checked, corrected
 from .saved import ABOUT, read

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ....envs import fields
-from ....envs.servo_env import ServoEnv
-from ....envs.vector_env import ServoVectorEnv
+from ....envs.environment.servo_env import ServoEnv
+from ....envs.environment.vector_env import ServoVectorEnv
+from ....envs.exchange import fields
 from ..bound import Bound
 from ..homing import BuiltIn
 

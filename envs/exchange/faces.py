@@ -12,8 +12,8 @@ and further observations: the 16 bits of the statusword as 0 or 1, ``status[:].s
 the mode displayed (6061h) on the same scale, 0 where it is none of them, ``status[:].mode``.
 """
 
-from ..drive.kernel.jit import block, entry
-from .engine.tick import world_at
+from ...drive.kernel.jit import block, entry
+from ..engine.tick import world_at
 from .fields import action, observation
 
 SETPOINT, PDO = "setpoint", "pdo"

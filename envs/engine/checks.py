@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..drive.model.near import near
+from ...drive.model.near import near
 
 THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
 

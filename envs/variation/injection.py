@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..drive.drive import Drive
-from ..drive.model.near import near
+from ...drive.drive import Drive
+from ...drive.model.near import near
 
 if TYPE_CHECKING:
-    from ..drive.ethercat.faulty import Fault
+    from ...drive.ethercat.faulty import Fault
 
 Faults = Mapping[str, float] | Sequence["str | Fault"] | None  # the argument of an environment
 
@@ -29,7 +29,7 @@ def sort(faults: Faults) -> tuple[dict[str, float], list["Fault"]]:
     """
     if not faults:
         return {}, []
-    from ..drive.ethercat.faulty import KINDS, Fault
+    from ...drive.ethercat.faulty import KINDS, Fault
 
     if not isinstance(faults, Mapping):
         lines = [faults] if isinstance(faults, str) else faults

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..drive.drive import Drive
-from ..drive.kernel.record import accessible
-from ..drive.model.near import named, near
+from ...drive.drive import Drive
+from ...drive.kernel.record import accessible
+from ...drive.model.near import named, near
+from ..engine import loop
+from ..engine.checks import in_range
+from ..engine.guard import Turn
+from ..engine.machine import Machine
 from . import fields
-from .checks import in_range
-from .engine import loop
-from .engine.guard import Turn
-from .engine.machine import Machine
 from .faces import CONTROL, STATUS, control, report
 
 if TYPE_CHECKING:

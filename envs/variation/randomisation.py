@@ -23,8 +23,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from ..drive.model.near import near
-from .engine.machine import Machine
+from ...drive.model.near import near
+from ..engine.machine import Machine
 
 PAYLOAD, CABLE = "payload", "cable"
 GAINS = ("velocity_control_gain", "position_control_gain")

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ..drive.drive import Drive
-from ..drive.ethercat.bus import Bus
-from ..drive.ethercat.controller.registers import R
-from ..drive.ethercat.faulty import Fault, FaultyBus
-from ..drive.ethercat.master import EtherCatMaster
-from ..drive.ethercat.segment import Segment
-from ..drive.ethercat.slave import Slave
-from .engine import loop, probe
-from .engine.machine import NO_IMAGES, Machine
+from ...drive.drive import Drive
+from ...drive.ethercat.bus import Bus
+from ...drive.ethercat.controller.registers import R
+from ...drive.ethercat.faulty import Fault, FaultyBus
+from ...drive.ethercat.master import EtherCatMaster
+from ...drive.ethercat.segment import Segment
+from ...drive.ethercat.slave import Slave
+from ..engine import loop, probe
+from ..engine.machine import NO_IMAGES, Machine
 
 WATCHDOG_UNIT = 1e-4  # s, of 0420h with the divider of the reset
 WATCHDOG = 0.1  # s, of the reset; longer where an agent's step is long

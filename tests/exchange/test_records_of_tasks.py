@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from servogym.envs import TASKS, fields
+from servogym.envs import TASKS
+from servogym.envs.exchange import fields
 
 IDS = [task.ID for task in TASKS]
 METRE = 1e6

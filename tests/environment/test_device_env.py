@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from servogym.envs import TASKS
-from servogym.envs.device_env import DeviceVectorEnv
+from servogym.envs.environment.device_env import DeviceVectorEnv
 from servogym.training import cli
 from servogym.training.bench import device as device_bench
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..drive.kernel.record import accessible
+from ...drive.kernel.record import accessible
 
 Shape = int | tuple[int, ...]
 Field = str | tuple[str, Shape] | tuple[str, Shape, np.dtype]

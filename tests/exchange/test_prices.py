@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from servogym.envs import TASKS
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
-from servogym.envs.vector_env import ServoVectorEnv
 
 PRICES = {"torque": 0.5, "jerk": 2.0}
 

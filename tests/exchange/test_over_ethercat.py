@@ -13,8 +13,8 @@ import pytest
 
 from servogym.drive.ethercat.faulty import KINDS, Fault
 from servogym.drive.model.model import load
-from servogym.envs.registry import task
-from servogym.envs.vector_env import ServoVectorEnv
+from servogym.envs.environment.registry import task
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.training.cli import main
 
 ENVS = ["LinearAxis-v0", "LinearAxisTracking-v0", "GantrySway-v0"]

@@ -13,9 +13,9 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
-from ..drive.kernel.words import Mode
-from ..drive.model.near import near
-from .checks import told, whole
+from ...drive.kernel.words import Mode
+from ...drive.model.near import near
+from ..engine.checks import told, whole
 from .device_env import vectors
 from .servo_env import ServoEnv
 
@@ -86,7 +86,7 @@ def task(name: str) -> type[ServoEnv]:
     if not (isinstance(made, type) and issubclass(made, ServoEnv)):
         raise ValueError(
             f"environment {name!r} is no task of servo drives: its class has to inherit from "
-            "servogym.envs.servo_env.ServoEnv"
+            "servogym.envs.ServoEnv"
         )
     if getattr(made, "ID", None) != found:
         raise ValueError(
@@ -121,4 +121,4 @@ def _hint(name: str, module: str) -> str:
         for each, spec in _registry().items()
         if str(spec.entry_point).startswith((f"{owner}.", f"{owner}:"))
     ]
-    return near(name, known) or f"{owner} registers none, see servogym.envs.registry.register"
+    return near(name, known) or f"{owner} registers none, see servogym.envs.register"

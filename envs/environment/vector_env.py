@@ -11,12 +11,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from .batch import shown
-from .checks import choice, whole
-from .checks import threads as granted
-from .engine.guard import Turn
-from .engine.machine import Residence
-from .faces import FAULT
+from ..engine.checks import choice, whole
+from ..engine.checks import threads as granted
+from ..engine.guard import Turn
+from ..engine.machine import Residence
+from ..exchange.batch import shown
+from ..exchange.faces import FAULT
 from .servo_env import ServoEnv
 
 MOST = 1_000_000

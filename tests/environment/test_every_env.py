@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from servogym.envs import TASKS
-from servogym.envs.vector_env import ServoVectorEnv
+from servogym.envs.environment.vector_env import ServoVectorEnv
 
 IDS = [task.ID for task in TASKS]
 

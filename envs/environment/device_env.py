@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from .batch import JUDGED_NAMES, shown
-from .engine import worlds
-from .engine.rows import Records, aligned
-from .engine.worlds import Images, Worlds
-from .faces import CONTROL, FAULT, STATUS, control, report
+from ..engine import worlds
+from ..engine.rows import Records, aligned
+from ..engine.worlds import Images, Worlds
+from ..exchange.batch import JUDGED_NAMES, shown
+from ..exchange.faces import CONTROL, FAULT, STATUS, control, report
 from .servo_env import ServoEnv
 from .vector_env import ServoVectorEnv
 
@@ -133,7 +133,7 @@ class DeviceVectorEnv(ServoVectorEnv):
                 return lambda: report(arrays[0], modes, arrays[1])
             function = getattr(first, name)
             return lambda: function(present, *arrays)
-        from .engine import gpu
+        from ..engine import gpu
 
         kinds, drives = [table.kind for table in tables], len(first.drives)
         kernel: gpu.Kernel = {

@@ -13,30 +13,39 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import gymnasium as gym
 import numpy as np
 
-from ..drive.kernel.words import ENABLED, Mode, state_of
-from ..drive.master.master import Master
-from ..drive.model.model import DriveModel, load
-from ..drive.model.near import named, near
-from ..drive.objects.abort import SdoAbort
-from . import fields
-from .about import Metric, Sensor
-from .batch import COMMANDED, JUDGED_NAMES, REPORTED, Batch, image_type, mapping, priced, shown
-from .checks import Options, accepted, choice, flag, whole
-from .engine.machine import Machine
-from .engine.rates import interpolation_period, step_cycles
-from .faces import FACES, FAULT, PDO
-from .injection import Faults, injections, sort
-from .masters.port import MachinePort
+from ...drive.kernel.words import ENABLED, Mode, state_of
+from ...drive.master.master import Master
+from ...drive.model.model import DriveModel, load
+from ...drive.model.near import named, near
+from ...drive.objects.abort import SdoAbort
+from ..engine.checks import Options, accepted, choice, flag, whole
+from ..engine.machine import Machine
+from ..engine.rates import interpolation_period, step_cycles
+from ..exchange import fields
+from ..exchange.batch import (
+    COMMANDED,
+    JUDGED_NAMES,
+    REPORTED,
+    Batch,
+    image_type,
+    mapping,
+    priced,
+    shown,
+)
+from ..exchange.faces import FACES, FAULT, PDO
+from ..masters.port import MachinePort
+from ..plants.axis_parameters import Joints, LinearAxisParameters
+from ..plants.gantry import GantryParameters
+from ..plants.rotary import RotaryParameters
+from ..variation.injection import Faults, injections, sort
+from ..variation.randomisation import Randomisation
+from ..view import channels
+from ..view.about import Metric, Sensor
+from ..view.picture import Picture
 from .needed import NEEDED, built, check
-from .plants.axis_parameters import Joints, LinearAxisParameters
-from .plants.gantry import GantryParameters
-from .plants.rotary import RotaryParameters
-from .randomisation import Randomisation
-from .view import channels
-from .view.picture import Picture
 
 if TYPE_CHECKING:
-    from .over_ethercat import EtherCatLine
+    from ..exchange.over_ethercat import EtherCatLine
 
 METRE = 1e6  # position units
 STATE_MASK = 0x6F
@@ -57,16 +66,18 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         drive: drive model by name, folder or loaded, for all axes; it needs the modes of the task.
         step_time: of the agent (s), whole position-controller cycles of the drive, 1..1000; that
             of the task if not given, to the nearest cycle.
-        action: "setpoint", or "pdo" for controlword, mode and set-points: `servogym.envs.faces`.
+        action: "setpoint", or "pdo" for controlword, mode and set-points, see
+            `servogym.envs.exchange.faces`.
         history: number of observations shown, the latest first, 1..100.
         previous_action: whether the action taken last is shown, after the observations.
-        prices: of torque and jerk in the reward: `servogym.envs.batch.PRICES`; none if not given.
-        randomise: ranges by name, drawn for each episode: `servogym.envs.randomisation`.
+        prices: of torque and jerk in the reward, see `servogym.envs.exchange.batch.PRICES`; none if
+            not given.
+        randomise: ranges by name, drawn for each episode: `servogym.envs.variation.randomisation`.
         faults: probability per step of causes of faults to be injected: ``{"encoder_loss": 1e-4}``
             into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one; and
             per frame of faults of an EtherCAT bus: ``{"drop": 0.01}``, ``{"retreat at=op:50": 1}``.
             Or lines of the bus alone, as ``servogym ethercat --fault`` takes them. With one of the
-            bus the drives are on EtherCAT: `servogym.envs.over_ethercat`.
+            bus the drives are on EtherCAT: `servogym.envs.exchange.over_ethercat`.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
@@ -159,7 +170,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         self._configure()
         self.line: EtherCatLine | None = None
         if bus_faults:
-            from . import over_ethercat
+            from ..exchange import over_ethercat
 
             parts = self.machine, self.drives, self.step_time
             self.line = over_ethercat.EtherCatLine(*parts, bus_faults)

@@ -8,9 +8,9 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import servogym.envs
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.positioning import vector as make_vector
-from servogym.envs.vector_env import ServoVectorEnv
 
 ID = "servogym/LinearAxis-v0"
 assert servogym.envs

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .batch import JUDGED_NAMES
-from .checks import misfit
-from .engine.machine import Machine
+from ..engine.checks import misfit
+from ..engine.machine import Machine
+from ..exchange.batch import JUDGED_NAMES
 
 
 class Need(NamedTuple):
@@ -53,9 +53,9 @@ NEEDED = {
     "RPDO": Need("a tuple of the names of the objects the agent commands", _texts),
     "TPDO": Need("a tuple of the names of the objects it sees", _texts),
     "DRIVES": Need("a tuple of the names of the drives the agent commands", _texts),
-    "ACTION": Need("a record made by servogym.envs.fields.action", _numbers("f8")),
-    "OBSERVATION": Need("a record made by servogym.envs.fields.observation", _numbers("f4")),
-    "EPISODE": Need("a record made by servogym.envs.batch.episode", _episode),
+    "ACTION": Need("a record made by servogym.envs.action", _numbers("f8")),
+    "OBSERVATION": Need("a record made by servogym.envs.observation", _numbers("f4")),
+    "EPISODE": Need("a record made by servogym.envs.episode", _episode),
     "act": Need("a compiled function (worlds, episodes, actions, rpdos)", callable),
     "judge": Need("a compiled function (worlds, episodes, rpdos, tpdos, observations)", callable),
     "_make": Need("a method (model) that builds the machine", _takes_one),

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..drive.master import Master
-from .engine.machine import Machine
-from .masters.port import MachinePort
-from .plants.rotary import ROTARY_FAMILY
-from .servo_env import ServoEnv
-from .tasks import GantryContourEnv, LinearAxisEnv, RobotEnv, RotaryAxisEnv
-from .tasks.contour import CENTRE
+from ...drive.master import Master
+from ..engine.machine import Machine
+from ..environment.servo_env import ServoEnv
+from ..masters.port import MachinePort
+from ..plants.rotary import ROTARY_FAMILY
+from . import GantryContourEnv, LinearAxisEnv, RobotEnv, RotaryAxisEnv
+from .contour import CENTRE
 
 NEAR = 1e-3  # m or rad that zeros of drive and axis may be apart
 UNIT = {"mm": 1e-3, "°": math.pi / 180}

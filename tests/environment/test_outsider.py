@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.rotary import RotaryAxisEnv
-from servogym.envs.vector_env import ServoVectorEnv
 from servogym.training.policies.trained.residual import ResidualVectorEnv
 
 MADE = {

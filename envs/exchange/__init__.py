@@ -1,0 +1,1 @@
+"""What an agent and its drives exchange: named vectors, process images, in memory or in frames."""
