@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 
@@ -202,6 +203,15 @@ def test_who_asks_for_a_version_or_the_commands_loads_no_drive():
 def test_every_command_does_something():
     for name in cli.COMMANDS:
         assert callable(cli.parser(name).commands[name].get_default("run")), name
+
+
+def test_the_help_of_every_command_says_what_it_is_for_and_shows_an_example_that_parses():
+    for name, row in cli.COMMANDS.items():
+        parser = cli.parser(name)
+        text = parser.commands[name].format_help()
+        assert row.purpose[1:] in " ".join(text.split()), name
+        assert f"\n  servogym {row.example}\n" in text, name
+        assert parser.parse_args(shlex.split(row.example)).command == name
 
 
 def shell(script, **environment):

@@ -1,6 +1,5 @@
-"""The house: no circles, rooms of a size one can look over, each with a sentence of purpose."""
+"""The house: no circles, and each room opens with a sentence of purpose."""
 
-import statistics
 from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -12,11 +11,6 @@ ROOT = Path(__file__).parents[2]
 LAYERS = ("drive", "envs", "training")
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
 ROOMS = sorted({path.parent for path in FILES})
-LONGEST, MEDIAN, IN_A_ROOM, MOST_ROOMS, ARROWS = 500, 200, 24, 12, 30
-
-
-def lines(path):
-    return path.read_text(encoding="utf-8").count("\n")
 
 
 @pytest.fixture(scope="module")
@@ -32,15 +26,9 @@ def room(module):
     return ".".join(parts[:2]) if inner else module.removeprefix("servogym.")
 
 
-def test_no_file_is_too_long_and_half_of_them_are_short():
-    assert [path for path in FILES if lines(path) > LONGEST] == []
-    assert statistics.median(lines(path) for path in FILES) <= MEDIAN
-
-
-def test_a_room_can_be_looked_over_and_says_what_it_is_for():
+def test_a_room_says_what_it_is_for():
     assert len(ROOMS) > 20
     for folder in ROOMS:
-        assert len([*folder.glob("*.py")]) <= IN_A_ROOM, folder
         first = (folder / "__init__.py").read_text(encoding="utf-8").lstrip()
         assert first.startswith('"""'), folder
         assert len(first.split('"""')[1].split()) >= 4, folder
@@ -57,7 +45,7 @@ def test_no_file_imports_itself_over_others(graph):
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_the_rooms_of_a_layer_are_few_and_their_arrows_point_down(graph, layer):
+def test_the_arrows_between_the_rooms_of_a_layer_point_down(graph, layer):
     arrows = Counter()
     for module in graph.modules:
         for other in graph.find_modules_directly_imported_by(module):
@@ -65,9 +53,6 @@ def test_the_rooms_of_a_layer_are_few_and_their_arrows_point_down(graph, layer):
             inside = here.startswith(f"{layer}.") and there.startswith(f"{layer}.")
             if inside and here != there:
                 arrows[here, there] += 1
-    rooms = {name for arrow in arrows for name in arrow if (ROOT / name.replace(".", "/")).is_dir()}
-    assert len(rooms) <= MOST_ROOMS
-    assert len([a for a in arrows if a[0] in rooms and a[1] in rooms]) <= ARROWS
     before: dict[str, set[str]] = {}
     for here, there in arrows:
         before.setdefault(here, set()).add(there)

@@ -9,37 +9,121 @@ import os
 import re
 import signal
 import sys
+import textwrap
 import threading
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
 
-COMMANDS = {  # the module of each, loaded when it is asked for (`add_NAME` or `add`), and its help
-    "demo": ("demo", "enable, home, move, follow ruckig, quick stop"),
-    "bench": ("bench", "cost of the drive beside mj_step, start times"),
-    "drives": ("drives", "list the drive models, or tell about one"),
-    "node": ("node", "serve drives as CANopen nodes on a bus, in real time"),
-    "ethercat": ("ethercat", "serve drives as EtherCAT slaves on a network interface"),
-    "eds": ("sheets", "write the EDS or DCF of a drive model (CiA 306)"),
-    "esi": ("sheets", "write the EtherCAT device description of a drive model (ESI)"),
-    "decode": ("decode", "print a log of CAN or EtherCAT by meaning"),
-    "bode": ("bode", "measure a drive's loops: Bode, margins, inertia"),
-    "tune": ("tune", "measure what a drive moves, fit and store its gains"),
-    "scope": (
-        "scope", "an oscilloscope on a move, a running node or a log: channels, trigger, CSV, PNG"
+
+@dataclass(frozen=True)
+class Command:
+    """A row of the command table.
+
+    Args:
+        module: of this package, imported only when its command is asked for. It has a function
+            ``add_NAME`` or ``add`` that declares the options of the command.
+        purpose: what the command does, one line; the list of commands shows it.
+        example: a command line that works as printed, without the program's name.
+        more: what a reader of ``--help`` needs to know beyond the options.
+    """
+
+    module: str
+    purpose: str
+    example: str
+    more: str = ""
+
+
+COMMANDS = {
+    "demo": Command(
+        "demo", "enable, home and move an axis, then stop it, and draw the run",
+        "demo --drive kollmorgen_akd --payload 10 --out out",
+        "The quickest check of an installation: each part prints how accurate it was.",
     ),
-    "homing": ("homing", "draw the homing methods from real runs"),
-    "watch": ("watch", "see an environment move, in a window or recorded"),
-    "panel": ("panel", "a drive's commissioning tool in the browser"),
-    "train": ("train", "train a policy with stable-baselines3"),
-    "curves": ("train", "draw the learning curves of trainings"),
-    "eval": ("compare", "one policy on fixed episodes: table, data, picture"),
-    "compare": ("compare", "several policies: table, data, picture"),
-    "results": ("results", "write the page of what was learned"),
-    "benchmark": ("benchmark", "homing methods, positioning strategies, learned policies"),
-    "sweep": ("sweep", "tasks × drives × conditions × seeds × values"),
+    "bench": Command(
+        "bench", "measure the cost of drives, buses and environments", "bench --json",
+        "Figures are ratios within one run, since machines differ and are busy.",
+    ),
+    "drives": Command(
+        "drives", "list the drive models, describe one, or make one from an EDS file",
+        "drives kollmorgen_akd",
+    ),
+    "node": Command(
+        "node", "serve drives with moving axes as CANopen nodes, in real time",
+        "node --drive festo_cmmp_as --node-id 1 -i udp_multicast -c 239.74.163.2",
+        "Any CANopen master can enable, home and move them. udp_multicast needs no hardware.",
+    ),
+    "ethercat": Command(
+        "ethercat", "serve drives with moving axes as EtherCAT slaves on a network interface",
+        "ethercat -i veth1 --drive kollmorgen_akd --slaves 2",
+        "Unmodified masters bring them to OP. Raw Ethernet sockets need root or CAP_NET_RAW.",
+    ),
+    "eds": Command(
+        "sheets", "write the EDS or DCF of a drive model (CiA 306)",
+        "eds festo_cmmp_as -o festo.eds",
+    ),
+    "esi": Command(
+        "sheets", "write the EtherCAT device description (ESI) or EEPROM image of a drive model",
+        "esi kollmorgen_akd -o akd.xml",
+    ),
+    "decode": Command(
+        "decode", "explain a log of a CAN or EtherCAT bus, frame by frame",
+        "decode run.log --drive festo_cmmp_as",
+    ),
+    "bode": Command(
+        "bode", "measure the loops of a drive: Bode plot, margins, inertia, resonances",
+        "bode vertical --drive generic",
+    ),
+    "tune": Command(
+        "tune", "measure an axis, fit the gains of its drive to margins, and store them",
+        "tune toothed_belt --detuned 3",
+    ),
+    "scope": Command(
+        "scope", "record channels of a move, a running node or a log, with a trigger",
+        "scope rigid --channels 6064h,axis.torque --trigger 6064h:rising:20000",
+    ),
+    "homing": Command(
+        "homing", "draw a diagram of each homing method from a run of it",
+        "homing --gallery out/homing",
+    ),
+    "watch": Command(
+        "watch", "show a policy in an environment, in a window or as a video",
+        "watch LinearAxis-v0 --policy ruckig --record out/run.gif",
+    ),
+    "panel": Command(
+        "panel", "commission a drive in the browser: state, motion, scope, Bode, lessons",
+        "panel --axis vertical --drive festo_cmmp_as",
+    ),
+    "train": Command(
+        "train", "train a policy with stable-baselines3",
+        "train LinearAxis-v0 --steps 200000 --seed 1 --out out/axis",
+    ),
+    "curves": Command(
+        "train", "draw the learning curves of trainings", "curves out/axis",
+    ),
+    "eval": Command(
+        "compare", "play one policy on fixed episodes: table, data, picture",
+        "eval LinearAxis-v0 --policy ruckig",
+    ),
+    "compare": Command(
+        "compare", "play several policies on the same episodes: table, data, picture",
+        "compare LinearAxis-v0 --policies hold,trapezoid,ruckig",
+    ),
+    "results": Command(
+        "results", "write the page of learned policies, check submissions, repeat trainings",
+        "results",
+    ),
+    "benchmark": Command(
+        "benchmark", "compare homing methods, positioning strategies or learned policies",
+        "benchmark positioning",
+    ),
+    "sweep": Command(
+        "sweep", "play or train in each cell of tasks, drives, conditions, seeds and values",
+        "sweep LinearAxis-v0 --policies trapezoid,ruckig --drives generic,kollmorgen_akd",
+    ),
 }  # fmt: skip
 FORMAT = warnings.formatwarning
 # threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
@@ -102,11 +186,18 @@ def parser(asked: str | None = None) -> Parser:
     )
     parser.add_argument("--version", action=Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
-    for name, (module, what) in COMMANDS.items():
-        command = commands.add_parser(name, help=what)
+    for name, row in COMMANDS.items():
+        command = commands.add_parser(
+            name,
+            help=row.purpose,
+            description=textwrap.fill(f"{row.purpose[0].upper()}{row.purpose[1:]}. {row.more}", 78),
+            formatter_class=argparse.RawDescriptionHelpFormatter,  # an example stays one line
+        )
         if asked in (None, name):
-            of = importlib.import_module(f".{module}", __name__)
+            of = importlib.import_module(f".{row.module}", __name__)
             (getattr(of, f"add_{name}", None) or of.add)(command)
+        note = textwrap.fill(command.epilog or "", 78, break_on_hyphens=False)
+        command.epilog = f"example:\n  servogym {row.example}\n\n{note}".rstrip()
     parser.commands = commands.choices
     return parser
 
