@@ -17,7 +17,7 @@ test: $(VENV)/test # lint beside the tests: mypy knows one core only
 
 tests: $(VENV)/test # with byte code kept: each worker and each command would compile it again
 	env -u PYTHONDONTWRITEBYTECODE MUJOCO_GL=$${MUJOCO_GL:-egl} \
-		$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+		$(BIN)/python -m pytest -n auto --dist loadgroup --no-loadscope-reorder
 
 lint: $(VENV)/test
 	$(BIN)/ruff check .

@@ -3,11 +3,7 @@
 import atexit
 import contextlib
 import gc
-import importlib
 import os
-import sys
-import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -121,29 +117,11 @@ def group(nodeid):
     return next((name for name, parts in TOGETHER.items() if any(p in file for p in parts)), file)
 
 
-def pytest_configure(config):
-    """A worker that has told all ends at once: to tear its objects down takes it seconds."""
-    if hasattr(config, "workerinput"):
-        atexit.register(os._exit, 0)  # after all that is registered later
-
-
-def pytest_collection(session):
-    """Each worker begins with files of its own, whose assertions the others then find rewritten."""
-    about = getattr(session.config, "workerinput", None)
-    if about is None:
-        return
-    files = sorted(file for name in session.config.args for file in Path(name).rglob("test_*.py"))
-    for file in files[int(about["workerid"].removeprefix("gw")) :: about["workercount"]]:
-        if (folder := str(file.parent.absolute())) not in sys.path:
-            sys.path.insert(0, folder)
-        with warnings.catch_warnings(), contextlib.suppress(Exception, pytest.skip.Exception):
-            warnings.simplefilter("error")
-            importlib.import_module(file.stem)  # an error is told when the file is collected
-
-
 def pytest_collection_modifyitems(items):
-    """Sort the tests as workers are to get them."""
+    """Mark each test with its group, and sort the groups as workers are to get them."""
     known = {item: group(item.nodeid) for item in items}
+    for item, name in known.items():
+        item.add_marker(pytest.mark.xdist_group(name))
     first = {
         file: next((n for n, each in enumerate(LONGEST_FIRST) if each in file), len(LONGEST_FIRST))
         for file in dict.fromkeys(known.values())
@@ -163,18 +141,6 @@ def pytest_collection_finish():
 def pytest_xdist_auto_num_workers():
     """For ``-n auto``: one more, as tests wait for browsers, buses and processes."""
     return (yield) + 1
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """For ``--dist loadfile``: a worker gets the tests of a group, not of a file."""
-    from xdist.scheduler import LoadFileScheduling
-
-    class Groups(LoadFileScheduling):
-        def _split_scope(self, nodeid):
-            return group(nodeid)
-
-    return Groups(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 @pytest.fixture
