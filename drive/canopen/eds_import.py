@@ -21,6 +21,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 
 from ..drive import Drive
 from ..kernel.words import MODE_ABBREVIATION
+from ..model.files import content
 from ..model.model import load
 from ..model.pdo import mapping_entry
 from ..model.rows import FORMATS, Object
@@ -84,17 +85,15 @@ def import_eds(eds: Path, folder: Path) -> Imported:
 
 
 def _parsed(eds: Path) -> canopen.ObjectDictionary:
-    if not eds.is_file():
-        raise ValueError(f"{eds}: {'it is a folder' if eds.is_dir() else 'there is no such file'}")
-    if eds.stat().st_size > LARGEST:
-        raise ValueError(f"{eds}: {eds.stat().st_size} bytes are no EDS, at most {LARGEST}")
-    content = eds.read_bytes()
-    if b"\0" in content:
+    if not eds.exists():
+        raise ValueError(f"{eds}: there is no such file")
+    data = content(eds, "an EDS", LARGEST)
+    if b"\0" in data:
         raise ValueError(f"{eds}: it is binary, not the text of an EDS (CiA 306)")
     lists = configparser.RawConfigParser(strict=False)
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place) / "drive.eds"  # by its suffix canopen knows what it is
-        copy.write_text(content.decode("utf-8", "replace"), encoding="utf-8")
+        copy.write_text(data.decode("utf-8", "replace"), encoding="utf-8")
         try:
             lists.read(copy, encoding="utf-8")
             od = canopen.import_od(str(copy))

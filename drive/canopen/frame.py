@@ -1,5 +1,6 @@
 """A CAN frame, and the identifiers of the predefined connection set (CiA 301)."""
 
+import re
 from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
@@ -33,9 +34,20 @@ class Base(IntEnum):
     LSS_REQUEST = 0x7E5
 
 
+_SHORT = re.compile(r"([0-9A-Fa-f]{1,8})#(?:(R)[0-8]?|((?:[0-9A-Fa-f]{2}){0,8}))", re.I)
+
+
 def parse(text: str) -> Frame:
-    """A frame from candump's short form, as ``601#4041600000000000`` or ``701#R``."""
-    identifier, _, data = text.strip().partition("#")
-    if data.upper().startswith("R"):
-        return Frame(int(identifier, 16), remote=True)
-    return Frame(int(identifier, 16), bytes.fromhex(data), extended=len(identifier) > 3)
+    """A frame from candump's short form, as ``601#4041600000000000`` or ``701#R``.
+
+    Raises:
+        ValueError: the text is no such frame, or its identifier has more than 11 or 29 bits.
+    """
+    found = _SHORT.fullmatch(text.strip()) if isinstance(text, str) else None
+    extended = found is not None and len(found[1]) > 3
+    if found is None or int(found[1], 16) >= 1 << (29 if extended else 11):
+        raise ValueError(
+            f"{text!r} is no frame of classical CAN: write identifier#data in hexadecimal, at most "
+            "8 bytes, as 601#4041600000000000, or 701#R for a remote frame"
+        )
+    return Frame(int(found[1], 16), bytes.fromhex(found[3] or ""), bool(found[2]), extended)

@@ -1,9 +1,12 @@
 """Drives on CANopen as a master reaches them: objects over SDO, or over PDO where mapped."""
 
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
+from ..master.errors import BusError, Timeout
 from ..master.port import Units
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry, places
@@ -13,7 +16,9 @@ from .node import NmtCommand
 from .port import FramePort
 from .sdo_client import SdoClient
 
+T = TypeVar("T")
 SYNC = Frame(Base.SYNC)
+ECHOES = 64  # frames of its own that a bus may give back late
 PDOS = 512  # of each direction at most (CiA 301)
 SYNCHRONOUS = range(241)  # transmission types
 LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
@@ -73,6 +78,9 @@ class CanOpenPort:
     def exchange(self, frames: Iterable[Frame] = ()) -> list[Frame]:
         """Send frames, changed RPDOs, and a SYNC where a PDO in use needs it; -> what has come."""
         out = [*frames, *(frame for node in self.nodes.values() for frame in node.changed())]
+        for frame in out:
+            for node in self.nodes.values():
+                node.answers.sent(frame)
         if any(node.synchronous for node in self.nodes.values()):
             out.append(SYNC)
         received = list(self._bus.exchange(out))
@@ -107,6 +115,41 @@ class Pdo:
     synchronous: bool = False
 
 
+class Answers:
+    """SDO requests to a node-id and the answers to them, counted: a server answers each once.
+
+    Requests of another master are told by hearing them; then nothing can be said any more.
+    """
+
+    def __init__(self, node_id: int):
+        self._request, self._response = Base.SDO_REQUEST + node_id, Base.SDO_RESPONSE + node_id
+        self._requests = self._answers = 0
+        self._own: deque[bytes] = deque(maxlen=ECHOES)  # sent and not yet heard
+        self._shared = False
+
+    def __str__(self) -> str:
+        return f"{self._answers} answers to {self._requests} SDO requests"
+
+    def sent(self, frame: Frame) -> None:
+        """A frame goes out."""
+        if frame.id == self._request:
+            self._own.append(frame.data)
+            self._requests += frame.data[:1] != b"\x80"  # an abort has no answer
+
+    def heard(self, frame: Frame) -> None:
+        """A frame has come; on some buses those of its own as well."""
+        self._answers += frame.id == self._response
+        if frame.id == self._request and frame.data in self._own:
+            self._own.remove(frame.data)
+        elif frame.id == self._request:
+            self._shared = True
+
+    @property
+    def twice(self) -> bool:
+        """Whether more than one server answers; one answer may be older than the port."""
+        return not self._shared and self._answers > self._requests + 1
+
+
 class RemoteObjects:
     """Reads and writes objects of one node; `CanOpenPort` has the arguments and errors."""
 
@@ -114,6 +157,7 @@ class RemoteObjects:
         self.port = port
         self.node_id = node_id
         self.sdo = SdoClient(port, node_id, sdo_timeout)
+        self.answers = Answers(node_id)
         self.synchronous = False
         self._model = model
         self._rpdos: list[Pdo] = []
@@ -134,6 +178,7 @@ class RemoteObjects:
 
     def take(self, frame: Frame) -> None:
         """Hear a frame of the bus."""
+        self.answers.heard(frame)
         for pdo in self._tpdos:
             if frame.id == pdo.cob_id and not frame.remote and len(frame.data) >= len(pdo.data):
                 pdo.data[:] = frame.data[: len(pdo.data)]
@@ -149,7 +194,7 @@ class RemoteObjects:
     def upload(self, name: str) -> int | float:
         """An object's value (drive units), by SDO."""
         row = self._model.number(name)
-        return row.unpack(self.sdo.upload(row.index, row.subindex))
+        return row.unpack(self._by_sdo(lambda: self.sdo.upload(row.index, row.subindex)))
 
     def write(self, name: str, value: int | float) -> None:
         """Set an object (drive units), in the first RPDO that has it, else by SDO.
@@ -166,7 +211,27 @@ class RemoteObjects:
                 pdo.data[at : at + len(data)] = data
                 self._pending[pdo.cob_id] = pdo
                 return
-        self.sdo.download(row.index, row.subindex, data)
+        self._by_sdo(lambda: self.sdo.download(row.index, row.subindex, data))
+
+    def _by_sdo(self, transfer: Callable[[], T]) -> T:
+        """A transfer, after which two nodes with this node-id are told: what it sent has gone out.
+
+        Raises BusError for two nodes, whatever either of them answered.
+        """
+        refused: Exception | None = None
+        try:
+            result = transfer()
+        except (SdoAbort, Timeout) as error:
+            refused = error
+        if self.answers.twice:
+            raise BusError(
+                f"node {self.node_id}",
+                f"two nodes answer to this node-id: {self.answers}",
+                "switch one of them off, or give it another node-id",
+            ) from refused
+        if refused is not None:
+            raise refused
+        return result
 
     def use_pdos(self) -> None:
         """See `CanOpenPort.use_pdos`."""
@@ -223,4 +288,4 @@ class RemoteObjects:
         return pdos
 
     def _number(self, index: int, subindex: int) -> int:
-        return int.from_bytes(self.sdo.upload(index, subindex), "little")
+        return int.from_bytes(self._by_sdo(lambda: self.sdo.upload(index, subindex)), "little")

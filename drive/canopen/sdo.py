@@ -15,7 +15,7 @@ from ..objects.dictionary import ObjectDictionary
 
 TIME_OUT = 1_000_000  # µs between two frames of a transfer
 BLOCK_SIZE = 127  # segments a block
-LIMIT = 4096  # bytes a client may send for one object
+LIMIT = 4096  # bytes a client may send for an object without a length of its own
 SIZELESS = range(0x2001, 0x3000)  # objects with the quirk `upload_without_size`
 _HEAD = struct.Struct("<BHB")
 _ANSWER = struct.Struct("<BHB4s")
@@ -39,6 +39,7 @@ class SdoServer:
         self._at = 0
         self._toggle = 0
         self._size: int | None = None
+        self._limit = LIMIT
         self._sequence = 0
         self._block = 0
         self._crc = False
@@ -84,11 +85,7 @@ class SdoServer:
             length = 4 - (command >> 2 & 3) if command & 0x01 else self._own_length()
             self._store(data[4 : 4 + length], 0x60)
             return
-        abort = self._writable()
-        self._size = struct.unpack_from("<I", data, 4)[0] if command & 0x01 else None
-        if not abort and (self._size or 0) > LIMIT:
-            abort = Abort.LENGTH_TOO_HIGH
-        if abort:
+        if abort := self._announced(data, command & 0x01):
             self._abort(abort)
             return
         self._begin(self._download_segment)
@@ -98,15 +95,23 @@ class SdoServer:
         self._handler = handler
         self._data, self._at, self._toggle = b"", 0, 0
 
+    def _announced(self, data: bytes, sized: int) -> Abort:
+        """Take the size a download announces; -> why it is refused before a byte has come."""
+        self._size = struct.unpack_from("<I", data, 4)[0] if sized else None
+        slot, abort = self._objects.find(self._index, self._subindex)
+        if slot is None:
+            return abort
+        if slot.row.access in ("ro", "const"):
+            return Abort.READ_ONLY
+        own = 0 if slot.raw else slot.row.size  # 0: of any length
+        self._limit = own or LIMIT
+        if self._size is not None and self._size > self._limit:
+            return Abort.LENGTH_TOO_HIGH
+        return Abort.LENGTH_TOO_LOW if self._size is not None and self._size < own else Abort.NONE
+
     def _own_length(self) -> int:
         slot, _ = self._objects.find(self._index, self._subindex)
         return min(slot.row.size, 4) if slot else 4
-
-    def _writable(self) -> Abort:
-        slot, abort = self._objects.find(self._index, self._subindex)
-        if slot is not None and slot.row.access in ("ro", "const"):
-            return Abort.READ_ONLY
-        return abort
 
     def _store(self, data: bytes, command: int, index: int | None = None) -> None:
         abort = self._objects.write(self._index, self._subindex, data)
@@ -127,8 +132,8 @@ class SdoServer:
             self._data += data[1 : 8 - (data[0] >> 1 & 7)]
             answer = 0x20 | self._toggle << 4
             self._toggle ^= 1
-            if len(self._data) > LIMIT:
-                self._abort(Abort.LENGTH_TOO_HIGH)
+            if len(self._data) > self._limit:
+                self._abort(Abort.LENGTH_TOO_HIGH if self._size is None else Abort.LENGTH)
             elif not data[0] & 1:
                 self.send(bytes([answer]) + bytes(7))
             elif self._size not in (None, len(self._data)):
@@ -176,11 +181,7 @@ class SdoServer:
             self._end_block_download(data)
             return
         _, self._index, self._subindex = _HEAD.unpack_from(data)
-        abort = self._writable()
-        self._size = struct.unpack_from("<I", data, 4)[0] if command & 2 else None
-        if not abort and (self._size or 0) > LIMIT:
-            abort = Abort.LENGTH_TOO_HIGH
-        if abort:
+        if abort := self._announced(data, command & 2):
             self._handler = None
             self._abort(abort)
             return
@@ -195,7 +196,7 @@ class SdoServer:
             self._last = time
             self._sequence = number
             self._data += data[1:]
-        if len(self._data) > LIMIT + 7:
+        if len(self._data) >= self._limit + 7:  # the last segment may be filled up
             self._abort(Abort.LENGTH_TOO_HIGH)
         elif last or number >= BLOCK_SIZE:
             if last and number == self._sequence:

@@ -2,15 +2,23 @@
 
 Expedited and segmented transfers; every node has those. Frames and time pass through a
 `FramePort`, which may be an emulated node in the same process or a real bus.
+
+A frame that is lost costs a transfer, not the program: the transfer that got no answer is aborted
+and begun anew, `ATTEMPTS` times in all. A download that is repeated writes the same value again.
 """
 
 import struct
 from collections.abc import Callable
+from typing import TypeVar
 
 from ..master.errors import Timeout
 from ..objects.abort import Abort, SdoAbort
 from .frame import Base, Frame
 from .port import FramePort
+
+T = TypeVar("T")
+ATTEMPTS = 3  # of a transfer, where an answer does not come or a segment is missing
+LOST = (Abort.TOGGLE_BIT, Abort.TIME_OUT)  # what either side says of a frame that is missing
 
 
 class SdoClient:
@@ -20,20 +28,48 @@ class SdoClient:
         port: the way to the bus.
         node_id: of the server, 1..127.
         timeout: for the answer to one request (s).
+        attempts: transfers that are tried before `Timeout` is raised, 1 or more.
 
     Raises:
-        ValueError: node-id out of range.
+        ValueError: node-id or attempts out of range.
     """
 
-    def __init__(self, port: FramePort, node_id: int, timeout: float = 1.0):
+    def __init__(
+        self, port: FramePort, node_id: int, timeout: float = 1.0, attempts: int = ATTEMPTS
+    ):
+        if not (isinstance(attempts, int) and attempts >= 1):
+            raise ValueError(f"attempts = {attempts!r}: give a whole number, 1 or more")
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self._port = port
         self._node_id = node_id
         self._timeout = timeout
+        self._attempts = attempts
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
         """The bytes of an object. Raises SdoAbort if refused, Timeout without an answer."""
+        return self._repeated(lambda: self._upload(index, subindex))
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Write an object's bytes. Raises SdoAbort if refused, Timeout without an answer."""
+        self._repeated(lambda: self._download(index, subindex, data))
+
+    def _repeated(self, transfer: Callable[[], T]) -> T:
+        """A transfer, begun anew where a frame of it was lost.
+
+        Without an answer to any attempt the last `Timeout` is raised.
+        """
+        for _ in range(self._attempts - 1):
+            try:
+                return transfer()
+            except Timeout:
+                pass
+            except SdoAbort as aborted:
+                if aborted.code not in LOST:
+                    raise
+        return transfer()
+
+    def _upload(self, index: int, subindex: int) -> bytes:
         head = struct.pack("<HB", index, subindex)
         answer = self._initiate(b"\x40" + head + bytes(4), 0x40)
         if answer[0] & 2:  # expedited; without the size bit all four bytes are data
@@ -46,8 +82,7 @@ class SdoClient:
                 return data
             toggle ^= 0x10
 
-    def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write an object's bytes. Raises SdoAbort if refused, Timeout without an answer."""
+    def _download(self, index: int, subindex: int, data: bytes) -> None:
         head = struct.pack("<HB", index, subindex)
         if 1 <= len(data) <= 4:
             command = 0x23 | 4 - len(data) << 2
@@ -69,7 +104,8 @@ class SdoClient:
     def _segment(self, request: bytes, specifier: int, toggle: int, head: bytes) -> bytes:
         answer = self._ask(request, specifier, head, lambda answer: True)
         if answer[0] & 0x10 != toggle:
-            raise self._give_up(Abort.TOGGLE_BIT, head)
+            self._give_up(Abort.TOGGLE_BIT, head)
+            raise SdoAbort(Abort.TOGGLE_BIT, *_address(head))
         return answer
 
     def _ask(
@@ -94,15 +130,15 @@ class SdoClient:
                 index, subindex = _address(head)
                 raise Timeout(
                     f"node {self._node_id}, SDO request for {index:04X}h:{subindex:02X}h",
-                    f"no answer within {self._timeout:g} s",
+                    f"no answer within {self._timeout:g} s"
+                    + f", {self._attempts} times" * (self._attempts > 1),
                     "check its node-id, the bit rate, and that NMT has not stopped it",
                 )
 
-    def _give_up(self, code: Abort, head: bytes) -> SdoAbort:
-        """Tell the server, as CiA 301 wants; -> the exception."""
+    def _give_up(self, code: Abort, head: bytes) -> None:
+        """Tell the server, as CiA 301 wants."""
         data = b"\x80" + head + struct.pack("<I", code)
         self._port.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)])
-        return SdoAbort(code, *_address(head))
 
 
 def _address(head: bytes) -> tuple[int, int]:

@@ -5,11 +5,20 @@ on CANopen `servogym.drive.canopen.remote.CanOpenPort`. The room stands below th
 their ports can use its errors, and knows none of them.
 """
 
-from .errors import DriveFault, HomingFailed, Interlock, NoPower, Refused, ServoError, Timeout
+from .errors import (
+    BusError,
+    DriveFault,
+    HomingFailed,
+    Interlock,
+    NoPower,
+    Refused,
+    ServoError,
+    Timeout,
+)
 from .master import Master
 from .port import Port, Units
 
 __all__ = [
-    "DriveFault", "HomingFailed", "Interlock", "Master", "NoPower", "Port", "Refused", "ServoError",
-    "Timeout", "Units",
+    "BusError", "DriveFault", "HomingFailed", "Interlock", "Master", "NoPower", "Port", "Refused",
+    "ServoError", "Timeout", "Units",
 ]  # fmt: skip

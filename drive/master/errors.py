@@ -9,6 +9,7 @@
      +-- Interlock (RuntimeError)     what the caller watches over gave an alarm; all were stopped
      +-- Refused (ValueError)         a command that cannot be carried out; the drive did not move
      +-- Timeout (TimeoutError)       what was waited for did not come in time
+     +-- BusError (ConnectionError)   the bus takes no frames, or two nodes answer to one node-id
 """
 
 from typing import NamedTuple
@@ -97,3 +98,7 @@ class Refused(ServoError, ValueError):
 
 class Timeout(ServoError, TimeoutError):
     """Not within the time allowed; the drive goes on with what it was told."""
+
+
+class BusError(ServoError, ConnectionError):
+    """The bus cannot be relied on: it takes no frames, or two nodes answer to one node-id."""

@@ -8,6 +8,7 @@ import functools
 import math
 import re
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib import metadata, resources
 from pathlib import Path
@@ -57,10 +58,15 @@ QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS
     "identifier_needs_valid_bit": "1: bit 30 of PDO identifiers always reads 1",
 }
 KINDS: dict[str, type] = {  # of what drive.toml may say
-    "title": str, "standard": str, "based_on": str, "objects_of": str, "axes": int,
+    "title": str, "standard": str, "based_on": str, "objects_of": str, "axes": int, "buses": list,
     "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "quirks": dict,
     "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
 }  # fmt: skip
+KEYS = {  # of the tables whose keys no other table of this file lists
+    "cycle_time_us": ("current", "velocity", "position"),
+    "motor": ("torque_time_constant_us", "rotor_inertia_kgm2"),
+    "capabilities": ("modes", "homing_methods"),
+}
 STANDARD = "generic"  # its objects.csv has the objects of CiA 301 and CiA 402
 ENTRY_POINTS = "servogym.drives"  # of other packages: a name, and the folder it stands for
 BUSES = {"can": MAX_BITS, "ethercat": 512}  # field bus -> longest PDO in bits
@@ -230,13 +236,13 @@ def _folder(model: str | Path, beside: Path | None = None) -> Path:
     if str(model) in _builtin():
         return _builtin()[str(model)]
     folder = Path(model)
-    if beside is not None and (beside / folder / "drive.toml").is_file():
+    if beside is not None and (beside / folder / "drive.toml").exists():
         folder = beside / folder
     elif len(folder.parts) == 1 and (
         points := metadata.entry_points(group=ENTRY_POINTS, name=str(model))
     ):  # a name, no path: to look through all packages takes a while
         folder = _declared(next(iter(points)))
-    if not (folder / "drive.toml").is_file():
+    if not (folder / "drive.toml").exists():
         hint = near(str(model), [*model_names(), *foreign_names()])
         raise ValueError(
             f"unknown drive model {str(model)!r}: {hint}, "
@@ -272,7 +278,7 @@ def _cells(folder: Path, referring: tuple[Path, ...] = ()) -> Cells:
         if not any(f"{known:04X}h" == index for known, _ in cells):
             raise ValueError(f"{path / 'drive.toml'}: without: the base has no object {index!r}")
     cells = {a: row for a, row in cells.items() if f"{a[0]:04X}h" not in toml.get("without", ())}
-    if not (path / "objects.csv").is_file():
+    if not (path / "objects.csv").exists():
         if not more:
             raise ValueError(f"{path} has no objects.csv: write it, or say based_on in drive.toml")
         return cells
@@ -295,7 +301,7 @@ def _declared(point: metadata.EntryPoint) -> Path:
             f"drive model {point.name!r}: its entry point {point.value} fails "
             f"({type(error).__name__}: {error})"
         ) from error
-    if not (folder / "drive.toml").is_file():
+    if not (folder / "drive.toml").exists():
         raise ValueError(
             f"drive model {point.name!r}: its entry point {point.value} is {folder}, "
             "where there is no drive.toml"
@@ -310,7 +316,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     for _, own in reversed(ancestors):  # another model, with what this one says instead
         toml = _merged(toml, own)
     file = {
-        name: next((f / name for f, _ in ancestors if (f / name).is_file()), folder / name)
+        name: next((f / name for f, _ in ancestors if (f / name).exists()), folder / name)
         for name in ("pdo.csv", "faults.csv", *ETHERCAT_FILES)
     }
     reader = _Toml(folder / "drive.toml", toml)
@@ -326,9 +332,9 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     missing: tuple[str, ...] = ()
     if bus == "ethercat":
         ethercat, missing = read_ethercat(file["ethercat.toml"])
-        if file["ethercat_objects.csv"].is_file():
+        if file["ethercat_objects.csv"].exists():
             cells = referred(read_cells(file["ethercat_objects.csv"]), cells, {})
-        if file["ethercat_pdo.csv"].is_file():
+        if file["ethercat_pdo.csv"].exists():
             file["pdo.csv"] = file["ethercat_pdo.csv"]
     objects = {  # on every bus at the same place of the record
         a: row for a, row in read_objects(cells).items() if f"{a[0]:04X}h" not in missing
@@ -344,7 +350,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         if number is not None and row.index & 0x1FF >= number and bus == "can":
             raise ValueError(f"{row.where}: {file['pdo.csv']} has only {number} {row.area}s")
     microseconds = reader.cycle_times()
-    motor = reader.numbers("motor", ("torque_time_constant_us", "rotor_inertia_kgm2"))
+    motor = reader.numbers("motor", KEYS["motor"])
     reader.known("quirks", QUIRKS)
     reader.known("fixed", OD.names or ())
     reader.known("units", UNITS)
@@ -381,9 +387,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         toml = tomllib.loads(read_text(path))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
+    _refuse_unknown(toml, KINDS, path)
     for key, kind in KINDS.items():
         if not isinstance(toml.get(key, kind()), kind):
             raise ValueError(f"{path}: {key} = {toml[key]!r} is no {kind.__name__}")
+    for table, keys in KEYS.items():
+        _refuse_unknown(toml.get(table, {}), keys, path, f"{table}.")
     if not 1 <= toml.get("axes", 1) <= 127:
         raise ValueError(f"{path}: axes = {toml['axes']} is out of range 1..127")
     for name, quirk in toml.get("quirks", {}).items():
@@ -411,6 +420,13 @@ def _read_toml(path: Path) -> dict[str, Any]:
         if name in (OD.names or ()) and not _fits(value, OD[name]):
             raise ValueError(f"{path}: fixed.{name} = {value!r} does not fit {OD[name]}")
     return toml
+
+
+def _refuse_unknown(table: dict[str, Any], known: Iterable[str], path: Path, of: str = "") -> None:
+    """Refuse a key that means nothing: most often one that is spelt in another way."""
+    for key in table:
+        if key not in known:
+            raise ValueError(f"{path}: {of}{key} is unknown: {near(key, known)}")
 
 
 def _fits(value: Any, kind: np.dtype) -> bool:
@@ -461,11 +477,9 @@ class _Toml:
             raise ValueError(f"{self.path}: the table [{name}] is missing")
         return self.data[name]
 
-    def known(self, name: str, known) -> None:
+    def known(self, name: str, known: Iterable[str]) -> None:
         """Refuse a key of a table that means nothing."""
-        for key in self.data.get(name, {}):
-            if key not in known:
-                raise ValueError(f"{self.path}: {name}.{key} is unknown, use of {', '.join(known)}")
+        _refuse_unknown(self.data.get(name, {}), known, self.path, f"{name}.")
 
     def buses(self) -> tuple[str, ...]:
         """The field buses, "can" where nothing is said."""
@@ -479,7 +493,7 @@ class _Toml:
 
     def cycle_times(self) -> dict[str, float]:
         """Cycle times (µs); the position cycle is a multiple of the velocity cycle."""
-        times = self.numbers("cycle_time_us", ("current", "velocity", "position"))
+        times = self.numbers("cycle_time_us", KEYS["cycle_time_us"])
         ratio = times["position"] / times["velocity"] if times["velocity"] else 0.0
         if ratio < 1 or ratio != int(ratio):
             raise ValueError(

@@ -18,6 +18,7 @@ from ..kernel.factors.units import Kind
 from ..kernel.faults import Cause, Reaction
 from ..kernel.process_data import parameter_place
 from ..kernel.record import OD, OWN_STORED, VENDOR_BYTES
+from .files import LARGEST, content
 
 # data type of CiA 301 -> struct format; strings have none
 FORMATS = {
@@ -179,15 +180,12 @@ FAULT_COLUMNS = (
     "emcy_code", "main", "sub", "meaning", "error_register_bit", "cause", "reaction", "changeable",
     "section",
 )  # fmt: skip
-LARGEST = 16 * 2**20  # bytes of a file; our own have a hundredth of that
 LARGEST_SET = 1 << 16  # values of {low..high}
 
 
 def read_text(path: Path) -> str:
     """The text of a file of a model. Raises ValueError with file and line where it is none."""
-    if (size := path.stat().st_size) > LARGEST:
-        raise ValueError(f"{path} has {size} bytes, a file of a model at most {LARGEST}")
-    data = path.read_bytes()
+    data = content(path, "a file of a model", LARGEST)
     try:
         return data.decode()
     except UnicodeDecodeError as error:

@@ -17,16 +17,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ..model.files import content
+
 Values = dict[str, int | float]
 Ranges = dict[str, list[int]]
 VERSION = 2  # of the form of the file
 SUFFIX = ".tmp"
-LARGEST = 16 * 2**20  # characters of a file; that of a drive has a thousandth
+LARGEST = 16 * 2**20  # bytes of a file; that of a drive has a thousandth
 LEFT_OVER = 60.0  # s; an older file of a save is one that was killed
 
 
-def _checksum(content: dict[str, Any]) -> int:
-    return zlib.crc32(json.dumps(content, sort_keys=True).encode())
+def _checksum(values: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(values, sort_keys=True).encode())
 
 
 def encode(model: str, values: Values, ranges: Ranges | None = None) -> str:
@@ -92,17 +94,14 @@ def clean(path: Path, now: float) -> None:
 def load(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
     """The values of a parameter file, empty if there is none or it cannot be trusted."""
     try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(LARGEST + 1)
-        if len(text) > LARGEST:
-            raise ValueError(f"it has more than {LARGEST} characters")
-        return decode(text, model, check)
+        return decode(content(path, "a parameter file", LARGEST).decode(), model, check)
     except FileNotFoundError:
         return {}
     except UnicodeDecodeError:
         reason = "it is no text"
     except (ValueError, OSError) as error:
-        reason = f"it cannot be read ({error})" if isinstance(error, OSError) else str(error)
+        said = str(error).replace(f"{path} ", "it ", 1)
+        reason = f"it cannot be read ({error})" if isinstance(error, OSError) else said
     ignored(path, reason)
     return {}
 

@@ -7,11 +7,10 @@ from contextlib import suppress
 
 import can
 
-from .bus import CanPort
+from .bus import TROUBLE, CanPort
 
 QUEUE = 256  # messages that wait for the bus; then the oldest is lost
 PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus anew
-TROUBLE = (can.CanError, OSError)
 
 
 class Adapter:

@@ -10,6 +10,11 @@ from collections.abc import Callable, Iterable
 import can
 
 from ..canopen.frame import Frame
+from ..master.errors import BusError
+
+TROUBLE = (can.CanError, OSError)  # what the back-ends of python-can raise
+PATIENCE = 0.5  # s, for a full transmit buffer to empty
+AGAIN = 0.002  # s, until it is tried again
 
 
 def to_message(frame: Frame) -> can.Message:
@@ -34,12 +39,34 @@ def to_frame(message: can.Message) -> Frame | None:
     )
 
 
+def give(send: Callable[[can.Message], None], message: can.Message) -> None:
+    """Send a message, again where the transmit buffer is full. Raises BusError if it stays so."""
+    end = None
+    while True:
+        try:
+            send(message)
+            return
+        except TROUBLE as error:
+            end = time.monotonic() + PATIENCE if end is None else end
+            if time.monotonic() >= end:
+                raise BusError(
+                    f"sending {to_frame(message)}",
+                    f"the adapter refuses it: {' '.join(str(error).split())}",
+                    "a frame leaves only when another node acknowledges it: check that the drive "
+                    "has power, the wiring and its termination, and that both have one bit rate",
+                ) from error
+            time.sleep(AGAIN)
+
+
 class CanPort:
     """A bus of python-can as a master needs it, in real time.
 
     Args:
         bus: the bus; its owner shuts it down.
         wait: for the first frame, where none has come yet (s).
+
+    A full transmit buffer is given `PATIENCE` to empty; a bus that takes or gives no frames raises
+    `servogym.drive.master.BusError`.
     """
 
     _send: Callable[[can.Message], None]
@@ -55,10 +82,17 @@ class CanPort:
     def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
         """Send `frames`, -> what has been received since."""
         for frame in frames:
-            self._send(to_message(frame))
+            give(self._send, to_message(frame))
         received = []
-        message = self._receive(self._wait)
-        while message is not None:
-            received.append(to_frame(message))
-            message = self._receive(0)
+        try:
+            message = self._receive(self._wait)
+            while message is not None:
+                received.append(to_frame(message))
+                message = self._receive(0)
+        except TROUBLE as error:
+            raise BusError(
+                "receiving",
+                f"the adapter fails: {' '.join(str(error).split())}",
+                "check that it is plugged in, then open the bus anew",
+            ) from error
         return [frame for frame in received if frame is not None]

@@ -6,7 +6,7 @@ import can
 
 from ..canopen.frame import Frame
 from ..canopen.link import Link
-from .bus import to_frame, to_message
+from .bus import give, to_frame, to_message
 from .log import LogFile
 
 
@@ -23,8 +23,8 @@ class CanLink:
         self._wait = wait
 
     def send(self, frame: Frame, time: int) -> None:
-        """Send at once."""
-        self._bus.send(to_message(frame))
+        """Send at once. Raises BusError where the bus does not take it."""
+        give(self._bus.send, to_message(frame))
 
     def receive(self, time: int) -> Iterator[Frame]:
         """Classical data and remote frames, until none is left."""

@@ -3,7 +3,6 @@
 import contextlib
 import gzip
 import logging
-import os
 import re
 import sqlite3
 import zlib
@@ -14,6 +13,8 @@ from typing import Any
 
 import can
 from can.io.player import MESSAGE_READERS
+
+from ..model.files import regular
 
 TEXT_LOGS = (".log", ".asc", ".trc", ".csv")  # a frame a line
 LONGEST = 1 << 16  # characters of a line; the readers would hold any at once, unpacked ones too
@@ -42,8 +43,7 @@ def messages(log: Path) -> Iterator[can.Message]:
     if not plain or plain[0] not in MESSAGE_READERS or plain[0] in HELD_WHOLE:
         known = " ".join(sorted({*MESSAGE_READERS} - {*HELD_WHOLE}))
         raise ValueError(f"{log}: unknown suffix, use one of {known}, also with .gz behind it")
-    with log.open("rb") as file:  # also because the reader of .db makes a file that is not there
-        size = file.seek(0, os.SEEK_END)
+    size = regular(log)  # also because the reader of .db makes a file that is not there
     lines = _Lines(log, packed) if plain[0] in TEXT_LOGS else None
     blocks = _Blocks(log, packed) if plain[0] == ".blf" else None
     source: Any = lines or blocks or log

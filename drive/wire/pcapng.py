@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from ..model.files import regular
+
 SECTION, INTERFACE, SIMPLE, PACKET = 0x0A0D0D0A, 1, 3, 6
 LONGEST = 1 << 24  # bytes of a block or frame; Wireshark takes no longer block either (inferred)
 MAGIC = 0x1A2B3C4D
@@ -71,6 +73,7 @@ def read(file: str | Path) -> Iterator[Packet]:
         ValueError: no capture of Ethernet frames, or cut off; tells where.
         OSError: it cannot be opened.
     """
+    regular(file)
     with Path(file).open("rb") as stream:
         head = stream.read(4)
         stream.seek(0)

@@ -16,6 +16,7 @@ import numpy as np
 from ..canopen.decode import Decoder
 from ..canopen.remote import CanOpenPort
 from ..ethercat.decode import EtherCatDecoder
+from ..model.files import regular
 from ..model.model import DriveModel
 from ..model.near import near
 from ..model.rows import Object
@@ -243,6 +244,7 @@ def _columns(log: Path) -> list[tuple[str, str, np.ndarray]]:
     if log.suffix == ".npz":
         with np.load(log, allow_pickle=False) as data:
             return [(name, "", data[name]) for name in data.files] if "time" in data else []
+    regular(log)
     with log.open(newline="", encoding="utf-8", errors="replace") as file:
         head = next(csv.reader(file), [])
         if head[:1] != ["time (s)"]:

@@ -30,6 +30,7 @@ from pathlib import Path
 
 import mujoco
 
+from ...drive.model.files import content, regular
 from ...drive.model.model import DriveModel
 from ...drive.model.near import named, near
 
@@ -91,8 +92,9 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
     text, base, seen = str(mjcf), Path(), set[Path]()
     if not text.lstrip().startswith("<"):
         file = Path(mjcf)
-        if not file.is_file():
+        if not file.exists():
             raise ValueError(f"there is no MJCF file {mjcf}")
+        regular(file)
         if not file.suffix:  # MuJoCo knows files by that
             raise ValueError(f"{mjcf}: a file of MJCF ends in .xml")
         base, text = file.parent, _text(file)
@@ -115,9 +117,9 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
 
 def _asset(file: Path) -> None:
     """Refuse what becomes large when MuJoCo opens it."""
-    if not file.is_file():
+    if not file.exists():
         return  # MuJoCo says so
-    asked = file.stat().st_size
+    asked = regular(file)
     if file.suffix.lower() == ".png":
         with file.open("rb") as picture:
             head = picture.read(24)
@@ -180,9 +182,7 @@ def _product(text: str) -> float:
 
 
 def _text(file: Path) -> str:
-    if (size := file.stat().st_size) > LARGEST:
-        raise ValueError(f"{file} has {size} bytes, an MJCF file has at most {LARGEST}")
-    return file.read_text(encoding="utf-8", errors="replace")
+    return content(file, "an MJCF file", LARGEST).decode("utf-8", "replace")
 
 
 def _opened(
@@ -202,6 +202,8 @@ def _opened(
             for place in places if element.startswith("<flexcomp") else [""]:
                 given = html.unescape(value[1:-1])
                 file = _inside(base / place / given, root)
+                if file.exists() and not file.is_dir():
+                    regular(file)
                 if name == "file" and not element.startswith("<flexcomp") and file not in seen:
                     seen.add(file)
                     if file.is_file():

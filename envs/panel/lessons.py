@@ -31,6 +31,7 @@ from typing import Any
 
 from ...drive.advice import cause_of, refused
 from ...drive.diagrams import Mode, State
+from ...drive.model.files import content
 from .disturbances import DISTURBANCES, clear, disturb, inject
 from .session import Session
 
@@ -64,7 +65,7 @@ class Lesson:
 def load(path: Path) -> Lesson:
     """A lesson of a file. Raises ValueError with file and reason."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(content(path, "a lesson").decode())
         steps = tuple(
             Step(str(row["text"]), _known(row["check"], CHECKED), str(row.get("hint", "")),
                  _known(row.get("begin", {}), BEGUN))

@@ -15,8 +15,9 @@ import pytest
 from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.remote import CanOpenPort
 from servogym.drive.kernel.words import Mode, State
-from servogym.drive.master import Master
+from servogym.drive.master import BusError, Master, ServoError
 from servogym.drive.wire.bus import CanPort, to_frame, to_message
+from servogym.drive.wire.can_link import CanLink
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
 from servogym.training.cli.node import Line
@@ -148,6 +149,51 @@ def test_the_master_works_on_a_bus_of_python_can(pdo):
         finally:
             server.stop()
             thread.join(5)
+
+
+class Full:
+    """A bus whose transmit buffer is full for the first messages; it receives nothing."""
+
+    def __init__(self, failures, error=None):
+        self.failures, self.sent = failures, []
+        self.error = error or can.CanOperationError("Transmit buffer full")
+
+    def send(self, message):
+        if self.failures:
+            self.failures -= 1
+            raise self.error
+        self.sent.append(message)
+
+    def recv(self, timeout):
+        return None
+
+
+def test_a_full_transmit_buffer_is_given_time_to_empty():
+    bus = Full(20)
+    CanPort(bus, wait=0.0).exchange([parse("601#4041600000000000"), parse("080#")])
+    assert [str(to_frame(message)) for message in bus.sent] == ["601#4041600000000000", "080#"]
+    bus = Full(20)
+    CanLink(bus).send(parse("080#"), 0)
+    assert len(bus.sent) == 1
+
+
+@pytest.mark.parametrize(
+    "error", [can.CanOperationError("Transmit buffer full"), OSError(100, "Network is down")]
+)
+def test_a_bus_that_takes_no_frame_is_an_error_of_the_master_with_the_next_step(error):
+    master = Master(CanOpenPort(CanPort(Full(10**9, error), wait=0.0), 5))
+    with pytest.raises(
+        ServoError, match=rf"sending 605#.*{error.args[-1]}.* termination"
+    ) as caught:
+        master.enable()
+    assert isinstance(caught.value, BusError)
+
+
+def test_a_bus_that_fails_in_receiving_is_an_error_of_the_master():
+    bus = Full(0)
+    bus.recv = lambda timeout: (_ for _ in ()).throw(can.CanOperationError("device lost"))
+    with pytest.raises(BusError, match=r"receiving: .* device lost; .*plugged in"):
+        CanPort(bus).exchange([])
 
 
 @pytest.fixture

@@ -63,11 +63,15 @@ CASES = {
         < 581#437A600039300000""",
     "sdo: segmented download of two segments, length wrong": """
         > 601#217A600008000000
+        < 581#807A600012000706""",
+    "sdo: segmented download of two segments without a length, wrong": """
+        > 601#207A600000000000
         < 581#607A600000000000
         > 601#0001020304050607
-        < 581#2000000000000000
-        > 601#1D08000000000000
         < 581#807A600012000706""",
+    "sdo: segmented download, length too small": """
+        > 601#217A600002000000
+        < 581#807A600013000706""",
     "sdo: segmented download, toggle wrong": """
         > 601#217A600004000000
         < 581#607A600000000000
@@ -125,10 +129,16 @@ CASES = {
         < 581#807A600004000405""",
     "sdo: block download, length wrong": """
         > 601#C27A600003000000
+        < 581#807A600013000706""",
+    "sdo: block download of 2000 bytes to an object of four": """
+        > 601#C67A6000D0070000
+        < 581#807A600012000706""",
+    "sdo: block download, announced and real length differ": """
+        > 601#C27A600004000000
         < 581#A47A60007F000000
         > 601#8139300000000000
         < 581#A2017F0000000000
-        > 601#CD00000000000000
+        > 601#D100000000000000
         < 581#807A600010000706""",
     "sdo: block download, a segment is missing": """
         > 601#C27A600004000000

@@ -84,7 +84,7 @@ def text_of(tmp_path):
         (lambda text: text[: len(text) // 3], "it complete|no EDS"),
         (lambda text: "", "it is no EDS"),
         (lambda text: "\0\1\2" * 500, "it is binary"),
-        (lambda text: text + ";" * 10_000_000, "bytes are no EDS"),
+        (lambda text: text + ";" * 10_000_000, "bytes, an EDS has at most"),
         (lambda text: "[FileInfo]\nFileName=x.eds\n", "it is no EDS"),
         (lambda text: text.replace("[6040]", "[6040"), "6040h is listed|it is no EDS"),
         (lambda text: without(text, "6041"), "it has no 6041h"),

@@ -1,5 +1,6 @@
 """The master's helpers against the node in one process, by SDO and by PDO, in simulated time."""
 
+import random
 import struct
 
 import pytest
@@ -9,9 +10,20 @@ from servogym.drive.canopen.node import NmtCommand, NmtState, Node
 from servogym.drive.canopen.port import NodePort
 from servogym.drive.canopen.remote import CanOpenPort
 from servogym.drive.canopen.sdo_client import SdoClient
+from servogym.drive.drive import Drive
 from servogym.drive.kernel.words import Mode, State
-from servogym.drive.master import DriveFault, HomingFailed, Master, NoPower, Refused, Timeout
+from servogym.drive.master import (
+    BusError,
+    DriveFault,
+    HomingFailed,
+    Master,
+    NoPower,
+    Refused,
+    ServoError,
+    Timeout,
+)
 from servogym.drive.objects.abort import Abort, SdoAbort
+from servogym.envs import linear_axis
 
 TURN = 1_048_576  # increments
 WINDOW = 1456  # increments, 6067h
@@ -277,7 +289,9 @@ def test_synchronous_pdos_get_a_sync_from_the_master(shaft):
 def test_nmt_commands_reach_the_node(bench):
     bench.port.nmt(NmtCommand.STOP)
     assert bench.node.state == NmtState.STOPPED
-    with pytest.raises(Timeout, match=r"6041h:00h: no answer within 0.1 s; .* NMT has not"):
+    with pytest.raises(
+        Timeout, match=r"6041h:00h: no answer within 0.1 s, 3 times; .* NMT has not"
+    ):
         Master(CanOpenPort(bench.bus, 1, sdo_timeout=0.1)).statusword  # noqa: B018
 
 
@@ -348,7 +362,7 @@ def test_a_toggle_bit_not_alternated_is_aborted():
         < 581#1031323334353637
         > 601#8008100000000305""")
     with pytest.raises(SdoAbort) as caught:
-        SdoClient(script, 1).upload(0x1008)
+        SdoClient(script, 1, attempts=1).upload(0x1008)
     assert caught.value.code == Abort.TOGGLE_BIT
     assert not script.lines
 
@@ -363,7 +377,7 @@ def test_an_abort_code_of_the_manufacturer_survives():
 def test_no_answer_is_a_time_out_told_to_the_server():
     script = Script("> 601#4001100000000000\n> 601#8001100000000405")
     with pytest.raises(Timeout, match=r"node 1, .* 1001h:00h: no answer within 0.5 s; check its"):
-        SdoClient(script, 1, timeout=0.5).upload(0x1001)
+        SdoClient(script, 1, timeout=0.5, attempts=1).upload(0x1001)
     assert script.lines == []
     assert script.now() == pytest.approx(0.5, abs=0.01)
 
@@ -403,3 +417,96 @@ def test_a_download_sends_every_byte(size):
 
     SdoClient(Server(), 1).download(0x2008, 1, data)
     assert received == data
+
+
+# ----------------------------------------------------------------- a bad bus
+
+
+def test_a_lost_answer_costs_an_attempt_and_not_the_program():
+    script = Script("""> 601#4001100000000000
+        > 601#8001100000000405
+        > 601#4001100000000000
+        < 581#4F01100012000000""")
+    assert SdoClient(script, 1, timeout=0.1).upload(0x1001) == b"\x12"
+    assert script.lines == []
+
+
+def test_a_segment_that_is_lost_begins_the_transfer_anew():
+    begin = "> 601#4008100000000000\n< 581#4108100008000000\n> 601#6000000000000000\n"
+    script = Script(
+        begin + "> 601#8008100000000405\n" + begin
+        + """< 581#0031323334353637
+        > 601#7000000000000000
+        < 581#1D38000000000000"""
+    )  # fmt: skip
+    assert SdoClient(script, 1, timeout=0.1).upload(0x1008) == b"12345678"
+    assert script.lines == []
+
+
+def test_a_server_that_says_it_waited_in_vain_is_asked_again():
+    script = Script("""> 601#2108200106000000
+        < 581#6008200100000000
+        > 601#0331323334353600
+        < 581#8008200100000405
+        > 601#2108200106000000
+        < 581#6008200100000000
+        > 601#0331323334353600
+        < 581#2000000000000000""")
+    SdoClient(script, 1).download(0x2008, 1, b"123456")
+    assert script.lines == []
+
+
+def test_a_refusal_is_not_asked_again():
+    script = Script("> 601#4001100000000000\n< 581#8001100000000206")
+    with pytest.raises(SdoAbort, match="object does not exist"):
+        SdoClient(script, 1).upload(0x1001)
+
+
+@pytest.mark.parametrize("lost", [0.01, 0.04])
+def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost):
+    bench = Bench(shaft)
+    chance, exchange = random.Random(5), bench.bus.exchange
+    gone = 0
+
+    def lossy(frames):
+        nonlocal gone
+        kept = [frame for frame in frames if chance.random() >= lost]
+        gone += len(list(frames)) - len(kept)
+        answers = exchange(kept)
+        left = [frame for frame in answers if chance.random() >= lost]
+        gone += len(answers) - len(left)
+        return left
+
+    bench.bus.exchange = lossy
+    master = Master(CanOpenPort(bench.bus, 1, sdo_timeout=0.05))
+    master.enable()
+    master.home(37)
+    master.move_to(TURN)
+    assert gone > 3
+    assert bench.drive.read("position_actual_value") == pytest.approx(TURN, abs=WINDOW)
+
+
+def test_two_nodes_with_one_node_id_are_told():
+    nodes = [Node(Drive("generic")), Node(Drive("generic"))]
+    port = CanOpenPort(NodePort(linear_axis(), *nodes), 1)
+    master = Master(port)
+    with pytest.raises(
+        BusError, match=r"node 1: two nodes answer .* answers to .* another node-id"
+    ):
+        master.enable()
+    assert isinstance(BusError("a", "b"), ServoError)
+
+
+def test_another_master_on_the_bus_is_no_second_node(bench):
+    """Its requests are heard, and so are the answers to it."""
+    port = CanOpenPort(bench.bus, 1)
+    exchange = bench.bus.exchange
+
+    def shared(frames):
+        other = parse("601#4000100000000000")
+        return [other, *exchange([*frames, other])]
+
+    bench.bus.exchange = shared
+    master = Master(port)
+    for _ in range(5):
+        assert master.read("statusword") >= 0

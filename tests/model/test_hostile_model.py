@@ -68,7 +68,7 @@ def test_a_file_larger_than_any_model_has_is_not_read(models, name):
     (one,) = models("one")
     with (one / name).open("ab") as file:
         file.truncate(rows.LARGEST + 1)
-    refused(one, f"{name} has {rows.LARGEST + 1} bytes, a file of a model at most")
+    refused(one, f"{name} has {rows.LARGEST + 1} bytes, a file of a model has at most")
 
 
 @pytest.mark.parametrize("nest", ["x = " + "[" * 100_000, "x = " + "{a=" * 100_000])
@@ -76,3 +76,24 @@ def test_nesting_without_end_is_refused(models, nest):
     (one,) = models("one")
     before(one, nest)
     refused(one, r"drive\.toml")
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ('titel = "My drive"', "titel is unknown: did you mean title"),
+        ("[motors]", "motors is unknown: did you mean motor"),
+        ('base = "generic"', "base is unknown: did you mean based_on|choose one of"),
+        ("[cycle_time_us]\ncurent = 1", "cycle_time_us.curent is unknown: did you mean current"),
+        (
+            "[motor]\nrotor_inertia = 1",
+            "motor.rotor_inertia is unknown: did you mean rotor_inertia",
+        ),
+        ("[capabilities]\nmode = []", "capabilities.mode is unknown: did you mean modes"),
+        ("[quirks]\ntopbit = 1", "quirks.topbit is unknown: did you mean top_bit"),
+        ("[units]\ntemperatur = 1", "units.temperatur is unknown: did you mean temperature"),
+    ],
+)
+def test_a_key_that_means_nothing_is_refused_with_a_near_name(tmp_path, line, says):
+    (tmp_path / "drive.toml").write_text(f'based_on = "generic"\n{line}\n')
+    refused(tmp_path, says)

@@ -101,7 +101,7 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path):
 def test_a_file_larger_than_any_drives_is_not_read_to_its_end(file):
     with file.open("wb") as grown:
         grown.truncate(1 << 40)  # a hole of a tebibyte
-    with pytest.warns(UserWarning, match=f"it has more than {store.LARGEST} characters"):
+    with pytest.warns(UserWarning, match=f"a parameter file has at most {store.LARGEST};"):
         Drive(parameter_file=file)
 
 

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from ...drive.model.files import content
 from ...drive.model.near import near
 from ...envs.environment.registry import short, task
 from .conditions import NOMINAL, Condition, suiting
@@ -78,9 +79,9 @@ def read(name: str) -> Suite:
         ValueError: there is none, or what it names does not exist: which, and what fits.
     """
     path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
-    if not path.is_file():
+    if not path.exists():
         raise ValueError(f"there is no suite {name!r}: {near(name, versions())}, or give FILE.toml")
-    data = path.read_bytes()
+    data = content(path, "a suite")
     try:
         found = tomllib.loads(data.decode())
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

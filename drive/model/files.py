@@ -1,0 +1,50 @@
+"""Files of others: opened only where they are files, and of a size that can be meant.
+
+A pipe, a terminal or a device would let the reader wait for ever or never end; a file of a
+gigabyte would fill the memory. Both are refused before a byte is read.
+"""
+
+import os
+import stat
+from pathlib import Path
+
+LARGEST = 16 * 2**20  # bytes of a text; our own have a hundredth of that
+KINDS = (
+    (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe (FIFO)"), (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+)  # fmt: skip
+
+
+def regular(path: str | Path) -> int:
+    """The size (bytes) of a file that can be read to its end.
+
+    Raises:
+        ValueError: it is a folder, a pipe, a socket or a device.
+        OSError: there is none, or it cannot be looked at.
+    """
+    found = os.stat(path)
+    if not stat.S_ISREG(found.st_mode):
+        kind = next((name for of, name in KINDS if of(found.st_mode)), "something else")
+        raise ValueError(f"{path} cannot be read: it is {kind}, give a file")
+    return found.st_size
+
+
+def content(path: str | Path, what: str = "a file", largest: int = LARGEST) -> bytes:
+    """The bytes of a file.
+
+    Args:
+        path: of the file.
+        what: it should be, for the refusal, as "a file of a model".
+        largest: bytes it may have.
+
+    Raises:
+        ValueError: it is no file, or has more bytes.
+        OSError: there is none, or it cannot be read.
+    """
+    if (size := regular(path)) > largest:
+        raise ValueError(f"{path} has {size} bytes, {what} has at most {largest}")
+    with open(path, "rb") as file:
+        data = file.read(largest + 1)  # it may have grown
+    if len(data) > largest:
+        raise ValueError(f"{path} has more bytes than {what} may have, {largest}")
+    return data
