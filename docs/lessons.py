@@ -80,7 +80,7 @@ class Quirks(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """A table."""
-        from servogym.drive.model.model import QUIRKS
+        from servogym.drive.model.drive_toml import QUIRKS
 
         lines = ["| quirk | meaning |", "|---|---|"]
         lines += [f"| `{name}` | {text} |" for name, text in QUIRKS.items()]

@@ -5,22 +5,16 @@ that cannot be right is refused when the model is loaded, with file, line and re
 """
 
 import functools
-import math
-import re
-import tomllib
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..kernel.faults import Cause
-from ..kernel.process_data import MAX_BITS
-from ..kernel.record import FIELDS, OD, Axis
+from ..kernel.record import OD, Axis
 from ..kernel.words import Mode
 from .capabilities import read_capabilities, with_capabilities
+from .drive_toml import BUSES, KERNEL_QUIRKS, KEYS, QUIRKS, UNITS, Toml, merged, read_toml
 from .ethercat import EtherCat, need_assignment, read_ethercat
 from .near import near
 from .pdo import Mapping, read_pdos
@@ -32,48 +26,14 @@ from .rows import (
     read_cells,
     read_faults,
     read_objects,
-    read_text,
     referred,
     with_sections,
 )
 
-# Departures from the standard a model may declare: fields of the record that the kernel reads, and
-# flags of the Python around it.
-_FIRST = [name for name, *_ in FIELDS].index("older_factor_group")
-_LAST = [name for name, *_ in FIELDS].index("history_depth")
-KERNEL_QUIRKS = tuple(name for name, *_ in FIELDS[_FIRST : _LAST + 1])
-QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS} | {
-    "load_at_once": "1: 1011h acts at once and needs the power stage off",
-    "pdo_needs_stop": "1: PDO parameters may only change outside NMT operational",
-    "cyclic_event": "1: transmission type 254 sends with the inhibit time as period",
-    "transmit_masks": "1: 2014h-2017h choose the bits whose change sends a TPDO",
-    "emcy_internal_code": "1: bytes 6 and 7 of an EMCY are the manufacturer's fault number",
-    "only_faults_are_told": "1: a lost connection sends an EMCY only with 6007h = 1",
-    "rpdo_counts_syncs": "1: an RPDO of type n is used at every n-th SYNC",
-    "upload_without_size": "1: an expedited upload of 2001h-2FFFh is answered by 42h",
-    "writes_are_stored": "1: what can be stored is stored with each write",
-    "shortest_gap_of_tpdo_2": "ms between two of them, whatever the inhibit time says",
-    "alias_saves": "1: a station alias that is written makes the drive save its parameters",
-    "empty_history_reads_0": "1: a field of 1003h without an error reads 0 instead of 08000024h",
-    "identifier_needs_valid_bit": "1: bit 30 of PDO identifiers always reads 1",
-}
-KINDS: dict[str, type] = {  # of what drive.toml may say
-    "title": str, "standard": str, "based_on": str, "objects_of": str, "axes": int, "buses": list,
-    "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "quirks": dict,
-    "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
-}  # fmt: skip
-KEYS = {  # of the tables whose keys no other table of this file lists
-    "cycle_time_us": ("current", "velocity", "position"),
-    "motor": ("torque_time_constant_us", "rotor_inertia_kgm2"),
-    "capabilities": ("modes", "homing_methods"),
-}
 STANDARD = "generic"  # its objects.csv has the objects of CiA 301 and CiA 402
 ENTRY_POINTS = "servogym.drives"  # of other packages: a name, and the folder it stands for
-BUSES = {"can": MAX_BITS, "ethercat": 512}  # field bus -> longest PDO in bits
 ETHERCAT_FILES = ("ethercat.toml", "ethercat_objects.csv", "ethercat_pdo.csv")
 COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}  # what puts it there
-# [units] of drive.toml: field of the record, value without an entry
-UNITS = {"position_gain": 1e-3, "velocity_gain": 1e-6, "temperature": 0.1}
 WITHOUT_POSITION = (
     Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE,
     Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
@@ -253,12 +213,12 @@ def _folder(model: str | Path, beside: Path | None = None) -> Path:
 
 def _ancestors(folder: Path) -> list[tuple[Path, dict[str, Any]]]:
     """The folder and those it is based on, each with its drive.toml."""
-    files = [(folder, _read_toml(folder / "drive.toml"))]
+    files = [(folder, read_toml(folder / "drive.toml"))]
     while "based_on" in files[-1][1]:
         base = _folder(files[-1][1]["based_on"], files[-1][0])
         if base in (folder for folder, _ in files):
             raise ValueError(f"{files[-1][0] / 'drive.toml'}: based_on leads back to {base.name!r}")
-        files.append((base, _read_toml(base / "drive.toml")))
+        files.append((base, read_toml(base / "drive.toml")))
     return files
 
 
@@ -314,12 +274,12 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     ancestors = _ancestors(folder)
     toml: dict[str, Any] = {}
     for _, own in reversed(ancestors):  # another model, with what this one says instead
-        toml = _merged(toml, own)
+        toml = merged(toml, own)
     file = {
         name: next((f / name for f, _ in ancestors if (f / name).exists()), folder / name)
         for name in ("pdo.csv", "faults.csv", *ETHERCAT_FILES)
     }
-    reader = _Toml(folder / "drive.toml", toml)
+    reader = Toml(folder / "drive.toml", toml)
     buses = reader.buses()
     if bus is None:
         return _load(folder, buses[0])
@@ -382,76 +342,6 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     )
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        toml = tomllib.loads(read_text(path))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: {error}") from None
-    _refuse_unknown(toml, KINDS, path)
-    for key, kind in KINDS.items():
-        if not isinstance(toml.get(key, kind()), kind):
-            raise ValueError(f"{path}: {key} = {toml[key]!r} is no {kind.__name__}")
-    for table, keys in KEYS.items():
-        _refuse_unknown(toml.get(table, {}), keys, path, f"{table}.")
-    if not 1 <= toml.get("axes", 1) <= 127:
-        raise ValueError(f"{path}: axes = {toml['axes']} is out of range 1..127")
-    for name, quirk in toml.get("quirks", {}).items():
-        if name not in QUIRKS:
-            continue  # told with the known ones
-        fits = isinstance(quirk, dict) and isinstance(quirk.get("source"), str)
-        if not fits or not isinstance(quirk.get("value"), int) or abs(quirk["value"]) >= 1 << 31:
-            raise ValueError(f'{path}: quirks.{name} is not like {{ value = 1, source = "5.1" }}')
-    for name, code in toml.get("abort_codes", {}).items():
-        value = code.get("value") if isinstance(code, dict) else None
-        if not re.fullmatch("[0-9A-F]{8}h", name) or not isinstance(value, int):
-            raise ValueError(
-                f"{path}: abort_codes.{name} is not like "
-                '"06090031h" = { value = 0x06090030, source = "8.7" }'
-            )
-        if not 0 < value < 1 << 32:
-            raise ValueError(f"{path}: abort_codes.{name} = {value} has more than 32 bits")
-    for name in ("modes", "homing_methods"):
-        if not isinstance(toml.get("capabilities", {}).get(name, []), list):
-            raise ValueError(f"{path}: capabilities.{name} is no list")
-    for name, value in toml.get("units", {}).items():
-        if not isinstance(value, int | float) or not 0 < value < 1e9:
-            raise ValueError(f"{path}: units.{name} = {value!r} is no number above 0")
-    for name, value in toml.get("fixed", {}).items():
-        if name in (OD.names or ()) and not _fits(value, OD[name]):
-            raise ValueError(f"{path}: fixed.{name} = {value!r} does not fit {OD[name]}")
-    return toml
-
-
-def _refuse_unknown(table: dict[str, Any], known: Iterable[str], path: Path, of: str = "") -> None:
-    """Refuse a key that means nothing: most often one that is spelt in another way."""
-    for key in table:
-        if key not in known:
-            raise ValueError(f"{path}: {of}{key} is unknown: {near(key, known)}")
-
-
-def _fits(value: Any, kind: np.dtype) -> bool:
-    """Whether a value of drive.toml, or a list of them, can stand in a field of the record."""
-    values = value if isinstance(value, list) else [value]
-    room = kind.shape[0] if kind.shape else 1
-    if isinstance(value, list) != bool(kind.shape) or len(values) > room:
-        return False
-    if any(isinstance(v, bool) or not isinstance(v, int | float) for v in values):
-        return False
-    if kind.base.kind == "f":
-        return all(math.isfinite(v) for v in values)
-    low, high = np.iinfo(kind.base).min, np.iinfo(kind.base).max
-    return all(isinstance(v, int) and low <= v <= high for v in values)
-
-
-def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Tables of `base` with the entries of `own` in place of theirs."""
-    return base | {
-        key: base[key] | value if isinstance(value, dict) and isinstance(base.get(key), dict)
-        else value
-        for key, value in own.items()
-    }  # fmt: skip
-
-
 def _with_defaults(objects: dict[tuple[int, int], Object], toml: dict[str, Any], path: Path):
     """The objects with the values of the table `defaults`, by name."""
     names = {row.name: address for address, row in objects.items()}
@@ -465,47 +355,3 @@ def _with_defaults(objects: dict[tuple[int, int], Object], toml: dict[str, Any],
             raise ValueError(f"{path}: defaults.{name} = {value!r} does not fit {row.data_type}")
         objects[names[name]] = replace(row, default=value)
     return objects
-
-
-@dataclass
-class _Toml:
-    path: Path
-    data: dict[str, Any]
-
-    def table(self, name: str) -> dict[str, Any]:
-        if not isinstance(self.data.get(name), dict):
-            raise ValueError(f"{self.path}: the table [{name}] is missing")
-        return self.data[name]
-
-    def known(self, name: str, known: Iterable[str]) -> None:
-        """Refuse a key of a table that means nothing."""
-        _refuse_unknown(self.data.get(name, {}), known, self.path, f"{name}.")
-
-    def buses(self) -> tuple[str, ...]:
-        """The field buses, "can" where nothing is said."""
-        buses = self.data.get("buses", ["can"])
-        if not isinstance(buses, list) or not buses:
-            raise ValueError(f'{self.path}: buses = {buses!r} is no list like ["can"]')
-        for bus in buses:
-            if bus not in BUSES:
-                raise ValueError(f"{self.path}: unknown bus {bus!r}, known: {', '.join(BUSES)}")
-        return tuple(buses)
-
-    def cycle_times(self) -> dict[str, float]:
-        """Cycle times (µs); the position cycle is a multiple of the velocity cycle."""
-        times = self.numbers("cycle_time_us", KEYS["cycle_time_us"])
-        ratio = times["position"] / times["velocity"] if times["velocity"] else 0.0
-        if ratio < 1 or ratio != int(ratio):
-            raise ValueError(
-                f"{self.path}: cycle_time_us.position = {times['position']} is not a whole "
-                f"multiple of cycle_time_us.velocity = {times['velocity']}"
-            )
-        return times
-
-    def numbers(self, name: str, keys: tuple[str, ...]) -> dict[str, float]:
-        table = self.table(name)
-        for key in keys:
-            value = table.get(key)
-            if not isinstance(value, int | float) or not 0 <= value < 1e9:
-                raise ValueError(f"{self.path}: {name}.{key} = {value!r} is not a number >= 0")
-        return {key: float(table[key]) for key in keys}

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from servogym.drive.kernel.words import MODE_ABBREVIATION
-from servogym.drive.model.model import QUIRKS, load, model_names
+from servogym.drive.model.drive_toml import QUIRKS
+from servogym.drive.model.model import load, model_names
 from servogym.training import cli
 
 ROOT = Path(__file__).parents[2]
