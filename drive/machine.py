@@ -1,6 +1,7 @@
 """What a field bus needs of a machine: drives, and time that passes in whole cycles."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 from .drive import Drive
@@ -23,3 +24,16 @@ class Machine(Protocol):
 
     def step(self, cycles: int = 1) -> object:
         """Let so many position cycles pass."""
+
+
+@dataclass
+class Standing:
+    """Drives without a machine: time passes, and they stand still."""
+
+    drives: Mapping[str, Drive]
+    cycle_time: float  # (s)
+    time: float = 0.0  # (s)
+
+    def step(self, cycles: int = 1) -> None:
+        """Let so many position cycles pass."""
+        self.time += cycles * self.cycle_time

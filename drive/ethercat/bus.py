@@ -1,9 +1,10 @@
 """A segment, the machines its drives move, and the time of both: one code path for three clocks.
 
-``frame``: each process-data frame lets the period 60C2h pass, so runs are bit-identical and as fast
-as they can be. ``dc``: time comes from outside; machines of drives that are synchronised run at the
-edges of SYNC0, for one SYNC0 cycle. ``real``: time comes from outside; machines follow it, at most
-one period of physics between two frames, and what they cannot follow is counted.
+``frame``: each process-data frame lets one period pass, that of SYNC0 for a drive that is
+synchronised and 60C2h for any other, so runs are bit-identical and as fast as they can be. ``dc``:
+time comes from outside; machines of drives that are synchronised run at the edges of SYNC0, for one
+SYNC0 cycle. ``real``: time comes from outside; machines follow it, at most one period of physics
+between two frames, and what they cannot follow is counted.
 
 `receive` answers a frame; `advance` lets the machines run afterwards, because a master does not
 wait for physics. Times are in ns; there is no clock in here.
@@ -17,7 +18,8 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 from ..machine import Machine
-from .controller.record import SyncMode
+from .controller.record import NEVER
+from .controller.registers import R
 from .segment import Segment
 from .slave import interpolation_ns
 
@@ -51,7 +53,7 @@ class _Plant:
         self.slaves = slaves
         self.drive = next(iter(machine.drives.values()))
         self.cycle = round(machine.cycle_time * 1e9)  # ns
-        self.time = 0  # ns, how far it has run
+        self.time = 0  # ns, how far frames or the clock have carried it
         self.due = set(slaves)  # whose process data the running bus cycle still waits for
         self.edges = 0  # of SYNC0 so far
 
@@ -65,7 +67,6 @@ class _Plant:
         cycles = span // self.cycle
         if cycles > 0:
             self.machine.step(cycles)
-            self.time += cycles * self.cycle
         return cycles > 0
 
 
@@ -136,6 +137,27 @@ class Bus:
         else:
             self._follow(now, bool(touched))
 
+    def notes(self) -> list[str]:
+        """What a master should know that has just set the SYNC unit of a slave."""
+        lines = []
+        for slave in self.segment.take_clocked():
+            record = self.segment.escs[slave]
+            if record["sync0_at"] == NEVER:
+                continue
+            cycle = self.segment.pdis[slave].get(R.SYNC0_CYCLE, 4) / 1e6
+            if record["inputs_on"] and not self.segment.synchronised(slave):
+                lines.append(
+                    f"slave {slave}: SYNC0 of {cycle:g} ms came behind SAFE_OP, so the drive goes "
+                    "on with its frames: set it in PRE_OP, then request SAFE_OP"
+                )
+            elif self.clock == Clock.FRAME:
+                lines.append(
+                    f"slave {slave}: SYNC0 of {cycle:g} ms, with the clock frame each frame of "
+                    "process data lets one pass; a master that steers by the DC time needs "
+                    "--clock dc"
+                )
+        return lines
+
     def let_pass(self, span: int) -> None:
         """Let `span` ns pass for the slaves alone: machines run elsewhere, and no frame comes."""
         self._edges(self.time + span)
@@ -150,11 +172,12 @@ class Bus:
             plant.due.discard(slave)
             if not plant.due:
                 plant.due = {s for s in plant.slaves if self.segment.escs["inputs_on"][s]}
-                until = max(until, plant.time + plant.period)
-                if not self._synchronised(plant):
-                    ran |= plant.run(plant.period)
-                else:
-                    plant.time += plant.period
+                synchronised = self._synchronised(plant)
+                span = self._sync0(plant) if synchronised else plant.period
+                plant.time = max(plant.time, self.time - span) + span  # one that stood goes on here
+                until = max(until, plant.time)
+                if not synchronised:  # else it runs at the edges up to there
+                    ran |= plant.run(span)
         for slave in self.segment.take_requests():
             plant = self._plant_of.get(slave)  # an SDO takes a cycle, where nothing else does
             if plant and not any(self.segment.escs["inputs_on"][s] for s in plant.slaves):
@@ -166,19 +189,22 @@ class Bus:
             self.segment.publish(self.time)
 
     def _synchronised(self, plant: _Plant) -> bool:
-        first = self.segment.escs[plant.slaves[0]]
-        return first["sync_mode"] == SyncMode.SYNC0 and bool(first["memory"][0x0981] & 1)
+        return self.segment.synchronised(plant.slaves[0])
+
+    def _sync0(self, plant: _Plant) -> int:
+        """SYNC0 cycle of its first slave (ns)."""
+        return self.segment.pdis[plant.slaves[0]].get(R.SYNC0_CYCLE, 4)
 
     def _edges(self, until: int) -> None:
         """Edges of SYNC0 and watchdogs up to a time, and the cycles that begin with them."""
         while (due := self.segment.next_time) <= until:
             self.segment.poll(due)
+            counts = self.segment.escs["sync0_count"]
             ran = False
             for plant in self._plants:
-                edges = int(self.segment.escs["sync0_count"][plant.slaves[0]])
+                edges = int(counts[plant.slaves[0]])
                 if edges > plant.edges and self._synchronised(plant):
-                    memory = self.segment.escs["memory"][plant.slaves[0]]
-                    ran |= plant.run(int.from_bytes(memory[0x09A0:0x09A4].tobytes(), "little"))
+                    ran |= plant.run(self._sync0(plant))
                 plant.edges = edges
             if ran:
                 self.segment.publish(due)
@@ -199,7 +225,9 @@ class Bus:
             if behind > 2 * most:
                 self.statistics.missed += 1
                 plant.time = now - most
-            ran |= plant.run(min(now - plant.time, most))
+            span = min(now - plant.time, most) // plant.cycle * plant.cycle
+            ran |= plant.run(span)
+            plant.time += span
         if ran:
             self.segment.publish(now)
         self.time = max(self.time, now)

@@ -103,6 +103,7 @@ class Segment:
         self._sent = np.zeros(2048, np.uint8)
         self._touched = np.zeros(n, np.uint8)
         self._requests: list[int] = []
+        self._clocked: list[int] = []
         self.pdis = [Pdi(self.escs, i) for i in range(n)]
         self.images = [ProcessImage(self.escs, i, s.drive) for i, s in enumerate(self.stations)]
         for i, station in enumerate(self.stations):
@@ -274,6 +275,8 @@ class Segment:
                 self._rewire()
             if events & Event.MAILBOX_REQUEST:
                 self._requests.append(i)
+            if events & Event.SYNC:
+                self._clocked.append(i)
             if self.escs["present"][i]:
                 self.stations[i].serve(events, now)
 
@@ -288,6 +291,10 @@ class Segment:
     def next_time(self) -> int:
         """When `poll` has something to do next (ns)."""
         return int(esc.next_time(self.escs))
+
+    def synchronised(self, slave: int) -> bool:
+        """Whether a drive runs at the edges of SYNC0, which has to be on for it."""
+        return bool(esc.synchronised(self.escs, slave))
 
     def publish(self, now: int) -> None:
         """Give the inputs of all drives to their sync managers, after their cycles."""
@@ -310,6 +317,13 @@ class Segment:
         requests, self._requests = self._requests, []
         return requests
 
+    def take_clocked(self) -> list[int]:
+        """Slaves whose SYNC unit a master has set since the last call."""
+        if not self._clocked:
+            return self._clocked
+        clocked, self._clocked = self._clocked, []
+        return clocked
+
     def latch(self, slave: int, unit: int, rising: bool, now: int) -> None:
         """An edge at latch input 0 or 1 of a slave (09A8h)."""
         esc.latch(self.escs, slave, now, unit, rising)
@@ -323,6 +337,7 @@ class Segment:
         self.touched()
         esc.next_time(self.escs)
         if len(self):
+            self.synchronised(0)
             self.latch(0, 0, True, 0)
         self.escs[:] = kept
 

@@ -168,6 +168,8 @@ class Slave:
         if events & Event.AL_CONTROL:
             self.al.control(self._pdi.al_control())
             self._tell_state()
+        if events & Event.SYNC and self.state in WITH_INPUTS:
+            self._check_running_clock()
         if self.state == AlState.OPERATIONAL:
             if events & Event.WATCHDOG:
                 self.fail(AlStatusCode.WATCHDOG)
@@ -214,6 +216,8 @@ class Slave:
             if not self._is_buffer(INPUTS, self.data.start[1], self.drive.tpdo_size):
                 return AlStatusCode.INVALID_INPUTS
             return self._check_clock()
+        if self._image.sync_mode == SyncMode.SYNC0 and not self._sync0_on:
+            return AlStatusCode.NO_SYNC_ERROR
         return AlStatusCode.NO_ERROR
 
     def _is_mailbox(self, number: int, start: int, length: int) -> bool:
@@ -243,6 +247,24 @@ class Slave:
             return AlStatusCode.DC_CYCLE_TIME
         return AlStatusCode.NO_ERROR
 
+    @property
+    def _sync0_on(self) -> bool:
+        return self._pdi.get(SYNC_ACTIVATION, 1) & SYNC_ACTIVE == SYNC_ACTIVE
+
+    def _check_running_clock(self) -> None:
+        """Retreat where a master changes the SYNC unit under a drive that runs with it (inferred).
+
+        Without SYNC0 to SAFE_OP (ETG.1020, no sync error); to PRE_OP, where its clock is set, where
+        the drive cannot follow.
+        """
+        if self._image.sync_mode != SyncMode.SYNC0:
+            return
+        if not self._sync0_on:
+            if self.state == AlState.OPERATIONAL:
+                self.fail(AlStatusCode.NO_SYNC_ERROR)
+        elif code := self._check_clock():
+            self.fail(code, AlState.PRE_OPERATIONAL)
+
     def _entered(self, before: AlState, after: AlState) -> None:
         """Switch on and off what goes with a state."""
         self.drive.operational = after in WITH_INPUTS
@@ -251,8 +273,7 @@ class Slave:
         elif after == AlState.INIT:
             self._quiet()
         if before == AlState.PRE_OPERATIONAL and after == AlState.SAFE_OPERATIONAL:
-            active = self._pdi.get(SYNC_ACTIVATION, 1) & SYNC_ACTIVE == SYNC_ACTIVE
-            self._image.sync_mode = SyncMode.SYNC0 if active else SyncMode.SM_EVENT
+            self._image.sync_mode = SyncMode.SYNC0 if self._sync0_on else SyncMode.SM_EVENT
             self._image.late_limit = self._late_limit()
             self._image.times(self.data.cycle_ns, self.drive.objects.value(*COPY_TIME))
         if (before in WITH_INPUTS) != (after in WITH_INPUTS):

@@ -38,12 +38,21 @@ class EtherCatServer:
         bus: the segment and its machines.
         ports: Ethernet ports.
         log: capture of all frames.
+        tell: takes a line about what a master should know, once for each.
     """
 
-    def __init__(self, bus: Bus, ports: Sequence[Port], log: Writer | None = None):
+    def __init__(
+        self,
+        bus: Bus,
+        ports: Sequence[Port],
+        log: Writer | None = None,
+        tell: Callable[[str], object] = lambda line: None,
+    ):
         self.bus = bus
         self.ports = list(ports)
         self.log = log
+        self._tell = tell
+        self._told: set[str] = set()
         self._stopped = False
         self._counter = 0
         self._begin = time.monotonic_ns()
@@ -97,6 +106,10 @@ class EtherCatServer:
         if self._buffer[16] in LOGICAL:
             self._counter = self._last_counter()
         self.bus.advance(self.now)
+        for line in self.bus.notes():
+            if line not in self._told:
+                self._told.add(line)
+                self._tell(line)
 
     def _last_counter(self) -> int:
         """Working counter of the first datagram."""

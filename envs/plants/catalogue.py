@@ -8,6 +8,8 @@ from ...drive.canopen.node import NmtCommand, Node
 from ...drive.drive import Drive
 from ...drive.ethercat.segment import Segment
 from ...drive.ethercat.slave import Slave
+from ...drive.machine import Machine as Moved
+from ...drive.machine import Standing
 from ...drive.model.model import DriveModel, load
 from ...drive.model.near import near
 from ..engine.machine import Machine
@@ -97,24 +99,25 @@ def machines_for(
 
 def ethercat_line(
     models: Sequence[str], axis: str = "linear", *, ring: bool = False
-) -> tuple[Segment, list[Machine]]:
+) -> tuple[Segment, list[Moved]]:
     """Slaves in a line with a machine for each model, with all compiled that they need.
 
     Args:
         models: drive models by name or folder; a machine of several axes has a slave for each.
-        axis: key of `AXES`; ``none``: drives that stand still, without a machine.
+        axis: key of `AXES`; ``none``: drives that stand still.
         ring: the last slave leads back to a second port of the master.
 
     Raises ValueError: unknown model or axis, a model without EtherCAT.
     """
     if axis not in (*AXES, "none"):
         raise ValueError(f"--axis = {axis!r}: {near(axis, [*AXES, 'none'])}")
-    machines: list[Machine] = []
+    machines: list[Moved] = []
     drives: list[Drive] = []
     for name in models:
         model = load(name, "ethercat")
         if axis == "none":
             drives.append(Drive(model))
+            machines.append(Standing({"x": drives[-1]}, model.cycle_time["position"]))
             continue
         make, places = AXES[axis]
         machine = make(model)

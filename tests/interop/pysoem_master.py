@@ -438,3 +438,62 @@ def kilohertz(server, seconds=5.0):
 def memory_of(process):
     with open(f"/proc/{process.pid}/status") as status:
         return int(next(line for line in status if line.startswith("VmRSS")).split()[1])
+
+
+# ------------------------------------------------------------------- three clocks, SYNC0
+
+
+def with_sync0(clock, when, period=10, cycles=100):
+    """OP with SYNC0 off, set in PRE_OP or behind SAFE_OP; -> states, DC time of each cycle (ms)."""
+    paced = clock != "frame"
+    master = opened()
+    scan_of(master)
+    (slave,) = master.slaves
+
+    def hook(_):
+        slave.sdo_write(0x60C2, 1, bytes([period]))
+        if when == "before":
+            slave.dc_sync(True, period * 1_000_000)
+
+    def step():
+        begin = time.perf_counter()
+        wrong = cycle(master)
+        if paced:
+            time.sleep(max(period / 1000 - (time.perf_counter() - begin), 0))
+        return wrong
+
+    if when == "before":
+        master.config_dc()
+    slave.config_func = hook
+    master.config_map()
+    safe = master.state_check(pysoem.SAFEOP_STATE, 5_000_000)
+    if when == "behind":
+        master.config_dc()
+        slave.dc_sync(True, period * 1_000_000)
+    for _ in range(30):  # SOEM lets SYNC0 begin 100 ms later
+        step()
+    master.state = pysoem.OP_STATE
+    master.write_state()
+    for _ in range(100):
+        step()
+        if master.state_check(pysoem.OP_STATE, 1000) == pysoem.OP_STATE:
+            break
+    wrong, times, status = 0, [], []
+    words = {0x40: 6, 0x21: 7, 0x23: 15, 0x27: 15}
+    for _ in range(cycles):
+        (shown,) = struct.unpack_from("<H", slave.input)
+        status.append(shown & 0x6F)
+        slave.output = struct.pack("<H", words.get(shown & 0x6F, 6)) + slave.output[2:]
+        wrong += step()
+        times.append(register(slave, 0x0910, 8))
+    master.read_state()
+    result = {
+        "safe": safe, "state": slave.state, "code": slave.al_status, "wrong": wrong,
+        "status": status[-1],
+        "passed": [(b - a) / 1e6 for a, b in zip(times, times[1:], strict=False)],
+    }  # fmt: skip
+    slave.dc_sync(False, 0)
+    master.state = pysoem.INIT_STATE
+    master.write_state()
+    master.close()
+    return result

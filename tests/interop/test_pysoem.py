@@ -169,3 +169,40 @@ def test_41_a_kilohertz_on_the_clock_dc_keeps_working_counters_and_memory(second
     assert (result["safe"], result["state"]) == (4, OP)
     assert result["wrong"] == []
     assert abs(result["memory_kib"][1] - result["memory_kib"][0]) <= 1024
+
+
+# ------------------------------------------------------------- three clocks, SYNC0 (issue 29)
+
+
+def check_clock(clock, when):
+    """The drive stays in OP and is enabled; with the clock frame each frame is one period."""
+    options = () if clock == "frame" else ("--clock", clock)
+    result = on_the_wire(
+        "pysoem_master", "with_sync0", "--drive", "generic", *options, clock=clock, when=when,
+        in_time=lambda result: result["state"] == OP and result["status"] == 0x27,
+    )  # fmt: skip
+    assert (result["safe"], result["state"], result["code"]) == (4, OP, 0)
+    assert result["wrong"] == 0
+    assert result["status"] == 0x27, "operation enabled"
+    if clock == "frame":
+        assert set(result["passed"]) == {10.0}
+    else:
+        assert sorted(result["passed"])[len(result["passed"]) // 2] == pytest.approx(10, abs=2)
+
+
+@pytest.mark.parametrize("when", ["off", "before", "behind"])
+def test_the_first_command_of_the_page_with_sync0(when):
+    """`servogym ethercat -i ... --drive generic`, without any option."""
+    check_clock("frame", when)
+
+
+@pytest.mark.parametrize(("clock", "when"), [("dc", "before"), ("real", "before")])
+def test_clocks_of_the_wall_with_sync0(clock, when):
+    check_clock(clock, when)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("when", ["off", "behind"])
+@pytest.mark.parametrize("clock", ["dc", "real"])
+def test_clocks_of_the_wall_without_sync0_or_late(clock, when):
+    check_clock(clock, when)

@@ -91,6 +91,7 @@ def _serve(options: argparse.Namespace, console: Console, ports: "list[Port]") -
     server = EtherCatServer(
         bus, ports,
         Writer(options.log, names) if options.log else None,
+        lambda line: console.print(line, soft_wrap=True),
     )  # fmt: skip
     signal.signal(signal.SIGTERM, lambda *_: server.stop())
     signal.signal(signal.SIGINT, lambda *_: server.stop())

@@ -14,6 +14,8 @@ from .record import NEVER, PORTS, Event, SyncMode
 from .registers import R
 
 SECOND = 1_000_000_000  # ns
+ITERATIONS = 8  # of `time_of`
+FAR = 1 << 60  # ns: 36 years; what lies further away does not come
 TERA = 1_000_000_000_000
 STEEPEST = 500_000  # the drift loop's correction, at most (1e-9)
 PROPORTIONAL = 50  # correction (1e-9) by a difference of 1 ns (inferred)
@@ -55,13 +57,30 @@ def system_time(esc, now):
 def time_of(esc, system):
     """When the slave's copy of the system time reaches `system`."""
     local = system - get64(esc.memory, R.SYSTEM_TIME_OFFSET)
-    span = local - esc.clock_local
-    now = esc.clock_now + span - _scaled(span, esc.clock_ppb + esc.drift_ppb)
-    while local_time(esc, now) > local:
-        now -= 1
-    while local_time(esc, now) < local:
-        now += 1
+    if not -FAR < local - esc.clock_local < FAR:
+        return NEVER
+    now = esc.clock_now + local - esc.clock_local
+    for _ in range(ITERATIONS):  # each leaves a share of the error as small as the rate is off
+        error = local_time(esc, now) - local
+        if error == 0:
+            break
+        now -= error
+    for _ in range(2):  # rounding: the first moment that shows this time
+        if local_time(esc, now - 1) >= local:
+            now -= 1
+        elif local_time(esc, now) < local:
+            now += 1
     return now
+
+
+@block
+def synchronised(esc):
+    """Whether the drive runs at the edges of SYNC0, not only the controller counts them."""
+    return (
+        esc.sync_mode == SyncMode.SYNC0
+        and esc.inputs_on != 0
+        and esc.memory[R.ACTIVATION] & CYCLIC != 0
+    )
 
 
 @block
@@ -167,7 +186,8 @@ def activate(esc, now):
     start = get64(memory, R.START_TIME)
     own = system_time(esc, now)
     if start <= own:
-        start = start + ((own - start) // cycle + 1) * cycle if cycle else own + 1
+        late = own - start
+        start = start + (late // cycle + 1) * cycle if cycle and 0 <= late < FAR else own + 1
     esc.sync0_at = start
     esc.sync1_at = start + get32(memory, R.SYNC1_CYCLE) if active & SYNC1 else NEVER
     esc.sync0_count = 0
@@ -177,17 +197,23 @@ def activate(esc, now):
 
 
 @block
-def edge(esc, now):
-    """An edge of SYNC0: outputs that have come are taken over, those that have not are late.
-
-    Such as came less than the copy time before it wait for the next edge (ETG.1020, 1C32h).
-    """
+def _signal(esc):
+    """What an edge shows in the registers."""
     memory = esc.memory
     memory[R.AL_EVENT] |= 1 << 2
     memory[R.SYNC0_STATUS] = 1
     if esc.sync1_at != NEVER:
         memory[R.AL_EVENT] |= 1 << 3
         memory[R.SYNC1_STATUS] = 1
+
+
+@block
+def edge(esc, now):
+    """An edge of SYNC0: outputs that have come are taken over, those that have not are late.
+
+    Such as came less than the copy time before it wait for the next edge (ETG.1020, 1C32h).
+    """
+    _signal(esc)
     if esc.sync_mode == SyncMode.SYNC0:
         if esc.sm_fresh[OUTPUTS]:
             esc.outputs_late = 0
@@ -200,16 +226,35 @@ def edge(esc, now):
             esc.sync_errors = min(esc.sync_errors + 1, 0xFFFF)
             if esc.late_limit and esc.outputs_late == esc.late_limit + 1:
                 esc.events |= Event.SYNC_LOST
-    esc.sync0_count += 1
-    cycle = get32(memory, R.SYNC0_CYCLE)
+    _next(esc, 1)
+
+
+@block
+def _next(esc, edges):
+    """So many edges later."""
+    esc.sync0_count += edges
+    cycle = get32(esc.memory, R.SYNC0_CYCLE)
     if cycle == 0:
         esc.sync0_at = NEVER
         return
-    esc.sync0_at += cycle
-    put64(memory, R.START_TIME, esc.sync0_at)
+    esc.sync0_at += edges * cycle
+    put64(esc.memory, R.START_TIME, esc.sync0_at)
     if esc.sync1_at != NEVER:
-        esc.sync1_at += cycle
-        put64(memory, R.NEXT_SYNC1, esc.sync1_at)
+        esc.sync1_at += edges * cycle
+        put64(esc.memory, R.NEXT_SYNC1, esc.sync1_at)
+
+
+@block
+def skip(esc, now):
+    """Edges of SYNC0 up to `now` that nobody runs at, all at once."""
+    if esc.sync0_at == NEVER:
+        return
+    late = system_time(esc, now) - esc.sync0_at
+    if late < 0:
+        return
+    cycle = get32(esc.memory, R.SYNC0_CYCLE)
+    _signal(esc)
+    _next(esc, late // cycle + 1 if cycle else 1)
 
 
 @block

@@ -127,6 +127,9 @@ def _refresh(esc, address, n, now, unit):
     """Registers that are made when they are read."""
     if _meets(address, n, R.EEPROM_CONTROL, 2):
         eeprom_status(esc, now)
+    if _meets(address, n, R.AL_EVENT, 1) or _meets(address, n, R.SYNC0_STATUS, 0x12):
+        if not dc.synchronised(esc):
+            dc.skip(esc, unit)
     if _meets(address, n, R.SYSTEM_TIME, 8):
         dc.put64(esc.memory, R.SYSTEM_TIME, dc.system_time(esc, unit))
 
@@ -231,6 +234,8 @@ def _effects(esc, effects, address, data, at, n, now, unit, entrance):
         place = at + R.SYSTEM_TIME - address
         wide = address + n >= 0x0918
         dc.steer(esc, unit, dc.get64(data, place) if wide else get32(data, place), wide)
+    if effects >> Effect.OFFSET & 1:
+        dc.skip(esc, now)  # the time jumps: edges that it jumps over do not come
     if effects >> Effect.RESET_DRIFT & 1:
         dc.reset_drift(esc, now)
     if effects >> Effect.SYNC & 1:
@@ -395,7 +400,9 @@ def poll(escs, now):
     events = 0
     for i in range(len(escs)):
         esc = escs[i]
-        while esc.sync0_at != NEVER:
+        if not dc.synchronised(esc):
+            dc.skip(esc, now)
+        while esc.sync0_at != NEVER and dc.synchronised(esc):
             due = dc.time_of(esc, esc.sync0_at)
             if due > now:
                 break
@@ -417,9 +424,15 @@ def next_time(escs):
     for i in range(len(escs)):
         esc = escs[i]
         soonest = min(soonest, esc.watchdog_at, esc.pdi_watchdog_at)
-        if esc.sync0_at != NEVER:
+        if esc.sync0_at != NEVER and dc.synchronised(esc):
             soonest = min(soonest, dc.time_of(esc, esc.sync0_at))
     return soonest
+
+
+@entry
+def synchronised(escs, index):
+    """Whether the drive of one slave runs at the edges of SYNC0."""
+    return dc.synchronised(escs[index])
 
 
 @entry

@@ -98,6 +98,7 @@ class Effect(IntEnum):
     SYNC = 14
     PORTS = 15
     EEPROM_ACCESS = 16
+    OFFSET = 17
 
 
 class Register(NamedTuple):
@@ -182,7 +183,7 @@ REGISTERS_TABLE = (
     Register(0x0904, 12, "receive times ports 1-3", 0, 0, E.NONE, "distributed clocks"),
     Register(0x0910, 8, "system time", 0, 0, E.SYSTEM_TIME, "distributed clocks"),
     Register(0x0918, 8, "receive time of the processing unit", 0, 0, E.NONE, "distributed clocks"),
-    Register(0x0920, 8, "system time offset", 0, ALL, E.NONE, "distributed clocks"),
+    Register(0x0920, 8, "system time offset", 0, ALL, E.OFFSET, "distributed clocks"),
     Register(0x0928, 4, "system time delay", 0, ALL, E.NONE, "distributed clocks"),
     Register(0x092C, 4, "system time difference", 0, 0, E.NONE, "distributed clocks"),
     Register(0x0930, 2, "speed counter start", 0x1000, ALL, E.RESET_DRIFT, "distributed clocks"),
