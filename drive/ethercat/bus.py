@@ -18,9 +18,10 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 from ..machine import Machine
-from .controller.record import NEVER
+from ..model.given import octets, whole
+from .controller.record import ENTRANCES, NEVER
 from .controller.registers import R
-from .segment import Segment
+from .segment import LATEST, Segment
 from .slave import interpolation_ns
 
 IDLE_MOST = 50_000_000  # ns of physics at a time, where no process data are exchanged
@@ -114,8 +115,14 @@ class Bus:
         return answered
 
     def exchange(self, frame: bytes, now: int = 0, port: int = 0) -> bytes | None:
-        """A frame as bytes, and everything that follows from it; -> the reply."""
-        length = len(frame)
+        """A frame as bytes, and everything that follows from it; -> the reply.
+
+        Raises:
+            ValueError: no bytes, a time (ns) or port of the master that is none.
+        """
+        length = len(octets("frame", frame))
+        whole("now", now, -LATEST, LATEST, "ns")
+        whole("port", port, 0, ENTRANCES - 1)
         if length > len(self.segment.frame):
             return None
         self.segment.frame[:length] = memoryview(frame)
@@ -159,7 +166,11 @@ class Bus:
         return lines
 
     def let_pass(self, span: int) -> None:
-        """Let `span` ns pass for the slaves alone: machines run elsewhere, and no frame comes."""
+        """Let `span` ns pass for the slaves alone: machines run elsewhere, and no frame comes.
+
+        Raises ValueError for a span that is negative or none.
+        """
+        whole("span", span, 0, LATEST, "ns")
         self._edges(self.time + span)
         self.time += span
 

@@ -16,16 +16,21 @@ from typing import ClassVar
 import numpy as np
 
 from ..machine import Machine
+from ..model.given import whole
 from ..objects.abort import Abort
 from .al import AlState, AlStatusCode
 from .bus import Bus, Clock
 from .coe_header import Service
-from .controller.record import Event
+from .controller.record import PORTS, Event
 from .controller.registers import R
 from .frame import HEADER, LENGTH, LOGICAL, MORE, TAIL, Command, body_of
 from .mailbox import HEADER as MAILBOX_HEADER
 from .segment import Segment
 
+LIMITS = {  # of the numbers of a fault
+    "count": (0, 1 << 31), "slave": (-1, 0xFFFF), "port": (0, PORTS - 1), "frames": (0, 1 << 31),
+    "offset": (-0xFFFF, 0xFFFF),
+}  # fmt: skip
 MILESTONES = ("frame", "cycle", "mailbox", "op")
 FULL = 0x08
 KINDS = {
@@ -79,6 +84,13 @@ class Fault:
             )
         if self.command and self.command not in Command.__members__:
             raise ValueError(f"fault {self.kind}: command={self.command} is none, such as LRW is")
+        try:
+            for field_, (low, high) in LIMITS.items():
+                whole(field_, getattr(self, field_), low, high)
+            # an SDO abort code has 32 bits, an AL status code 16
+            whole("code", self.code, 0, 0xFFFFFFFF if self.kind == "mailbox_abort" else 0xFFFF)
+        except ValueError as error:
+            raise ValueError(f"fault {self.kind}: {error}") from None
         if not 0.0 <= self.rate <= 1.0:
             raise ValueError(f"fault {self.kind}: rate={self.rate} is out of range 0..1")
 

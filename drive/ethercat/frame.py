@@ -84,17 +84,20 @@ def pack(datagrams: Iterable[Datagram], source: bytes = MASTER) -> bytes:
     """An Ethernet frame, filled up to its shortest length.
 
     Raises:
-        ValueError: no datagram, or more than a frame holds.
+        ValueError: no datagram, more than a frame holds, or a field that is out of its range.
     """
     parts, rows = [], list(datagrams)
     for number, row in enumerate(rows, 1):
         follows = MORE if number < len(rows) else 0
-        length = len(row.data) | follows | (ROUND if row.circulating else 0)
-        parts.append(
-            _HEADER.pack(row.command, row.index, row.adp, row.ado, length, row.irq)
-            + row.data
-            + row.wkc.to_bytes(2, "little")
-        )
+        try:
+            length = len(row.data) | follows | (ROUND if row.circulating else 0)
+            parts.append(
+                _HEADER.pack(row.command, row.index, row.adp, row.ado, length, row.irq)
+                + row.data
+                + row.wkc.to_bytes(2, "little")
+            )
+        except (struct.error, OverflowError, TypeError, AttributeError) as error:
+            raise ValueError(f"datagram {number} {tuple(row)!r:.80}: {error}") from None
     body = b"".join(parts)
     if not rows or len(body) > LONGEST - 16:
         raise ValueError(f"{len(rows)} datagrams with {len(body)} bytes: a frame has 1 or more, "

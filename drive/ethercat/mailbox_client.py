@@ -7,6 +7,7 @@ asked for again with the repeat request of sync manager 1.
 import struct
 from typing import Protocol
 
+from ..model.given import octets, whole
 from ..objects.abort import Abort, SdoAbort
 from .coe_header import Service, header
 from .controller.registers import R
@@ -108,7 +109,12 @@ class MailboxClient:
         return answer
 
     def upload(self, index: int, subindex: int = 0, *, complete: bool = False) -> bytes:
-        """The bytes of an object. Raises SdoAbort where the drive refuses."""
+        """The bytes of an object.
+
+        Raises:
+            SdoAbort: the drive refuses. ValueError: no object has such an address.
+        """
+        _address(index, subindex)
         body = struct.pack("<BHB4x", 0x50 if complete else 0x40, index, subindex)
         answer = self._sdo(body, index, subindex)
         if answer[0] & 2:
@@ -127,7 +133,13 @@ class MailboxClient:
     def download(
         self, index: int, subindex: int, data: bytes, *, complete: bool = False
     ) -> None:  # fmt: skip
-        """Write an object. Raises SdoAbort where the drive refuses."""
+        """Write an object.
+
+        Raises:
+            SdoAbort: the drive refuses. ValueError: no object has such an address; no bytes.
+        """
+        _address(index, subindex)
+        data = bytes(octets("data", data))
         if len(data) <= 4 and not complete:
             command = 0x23 | (4 - len(data)) << 2
             self._sdo(struct.pack("<BHB", command, index, subindex) + data.ljust(4, b"\0"),
@@ -144,3 +156,9 @@ class MailboxClient:
             command = toggle | unused << 1 | (at >= len(data))
             self._sdo(bytes([command]) + part.ljust(7, b"\0"), index, subindex)
             toggle ^= 0x10
+
+
+def _address(index: int, subindex: int) -> None:
+    """Raises ValueError for what no object can have."""
+    whole("index", index, 0, 0xFFFF)
+    whole("subindex", subindex, 0, 0xFF)

@@ -13,6 +13,7 @@ not answer raises TimeoutError, a state that is refused RuntimeError with the sl
 from collections.abc import Iterable
 from typing import Any, Protocol
 
+from ..model.given import whole
 from ..objects.abort import SdoAbort
 from . import clocks, sii
 from .al import AlState, AlStatusCode
@@ -179,8 +180,9 @@ class RemoteSlave:
         for index, pdos in ((0x1C12, [*rpdos]), (0x1C13, [*tpdos])):
             self.mailbox.download(index, 0, b"\0")
             for n, pdo in enumerate(pdos, 1):
-                self.mailbox.download(index, n, pdo.to_bytes(2, "little"))
-            self.mailbox.download(index, 0, bytes([len(pdos)]))
+                number = whole("PDO", pdo, 0, 0xFFFF)
+                self.mailbox.download(index, n, number.to_bytes(2, "little"))
+            self.mailbox.download(index, 0, bytes([whole("number of PDOs", len(pdos), 0, 254)]))
 
 
 class EtherCatMaster:
@@ -193,6 +195,7 @@ class EtherCatMaster:
 
     def __init__(self, wire: Wire, most: int = MOST):
         self.wire = wire
+        whole("most", most, 1, MOST, "byte")
         self.slaves: list[RemoteSlave] = []
         self.wrong = 0  # frames of process data with a working counter that was not expected
         self._most = most
@@ -358,7 +361,12 @@ class EtherCatMaster:
         return delays
 
     def sync0(self, cycle: int, shift: int = 0) -> None:
-        """Switch on SYNC0 of all slaves: period and shift (ns), from a common whole period on."""
+        """Switch on SYNC0 of all slaves: period and shift (ns), from a common whole period on.
+
+        Raises ValueError for a period or shift that 09A0h cannot hold.
+        """
+        whole("cycle", cycle, 1, 0xFFFFFFFF, "ns")
+        whole("shift", shift, -0xFFFFFFFF, 0xFFFFFFFF, "ns")
         now = self.slaves[0].number(R.SYSTEM_TIME, 8)
         start = (now // cycle + 10) * cycle + shift
         for slave in self.slaves:

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ..kernel.record import accessible
+from ..model.given import octets, whole
+from ..objects.snapshot import seal, unseal
 from .controller import esc, process_image
 from .controller.pdi import Pdi
 from .controller.process_image import ProcessImage
 from .controller.record import ENTRANCES, ESC, NEVER, PORTS, SII_BYTES, Event
 from .controller.registers import RESET, R
 
-VERSION = 1  # of the snapshot layout
 HOP = 600  # ns from one slave to the next, one way (inferred: about what an ET1100 takes)
 NEXT_PORT = {0: 3, 3: 1, 1: 2, 2: 0}
 FIRST, SECOND = -1, -2  # the master's ports, where slaves have their numbers
@@ -25,6 +26,9 @@ NOWHERE = -3  # a frame does not come back
 SERVED = 0x7FFFFFFF & ~Event.PROCESS_DATA  # events that the services look at
 AUTO, AUTO_CLOSE, OPEN, CLOSED = range(4)  # of a port in 0101h
 ADDRESSES = ("axis", "rpdos", "tpdos")  # fields that another process has elsewhere
+LATEST = 1 << 60  # of a time that is given (ns): 36 years
+SLOWEST = 1_000_000_000  # ns of a hop
+PPB = 1_000_000  # deviation of a crystal, at most (1e-9)
 CLOCKS_APART = 1_000_003_000  # ns between the local clocks of two neighbours at power-on
 
 
@@ -77,7 +81,8 @@ class Segment:
         clocks: deviation of the slaves' crystals (1e-9), 0 if not given.
 
     Raises:
-        ValueError: a link to a port that is none or has one already, a SII that does not fit.
+        ValueError: a link to a port that is none or has one already, a SII that does not fit, a
+            `hop` or deviation out of range.
     """
 
     def __init__(
@@ -91,9 +96,12 @@ class Segment:
     ):
         self.stations = list(stations)
         n = len(self.stations)
-        self.hop = hop
+        self.hop = whole("hop", hop, 0, SLOWEST, "ns")
         self.escs = np.zeros(n, accessible(ESC))
-        self.clocks = [*clocks, *[0] * (n - len(clocks))]
+        if len(clocks) > n:
+            raise ValueError(f"clocks: {len(clocks)} deviations for {n} slaves")
+        self.clocks = [whole("clocks", clock, -PPB, PPB, "1e-9") for clock in clocks]
+        self.clocks += [0] * (n - len(clocks))
         self._peer = _peers(n, _line(n, ring) if links is None else links)
         self._broken: set[End] = set()
         self._held: set[End] = set()  # closed until 0101h is written (AUTO_CLOSE)
@@ -141,8 +149,16 @@ class Segment:
         self.stations[i].attach(self.pdis[i], self.images[i])
         self.stations[i].power_on()
 
+    def _place(self, slave: int) -> int:
+        """A slave by its number. Raises ValueError where it is not there."""
+        return whole("slave", slave, 0, len(self) - 1)
+
     def power(self, slave: int, on: bool, now: int = 0) -> None:
-        """Switch a slave off (its neighbours lose their links) or on again; the SII is kept."""
+        """Switch a slave off (its neighbours lose their links) or on again; the SII is kept.
+
+        Raises ValueError for a slave that is not there.
+        """
+        self._place(slave)
         if on:
             self._power_on(slave, now)
         self.escs["present"][slave] = on
@@ -166,7 +182,7 @@ class Segment:
 
     def cable(self, slave: int, port: int) -> set[End]:
         """Both ends of the cable at a port. Raises ValueError where there is none."""
-        here = End(slave, port)
+        here = End(whole("slave", slave, SECOND, len(self) - 1), whole("port", port, 0, PORTS - 1))
         if here not in self._peer:
             cables = [str(end.port) for end in sorted(self._peer) if end.slave == slave]
             raise ValueError(
@@ -257,8 +273,13 @@ class Segment:
             frame: Ethernet frame without its check sequence.
             now: when it is sent (ns).
             port: of the master, 0 or 1.
+
+        Raises:
+            ValueError: no bytes, a time or port that is none.
         """
-        length = len(frame)
+        length = len(octets("frame", frame))
+        whole("now", now, -LATEST, LATEST, "ns")
+        whole("port", port, 0, ENTRANCES - 1)
         if length > len(self.frame):
             return None
         self.frame[:length] = np.frombuffer(frame, np.uint8)
@@ -283,7 +304,8 @@ class Segment:
     # ------------------------------------------------------------------- time
 
     def poll(self, now: int) -> None:
-        """Edges of SYNC0 and watchdogs that are due by `now` (ns)."""
+        """Edges of SYNC0 and watchdogs that are due by `now` (ns). Raises ValueError for none."""
+        whole("now", now, -LATEST, LATEST, "ns")
         if esc.poll(self.escs, now) & SERVED:
             self.serve(now)
 
@@ -325,8 +347,9 @@ class Segment:
         return clocked
 
     def latch(self, slave: int, unit: int, rising: bool, now: int) -> None:
-        """An edge at latch input 0 or 1 of a slave (09A8h)."""
-        esc.latch(self.escs, slave, now, unit, rising)
+        """An edge at latch input 0 or 1 of a slave (09A8h). Raises ValueError for another."""
+        whole("now", now, -LATEST, LATEST, "ns")
+        esc.latch(self.escs, self._place(slave), now, whole("unit", unit, 0, 1), bool(rising))
 
     def warm_up(self) -> None:
         """Compile all there is, so that the first frame is answered in time."""
@@ -348,41 +371,45 @@ class Segment:
 
         Without `drives` theirs is left out, for one who has it in the snapshot of a machine.
         """
-        wiring = f"{_text(self._broken)}\n{_text(self._held)}".encode()
         escs = self.escs.copy()
         for name in ADDRESSES:
             escs[name] = 0
-        parts = [wiring, escs.tobytes()]
+        parts = [escs.tobytes()]
         for station in self.stations:
             parts.append(station.snapshot())
             parts.append(station.drive.snapshot() if drives and station.drive else b"")
-        head = [VERSION, ESC.itemsize, len(self), *(len(part) for part in parts)]
-        return " ".join(map(str, head)).encode() + b"\n" + b"".join(parts)
+        links = {"broken": _text(self._broken), "held": _text(self._held)}
+        return seal(self._identity, links, parts)
+
+    @property
+    def _identity(self) -> dict[str, Any]:
+        """Whose a snapshot is."""
+        models = [getattr(station.drive, "model", None) for station in self.stations]
+        return {
+            "kind": "segment",
+            "layout of a slave controller (byte)": ESC.itemsize,
+            "slaves": [model.name if model else "" for model in models],
+            "cables": _text(self._peer),
+        }
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was. Raises ValueError for one of another segment or version."""
-        head, _, body = snapshot.partition(b"\n")
-        numbers = head.split()
-        own = [VERSION, ESC.itemsize, len(self)]
-        if [*map(bytes.decode, numbers[:3])] != [*map(str, own)] or len(numbers) != 5 + 2 * len(
-            self
-        ):
-            raise ValueError(
-                f"this snapshot is {head[:60]!r}, this segment takes {own}: take a new one"
-            )
-        parts, at = [], 0
-        for size in map(int, numbers[3:]):
-            parts.append(body[at : at + size])
-            at += size
-        if at != len(body):
-            raise ValueError(f"this snapshot has {len(body)} bytes, {at} were expected")
-        wiring, escs, *stations = parts
-        self._broken, self._held = map(_ends, wiring.decode().split("\n"))
+        """Become what `snapshot` was.
+
+        Raises:
+            ValueError: it is none, damaged, or of another segment or version; nothing is changed.
+        """
+        links, parts = unseal(snapshot, self._identity)
+        escs, *stations = parts
+        opened = [
+            station.drive.opened(part) if part else None
+            for station, part in zip(self.stations, stations[1::2], strict=True)
+        ]
+        self._broken, self._held = _ends(links["broken"]), _ends(links["held"])
         self.escs[:] = np.frombuffer(escs, ESC)
         for i, station in enumerate(self.stations):
             station.restore(stations[2 * i])
-            if stations[2 * i + 1]:
-                station.drive.restore(stations[2 * i + 1])
+            if opened[i]:
+                station.drive.take(opened[i])
             self.images[i].prepare()
         before = self.escs["memory"].copy()
         self._rewire()
@@ -393,7 +420,7 @@ def _ends(text: str) -> set[End]:
     return {End(*map(int, end.split(":"))) for end in text.split()}
 
 
-def _text(ends: set[End]) -> str:
+def _text(ends: Iterable[End]) -> str:
     return " ".join(f"{end.slave}:{end.port}" for end in sorted(ends))
 
 

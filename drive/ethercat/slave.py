@@ -8,7 +8,9 @@ import ast
 from typing import Any
 
 from ..drive import Drive
+from ..model.given import whole
 from ..model.model import load
+from ..objects.snapshot import seal, unseal
 from . import sii
 from .al import WITH_INPUTS, WITH_MAILBOX, AlMachine, AlRules, AlState, AlStatusCode
 from .coe import Coe, Emergencies, Sdo
@@ -105,8 +107,7 @@ class Slave:
         self.data = data = drive.model.ethercat
         if alias is None:
             alias = drive.parameters.alias
-        if not 0 <= alias <= 0xFFFF:
-            raise ValueError(f"alias = {alias} is out of range 0..65535")
+        whole("alias", alias, 0, 0xFFFF)
         self.sii = sii.of_model(drive.model, alias)
         self.esc = data.registers
         rules = AlRules(
@@ -155,8 +156,12 @@ class Slave:
         return self.al.state
 
     def fail(self, code: AlStatusCode | int, state: AlState = AlState.SAFE_OPERATIONAL) -> None:
-        """Retreat to `state` with a status code; without a retreat the error only shows."""
-        self.al.fail(code, min(state, self.al.state))
+        """Retreat to `state` with a status code; without a retreat the error only shows.
+
+        Raises ValueError for a code that 0134h cannot show, a state there is not.
+        """
+        whole("code", code, 0, 0xFFFF)
+        self.al.fail(code, min(AlState(state), self.al.state))
         self._tell_state()
 
     # ----------------------------------------------------------------- events
@@ -331,19 +336,24 @@ class Slave:
             self._sdo.size, self._foe.state(), self.emergencies.state(), self._identification,
             self.drive.operational,
         )  # fmt: skip
-        return repr(state).encode()
+        return seal(self._kind, {}, [repr(state).encode()])
+
+    @property
+    def _kind(self) -> dict[str, Any]:
+        return {"kind": "slave", "model": self.drive.model.name}
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was. Raises ValueError for what is none."""
-        try:
-            state = ast.literal_eval(snapshot.decode())
-            (
-                al_state, self.al.error, self.al._error_code, self.al._acknowledge,
-                self.al._identify, mailbox, services, sdo, size, foe, emergencies,
-                self._identification, self.drive.operational,
-            ) = state  # fmt: skip
-        except (ValueError, SyntaxError, TypeError) as error:
-            raise ValueError(f"no snapshot of a slave: {error}") from None
+        """Become what `snapshot` was.
+
+        Raises:
+            ValueError: it is none, damaged, or of another model; nothing is changed.
+        """
+        _, (state,) = unseal(snapshot, self._kind)
+        (
+            al_state, self.al.error, self.al._error_code, self.al._acknowledge,
+            self.al._identify, mailbox, services, sdo, size, foe, emergencies,
+            self._identification, self.drive.operational,
+        ) = ast.literal_eval(state.decode())  # fmt: skip
         self.al.state = AlState(al_state)
         self.mailbox.restore(mailbox)
         self.mailbox.services = {Kind(kind): self._offered[Kind(kind)] for kind in services}

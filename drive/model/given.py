@@ -2,6 +2,7 @@
 
 import functools
 import math
+import operator
 from collections.abc import Iterable
 from typing import Any, SupportsFloat
 
@@ -16,6 +17,25 @@ def finite(name: str, value: Any) -> int | float:
     if not isinstance(value, SupportsFloat) or not math.isfinite(value):
         raise ValueError(f"{name} = {value!r} is no finite number")
     return value if isinstance(value, int) else float(value)
+
+
+def whole(name: str, value: Any, low: int, high: int, unit: str = "") -> int:
+    """A whole number from `low` to `high`. Raises ValueError naming it, its range and unit."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or isinstance(value, bool) or not low <= number <= high:
+        behind = f" ({unit})" if unit else ""
+        raise ValueError(f"{name} = {value!r:.40} is no whole number in {low}..{high}{behind}")
+    return number
+
+
+def octets(name: str, value: Any) -> bytes | bytearray | memoryview:
+    """Bytes. Raises ValueError for what are none, naming it."""
+    if not isinstance(value, bytes | bytearray | memoryview):
+        raise ValueError(f"{name} = {value!r:.40} are no bytes")
+    return value
 
 
 def refuse_unknown(name: str, known: Iterable[str]) -> None:

@@ -35,7 +35,17 @@ def refused(capsys, *arguments):
         (["-i", "a", "--udp"], "name one interface with -i, two for redundancy, or use --udp"),
         (["--udp", "--clock", "sun"], "--clock = 'sun': use one of frame, dc, real"),
         (["--udp", "--log", "run.txt"], "captures are .pcapng"),
-        (["--udp", "--slaves", "0"], "--slaves = 0: give 1 or more"),
+        (["--udp", "--slaves", "0"], "--slaves = 0: give 1 to 65535"),
+        (["--udp", "--slaves", "70000"], "--slaves = 70000: give 1 to 65535, a segment has at"),
+        (
+            ["--udp", "--drive", "generic", "--drive", "generic", "--slaves", "40000"],
+            "--slaves = 40000: give 1 to 32767",
+        ),
+        (
+            ["--udp", "--fault", "retreat code=0x1FFFFFFFF"],
+            "fault retreat: code = 8589934591 is no whole number in 0..65535",
+        ),
+        (["--udp", "--fault", "break_link port=4"], "fault break_link: port = 4 is no whole"),
         (["--udp", "--fault", "explode"], "fault 'explode': choose one of drop, "),
         (["--udp", "--fault", "drop at=noon:1"], "at=noon:1: give one of frame, "),
         (["--udp", "--fault", "drop when=1"], "'when' is unknown, use of "),

@@ -101,7 +101,7 @@ def test_a_drive_is_enabled_whatever_the_clock_and_sync0(clock, when):
 @pytest.mark.parametrize("axis", ["linear", "none"])
 def test_a_slave_that_joins_late_lets_time_pass_at_once(axis):
     """With the clock frame, when the slaves that were there before have left."""
-    master, machines = brought_up("generic", "frame", "off", axis, slaves=2)
+    master, _machines = brought_up("generic", "frame", "off", axis, slaves=2)
     first, second = master.slaves
     second.request(AlState.PRE_OPERATIONAL)
     for _ in range(100):

@@ -2,10 +2,12 @@
 
 import struct
 
+import numpy as np
 import pytest
 from wired import O, P, S, Wired
 
 from servogym.drive.ethercat.mailbox import Kind
+from servogym.envs import linear_axis
 
 
 def frames(slave):
@@ -69,5 +71,62 @@ def test_an_emergency_that_waits_and_a_file_that_is_read_are_in_the_snapshot():
 def test_a_damaged_snapshot_of_a_slave_is_refused():
     slave = Wired("generic").to(P)
     for damaged in (b"", b"(1, 2)", b"\xff", b"__import__('os')"):
-        with pytest.raises(ValueError, match="no snapshot of a slave"):
+        with pytest.raises(ValueError, match="this is no snapshot"):
             slave.slave.restore(damaged)
+
+
+@pytest.fixture(scope="module")
+def kept():
+    """What has a snapshot, in a state worth keeping."""
+    slave = Wired("generic").to(P, S, O)
+    slave.cycle(bytes(slave.drive.rpdo_size), 10)
+    machine = linear_axis("generic")
+    machine.step(10)
+    return {
+        "segment": slave.segment, "slave": slave.slave, "drive": slave.drive, "machine": machine,
+    }  # fmt: skip
+
+
+def damaged(snapshot, seed):
+    """One bit, one byte, a part more or less, or two parts that have changed places."""
+    random = np.random.default_rng(seed)
+    at, other = sorted(random.integers(0, len(snapshot), 2))
+    data = bytearray(snapshot)
+    kind = seed % 5
+    if kind == 0:
+        data[at] ^= 1 << int(random.integers(8))
+    elif kind == 1:
+        data[at] = data[at] + int(random.integers(1, 256)) & 0xFF
+    elif kind == 2:
+        del data[at : at + 1 + int(random.integers(40))]
+    elif kind == 3:
+        data[at:at] = random.bytes(1 + int(random.integers(40)))
+    else:
+        size = min(8, other - at, len(data) - other)
+        data[at : at + size], data[other : other + size] = (
+            data[other : other + size], data[at : at + size],
+        )  # fmt: skip
+    return bytes(data)
+
+
+@pytest.mark.parametrize("name", ["segment", "slave", "drive", "machine"])
+def test_no_damaged_snapshot_is_taken_and_none_changes_anything(kept, name):
+    owner = kept[name]
+    snapshot = owner.snapshot()
+    for seed in range(400):
+        if (data := damaged(snapshot, seed)) != snapshot:
+            with pytest.raises(ValueError, match="snapshot"):
+                owner.restore(data)
+    assert owner.snapshot() == snapshot
+
+
+@pytest.mark.parametrize("nothing", [None, 7, "text"])
+@pytest.mark.parametrize("name", ["segment", "slave", "drive", "machine"])
+def test_what_is_no_snapshot_at_all_is_refused(kept, name, nothing):
+    with pytest.raises(ValueError, match="is no snapshot: give the bytes of one"):
+        kept[name].restore(nothing)
+
+
+def test_a_snapshot_of_another_segment_is_refused():
+    with pytest.raises(ValueError, match="another segment: its slaves"):
+        Wired("kollmorgen_akd").segment.restore(Wired("generic").segment.snapshot())

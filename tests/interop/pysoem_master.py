@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import itertools
 import struct
 import time
 
@@ -490,7 +491,7 @@ def with_sync0(clock, when, period=10, cycles=100):
     result = {
         "safe": safe, "state": slave.state, "code": slave.al_status, "wrong": wrong,
         "status": status[-1],
-        "passed": [(b - a) / 1e6 for a, b in zip(times, times[1:], strict=False)],
+        "passed": [(b - a) / 1e6 for a, b in itertools.pairwise(times)],
     }  # fmt: skip
     slave.dc_sync(False, 0)
     master.state = pysoem.INIT_STATE

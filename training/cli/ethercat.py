@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from ...drive.wire.ethercat import EtherCatServer, Port
 
 
+MOST_SLAVES = 0xFFFF  # their positions have 16 bits (ETG.1000.4)
+
+
 def add(command: argparse.ArgumentParser) -> None:
     """Its options."""
     command.add_argument(
@@ -56,8 +59,11 @@ def _ethercat(options: argparse.Namespace, console: Console) -> int:
         raise ValueError(f"--clock = {options.clock!r}: use one of {', '.join(Clock)}")
     if options.log and options.log.suffix != ".pcapng":
         raise ValueError(f"--log = {options.log}: captures are .pcapng")
-    if options.slaves < 1:
-        raise ValueError(f"--slaves = {options.slaves}: give 1 or more")
+    most = MOST_SLAVES // len(options.drive or [1])
+    if not 1 <= options.slaves <= most:
+        raise ValueError(
+            f"--slaves = {options.slaves}: give 1 to {most}, a segment has at most {MOST_SLAVES}"
+        )
     for line in options.fault:
         Fault.parse(line)
     with ExitStack() as stack:

@@ -127,9 +127,9 @@ def _refresh(esc, address, n, now, unit):
     """Registers that are made when they are read."""
     if _meets(address, n, R.EEPROM_CONTROL, 2):
         eeprom_status(esc, now)
-    if _meets(address, n, R.AL_EVENT, 1) or _meets(address, n, R.SYNC0_STATUS, 0x12):
-        if not dc.synchronised(esc):
-            dc.skip(esc, unit)
+    edges = _meets(address, n, R.AL_EVENT, 1) or _meets(address, n, R.SYNC0_STATUS, 0x12)
+    if edges and not dc.synchronised(esc):
+        dc.skip(esc, unit)
     if _meets(address, n, R.SYSTEM_TIME, 8):
         dc.put64(esc.memory, R.SYSTEM_TIME, dc.system_time(esc, unit))
 
