@@ -14,13 +14,14 @@ from ...drive.drive import Drive
 from ...drive.model.model import load
 from ...drive.model.near import near
 from ..engine.machine import Machine
+from . import tuning
 from .linear_axis import MOTOR, factor_group
+from .sizing import Profile, asked
 from .tuning import gains
 
 RATED_SPEED = 3000 * 2 * math.pi / 60  # rad/s, usual of servo motors of this size
 TRAVEL_TIME = 0.5  # s, over the whole range, if the motor is that fast (inferred)
 RAMP_TIME = 0.2  # s, from standstill to the highest speed, if the motor can (inferred)
-POSES = 17  # places on the joint's range where its load is looked at
 # rad or rad/s at the shaft; of linear_axis: 1 mm, 20 µm, 5 mm/s at 60 mm a turn, wider where a
 # robot's axes disturb each other (inferred)
 FOLLOWING_ERROR_WINDOW = 0.5
@@ -37,6 +38,7 @@ def commission_joint(
     max_velocity: float | None = None,
     max_acceleration: float | None = None,
     position_unit: float = 1e-6,
+    tuned: bool = True,
 ) -> None:
     """Set units, limits, windows, motor data, homing and gains of the drive `name`.
 
@@ -55,6 +57,8 @@ def commission_joint(
         max_acceleration: profile acceleration and deceleration (m/s² or rad/s²); what twice the
             rated torque gives, up to full speed in 0.2 s, if not given.
         position_unit: one unit of the drive's positions (m or rad).
+        tuned: gains, profile and window of the following error are what mechanics and motor can
+            do; if not, the gains of the rule in `tuning`, whatever comes of them.
 
     Raises:
         ValueError: a name without a drive, an argument that is not above 0, or a value the drive
@@ -74,7 +78,7 @@ def commission_joint(
         if value is not None and not (isinstance(value, Real) and 0.0 < value < math.inf):
             raise ValueError(f"{argument} = {value!r} must be a finite number above 0")
     speed = _speed(machine, coupling) if max_velocity is None else max_velocity * gear
-    torque = _load(machine, coupling, speed / gear)
+    torque = (asked(machine, coupling, speed / gear) + float(coupling.friction)) / gear
     inertia = _inertia(machine, coupling)
     rated = max(MOTOR["motor_rated_torque"] * 1e-3, 2 * torque)
     if max_acceleration is None:
@@ -91,7 +95,17 @@ def commission_joint(
             | _windows(drive, per_unit)
             | _places(machine, drive, coupling, position_unit)
         )
-        drive.commission(gains(drive, inertia))
+        if tuned:
+            wanted = Profile(speed, acceleration, 2 * acceleration, 0.1 * speed, 0.1 * acceleration)
+            behind = _behind_springs(machine, coupling)
+            drive.commission(
+                tuning.tuned(
+                    machine, name, inertia=inertia + behind, motor_side=inertia, wanted=wanted,
+                    per_unit=per_unit, window=FOLLOWING_ERROR_WINDOW,
+                )
+            )  # fmt: skip
+        else:
+            drive.commission(gains(drive, inertia))
     except (ValueError, OverflowError) as error:
         raise ValueError(
             f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "
@@ -129,28 +143,19 @@ def _inertia(machine: Machine, coupling) -> float:
     return float(1.0 / mobility[0, 0] / coupling.gear**2)
 
 
-def _load(machine: Machine, coupling, speed: float) -> float:
-    """Largest torque at the shaft (Nm) that gravity, springs, damping and friction ask for.
-
-    Over the range of the joint, all others as they are; at rest and at `speed` (m/s or rad/s).
-    """
-    model, data = machine.model, mujoco.MjData(machine.model)
-    data.qpos[:] = machine.data.qpos
-    joint = model.dof_jntid[coupling.dof]
-    here = data.qpos[coupling.qpos]
-    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (here, here)
-    if not model.jnt_limited[joint] and model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE):
-        high = here + 2 * math.pi
-    force = 0.0
-    for position in np.linspace(low, high, POSES):
-        data.qpos[coupling.qpos] = position
-        mujoco.mj_fwdPosition(model, data)
-        for velocity in (0.0, -speed, speed):
-            data.qvel[coupling.dof] = velocity
-            mujoco.mj_fwdVelocity(model, data)
-            asked = data.qfrc_bias[coupling.dof] - data.qfrc_passive[coupling.dof]
-            force = max(force, abs(float(asked)))
-    return (force + float(coupling.friction)) / abs(float(coupling.gear))
+def _behind_springs(machine: Machine, coupling) -> float:
+    """Inertia at the shaft (kg·m²) of what joints with a spring carry; 0 without one."""
+    model = machine.model
+    if not model.jnt_stiffness.any():
+        return 0.0
+    still = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, machine.data, still)
+    driven = {int(other.dof) for other in machine.couplings}
+    sprung = [float(model.jnt_stiffness[model.dof_jntid[dof]]) > 0.0 for dof in range(model.nv)]
+    loose = [dof for dof in range(model.nv) if dof not in driven and not sprung[dof]]
+    free = [int(coupling.dof), *loose]
+    whole = 1.0 / np.linalg.inv(still[np.ix_(free, free)])[0, 0] / coupling.gear**2
+    return max(float(whole) - _inertia(machine, coupling), 0.0)
 
 
 def _motor(drive: Drive, rated_torque: float) -> dict[str, float]:

@@ -131,6 +131,7 @@ def gantry(
     *,
     timestep: float | None = None,
     parameters: GantryParameters | None = None,
+    tuned: bool = True,
     **values: float,
 ) -> Gantry:
     """A machine with the drives ``x``, ``y`` and ``z``; strokes 0.8 m, 0.5 m and 0.3 m.
@@ -144,6 +145,7 @@ def gantry(
         drive: drive model by name, folder or loaded, for all axes.
         timestep: physics step (s); the velocity cycle of the drive if not given.
         parameters: `GantryParameters`, or its fields as keywords.
+        tuned: as `linear_axis` has it.
 
     Raises:
         ValueError: unknown model, a parameter out of range, a timestep the rates do not allow.
@@ -166,7 +168,7 @@ def gantry(
     plant = _plant(parameters, model, timestep, names)
     machine = Gantry(plant, dict.fromkeys(names, model))
     for name, axis in machine.drives.items():
-        _commission(machine, name, axis, parameters)
+        _commission(machine, name, axis, parameters, tuned)
     machine.reset()
     return machine
 
@@ -234,12 +236,12 @@ def _hang(spec: mujoco.MjSpec, p: GantryParameters) -> None:
     )  # fmt: skip
 
 
-def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters) -> None:
+def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, tuned: bool) -> None:
     axis = LinearAxisParameters(
         feed_constant=FEED_CONSTANT, max_velocity=p.max_velocity,
-        max_acceleration=p.max_acceleration,
+        max_acceleration=p.max_acceleration, payload=p.payload,
     )  # fmt: skip
-    commission(machine, name, axis)
+    commission(machine, name, axis, tuned)
     if not drive.model.positions:
         return  # its motor and its ramps are parameters of its own
     end, method = AXES[name]

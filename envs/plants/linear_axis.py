@@ -3,6 +3,7 @@
 import copy
 import functools
 import math
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ import mujoco
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
+from . import tuning
 from .axis_parameters import LinearAxisParameters, chosen, family
+from .sizing import Profile
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough, spring
-from .tuning import gains, inertia_at_shaft, inertia_of_motor_side
+from .tuning import Unmovable, gains, inertia_at_shaft, inertia_of_motor_side
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
@@ -26,6 +29,7 @@ MOTOR = {
     "max_torque": 3000,
 }
 GRAVITY = 9.81  # m/s²
+FINER = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # feeds that a refusal tries
 
 
 def linear_axis(
@@ -35,6 +39,7 @@ def linear_axis(
     timestep: float | None = None,
     parameters: LinearAxisParameters | None = None,
     parameter_file: str | Path | None = None,
+    tuned: bool = True,
     **values: float | None,
 ) -> Machine:
     """A `Machine` with one linear axis, its drive called ``x``, stroke 0..0.5 m.
@@ -51,10 +56,14 @@ def linear_axis(
         parameters: `LinearAxisParameters`, or its fields as keywords instead of the preset's.
         parameter_file: where 1010h stores the drive's parameters; what it holds goes before what
             commissions the axis.
+        tuned: gains, profile and window of the following error are what this plant and motor can
+            do; if not, the profile asked for and the gains of the rule in `tuning`, whatever comes
+            of them: the axes of the environments of version 0.
 
     Raises:
         ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
-            do not allow or that is too long for the elastic mechanics.
+            do not allow or that is too long for the elastic mechanics, a payload that this motor
+            or drive cannot move.
     """
     if parameters is None:
         parameters = family(mechanics, **values)
@@ -69,7 +78,7 @@ def linear_axis(
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
     plant = copy.copy(_plant(parameters, drive_model.rotor_inertia, timestep))
     machine = Machine(plant, {"x": drive_model})
-    commission(machine, "x", parameters)
+    commission(machine, "x", parameters, tuned)
     if parameter_file is not None:
         machine.drives["x"].use_parameter_file(parameter_file)
     machine.reset()
@@ -130,8 +139,19 @@ def _mount_home_switch(spec: mujoco.MjSpec, place: float) -> None:
     box.pos[0] += place - low
 
 
-def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
-    """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains."""
+def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool = True) -> None:
+    """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains.
+
+    Raises ValueError as `linear_axis`.
+    """
+    try:
+        _commission(machine, name, p, tuned)
+    except Unmovable as error:
+        model = machine.drives[name].model
+        raise ValueError(f"payload = {p.payload:g} kg: {error}; {_would_do(model, p)}") from None
+
+
+def _commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool) -> None:
     x = machine.drives[name]
     if not x.model.positions:
         return  # its motor and its ramps are parameters of its own
@@ -163,7 +183,44 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters) -> None:
     x.commission(parameters | motor_and_encoder(p))
     coupling = machine.couplings[list(machine.drives).index(name)]
     place = machine.model, machine.data, coupling.dof, coupling.gear
-    tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))
+    inertia, motor_side = inertia_at_shaft(*place), inertia_of_motor_side(*place)
+    if not tuned:
+        tune(x, inertia, motor_side)
+        return
+    gear = abs(float(coupling.gear))
+    wanted = Profile(
+        velocity=p.max_velocity * gear, acceleration=p.max_acceleration * gear,
+        stop=2 * p.max_acceleration * gear, homing_speed=0.1 * gear, homing_acceleration=gear,
+    )  # fmt: skip
+    x.commission(
+        tuning.tuned(
+            machine, name, inertia=inertia, motor_side=motor_side, wanted=wanted,
+            per_unit=gear / micro, window=1e-3 * gear,
+        )
+    )  # fmt: skip
+
+
+def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:
+    """Which payload, and which feed constant, this motor takes."""
+
+    def moves(**changed: float) -> bool:
+        other = replace(p, **changed)  # type: ignore[arg-type]
+        plant = copy.copy(_plant(other, model.rotor_inertia, model.cycle_time["velocity"]))
+        machine = Machine(plant, {"x": model})
+        try:
+            _commission(machine, "x", other, True)
+        except Unmovable:
+            return False
+        return True
+
+    low, high = 0.0, p.payload
+    while high - low > 0.02 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if moves(payload=middle) else (low, middle)
+    feeds = (p.feed_constant / factor for factor in FINER)
+    feed = next((feed for feed in feeds if moves(feed_constant=feed)), None)
+    said = f"it takes {low:.2g} kg" if low > 0.0 else "it takes no payload"
+    return said + (f"; with a feed_constant of {feed:.2g} m it takes this one" if feed else "")
 
 
 def motor_and_encoder(p: Any) -> dict[str, float]:

@@ -141,6 +141,7 @@ def rotary_axis(
     mechanics: str = "rotary_table",
     timestep: float | None = None,
     parameters: RotaryParameters | None = None,
+    tuned: bool = True,
     **values: float | None,
 ) -> Machine:
     """A `Machine` with one axis without ends, its drive called ``x``.
@@ -154,6 +155,7 @@ def rotary_axis(
         mechanics: preset: ``rotary_table`` or ``conveyor``.
         timestep: physics step (s); the velocity cycle of the drive if not given.
         parameters: `RotaryParameters`, or its fields as keywords instead of the preset's.
+        tuned: as `linear_axis` has it.
 
     Raises:
         ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
@@ -172,7 +174,7 @@ def rotary_axis(
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
     machine = Machine(_plant(parameters, model, timestep), {"x": model})
-    _commission(machine, parameters)
+    _commission(machine, parameters, tuned)
     machine.reset()
     return machine
 
@@ -201,23 +203,25 @@ def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.Mj
     return spec.compile()
 
 
-def _commission(machine: Machine, p: RotaryParameters) -> None:
+def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
     x = machine.drives["x"]
     if x.model.quirk("inverter"):
         return  # its motor and its ramps are parameters of its own
+    x.commission(motor_and_encoder(p))
     commission_joint(
         machine, "x", max_velocity=p.max_velocity, max_acceleration=p.max_acceleration,
-        position_unit=p.unit,
+        position_unit=p.unit, tuned=tuned,
     )  # fmt: skip
     x.commission(
-        motor_and_encoder(p)
-        | {
+        {
             "min_position_range_limit": 0,
             "max_position_range_limit": round(p.period / p.unit),
             "homing_method": 23,
             "home_offset": 0,
         }
     )
+    if tuned:
+        return
     coupling = machine.couplings[0]
     place = machine.model, machine.data, int(coupling.dof), float(coupling.gear)
     tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))

@@ -1,22 +1,46 @@
-"""Controller gains for a known inertia: symmetrical optimum for speed, a safe ratio for position.
+"""Commissioning that ends tuned: gains for the plant, a profile and windows the motor can follow.
 
-The delays of the velocity loop add up to T = 1.5 velocity cycles (sampling and hold) + the torque
-time constant + the velocity filter. Symmetrical optimum with a = 3 (Leonhard, Control of Electrical
-Drives, speed control): crossover w = 1 / (a T), integral action time a / w. The position loop stays
-a factor 4 below the crossover of the speed loop.
+A rigid inertia gets the symmetrical optimum for speed and a safe ratio for position. The delays of
+the velocity loop add up to T = 1.5 velocity cycles (sampling and hold) + the torque time constant +
+the velocity filter. Symmetrical optimum with a = 3 (Leonhard, Control of Electrical Drives, speed
+control): crossover w = 1 / (a T), integral action time a / w. The position loop stays a factor 4
+below the crossover of the speed loop. Behind a spring the load is no longer felt above the
+resonance: there the loop closes around the motor side alone and must cross below 1 / T, which
+leaves a gain margin of pi / 2.
 
-Behind a spring the load is no longer felt above the resonance: there the loop closes around the
-motor side alone and must cross below 1 / T, which leaves a gain margin of pi / 2. Where the load is
-much heavier than the motor side, this is what lowers w.
+Where a load much heavier than the motor side makes that too slow, where the margins are too small
+or the drive has no such numbers, the gains are the stiffest that keep the margins (`loops`) with
+the plant as the model has it (`shaft`), in the ranges of the drive's own objects.
 """
 
 import mujoco
 import numpy as np
 
 from ...drive.drive import Drive
+from ..engine.machine import Machine
+from .loops import (
+    RESERVE_GAIN,
+    RESERVE_PHASE,
+    Asked,
+    Gains,
+    Seen,
+    fastest,
+    in_units,
+    ranges,
+)
+from .shaft import seen
+from .sizing import Load, Motor, Profile, load_of, motor_of, possible
 
 A = 3.0  # larger is softer and better damped
 SEPARATION = 4.0  # velocity crossover over position gain
+SOFT = 0.15  # of the window: friction must not deflect the axis farther with gains of the rule
+UNKNOWN = 0.25  # of the torque of an acceleration, that the feed-forward may get wrong
+RESERVE = 4.0  # of the window over the following error to be expected
+ASKED = Asked()
+
+
+class Unmovable(ValueError):
+    """A motor or a drive cannot move what it is to move."""
 
 
 def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear: float) -> float:
@@ -35,20 +59,115 @@ def inertia_of_motor_side(
     return 1.0 / float(np.linalg.inv(mass)[dof, dof]) / gear**2
 
 
-def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict[str, int]:
-    """Objects 60F9h, 60FBh, 2010h for `inertia` (kg·m² at the shaft), in drive units.
+def rule(drive: Drive, inertia: float, motor_side: float | None = None) -> Gains:
+    """Symmetrical optimum for `inertia` (kg·m² at the shaft).
 
     `motor_side` (kg·m²) is the part of it before any spring; all of it if not given.
     """
-    axis = drive.axis
-    filter_time = float(axis.od.velocity_filter_time) * 1e-6
+    filter_time = float(drive.axis.od.velocity_filter_time) * 1e-6
     delay = (
         1.5 * drive.model.cycle_time["velocity"] + drive.model.torque_time_constant + filter_time
     )
     crossover = min(1.0 / A, (motor_side or inertia) / inertia) / delay
+    return Gains(inertia * crossover, A / crossover, crossover / SEPARATION)
+
+
+def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict[str, int]:
+    """Objects 60F9h, 60FBh, 2010h for `inertia` by `rule`, in drive units."""
+    axis, found = drive.axis, rule(drive, inertia, motor_side)
     return {
-        "velocity_control_gain": round(inertia * crossover / axis.velocity_gain_unit),
-        "velocity_control_time": round(A / crossover * 1e6),
-        "position_control_gain": round(crossover / SEPARATION / axis.position_gain_unit),
+        "velocity_control_gain": round(found.velocity_gain / axis.velocity_gain_unit),
+        "velocity_control_time": round(found.integral_time * 1e6),
+        "position_control_gain": round(found.position_gain / axis.position_gain_unit),
         "acceleration_feed_forward": round(inertia * 1e9),
     }
+
+
+def fitting(plant: Seen, drive: Drive, by_rule: Gains, stiffness: float) -> Gains | None:
+    """Gains of a drive for a plant: those of the rule where they do.
+
+    Args:
+        plant: of `shaft.seen`.
+        drive: whose ranges count.
+        by_rule: of `rule`.
+        stiffness: that they need to do (Nm/rad).
+
+    Returns:
+        None where no gains that the drive has keep the margins.
+    """
+    allowed = ranges(drive)
+    taken = all(
+        low <= value <= high
+        for (low, high), value in (
+            (allowed["velocity_gain"], by_rule.velocity_gain),
+            (allowed["integral_time"], by_rule.integral_time),
+            (allowed["position_gain"], by_rule.position_gain),
+        )
+    )
+    if taken and by_rule.stiffness >= stiffness:
+        found = plant.margins(by_rule)
+        if all(
+            stable and gain >= ASKED.gain + RESERVE_GAIN and phase >= ASKED.phase + RESERVE_PHASE
+            for gain, phase, stable in found
+        ):
+            return by_rule
+    return fastest([plant], ASKED, allowed)
+
+
+def tuned(
+    machine: Machine, name: str, *, inertia: float, motor_side: float, wanted: Profile,
+    per_unit: float, window: float,
+) -> dict[str, float]:  # fmt: skip
+    """Objects of a drive with which it moves: gains, profile, window of the following error.
+
+    Args:
+        machine: at rest; units and motor of the drive are set.
+        name: of the drive.
+        inertia: at the shaft (kg·m²).
+        motor_side: the part of it before any spring (kg·m²).
+        wanted: the profile that is asked for.
+        per_unit: one position unit, at the shaft (rad).
+        window: of the following error, at least (rad at the shaft).
+
+    Raises:
+        Unmovable: what this motor or this drive cannot do.
+    """
+    drive = machine.drives[name]
+    motor, load = motor_of(drive), load_of(machine, name, inertia)
+    _bears(drive, motor, load)
+    can = possible(load, motor, wanted)
+    # what friction and a wrong inertia leave to the controller
+    left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
+    found = fitting(
+        seen(machine, name), drive, rule(drive, inertia, motor_side), left / (SOFT * window)
+    )
+    if found is None:
+        raise Unmovable(
+            f"drive {name!r} ({drive.model.name}) has no gains that keep {ASKED.gain:g} dB and "
+            f"{ASKED.phase:g}° with {inertia:.3g} kg·m² at its shaft: a stiffer transmission "
+            "or a higher gear ratio would do"
+        )
+    window = max(window, RESERVE * left / found.stiffness)
+    return {
+        **in_units(drive, found),
+        "acceleration_feed_forward": round(inertia * 1e9),
+        "max_profile_velocity": 2 * can.velocity / per_unit,
+        "profile_velocity": can.velocity / per_unit,
+        "profile_acceleration": can.acceleration / per_unit,
+        "profile_deceleration": can.acceleration / per_unit,
+        "quick_stop_deceleration": can.stop / per_unit,
+        "speed_during_search_for_switch": max(can.homing_speed / per_unit, 1),
+        "homing_acceleration": max(can.homing_acceleration / per_unit, 1),
+        "following_error_window": window / per_unit,
+    }
+
+
+def _bears(drive: Drive, motor: Motor, load: Load) -> None:
+    """Refuse a load that is more than the rated torque, for ever."""
+    needed = load.continuous()
+    if needed > motor.rated:
+        raise Unmovable(
+            f"the motor of drive {drive.model.name!r}, rated {motor.rated:.3g} Nm, would have to "
+            f"give {needed:.3g} Nm all the time to move this load: a motor rated {needed:.3g} Nm or "
+            f"a gear ratio {needed / motor.rated:.2g} times as high would do"
+        )

@@ -1,0 +1,232 @@
+"""Gains of the cascade for a plant that is known: the fastest loops that keep their margins.
+
+The velocity loop is a PI controller with an action time of `SHAPES` over its crossover (symmetrical
+optimum: 3). The position loop is to keep a phase margin of 60 degrees at least, so that a move does
+not overshoot. Of all that keep the margins the stiffest is taken, kp (kv + 1 / Ti): the torque
+against a disturbance that lasts as long as the loops are fast.
+
+Commissioning knows the plant from the model (`shaft`), `tune` from what it has measured; both ask
+here, so an axis that was commissioned is tuned.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...drive.drive import Drive
+
+SHAPES = (3.0, 4.0, 5.0, 7.0, 10.0)  # action time times crossover
+SEPARATIONS = 2.0 * 1.1 ** np.arange(32)  # crossover over position gain, 2..38
+WITHOUT_OVERSHOOT = 60.0  # degree
+STEP = 1.06  # between crossovers that are tried
+LOWEST = 2.0  # Hz, crossover of a rigid plant
+HIGHEST = 0.35  # of the position-controller rate, same
+EASED = np.array([1.0, 0.75, 0.5])  # of the highest velocity gain, that leave more for the position
+RESERVE_GAIN, RESERVE_PHASE = 1.0, 3.0  # dB and degree over what is asked for
+BEGIN = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the cascade in SI units."""
+
+    velocity_gain: float  # Nm·s/rad
+    integral_time: float  # s; 0: no integral action
+    position_gain: float  # 1/s
+
+    def __str__(self) -> str:
+        return (
+            f"velocity {self.velocity_gain:.4g} Nm·s/rad, {self.integral_time * 1e3:.3g} ms, "
+            f"position {self.position_gain:.4g} 1/s"
+        )
+
+    @property
+    def stiffness(self) -> float:
+        """Torque against a disturbance that lasts as long as the loops are fast (Nm/rad)."""
+        integral = 1 / self.integral_time if self.integral_time > 0.0 else 0.0
+        return self.velocity_gain * (self.position_gain + integral)
+
+
+OBJECTS = {  # of the gains, and how many of its units make one of SI
+    "velocity_control_gain": ("velocity_gain", lambda axis: 1 / axis.velocity_gain_unit),
+    "velocity_control_time": ("integral_time", lambda axis: 1e6),
+    "position_control_gain": ("position_gain", lambda axis: 1 / axis.position_gain_unit),
+}
+
+
+def gains_of(drive: Drive) -> Gains:
+    """The gains in force."""
+    axis = drive.axis
+    raw = {name: float(getattr(axis.od, name)) for name in OBJECTS}
+    return Gains(**{to: raw[name] / per(axis) for name, (to, per) in OBJECTS.items()})
+
+
+def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
+    """Gains in units of the drive by object, as near as it can have them."""
+    values = {}
+    for name, (of, per) in OBJECTS.items():
+        value = round(getattr(gains, of) * per(drive.axis))
+        row = drive.model.names.get(name)
+        if row is not None:
+            value = int(min(max(value, row.minimum), row.maximum))
+        values[name] = value
+    return values
+
+
+def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each field of `Gains` (SI) that the drive's objects take."""
+    found = {}
+    for name, (of, per) in OBJECTS.items():
+        row, unit = drive.model.names.get(name), 1 / per(drive.axis)
+        low, high = (row.minimum, row.maximum) if row is not None else (0, math.inf)
+        found[of] = max(low, 1) * unit, high * unit
+    return found
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Margins of both loops, at least."""
+
+    gain: float = 6.0  # dB
+    phase: float = 35.0  # degree
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A plant as a drive sees it at its shaft. Arrays have shape ``(n,)``."""
+
+    frequencies: np.ndarray  # Hz, from far below the crossovers to the Nyquist frequency
+    velocity: np.ndarray  # complex, measured velocity over torque command (rad/s/Nm)
+    position: np.ndarray  # complex, measured position over torque command (rad/Nm)
+    cycle: float  # s, velocity controller
+    cycles: int  # of it in one of the position controller
+    inertia: float  # kg·m², all of it
+
+    def velocity_loop(self, kp: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Open loops of PI controllers of shape ``(m,)``, shape ``(m, n)``."""
+        return self._controller(kp, time) * self.velocity
+
+    def position_loop(self, kp: np.ndarray, time: np.ndarray, kv: np.ndarray) -> np.ndarray:
+        """Open loops of position controllers with the velocity loop closed, shape ``(m, n)``."""
+        z = np.exp(2j * np.pi * self.frequencies * self.cycle)
+        hold = sum(z**-k for k in range(self.cycles)) / self.cycles
+        controller = self._controller(kp, time)
+        closed = controller / (1 + controller * self.velocity) * self.position
+        return np.asarray(kv)[:, None] * hold * closed
+
+    def _controller(self, kp: np.ndarray, time: np.ndarray) -> np.ndarray:
+        z = np.exp(2j * np.pi * self.frequencies * self.cycle)
+        kp, time = np.asarray(kp)[:, None], np.asarray(time)[:, None]
+        return kp * (1 + self.cycle / np.maximum(time, self.cycle) / (z - 1))
+
+    def margins(self, gains: Gains) -> tuple[tuple[float, float, bool], tuple[float, float, bool]]:
+        """Gain (dB), phase (degree) and stability of the velocity and of the position loop."""
+        kp, time, kv = (
+            [x] for x in (gains.velocity_gain, gains.integral_time, gains.position_gain)
+        )
+        velocity = margins_of(self.frequencies, self.velocity_loop(kp, time))
+        below = self._below
+        position = margins_of(self.frequencies[below], self.position_loop(kp, time, kv)[:, below])
+        (a, b, c), (d, e, f) = ([x[0] for x in each] for each in (velocity, position))
+        return (float(a), float(b), bool(c)), (float(d), float(e), bool(f and c))
+
+    @property
+    def _below(self) -> np.ndarray:
+        """Which frequencies the position loop has."""
+        return self.frequencies < 0.49 / (self.cycle * self.cycles)
+
+    def crossover(self, gains: Gains) -> float:
+        """Highest frequency (Hz) at which the velocity loop is 1."""
+        loop = abs(self.velocity_loop([gains.velocity_gain], [gains.integral_time])[0])
+        return float(self.frequencies[loop > 1].max(initial=0.0))
+
+
+def margins_of(
+    frequencies: np.ndarray, loops: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gain margins (dB), phase margins (degree) and stability of open loops, shape ``(m, n)``.
+
+    Between two frequencies gain and phase are lines over the logarithm; the grid has to be fine
+    where a loop is not smooth. Stable is what does not go round -1 (Nyquist), for loops that are
+    stable but for their integrators.
+    """
+    decibel = 20 * np.log10(np.maximum(np.abs(loops), 1e-15))
+    step = np.angle(loops[:, 1:] / loops[:, :-1])
+    behind = np.angle(-loops)  # of -180 degrees
+
+    def least(crossed: np.ndarray, share: np.ndarray, value: np.ndarray) -> np.ndarray:
+        between = value[:, :-1] + share * (value[:, 1:] - value[:, :-1])
+        return np.where(crossed, np.abs(between), np.inf).min(axis=1)
+
+    after = behind[:, :-1] + step
+    crossed = (behind[:, :-1] * after <= 0.0) & (step != 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.nan_to_num(-behind[:, :-1] / step)
+        gain = least(crossed, np.clip(share, 0, 1), decibel)
+        crossed = decibel[:, :-1] * decibel[:, 1:] <= 0.0
+        share = np.nan_to_num(-decibel[:, :-1] / (decibel[:, 1:] - decibel[:, :-1]))
+        share = np.clip(share, 0, 1)
+        at = np.where(crossed, np.abs(behind[:, :-1] + share * step), np.inf)
+        phase = np.degrees(at.min(axis=1))
+    turned = np.unwrap(np.angle(1 + loops), axis=1)
+    begin = (turned[:, 0] + BEGIN) % (2 * math.pi) - BEGIN
+    return gain, phase, abs(begin + turned[:, -1] - turned[:, 0]) < math.pi / 2
+
+
+def fastest(
+    plants: Sequence[Seen],
+    asked: Asked,
+    allowed: Mapping[str, tuple[float, float]],
+    ease: float = 1.0,
+) -> Gains | None:
+    """The stiffest gains that keep the margins with a reserve; None: there are none.
+
+    Args:
+        plants: one, or the same in several situations: the loops of all keep the margins.
+        asked: margins.
+        allowed: what the drive takes, of `ranges`.
+        ease: share of the velocity gain that was found to use, 1 for all of it.
+    """
+    first = plants[0]
+    top = 2 * math.pi * HIGHEST / (first.cycle * first.cycles)
+    count = max(math.ceil(math.log(top / (2 * math.pi * LOWEST)) / math.log(STEP)), 1)
+    crossover = np.repeat(top * STEP ** -np.arange(count), len(SHAPES))
+    kp, time = _within(allowed, first.inertia, crossover, np.tile(SHAPES, count))
+    kept = _keeps(plants, asked.gain, asked.phase, lambda p: p.velocity_loop(kp, time))
+    kept &= kp >= allowed["velocity_gain"][0]
+    best: Gains | None = None
+    for i in range(len(SHAPES)):
+        found = np.flatnonzero(kept[i :: len(SHAPES)])
+        if not len(found):
+            continue
+        eased = crossover[i + len(SHAPES) * found[0]] * EASED * ease
+        w = np.repeat(eased, len(SEPARATIONS))
+        kp_, time_ = _within(allowed, first.inertia, w, np.full(len(w), SHAPES[i]))
+        kv = np.clip(w / np.tile(SEPARATIONS, len(EASED)), *allowed["position_gain"])
+        phase = max(asked.phase, WITHOUT_OVERSHOOT - RESERVE_PHASE)
+        good = _keeps(plants, asked.gain, asked.phase, lambda p: p.velocity_loop(kp_, time_))
+        good &= _keeps(
+            plants, asked.gain, phase, lambda p: p.position_loop(kp_, time_, kv), position=True
+        )
+        for k in np.flatnonzero(good):
+            gains = Gains(float(kp_[k]), float(time_[k]), float(kv[k]))
+            if best is None or gains.stiffness > best.stiffness:
+                best = gains
+    return best
+
+
+def _within(allowed, inertia, crossover, shape) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity gains and action times for crossovers of a rigid plant, as the drive takes them."""
+    kp = np.minimum(inertia * crossover, allowed["velocity_gain"][1])
+    return kp, np.clip(shape / crossover, *allowed["integral_time"])
+
+
+def _keeps(plants, gain, phase, loop, position=False) -> np.ndarray:
+    kept = np.True_
+    for plant in plants:
+        below = plant._below if position else slice(None)
+        a, b, stable = margins_of(plant.frequencies[below], loop(plant)[:, below])
+        kept = kept & stable & (a >= gain + RESERVE_GAIN) & (b >= phase + RESERVE_PHASE)
+    return kept

@@ -1,0 +1,138 @@
+"""What a motor can do with what it moves: torque, speed, and the profile it can follow.
+
+    torque = (inertia · acceleration + friction + load + viscous · speed) / efficiency
+
+all at the shaft. A profile may ask for `PEAK` of the highest torque, the rest is the controller's;
+what an axis needs for ever, its load and its friction, must not be more than the rated torque.
+"""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ...drive.drive import Drive
+from ..engine.machine import Machine
+
+POSES = 17  # places on the joint's range where its load is looked at
+PEAK = 0.8  # share of the highest torque that a profile may ask for (inferred)
+FAST = 0.9  # share of the highest speed (inferred)
+
+
+@dataclass(frozen=True)
+class Load:
+    """What stands against a motor, at its shaft."""
+
+    inertia: float  # kg·m², all of it
+    holding: float  # Nm, gravity and springs, at the worst place
+    friction: float  # Nm, dry, in motion, at the worst place
+    breakaway: float  # Nm, the same at standstill
+    viscous: float  # Nm·s/rad
+    loss: float  # of a gear, over what it carries; 0: none
+
+    def continuous(self, speed: float = 0.0) -> float:
+        """Torque (Nm) at a constant speed (rad/s), in the worst direction."""
+        return (self.holding + self.friction + self.viscous * speed) * (1 + self.loss)
+
+    def peak(self, acceleration: float, speed: float) -> float:
+        """Torque (Nm) that accelerates (rad/s²) up to a speed (rad/s)."""
+        worst = max(self.friction + self.viscous * speed, self.breakaway)
+        return (self.holding + worst + self.inertia * acceleration) * (1 + self.loss)
+
+    def acceleration(self, torque: float, speed: float) -> float:
+        """What a torque (Nm) accelerates with (rad/s²); negative: it is too little."""
+        return (torque - self.peak(0.0, speed)) / self.inertia / (1 + self.loss)
+
+
+def load_of(machine: Machine, name: str, inertia: float) -> Load:
+    """The load of a drive whose inertia is known, over the range of its joint.
+
+    All other joints stay as they are.
+    """
+    number = [*machine.drives].index(name)
+    coupling, m = machine.couplings[number], machine.mechanics[number]
+    gear = abs(float(coupling.gear))
+    low, high = machine.range(name)
+    travel = high - low if math.isfinite(high - low) and high - low < 1e6 else 0.0
+    drag = float(m.chain_drag) + float(m.chain_drag_growth) * travel
+    coulomb = float(coupling.friction)
+    cogging = float(m.cogging_torque)
+    return Load(
+        inertia=inertia,
+        holding=asked(machine, coupling, 0.0) / gear,
+        friction=(coulomb + drag) / gear + cogging,
+        breakaway=(coulomb * max(float(m.static_ratio), 1.0) + drag) / gear + cogging,
+        viscous=float(machine.model.dof_damping[coupling.dof]) / gear**2,
+        loss=float(m.gear_loss),
+    )
+
+
+def asked(machine: Machine, coupling, speed: float) -> float:
+    """Largest force (N or Nm at the joint) that gravity, springs and damping ask for.
+
+    Over the range of the joint, all others as they are; at rest and at `speed` (m/s or rad/s).
+    """
+    model, data = machine.model, mujoco.MjData(machine.model)
+    data.qpos[:] = machine.data.qpos
+    joint = model.dof_jntid[coupling.dof]
+    here = data.qpos[coupling.qpos]
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (here, here)
+    if not model.jnt_limited[joint] and model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE):
+        high = here + 2 * math.pi
+    force = 0.0
+    for position in np.linspace(low, high, POSES):
+        data.qpos[coupling.qpos] = position
+        mujoco.mj_fwdPosition(model, data)
+        for velocity in (0.0, -speed, speed):
+            data.qvel[coupling.dof] = velocity
+            mujoco.mj_fwdVelocity(model, data)
+            wanted = data.qfrc_bias[coupling.dof] - data.qfrc_passive[coupling.dof]
+            force = max(force, abs(float(wanted)))
+    return force
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What a motor gives, from the objects of its drive."""
+
+    rated: float  # Nm
+    highest: float  # Nm
+    speed: float  # rad/s
+
+    def __str__(self) -> str:
+        return f"{self.rated:.3g} Nm, {self.highest:.3g} Nm at most, {self.speed * 30 / math.pi:.0f} 1/min"
+
+
+def motor_of(drive: Drive) -> Motor:
+    """The motor of a commissioned drive."""
+    od = drive.axis.od
+    rated = max(int(od.motor_rated_torque), 1) * 1e-3
+    ceiling = min(int(od.max_torque), int(od.max_current),
+                  int(od.positive_torque_limit), int(od.negative_torque_limit))  # fmt: skip
+    return Motor(rated, rated * ceiling * 1e-3, float(od.max_motor_speed) * 2 * math.pi / 60)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Speeds (rad/s) and accelerations (rad/s²) of an axis, at the shaft."""
+
+    velocity: float
+    acceleration: float
+    stop: float  # quick stop
+    homing_speed: float
+    homing_acceleration: float
+
+
+def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:
+    """A profile as far as the motor follows it; homing stops behind a switch as soon as wanted."""
+    velocity = min(wanted.velocity, FAST * motor.speed)
+    highest = load.acceleration(PEAK * motor.highest, velocity)
+    acceleration = min(wanted.acceleration, highest)
+    stop = load.acceleration(0.5 * (1 + PEAK) * motor.highest, 0.0)
+    homing = min(wanted.homing_acceleration, 0.5 * highest)
+    slower = math.sqrt(homing / wanted.homing_acceleration)
+    return Profile(
+        velocity, acceleration, max(min(wanted.stop, stop), acceleration),
+        min(slower * wanted.homing_speed, velocity), homing,
+    )  # fmt: skip
