@@ -21,6 +21,7 @@ import numpy as np
 
 from ..engine.checks import in_range, whole
 from ..engine.machine import Machine
+from ..plants.loops import Gains, gains_of, in_units
 from .identify import identify
 from .margins import LEAST_COHERENCE
 from .needs import scipy
@@ -32,10 +33,7 @@ from .stand import (
     TORQUE,
     TURNED,
     VELOCITY,
-    Gains,
     Stand,
-    gains_of,
-    in_units,
 )  # fmt: skip
 
 PERIOD = 1.0  # s, of the multisine: a line each Hz

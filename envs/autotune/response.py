@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from ..plants.loops import Gains
 from .margins import TOO_HIGH, Margins, margins
 from .plant import Plant, sampled
-from .stand import Gains
 
 CERTAIN = 3.0  # a loop above it needs nothing below to tell whether it is stable
 GRID = 300  # frequencies

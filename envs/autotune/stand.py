@@ -7,7 +7,6 @@ travels, friction keeps its sign.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,53 +19,13 @@ from ..engine.machine import Machine
 from ..engine.series import Series
 from ..masters.port import MachinePort
 from ..plants.gantry import PAIR
+from ..plants.loops import Gains, gains_of, in_units
 
 SAMPLED = ("torque_offset", "torque_command", "velocity", "position", "limits")
 ROOM = 0.9  # share of the free way that a run may use
 CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
 # what is sampled after each position cycle
 OFFSET, TORQUE, VELOCITY, POSITION, LIMITED, TURNED = range(6)
-
-
-@dataclass(frozen=True)
-class Gains:
-    """Gains of the cascade in SI units."""
-
-    velocity_gain: float  # Nm·s/rad
-    integral_time: float  # s; 0: no integral action
-    position_gain: float  # 1/s
-
-    def __str__(self) -> str:
-        return (
-            f"velocity {self.velocity_gain:.4g} Nm·s/rad, {self.integral_time * 1e3:.3g} ms, "
-            f"position {self.position_gain:.4g} 1/s"
-        )
-
-
-OBJECTS = {  # of the gains, and how many of its units make one of SI
-    "velocity_control_gain": ("velocity_gain", lambda axis: 1 / axis.velocity_gain_unit),
-    "velocity_control_time": ("integral_time", lambda axis: 1e6),
-    "position_control_gain": ("position_gain", lambda axis: 1 / axis.position_gain_unit),
-}
-
-
-def gains_of(drive: Drive) -> Gains:
-    """The gains in force."""
-    axis = drive.axis
-    raw = {name: float(getattr(axis.od, name)) for name in OBJECTS}
-    return Gains(**{to: raw[name] / per(axis) for name, (to, per) in OBJECTS.items()})
-
-
-def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
-    """Gains in units of the drive by object, as near as it can have them."""
-    values = {}
-    for name, (of, per) in OBJECTS.items():
-        value = round(getattr(gains, of) * per(drive.axis))
-        row = drive.model.names.get(name)
-        if row is not None:
-            value = int(min(max(value, row.minimum), row.maximum))
-        values[name] = value
-    return values
 
 
 class Stand:

@@ -12,11 +12,12 @@ from typing import Any
 
 from ..engine.checks import in_range
 from ..engine.machine import Machine
+from ..plants.loops import gains_of, in_units, ranges
 from .bode import HIGHEST, calm, measured, possible
 from .fit import Asked, fit, why_not
 from .needs import scipy
 from .response import Response
-from .stand import Stand, gains_of, in_units
+from .stand import Stand
 from .trial import Friction, Trial, friction, trial
 
 TRIES = 3  # with less gain each, where what was measured afterwards is less than asked for
@@ -143,7 +144,7 @@ def tune(
         had = stand.machine.snapshot()
         after, objects, ease, reached = before, original, 1.0, False
         for _ in range(TRIES):
-            gains = fit(after, asked, ease)
+            gains = fit(after, asked, ease, ranges(own))
             if gains is None:
                 break
             objects = in_units(own, gains) | {FEED_FORWARD: round(after.inertia * 1e9)}

@@ -78,6 +78,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             per frame of faults of an EtherCAT bus: ``{"drop": 0.01}``, ``{"retreat at=op:50": 1}``.
             Or lines of the bus alone, as ``servogym ethercat --fault`` takes them. With one of the
             bus the drives are on EtherCAT: `servogym.envs.exchange.over_ethercat`.
+        tuned: commission the axes as `linear_axis` does by default, to what plant and motor can do;
+            if not, with the gains of the rule, as version 0 has them.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
@@ -136,6 +138,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         prices: Mapping[str, float] | None = None,
         randomise: Mapping[str, float | tuple[float, ...]] | None = None,
         faults: Faults = None,
+        tuned: bool = False,
         render_mode: str | None = None,
     ):
         check(self, ServoEnv)
@@ -152,6 +155,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode = {render_mode!r}, use one of rgb_array, human or None")
         self.render_mode = render_mode
         self.face = action
+        self.tuned = flag("tuned", tuned)
         self.machine = built(self, self._make(model))
         self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
         self.drive = self.drives[0]

@@ -8,7 +8,7 @@ gripper, or hangs from it on a cable.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
 
@@ -18,7 +18,8 @@ from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from .linear_axis import LinearAxisParameters, commission, tune
-from .tuning import inertia_at_shaft
+from .sizing import largest
+from .tuning import Unmovable, inertia_at_shaft
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "gantry.xml"
 FEED_CONSTANT = 0.06  # m per motor revolution
@@ -167,10 +168,25 @@ def gantry(
         )
     plant = _plant(parameters, model, timestep, names)
     machine = Gantry(plant, dict.fromkeys(names, model))
-    for name, axis in machine.drives.items():
-        _commission(machine, name, axis, parameters, tuned)
+    try:
+        for name, axis in machine.drives.items():
+            _commission(machine, name, axis, parameters, tuned)
+    except Unmovable as error:
+        mass = largest(lambda payload: _takes(model, parameters, payload), parameters.payload)
+        raise ValueError(
+            f"payload = {parameters.payload:g} kg: {error}; it takes {mass:.3g} kg"
+        ) from None
     machine.reset()
     return machine
+
+
+def _takes(drive: DriveModel, p: GantryParameters, payload: float) -> bool:
+    """Whether motors and drives move a gantry with this payload (kg)."""
+    try:
+        gantry(drive, parameters=replace(p, payload=payload))
+    except ValueError:
+        return False
+    return True
 
 
 def _plant(
@@ -241,7 +257,7 @@ def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, t
         feed_constant=FEED_CONSTANT, max_velocity=p.max_velocity,
         max_acceleration=p.max_acceleration, payload=p.payload,
     )  # fmt: skip
-    commission(machine, name, axis, tuned)
+    commission(machine, name, axis, tuned and name not in PAIR)  # these get their gains below
     if not drive.model.positions:
         return  # its motor and its ramps are parameters of its own
     end, method = AXES[name]

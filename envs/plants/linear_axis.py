@@ -15,7 +15,7 @@ from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from . import tuning
 from .axis_parameters import LinearAxisParameters, chosen, family
-from .sizing import Profile
+from .sizing import Profile, largest
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough, spring
 from .tuning import Unmovable, gains, inertia_at_shaft, inertia_of_motor_side
 
@@ -78,7 +78,11 @@ def linear_axis(
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
     plant = copy.copy(_plant(parameters, drive_model.rotor_inertia, timestep))
     machine = Machine(plant, {"x": drive_model})
-    commission(machine, "x", parameters, tuned)
+    try:
+        commission(machine, "x", parameters, tuned)
+    except Unmovable as error:
+        payload = f"payload = {parameters.payload:g} kg"
+        raise ValueError(f"{payload}: {error}; {_would_do(drive_model, parameters)}") from None
     if parameter_file is not None:
         machine.drives["x"].use_parameter_file(parameter_file)
     machine.reset()
@@ -142,16 +146,8 @@ def _mount_home_switch(spec: mujoco.MjSpec, place: float) -> None:
 def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool = True) -> None:
     """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains.
 
-    Raises ValueError as `linear_axis`.
+    Raises Unmovable where motor or drive cannot move it.
     """
-    try:
-        _commission(machine, name, p, tuned)
-    except Unmovable as error:
-        model = machine.drives[name].model
-        raise ValueError(f"payload = {p.payload:g} kg: {error}; {_would_do(model, p)}") from None
-
-
-def _commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool) -> None:
     x = machine.drives[name]
     if not x.model.positions:
         return  # its motor and its ramps are parameters of its own
@@ -208,18 +204,15 @@ def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:
         plant = copy.copy(_plant(other, model.rotor_inertia, model.cycle_time["velocity"]))
         machine = Machine(plant, {"x": model})
         try:
-            _commission(machine, "x", other, True)
+            commission(machine, "x", other)
         except Unmovable:
             return False
         return True
 
-    low, high = 0.0, p.payload
-    while high - low > 0.02 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if moves(payload=middle) else (low, middle)
+    mass = largest(lambda payload: moves(payload=payload), p.payload)
     feeds = (p.feed_constant / factor for factor in FINER)
     feed = next((feed for feed in feeds if moves(feed_constant=feed)), None)
-    said = f"it takes {low:.2g} kg" if low > 0.0 else "it takes no payload"
+    said = f"it takes {mass:.3g} kg" if mass > 0.0 else "it takes no payload"
     return said + (f"; with a feed_constant of {feed:.2g} m it takes this one" if feed else "")
 
 

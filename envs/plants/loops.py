@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...drive.drive import Drive
 
@@ -85,12 +86,19 @@ def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
     return found
 
 
+# of gains that no drive bounds
+ANY = dict.fromkeys(("velocity_gain", "integral_time", "position_gain"), (0.0, math.inf))
+
+
 @dataclass(frozen=True)
 class Asked:
     """Margins of both loops, at least."""
 
     gain: float = 6.0  # dB
     phase: float = 35.0  # degree
+
+
+Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
 
 
 @dataclass(frozen=True)
@@ -103,12 +111,13 @@ class Seen:
     cycle: float  # s, velocity controller
     cycles: int  # of it in one of the position controller
     inertia: float  # kg·m², all of it
+    resonances: tuple[tuple[float, float], ...] = ()  # antiresonance and resonance (Hz)
 
-    def velocity_loop(self, kp: np.ndarray, time: np.ndarray) -> np.ndarray:
+    def velocity_loop(self, kp: ArrayLike, time: ArrayLike) -> np.ndarray:
         """Open loops of PI controllers of shape ``(m,)``, shape ``(m, n)``."""
         return self._controller(kp, time) * self.velocity
 
-    def position_loop(self, kp: np.ndarray, time: np.ndarray, kv: np.ndarray) -> np.ndarray:
+    def position_loop(self, kp: ArrayLike, time: ArrayLike, kv: ArrayLike) -> np.ndarray:
         """Open loops of position controllers with the velocity loop closed, shape ``(m, n)``."""
         z = np.exp(2j * np.pi * self.frequencies * self.cycle)
         hold = sum(z**-k for k in range(self.cycles)) / self.cycles
@@ -116,24 +125,22 @@ class Seen:
         closed = controller / (1 + controller * self.velocity) * self.position
         return np.asarray(kv)[:, None] * hold * closed
 
-    def _controller(self, kp: np.ndarray, time: np.ndarray) -> np.ndarray:
+    def _controller(self, kp: ArrayLike, time: ArrayLike) -> np.ndarray:
         z = np.exp(2j * np.pi * self.frequencies * self.cycle)
         kp, time = np.asarray(kp)[:, None], np.asarray(time)[:, None]
         return kp * (1 + self.cycle / np.maximum(time, self.cycle) / (z - 1))
 
-    def margins(self, gains: Gains) -> tuple[tuple[float, float, bool], tuple[float, float, bool]]:
+    def margins(self, gains: Gains) -> tuple[Margin, Margin]:
         """Gain (dB), phase (degree) and stability of the velocity and of the position loop."""
-        kp, time, kv = (
-            [x] for x in (gains.velocity_gain, gains.integral_time, gains.position_gain)
-        )
+        kp, time = [gains.velocity_gain], [gains.integral_time]
         velocity = margins_of(self.frequencies, self.velocity_loop(kp, time))
-        below = self._below
-        position = margins_of(self.frequencies[below], self.position_loop(kp, time, kv)[:, below])
+        loops = self.position_loop(kp, time, [gains.position_gain])[:, self.below]
+        position = margins_of(self.frequencies[self.below], loops)
         (a, b, c), (d, e, f) = ([x[0] for x in each] for each in (velocity, position))
         return (float(a), float(b), bool(c)), (float(d), float(e), bool(f and c))
 
     @property
-    def _below(self) -> np.ndarray:
+    def below(self) -> np.ndarray:
         """Which frequencies the position loop has."""
         return self.frequencies < 0.49 / (self.cycle * self.cycles)
 
@@ -192,26 +199,19 @@ def fastest(
     first = plants[0]
     top = 2 * math.pi * HIGHEST / (first.cycle * first.cycles)
     count = max(math.ceil(math.log(top / (2 * math.pi * LOWEST)) / math.log(STEP)), 1)
-    crossover = np.repeat(top * STEP ** -np.arange(count), len(SHAPES))
-    kp, time = _within(allowed, first.inertia, crossover, np.tile(SHAPES, count))
-    kept = _keeps(plants, asked.gain, asked.phase, lambda p: p.velocity_loop(kp, time))
-    kept &= kp >= allowed["velocity_gain"][0]
+    crossovers = top * STEP ** -np.arange(count)
     best: Gains | None = None
-    for i in range(len(SHAPES)):
-        found = np.flatnonzero(kept[i :: len(SHAPES)])
-        if not len(found):
+    for shape in SHAPES:
+        tried = _within(allowed, first.inertia, crossovers, shape)
+        kept = _velocity_kept(plants, asked, *tried) & (tried[0] >= allowed["velocity_gain"][0])
+        if not kept.any():
             continue
-        eased = crossover[i + len(SHAPES) * found[0]] * EASED * ease
-        w = np.repeat(eased, len(SEPARATIONS))
-        kp_, time_ = _within(allowed, first.inertia, w, np.full(len(w), SHAPES[i]))
-        kv = np.clip(w / np.tile(SEPARATIONS, len(EASED)), *allowed["position_gain"])
-        phase = max(asked.phase, WITHOUT_OVERSHOOT - RESERVE_PHASE)
-        good = _keeps(plants, asked.gain, asked.phase, lambda p: p.velocity_loop(kp_, time_))
-        good &= _keeps(
-            plants, asked.gain, phase, lambda p: p.position_loop(kp_, time_, kv), position=True
-        )
-        for k in np.flatnonzero(good):
-            gains = Gains(float(kp_[k]), float(time_[k]), float(kv[k]))
+        crossover = np.repeat(crossovers[kept.argmax()] * EASED * ease, len(SEPARATIONS))
+        kp, time = _within(allowed, first.inertia, crossover, shape)
+        kv = np.clip(crossover / np.tile(SEPARATIONS, len(EASED)), *allowed["position_gain"])
+        kept = _velocity_kept(plants, asked, kp, time) & _position_kept(plants, asked, kp, time, kv)
+        for k in np.flatnonzero(kept):
+            gains = Gains(float(kp[k]), float(time[k]), float(kv[k]))
             if best is None or gains.stiffness > best.stiffness:
                 best = gains
     return best
@@ -223,10 +223,23 @@ def _within(allowed, inertia, crossover, shape) -> tuple[np.ndarray, np.ndarray]
     return kp, np.clip(shape / crossover, *allowed["integral_time"])
 
 
-def _keeps(plants, gain, phase, loop, position=False) -> np.ndarray:
-    kept = np.True_
+def _velocity_kept(plants, asked, kp, time) -> np.ndarray:
+    """Which velocity loops keep the margins with all plants."""
+    kept = np.ones(len(kp), bool)
     for plant in plants:
-        below = plant._below if position else slice(None)
-        a, b, stable = margins_of(plant.frequencies[below], loop(plant)[:, below])
-        kept = kept & stable & (a >= gain + RESERVE_GAIN) & (b >= phase + RESERVE_PHASE)
+        loops = plant.velocity_loop(kp, time)
+        gain, phase, stable = margins_of(plant.frequencies, loops)
+        kept &= stable & (gain >= asked.gain + RESERVE_GAIN)
+        kept &= phase >= asked.phase + RESERVE_PHASE
+    return kept
+
+
+def _position_kept(plants, asked, kp, time, kv) -> np.ndarray:
+    """Which position loops keep the margins with all plants, and do not overshoot."""
+    kept = np.ones(len(kp), bool)
+    for plant in plants:
+        loops = plant.position_loop(kp, time, kv)[:, plant.below]
+        gain, phase, stable = margins_of(plant.frequencies[plant.below], loops)
+        kept &= stable & (gain >= asked.gain + RESERVE_GAIN)
+        kept &= phase >= max(asked.phase + RESERVE_PHASE, WITHOUT_OVERSHOOT)
     return kept

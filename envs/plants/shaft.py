@@ -6,6 +6,7 @@ in motion and is left out, backlash is on one flank, the other drives hold their
 """
 
 import math
+from collections.abc import Iterable, Mapping
 
 import mujoco
 import numpy as np
@@ -16,45 +17,68 @@ from .loops import Seen
 GRID = 260  # frequencies
 AROUND = np.linspace(-6.0, 6.0, 25)  # more of them around a resonance, in units of its width
 LOWEST = 0.1  # Hz
+RIGID = 0.5  # Hz, where all moves as one
+APART = 1.005  # times the antiresonance; a resonance is above it
+HELD = 1e9  # kg or kg·m²
 WITHOUT = (
     mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_LIMIT,
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
 )  # fmt: skip
 
 
-def seen(machine: Machine, name: str) -> Seen:
-    """The plant of the drive `name`, at the present place of the machine."""
-    drive = machine.drives[name]
-    number = [*machine.drives].index(name)
-    coupling, mechanics = machine.couplings[number], machine.mechanics[number]
-    gear, dof = float(coupling.gear), int(coupling.dof)
+def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
+    """The plant of a drive, at the present place of the machine.
+
+    Args:
+        machine: commissioned or not; nothing of it changes.
+        names: of the drive; of several that move one beam a sign each, ``{"x1": 1, "x2": -1}``:
+            torque and motion are then half the sum.
+    """
+    signs = {names: 1.0} if isinstance(names, str) else dict(names)
+    numbers = {name: [*machine.drives].index(name) for name in signs}
+    drive = machine.drives[next(iter(signs))]
     period = float(drive.model.cycle_time["velocity"])
-    a, b, dofs, inertia = _mechanics(machine, number, round(period / machine.model.opt.timestep))
-    n = len(dofs)
-    filter_time = float(drive.axis.od.velocity_filter_time) * 1e-6
-    share = _share(period, filter_time)
+    steps = round(period / machine.model.opt.timestep)
+    a, b = _mechanics(machine, numbers.values(), still=False)
+    n, size = len(a) // 2, len(a) + 3
+    torque, angle, place = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)
+    for name, sign in signs.items():
+        coupling, mechanics = machine.couplings[numbers[name]], machine.mechanics[numbers[name]]
+        torque += sign * b[:, int(coupling.ctrl)]
+        share = sign * float(coupling.gear) / len(signs)
+        angle[int(coupling.dof)] += share
+        place[int(coupling.dof)] += share
+        if drive.axis.od.position_source and mechanics["guide"] >= 0:
+            place[int(mechanics["elastic_dof"])] += share
+    torque = sum(np.linalg.matrix_power(a, k) for k in range(steps)) @ torque
+    filtered = _share(period, float(drive.axis.od.velocity_filter_time) * 1e-6)
     lag = _share(period, drive.model.torque_time_constant)
-    place = [dofs.index(dof)]
-    if drive.axis.od.position_source and mechanics["guide"] >= 0:
-        place.append(dofs.index(int(mechanics["elastic_dof"])))
     # states: mechanics, torque, angle before, speed before; sampled, then the torque changes
-    size = 2 * n + 3
     whole, into, out = np.zeros((size, size)), np.zeros(size), np.zeros((2, size))
-    whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n] = a, b * (1 - lag)
-    into[: 2 * n], into[2 * n] = b * lag, lag
+    whole[: 2 * n, : 2 * n] = np.linalg.matrix_power(a, steps)
+    whole[: 2 * n, 2 * n] = torque * (1 - lag)
+    into[: 2 * n], into[2 * n] = torque * lag, lag
     whole[2 * n, 2 * n] = 1 - lag
-    whole[-2, place[0]] = gear
-    out[0, place[0]], out[0, -2:] = share / period * gear, (-share / period, 1 - share)
-    out[1, place] = gear
+    whole[-2, : 2 * n] = angle
+    out[0, : 2 * n], out[0, -2:] = filtered / period * angle, (-filtered / period, 1 - filtered)
+    out[1, : 2 * n] = place
     whole[-1] = out[0]
-    frequencies = _grid(a, period)
+    still, _ = _mechanics(machine, numbers.values(), still=True)
+    vibrations = [_vibrations(each, machine.model.opt.timestep) for each in (still, a)]
+    frequencies = _grid([*vibrations[0], *vibrations[1]], period)
     z = np.exp(2j * np.pi * frequencies * period)
     states = np.linalg.solve(
         z[:, None, None] * np.eye(size) - whole, np.broadcast_to(into[:, None], (len(z), size, 1))
     )
     velocity, position = (out @ states[..., 0].T).reshape(2, -1)
-    cycles = round(drive.model.cycle_time["position"] / period)
-    return Seen(frequencies, velocity, position, period, cycles, inertia)
+    low = int(np.searchsorted(frequencies, RIGID))
+    inertia = float((1 / velocity[low]).imag / (2 * np.pi * frequencies[low]))
+    return Seen(
+        frequencies, velocity, position, period,
+        round(drive.model.cycle_time["position"] / period), inertia,
+        # what a still motor does not change is not seen at its shaft
+        tuple((x, y) for (x, _), (y, _) in zip(*vibrations, strict=False) if y > APART * x),
+    )  # fmt: skip
 
 
 def _share(period: float, time: float) -> float:
@@ -62,50 +86,46 @@ def _share(period: float, time: float) -> float:
 
 
 def _mechanics(
-    machine: Machine, number: int, steps: int
-) -> tuple[np.ndarray, np.ndarray, list[int], float]:
-    """State matrix and input (Nm at the shaft) of a velocity cycle, the dofs, and the inertia."""
+    machine: Machine, movers: Iterable[int], still: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """State matrix and inputs (Nm at the shaft) of a physics step.
+
+    The other drives hold their joints, the movers too if all are to be `still`: an inertia that
+    nothing moves.
+    """
     model, data = machine.model, mujoco.MjData(machine.model)
     data.qpos[:] = machine.data.qpos
-    flags, gravity = int(model.opt.disableflags), model.opt.gravity.copy()
+    held = [int(c.dof) for i, c in enumerate(machine.couplings) if still or i not in movers]
     nv = model.nv
-    a, b = np.zeros((2 * nv + model.na,) * 2), np.zeros((2 * nv + model.na, model.nu))
+    size = 2 * nv + model.na
+    a, b = np.zeros((size, size)), np.zeros((size, model.nu))
+    flags, gravity = int(model.opt.disableflags), model.opt.gravity.copy()
+    armature = model.dof_armature.copy()
     try:
         for flag in WITHOUT:
             model.opt.disableflags |= int(flag)
         model.opt.gravity[:] = 0.0  # what hangs, or stands on its head, is slower than any loop
+        model.dof_armature[held] = HELD
         mujoco.mj_forward(model, data)
         mujoco.mjd_transitionFD(model, data, 1e-6, True, a, b, None, None)
     finally:
         model.opt.disableflags = flags
         model.opt.gravity[:] = gravity
-    own = machine.couplings[number]
-    held = {int(other.dof) for other in machine.couplings} - {int(own.dof)}
-    dofs = [dof for dof in range(nv) if dof not in held]
-    rows = [*dofs, *(nv + dof for dof in dofs)]
-    a, b = a[np.ix_(rows, rows)], b[rows, int(own.ctrl)]
-    mass = np.zeros((nv, nv))
-    mujoco.mj_fullM(model, data, mass)
-    # what no spring takes along stays behind: of a cable's load its part in the motion is left out
-    free = [dof for dof in dofs if float(model.jnt_stiffness[model.dof_jntid[dof]]) == 0.0]
-    mobility = np.linalg.inv(mass[np.ix_(free, free)])[free.index(own.dof), free.index(own.dof)]
-    return (
-        np.linalg.matrix_power(a, steps),
-        sum(np.linalg.matrix_power(a, k) for k in range(steps)) @ b,
-        dofs, float(1.0 / mobility / own.gear**2),
-    )  # fmt: skip
+        model.dof_armature[:] = armature
+    return a[: 2 * nv, : 2 * nv], b[: 2 * nv]
 
 
-def _grid(a: np.ndarray, period: float) -> np.ndarray:
+def _vibrations(a: np.ndarray, step: float) -> list[tuple[float, float]]:
+    """Frequency (Hz) and damping of what vibrates, the slowest first."""
+    poles = np.linalg.eigvals(a)
+    poles = np.log(poles[np.abs(poles) > 1e-9]) / step
+    poles = poles[poles.imag > 2 * np.pi * LOWEST]
+    return sorted((float(abs(p)) / (2 * np.pi), float(-p.real / abs(p))) for p in poles)
+
+
+def _grid(vibrations: list[tuple[float, float]], period: float) -> np.ndarray:
     """Frequencies (Hz) up to the Nyquist frequency, closer where the mechanics resonate."""
-    half = a.shape[0] // 2
-    motor_still = np.delete(np.delete(a, [0, half], axis=0), [0, half], axis=1)
     places = [np.geomspace(LOWEST, 0.499 / period, GRID)]
-    for matrix in (a, motor_still):
-        poles = np.linalg.eigvals(matrix)
-        poles = np.log(poles[np.abs(poles) > 1e-9]) / period
-        for pole in poles[poles.imag > 2 * np.pi * LOWEST]:
-            width = max(-pole.real / abs(pole), 1e-3)
-            places.append(abs(pole) / (2 * np.pi) * (1 + width * AROUND))
+    places += [f * (1 + max(damping, 1e-3) * AROUND) for f, damping in vibrations]
     frequencies = np.unique(np.concatenate(places))
     return frequencies[(frequencies >= LOWEST) & (frequencies <= 0.499 / period)]

@@ -3,10 +3,12 @@
     torque = (inertia · acceleration + friction + load + viscous · speed) / efficiency
 
 all at the shaft. A profile may ask for `PEAK` of the highest torque, the rest is the controller's;
-what an axis needs for ever, its load and its friction, must not be more than the rated torque.
+what travel to and fro at a constant speed needs, rms of load and friction, must not be more than
+the rated torque.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -32,8 +34,8 @@ class Load:
     loss: float  # of a gear, over what it carries; 0: none
 
     def continuous(self, speed: float = 0.0) -> float:
-        """Torque (Nm) at a constant speed (rad/s), in the worst direction."""
-        return (self.holding + self.friction + self.viscous * speed) * (1 + self.loss)
+        """Torque (Nm, rms) of travel to and fro at a constant speed (rad/s)."""
+        return math.hypot(self.holding, self.friction + self.viscous * speed) * (1 + self.loss)
 
     def peak(self, acceleration: float, speed: float) -> float:
         """Torque (Nm) that accelerates (rad/s²) up to a speed (rad/s)."""
@@ -57,10 +59,14 @@ def load_of(machine: Machine, name: str, inertia: float) -> Load:
     travel = high - low if math.isfinite(high - low) and high - low < 1e6 else 0.0
     drag = float(m.chain_drag) + float(m.chain_drag_growth) * travel
     coulomb = float(coupling.friction)
+    springs = machine.model.tendon_stiffness.copy()
+    machine.model.tendon_stiffness[:] = 0.0  # a beam comes along
+    holding = asked(machine, coupling, 0.0) / gear
+    machine.model.tendon_stiffness[:] = springs
     cogging = float(m.cogging_torque)
     return Load(
         inertia=inertia,
-        holding=asked(machine, coupling, 0.0) / gear,
+        holding=holding,
         friction=(coulomb + drag) / gear + cogging,
         breakaway=(coulomb * max(float(m.static_ratio), 1.0) + drag) / gear + cogging,
         viscous=float(machine.model.dof_damping[coupling.dof]) / gear**2,
@@ -101,7 +107,8 @@ class Motor:
     speed: float  # rad/s
 
     def __str__(self) -> str:
-        return f"{self.rated:.3g} Nm, {self.highest:.3g} Nm at most, {self.speed * 30 / math.pi:.0f} 1/min"
+        speed = self.speed * 30 / math.pi
+        return f"{self.rated:.3g} Nm, {self.highest:.3g} Nm at most, {speed:.0f} 1/min"
 
 
 def motor_of(drive: Drive) -> Motor:
@@ -122,6 +129,15 @@ class Profile:
     stop: float  # quick stop
     homing_speed: float
     homing_acceleration: float
+
+
+def largest(takes: Callable[[float], bool], refused: float) -> float:
+    """The largest payload (kg) below a refused one that is taken, to two digits; 0: none."""
+    low, high = 0.0, refused
+    while high - low > 0.02 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if takes(middle) else (low, middle)
+    return float(f"{low:.2g}") if takes(float(f"{low:.2g}")) else low
 
 
 def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:

@@ -36,6 +36,8 @@ SEPARATION = 4.0  # velocity crossover over position gain
 SOFT = 0.15  # of the window: friction must not deflect the axis farther with gains of the rule
 UNKNOWN = 0.25  # of the torque of an acceleration, that the feed-forward may get wrong
 RESERVE = 4.0  # of the window over the following error to be expected
+REST = 400.0  # ms over the position gain (1/s): a soft loop crosses the window before it rests
+SHORTEST = 5  # ms
 ASKED = Asked()
 
 
@@ -159,6 +161,7 @@ def tuned(
         "speed_during_search_for_switch": max(can.homing_speed / per_unit, 1),
         "homing_acceleration": max(can.homing_acceleration / per_unit, 1),
         "following_error_window": window / per_unit,
+        "position_window_time": max(SHORTEST, round(REST / found.position_gain)),
     }
 
 
@@ -168,6 +171,6 @@ def _bears(drive: Drive, motor: Motor, load: Load) -> None:
     if needed > motor.rated:
         raise Unmovable(
             f"the motor of drive {drive.model.name!r}, rated {motor.rated:.3g} Nm, would have to "
-            f"give {needed:.3g} Nm all the time to move this load: a motor rated {needed:.3g} Nm or "
+            f"give {needed:.3g} Nm all the time to move this load: one rated {needed:.3g} Nm or "
             f"a gear ratio {needed / motor.rated:.2g} times as high would do"
         )

@@ -231,7 +231,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
             raise ValueError(f"causes = {self.causes!r}, choose some of {', '.join(possible)}")
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet)
+        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
         machine.drives["x"].commission(SEARCH)
         return machine
 

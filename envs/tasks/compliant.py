@@ -238,7 +238,7 @@ class CompliantAxisEnv(ServoEnv):
         super().__init__(drive, randomise=ranges, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet)
+        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
         machine.drives["x"].write("following_error_window", round(self._window * METRE))
         return machine
 

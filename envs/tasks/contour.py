@@ -286,7 +286,7 @@ steps × `feed` × step time |
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self.datasheet)
+        machine = gantry(model, parameters=self.datasheet, tuned=self.tuned)
         for name in self.DRIVES:
             drive = machine.drives[name]
             drive.write("following_error_window", round(self._window * METRE))

@@ -247,7 +247,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         super().__init__(drive, randomise=randomise, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self.datasheet)
+        machine = gantry(model, parameters=self.datasheet, tuned=self.tuned)
         for name in self.DRIVES:
             machine.drives[name].write("following_error_window", round(self._window * METRE))
         return machine

@@ -322,7 +322,7 @@ the positive one; -1 the negative, 0 none |
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet)
+        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
         coupling, x = machine.couplings[0], machine.drives["x"]
         if self.reference == "stop":
             for switch in (NEGATIVE, POSITIVE, HOME):

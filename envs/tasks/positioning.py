@@ -218,7 +218,7 @@ class LinearAxisEnv(ServoEnv):
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet)
+        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
         machine.drives["x"].write("following_error_window", round(self._window * METRE))
         return machine
 

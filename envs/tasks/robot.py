@@ -264,7 +264,7 @@ class RobotEnv(ServoEnv):
         }
         machine.reset(positions=self._own)
         for name in machine.drives:
-            commission_joint(machine, name, **self._speeds)
+            commission_joint(machine, name, tuned=self.tuned, **self._speeds)
         self._scratch = mujoco.MjData(robot)
         self._table = (
             np.full((chain.LONGEST, chain.WIDTH), -1.0)

@@ -195,7 +195,7 @@ class RotaryAxisEnv(ServoEnv):
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = rotary_axis(model, parameters=self.datasheet)
+        machine = rotary_axis(model, parameters=self.datasheet, tuned=self.tuned)
         x = machine.drives["x"]
         if "max_position_range_limit" not in x.objects.names:
             raise ValueError(f"drive {model.name!r} has no object 607Bh, which this task needs")

@@ -288,7 +288,7 @@ class GantrySwayEnv(ServoEnv):
         super().__init__(drive, randomise=randomise, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self.datasheet)
+        machine = gantry(model, parameters=self.datasheet, tuned=self.tuned)
         for name in self.DRIVES:
             machine.drives[name].write("following_error_window", round(self._window * METRE))
         return machine

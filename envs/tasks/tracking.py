@@ -252,7 +252,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         self._times = np.arange(STEPS + 1) * self.step_time
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet)
+        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
         machine.drives["x"].write("following_error_window", round(self._window * METRE))
         return machine
 

@@ -112,14 +112,18 @@ def made(name, drive="generic", **values):
 
 
 def springy(name, frequency, drive="generic"):
-    """A member of the family whose payload swings on a spring, so that it resonates there."""
+    """A member of the family whose payload swings on a spring, so that it resonates there.
+
+    Its gains are those of the rule, which has not looked for the resonance.
+    """
     if name in ROTARY_FAMILY:
         p = ROTARY_FAMILY[name]
         rotor = load(drive).rotor_inertia * p.gear_ratio**2
         reduced = 1 / (1 / p.inertia + 1 / rotor)
         stiffness = (2 * math.pi * frequency) ** 2 * reduced
         damping = 2 * 0.02 * math.sqrt(stiffness * reduced)
-        return made(name, drive, transmission_stiffness=stiffness, transmission_damping=damping)
+        return made(name, drive, tuned=False, transmission_stiffness=stiffness,
+                    transmission_damping=damping)  # fmt: skip
     p = FAMILY[name]
     rotor = p.rotor_inertia if p.rotor_inertia is not None else load(drive).rotor_inertia
     gear = 2 * math.pi / p.feed_constant
@@ -127,7 +131,7 @@ def springy(name, frequency, drive="generic"):
     reduced = 1 / (1 / p.payload + 1 / rest)
     stiffness = (2 * math.pi * frequency) ** 2 * reduced
     damping = 2 * 0.02 * math.sqrt(stiffness * reduced)
-    return made(name, drive, stiffness=stiffness, structural_damping=damping)
+    return made(name, drive, tuned=False, stiffness=stiffness, structural_damping=damping)
 
 
 @dataclass(frozen=True)

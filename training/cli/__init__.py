@@ -73,6 +73,11 @@ COMMANDS = {
         "decode", "explain a log of a CAN or EtherCAT bus, frame by frame",
         "decode run.log --drive festo_cmmp_as",
     ),
+    "machines": Command(
+        "machines", "size an axis: inertia ratio, torque, resonance, margins, profile",
+        "machines toothed_belt --drive kollmorgen_akd --set payload=20",
+        "Without a name: a table of all machines with the drive.",
+    ),
     "bode": Command(
         "bode", "measure the loops of a drive: Bode plot, margins, inertia, resonances",
         "bode vertical --drive generic",

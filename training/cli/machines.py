@@ -1,10 +1,13 @@
-"""A machine by name or from a file, as several commands have it."""
+"""A machine by name or from a file, as several commands have it; and `servogym machines`."""
 
 import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from rich.console import Console
+from rich.table import Table
 
 from ...envs import (
     FAMILY,
@@ -19,6 +22,48 @@ from ...envs.engine.mjcf import read
 
 GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
 NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
+
+
+def add_machines(machines: argparse.ArgumentParser) -> None:
+    """Options of `servogym machines`."""
+    add(machines)
+    machines.set_defaults(run=_machines, machine=None)
+
+
+def _machines(options: argparse.Namespace, console: Console) -> int:
+    from ...envs.plants.sheet import size
+
+    if options.machine is not None:
+        machine, name = made(options)
+        for each in [name] if options.axis else machine.drives:
+            print(size(machine, each))
+        return 0
+    if options.parameter_file or options.axis or options.at is not None:
+        raise ValueError("--parameter-file, --axis and --at need a machine: name one first")
+    table = Table()
+    refused = []
+    for name in NAMES:
+        options.machine = name
+        try:
+            machine, _ = made(options)
+        except ValueError as error:
+            refused.append(f"{name}: {error}")
+            continue
+        for drive in machine.drives:
+            row = size(machine, drive).row
+            if not table.columns:
+                for heading in ("machine", *_headings(row)):
+                    table.add_column(heading)
+            table.add_row(name if len(machine.drives) == 1 else f"{name} {drive}", *row.values())
+    console.print(table)
+    for line in refused:
+        print(line)
+    return 0
+
+
+def _headings(row: dict[str, str]) -> list[str]:
+    """Without units of one machine: the rows of a table have m or rad."""
+    return [name.partition(" (m")[0] for name in row]
 
 
 def add(parser: argparse.ArgumentParser, others: str = "") -> None:
