@@ -64,8 +64,11 @@ class Tuned:
             "margins reached" if self.reached else "margins not reached",
             *([self.reason] if self.reason else []),
         ]
-        notes = (self.before.note, old.note, self.after.note, new.note)
-        return "\n".join([*lines, *filter(None, notes)])
+        notes = {
+            "before, measured": self.before.note, "before, moved": old.note,
+            "after, measured": self.after.note, "after, moved": new.note,
+        }  # fmt: skip
+        return "\n".join([*lines, *(f"{when}: {note}" for when, note in notes.items() if note)])
 
     @property
     def name(self) -> str:

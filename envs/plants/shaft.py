@@ -100,18 +100,20 @@ def _mechanics(
     size = 2 * nv + model.na
     a, b = np.zeros((size, size)), np.zeros((size, model.nu))
     flags, gravity = int(model.opt.disableflags), model.opt.gravity.copy()
-    armature = model.dof_armature.copy()
+    armature, springs = model.dof_armature.copy(), model.jnt_stiffness.copy()
     try:
         for flag in WITHOUT:
             model.opt.disableflags |= int(flag)
-        model.opt.gravity[:] = 0.0  # what hangs, or stands on its head, is slower than any loop
+        # what hangs, stands on its head or pulls a driven joint back is slower than any loop
+        model.opt.gravity[:] = 0.0
+        model.jnt_stiffness[[model.dof_jntid[c.dof] for c in machine.couplings]] = 0.0
         model.dof_armature[held] = HELD
         mujoco.mj_forward(model, data)
         mujoco.mjd_transitionFD(model, data, 1e-6, True, a, b, None, None)
     finally:
         model.opt.disableflags = flags
         model.opt.gravity[:] = gravity
-        model.dof_armature[:] = armature
+        model.dof_armature[:], model.jnt_stiffness[:] = armature, springs
     return a[: 2 * nv, : 2 * nv], b[: 2 * nv]
 
 

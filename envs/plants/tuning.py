@@ -13,6 +13,8 @@ or the drive has no such numbers, the gains are the stiffest that keep the margi
 the plant as the model has it (`shaft`), in the ranges of the drive's own objects.
 """
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -172,5 +174,5 @@ def _bears(drive: Drive, motor: Motor, load: Load) -> None:
         raise Unmovable(
             f"the motor of drive {drive.model.name!r}, rated {motor.rated:.3g} Nm, would have to "
             f"give {needed:.3g} Nm all the time to move this load: one rated {needed:.3g} Nm or "
-            f"a gear ratio {needed / motor.rated:.2g} times as high would do"
+            f"a gear ratio {math.ceil(10 * needed / motor.rated) / 10:g} times as high would do"
         )

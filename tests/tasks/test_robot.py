@@ -124,7 +124,7 @@ def test_the_contact_that_stops_a_joint_is_named():
 )
 def test_a_force_that_stops_a_joint_is_named(joint, says):
     machine = Machine.from_mjcf(HELD.format(joint), {"swing": "generic"})
-    commission_joint(machine, "swing")
+    commission_joint(machine, "swing", tuned=False)  # else its profile suits the damping
     machine.drives["swing"].write("max_position_limit", 3_000_000)
     master = Master(MachinePort(machine), "swing")
     master.enable()
