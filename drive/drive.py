@@ -114,6 +114,7 @@ class Drive:
             record[:] = self._powered_on[1]
             record[self._kept] = stored
             keep(self, as_written)
+            self.parameters.react()
         else:
             self._power_on(
                 self.parameters.values() if keep_parameters else self.parameters.stored()
@@ -214,10 +215,14 @@ class Drive:
 
         Raises:
             SdoAbort: what the drive would answer on the bus, with `code`; nothing has changed.
-            TypeError: the value is not a number.
+            TypeError: the value is not a number, or there are too few or too many arguments.
         """
+        if not 1 <= len(arguments) <= (1 if isinstance(index, str) else 2):
+            raise TypeError(
+                f"write{(index, *arguments)}: give name and value, or index, sub-index and value"
+            )
         *subindex, value = arguments
-        slot = self.objects.slot(index, int(subindex[0]) if subindex else 0)
+        slot = self.objects.slot(index, subindex[0] if subindex else 0)
         if not isinstance(value, int | float | np.integer | np.floating):
             raise TypeError(f"{slot.row.name}: {value!r} is not a number")
         if slot.row.format != "f":

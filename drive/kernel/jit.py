@@ -47,10 +47,19 @@ def cache_directory() -> Path:
         chosen = os.environ.get("SERVOGYM_CACHE_DIR") or Path.home() / ".cache" / "servogym"
         folder = Path(chosen)
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except (OSError, RuntimeError) as error:  # no home, or none to write to
+        if hasattr(os, "getuid") and not _trusted(folder, (os.getuid(), 0)):
+            raise OSError(f"{folder} can be written by others, and a cache is run: chmod 700 it")
+    except (OSError, RuntimeError) as error:  # no home, none to write to, or one of others
         folder = _temporary_directory()
         _cannot_keep(f"{error}; compiled code goes to {folder}")
     return folder
+
+
+def _trusted(folder: Path, owners: tuple[int, ...]) -> bool:
+    """Whether nobody but `owners` can have put code into a folder; one's own group may write."""
+    found = folder.stat()
+    others = stat.S_IWOTH | (0 if found.st_gid == os.getgid() else stat.S_IWGRP)
+    return stat.S_ISDIR(found.st_mode) and not found.st_mode & others and found.st_uid in owners
 
 
 def _temporary_directory() -> Path:
@@ -60,9 +69,7 @@ def _temporary_directory() -> Path:
         with contextlib.suppress(OSError):
             folder.mkdir(mode=0o700, exist_ok=True)
         with contextlib.suppress(OSError):
-            found = folder.lstat()
-            private = stat.S_ISDIR(found.st_mode) and not found.st_mode & 0o077
-            if private and found.st_uid == os.getuid():
+            if not folder.is_symlink() and _trusted(folder, (os.getuid(),)):
                 return folder
     folder = Path(tempfile.mkdtemp(prefix="servogym-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

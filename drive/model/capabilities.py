@@ -33,7 +33,7 @@ def with_capabilities(
 
     6060h and 6098h know it as well, to tell it to who writes something else.
     """
-    possible = {"mode": (0, *map(int, modes)), "homing_method": methods}
+    possible = {"mode": (0, *map(int, modes)), "homing_method": (0, *methods)}
     told: dict[tuple[int, int], Object] = {}
     for (index, subindex), row in objects.items():
         if index == SUPPORTED_MODES and row.format:

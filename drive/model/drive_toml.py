@@ -36,7 +36,8 @@ QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS
     "identifier_needs_valid_bit": "1: bit 30 of PDO identifiers always reads 1",
 }
 KINDS: dict[str, type] = {  # of what drive.toml may say
-    "title": str, "standard": str, "based_on": str, "objects_of": str, "axes": int, "buses": list,
+    "title": str, "standard": str, "based_on": str, "objects_of": str, "variant": str, "axes": int,
+    "buses": list,
     "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "quirks": dict,
     "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
 }  # fmt: skip

@@ -337,7 +337,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         names={row.name: row for row in objects.values()},
         rpdos=rpdos,
         tpdos=tpdos,
-        faults=read_faults(file["faults.csv"]),
+        faults=read_faults(file["faults.csv"], toml.get("variant", "")),
         own_stored=own_stored(objects) if "values_keep_meaning" in toml.get("quirks", {}) else (),
     )
 

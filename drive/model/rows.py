@@ -17,7 +17,7 @@ import numpy as np
 from ..kernel.factors.units import Kind
 from ..kernel.faults import Cause, Reaction
 from ..kernel.process_data import parameter_place
-from ..kernel.record import OD, OWN_STORED, VENDOR_BYTES
+from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES
 from .files import LARGEST, content
 
 # data type of CiA 301 -> struct format; strings have none
@@ -116,8 +116,9 @@ class Fault:
     register: int
     cause: Cause  # NONE: comes only by injection
     reaction: Reaction
-    changeable: bool
+    changeable: bool  # False: a master may only choose a more severe reaction
     section: str
+    row: int = 0  # of the model's faults
 
     @property
     def name(self) -> str:
@@ -377,10 +378,14 @@ def _fits(kind: np.dtype, field: np.dtype) -> bool:
     return kind == field or narrower or same_size
 
 
-def read_faults(path: Path) -> tuple[Fault, ...]:
-    """The faults. Raises ValueError with file, line and reason."""
-    faults = []
+def read_faults(path: Path, variant: str = "") -> tuple[Fault, ...]:
+    """The faults of a variant. Raises ValueError with file, line and reason."""
+    faults: list[Fault] = []
     for row, where in lines_of(path, FAULT_COLUMNS):
+        if row.get("variant", "") not in ("", variant):
+            continue
+        if len(faults) == FAULT_ROWS:
+            raise ValueError(f"{where}: a model has at most {FAULT_ROWS} faults")
         for column, known in (("cause", Cause), ("reaction", Reaction)):
             if (row[column] or "NONE") not in {"NONE", *known.__members__}:
                 raise ValueError(f"{where}: {column} {row[column]!r} is none of {[*known]}")
@@ -395,6 +400,7 @@ def read_faults(path: Path) -> tuple[Fault, ...]:
                 Reaction[row["reaction"] or "IGNORE"],
                 row["changeable"] != "no",
                 row["section"],
+                len(faults),
             )
         )
     return tuple(faults)

@@ -158,6 +158,8 @@ class ObjectDictionary:
             if slot is None:
                 hint = near(index, self.names, "see objects.csv of its model")
                 raise SdoAbort(Abort.NO_OBJECT, 0, 0, f"no object is called {index!r}: {hint}")
+            if subindex not in (0, slot.row.subindex):
+                raise TypeError(f"{index!r} is a name: it has no other sub-index {subindex!r}")
             return slot
         if not isinstance(index, int | np.integer):
             raise SdoAbort(

@@ -21,21 +21,15 @@ from .abort import TEXT, Abort
 from .device import Device
 from .hooks import HOOKS
 from .mapping import all_objects
-from .reactions import REACTIONS, set_reaction
+from .reactions import REACTIONS, chosen, of, reaction_code, set_reaction
 from .slots import Slot
 
 # objects that loading the defaults leaves alone (CMMP-AS 5.5, ARS 2000 6.5.2)
 KEPT = ("pole_number", "encoder_offset_angle")
 AS_WRITTEN = "as_written"  # in a parameter file: a value in the units of its writing
-REACTION = "reaction"  # in a parameter file: changed reaction to a main fault number
+REACTION = "reaction"  # in a parameter file: changed reaction to a fault, main and sub-number
 ALIAS = "alias:0"  # in a parameter file: station alias of an EtherCAT slave
 LSS = ("lss:0", "lss:1")  # in a parameter file: node-id and bit rate (bit/s; 0: none) of LSS
-# hooks that only judge the value, by the values of other objects
-JUDGES = (
-    "mode", "homing_method", "factor", "older_factor", "older_factor_unbounded",
-    "shortest_period", "multiple_of_4", "position_control_v_max", "limit_switch_deceleration",
-    "ip_time_units",
-)  # fmt: skip
 
 
 @functools.cache
@@ -122,9 +116,10 @@ class Parameters:
             and (value := slot.get()) != follow.get((index, subindex))
             and not (slot.row.per_node and value == self._default(slot))
         }
-        for main, code in enumerate(self._drive.axis.od.reaction_code.tolist()):
-            if code:
-                values[f"{REACTION}:{main}"] = code - 1
+        for fault in model.faults:
+            if chosen(self._drive, fault):
+                address = f"{REACTION}:{fault.main}-{fault.sub or 0}"
+                values[address] = reaction_code(self._drive, fault)
         for n, value in kept.kept(self._drive).items():
             row = kept.storable(model)[n]
             for part, number in value._asdict().items():
@@ -138,9 +133,9 @@ class Parameters:
 
     def react(self) -> None:
         """Put the reactions in force that 2100h has set."""
-        codes = self._drive.axis.od.reaction_code
-        for main in np.flatnonzero(codes).tolist():
-            set_reaction(self._drive, main, int(codes[main]) - 1)
+        for fault in self._drive.model.faults:
+            if chosen(self._drive, fault):
+                set_reaction(self._drive, [fault], reaction_code(self._drive, fault))
 
     def use(self, file: Path) -> None:
         """Store in a file from now on; what it does not hold stays as it is."""
@@ -171,9 +166,9 @@ class Parameters:
             low, high = {ALIAS: (0, 0xFFFF), LSS[0]: (1, 255)}.get(address, (0, 1_000_000))
             whole = isinstance(value, int) and (address != LSS[0] or not 127 < value < 255)
             return "" if whole and low <= value <= high else "cannot be stored"
-        if match := re.fullmatch(rf"{REACTION}:(\d+)", address):
-            known = int(match[1]) < len(self._drive.axis.od.reaction_code)
-            return "" if known and value in REACTIONS else "is no reaction to a fault"
+        if match := re.fullmatch(rf"{REACTION}:(\d+)(-\d+)?", address):  # older: the main number
+            known = int(match[1]) < 0x100 and value in REACTIONS
+            return "" if known else "is no reaction to a fault"
         if match := re.fullmatch(rf"{AS_WRITTEN}:([0-9A-F]{{4}}):([0-9A-F]{{2}}):(\w+)", address):
             row = self._drive.model.objects.get((int(match[1], 16), int(match[2], 16)))
             known = row is not None and row in kept.storable(self._drive.model).values()
@@ -233,8 +228,9 @@ class Parameters:
             if first in (REACTION, AS_WRITTEN) or address in (ALIAS, *LSS):
                 continue
             slot = od.slots.once((int(first, 16), int(second, 16)))
-            if slot is not None and slot.row.storable and slot.row.hook in JUDGES:
-                abort = HOOKS[slot.row.hook].write(od, slot.row, int(value))  # type: ignore[misc]
+            hook = HOOKS.get(slot.row.hook) if slot is not None and slot.row.storable else None
+            if hook and hook.judges and hook.write:
+                abort = hook.write(od, slot.row, int(value))
                 if abort is not Abort.NONE:
                     return f"{address} = {value}: {TEXT[abort]}"
         return ""
@@ -248,7 +244,9 @@ class Parameters:
                 continue
             first, *more = address.split(":")
             if first == REACTION:
-                set_reaction(self._drive, int(more[0]), int(value))
+                main, _, sub = more[0].partition("-")
+                faults = of(self._drive, int(main), int(sub) if sub else None)
+                set_reaction(self._drive, faults, int(value))
                 continue
             part = ""
             if first == AS_WRITTEN:

@@ -1,4 +1,12 @@
-"""What a drive does about a fault where a master may choose it (2100h; CMMP-AS 5.18)."""
+"""What a drive does about a fault where a master may choose it (2100h; CMMP-AS 5.18).
+
+Default, least reaction and whether there is a choice belong to each fault, to main and sub-number
+(CMMP-AS B.2, B.3). 2100h names the main number only: what is written there acts on each of its
+faults, down to the least reaction of that fault; what is read is that of sub-number 0, the one that
+6510h:22h, :37h and :38h choose as well (inferred).
+"""
+
+from collections.abc import Iterable
 
 from ..kernel.faults import Cause, Reaction
 from ..model.rows import Fault
@@ -17,27 +25,31 @@ CODES = {reaction: code for code, reaction in REACTIONS.items() if code != 1}
 CODES[Reaction.OPTION_CODE] = 5
 
 
-def reaction_code(drive: Device, main: int) -> int:
-    """The reaction to faults of a main number: the one set, else the most severe one listed."""
-    chosen = int(drive.axis.od.reaction_code[main])
-    if chosen:
-        return chosen - 1
-    faults = [fault for fault in drive.model.faults if fault.main == main]
-    return max((CODES[fault.reaction] for fault in faults), default=0)
+def of(drive: Device, main: int, sub: int | None = None) -> list[Fault]:
+    """The faults of a main number, or the one of them that `sub` names."""
+    return [f for f in drive.model.faults if f.main == main and sub in (None, f.sub or 0)]
+
+
+def reaction_code(drive: Device, fault: Fault) -> int:
+    """The code of the reaction to one fault: the one set, else the one listed."""
+    code = int(drive.axis.od.reaction_code[fault.row])
+    return code - 1 if code else CODES[fault.reaction]
 
 
 def reaction_to(drive: Device, fault: Fault) -> Reaction:
     """What the drive does about one fault."""
-    chosen = int(drive.axis.od.reaction_code[fault.main or 0])
-    return REACTIONS[chosen - 1] if chosen else fault.reaction
+    return REACTIONS[reaction_code(drive, fault)] if chosen(drive, fault) else fault.reaction
 
 
-def set_reaction(drive: Device, main: int, code: int) -> None:
-    """Change the reaction to all faults of a main number, down to the least one allowed."""
-    faults = [fault for fault in drive.model.faults if fault.main == main]
-    least = max((CODES[fault.reaction] for fault in faults if not fault.changeable), default=0)
-    code = max(code, least)
-    drive.axis.od.reaction_code[main] = code + 1
+def chosen(drive: Device, fault: Fault) -> bool:
+    """Whether a master has chosen the reaction to a fault."""
+    return bool(drive.axis.od.reaction_code[fault.row])
+
+
+def set_reaction(drive: Device, faults: Iterable[Fault], code: int) -> None:
+    """Change the reaction to faults, down to the least one of each."""
     for fault in faults:
+        real = code if fault.changeable else max(code, CODES[fault.reaction])
+        drive.axis.od.reaction_code[fault.row] = real + 1
         if fault.cause != Cause.NONE:
-            drive.axis.od.fault_reaction[fault.cause] = REACTIONS[code]
+            drive.axis.od.fault_reaction[fault.cause] = REACTIONS[real]

@@ -1,13 +1,12 @@
 """What couples a drive with a joint: the actuator between them, its switches and its brake."""
 
-import math
 from typing import Any
 
 import mujoco
 
 from ...drive.drive import Drive
 from .mechanics import numeric
-from .mjcf import actuator_of
+from .mjcf import GEAR_RANGE, actuator_of
 from .rates import whole_ratio
 
 SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
@@ -36,10 +35,11 @@ def couple(model: mujoco.MjModel, name: str, drive: Drive, coupling: Any) -> Non
             f'a drive needs <motor name="{name}" joint="..." gear="..."/>'
         )
     gear = float(model.actuator_gear[number, 0])
-    if not math.isfinite(gear) or gear == 0.0:
+    low, high = GEAR_RANGE
+    if not low <= abs(gear) <= high:
         raise ValueError(
-            f"actuator {name!r}: gear = {gear} rad/{unit(model, joint)} must be finite and not 0; "
-            "it is the motor's angle per unit of joint travel"
+            f"actuator {name!r}: gear = {gear} rad/{unit(model, joint)} is out of range "
+            f"{low:g}..{high:g}; it is the motor's angle per unit of joint travel"
         )
     plain = (
         model.actuator_gaintype[number] == int(mujoco.mjtGain.mjGAIN_FIXED)

@@ -34,6 +34,7 @@ from ...drive.model.files import content, regular
 from ...drive.model.model import DriveModel
 from ...drive.model.near import named, near
 
+GEAR_RANGE = 1e-3, 1e6  # rad per m or rad; outside it lie typing errors
 JOINT_TYPES = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}  # units
 ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 # motor angle per joint travel where nothing is said
@@ -243,7 +244,7 @@ def attach(
 
     Raises:
         ValueError: a name that is missing, a joint or transmission that cannot take a drive, two
-            actuators or drives on a joint, a gear that is 0 or not finite.
+            actuators or drives on a joint, a gear out of `GEAR_RANGE`.
     """
     for name in named("gears", gears, '{"joint": 100}'):
         if name not in drives:
@@ -355,9 +356,10 @@ def _plain(actuator) -> bool:
 
 
 def _gear(name: str, gear: float, unit: str) -> float:
-    if not isinstance(gear, Real) or not math.isfinite(gear) or gear == 0.0:
+    low, high = GEAR_RANGE
+    if not isinstance(gear, Real) or not low <= abs(gear) <= high:
         raise ValueError(
-            f"gears[{name!r}] = {gear!r} rad/{unit} must be finite and not 0: "
+            f"gears[{name!r}] = {gear!r} rad/{unit} is out of range {low:g}..{high:g}: "
             f"it is the motor's angle per {unit} of joint travel, negative to turn the direction"
         )
     return float(gear)

@@ -150,6 +150,12 @@ class Randomisation:
                 f"randomise['delay'] = {ranges['delay']!r} is out of range 0..{cycles} position "
                 "cycles, those of a step"
             )
+        for end in self.ranges.get("delay", ())[:2]:
+            if (end * machine.physics_steps) % 1.0:
+                raise ValueError(
+                    f"randomise['delay'] = {ranges['delay']!r}: {end:g} position cycles are no "
+                    f"whole number of physics steps, of which a cycle has {machine.physics_steps}"
+                )
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD)
         mass = float(model.body_mass[body]) if body >= 0 else 0.0
         if "payload" in ranges and mass <= 0.0:
@@ -199,6 +205,9 @@ class Randomisation:
             values[name] = float(generator.uniform(low, high)) if low < high else low
             if share and generator.random() >= share[0]:
                 values[name] = self._usual[name]
+        if "delay" in values:  # as it is
+            steps = self._machine.physics_steps
+            values["delay"] = round(values["delay"] * steps) / steps
         if "encoder_noise" in values:
             for coupling in self._machine.couplings:
                 coupling.noise_state = generator.integers(1, 2**63)

@@ -88,3 +88,17 @@ def test_the_advice_names_what_a_bit_means_in_the_model():
     assert "bit 4" not in advice(festo, 0x0221, 15)
     assert "I²t" in advice(festo, 0x0A37, 15)
     assert "limit switch" in advice(generic, 0x0A37, 15)
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments"),
+    [
+        ("write", (0x6040, 0, 1, 2)), ("write", (0x6040,)), ("write", ("controlword",)),
+        ("write", ("controlword", 0, 6)), ("read", ("controlword", 3)),
+    ],
+)  # fmt: skip
+def test_a_call_with_too_many_or_too_few_values_is_refused(call, arguments):
+    drive = Drive()
+    with pytest.raises(TypeError, match="sub-index"):
+        getattr(drive, call)(*arguments)
+    assert drive.read("controlword") == 0

@@ -88,7 +88,8 @@ def test_a_hinge_and_a_slide_with_drives_of_their_own():
     ("actuator", "message"),
     [
         ('<motor name="b" joint="j"/>', r"no actuator or joint 'a'.* \['b'\] and the joints"),
-        ('<motor name="a" joint="j" gear="0"/>', "gear = 0.0 rad/m must be finite and not 0"),
+        ('<motor name="a" joint="j" gear="0"/>', "gear = 0.0 rad/m is out of range"),
+        ('<motor name="a" joint="j" gear="1e300"/>', r"gear = 1e\+300 rad/m is out of range"),
         ('<position name="a" joint="j" kp="5"/>', "is not a plain motor"),
         ('<velocity name="a" joint="j" kv="5"/>', "is not a plain motor"),
         ('<general name="a" joint="j" dyntype="filter" dynprm="1"/>', "is not a plain motor"),

@@ -381,6 +381,24 @@ def test_a_temporary_folder_somebody_has_prepared_is_not_used(temporary, monkeyp
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
+@pytest.mark.parametrize(
+    ("mode", "used"), [(0o700, True), (0o755, True), (0o777, False), (0o757, False)]
+)
+def test_a_cache_that_others_can_write_is_not_run(temporary, monkeypatch, capsys, mode, used):
+    folder = temporary.parent / "cache"
+    folder.mkdir()
+    folder.chmod(mode)
+    monkeypatch.setenv("SERVOGYM_CACHE_DIR", str(folder))
+    monkeypatch.delenv("SERVOGYM_QUIET", raising=False)
+    jit.cache_directory.cache_clear()
+    jit._cannot_keep.cache_clear()
+    try:
+        assert jit.cache_directory() == (folder if used else temporary)
+    finally:
+        jit.cache_directory.cache_clear()
+    assert ("chmod 700" in capsys.readouterr().err) is not used
+
+
 def test_without_a_folder_to_write_the_temporary_one_is_told(tmp_path):
     (tmp_path / "file").touch()
     code = "from plant.main import run; print(run(1.0))"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from conftest import INCREMENTS, TURN, Shaft
+from servogym.drive import Drive, SdoAbort
 
 REACHED, BIT12, BIT13 = 0x0400, 0x1000, 0x2000
 LIMIT = 0x0800
@@ -438,3 +439,44 @@ def test_modes_can_be_switched_in_motion_without_a_jump_of_torque(free, first, s
     free.step(3)
     assert free.drive.state.name == "OPERATION_ENABLED"
     assert abs(free.torque) < 3.0
+
+
+@pytest.mark.parametrize("way", ["position_offset", "target_position"])
+def test_a_csp_set_point_acts_when_it_comes_by_sdo(free, way):
+    """CiA 402-2, csp: the demand is 607Ah + 60B0h, whichever of them changes, by whatever way."""
+    free.enable(8)
+    free.step(50)
+    before = free.read("position_demand_value")
+    free.drive.write(way, free.read(way) + 1000)
+    free.step(50)
+    assert free.read("position_demand_value") - before == 1000
+
+
+@pytest.mark.parametrize(("model", "possible"), [("generic", True), ("metronix_ars2000", False)])
+def test_no_homing_method_is_a_value_of_the_standard(model, possible):
+    """CiA 402-2, 6098h: 0 assigns none; Metronix 8.2.2.4 lists its values, without 0."""
+    drive = Drive(model)
+    if possible:
+        drive.write("homing_method", 0)
+        assert drive.read("homing_method") == 0
+    else:
+        with pytest.raises(SdoAbort):
+            drive.write("homing_method", 0)
+
+
+def test_a_start_without_a_homing_method_ends_in_error(free):
+    free.enable(6)
+    free.write(homing_method=0)
+    free.control(0x1F, 5)
+    assert free.axis.mode_bit13
+    assert not free.axis.homed
+
+
+@pytest.mark.parametrize("model", ["metronix_ars2000", "festo_cmmp_as", "festo_cmms"])
+def test_the_size_of_a_buffer_is_at_most_its_largest_one(model):
+    """Metronix 8.4.2.7, Festo 7.4.2: 60C4h:01 is 0, and the maximum of 60C4h:02."""
+    drive = Drive(model)
+    assert drive.read(0x60C4, 1) == 0
+    drive.write(0x60C4, 2, 0)
+    with pytest.raises(SdoAbort, match="too high"):
+        drive.write(0x60C4, 2, 1)

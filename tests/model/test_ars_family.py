@@ -106,9 +106,9 @@ def test_disable_operation_brakes_with_the_quick_stop_deceleration(shaft):
 
 
 def test_reactions_are_set_by_main_number_down_to_the_least_allowed(shaft):
-    shaft.write(error_number=3, error_reaction_code=3)
+    shaft.write(error_number=4, error_reaction_code=3)
     assert shaft.read("error_reaction_code") == 3
-    shaft.drive.inject("motor_temperature")
+    shaft.drive.inject("drive_temperature")
     shaft.step(3)
     assert shaft.drive.state == State.SWITCH_ON_DISABLED
     assert shaft.bit(0x80)

@@ -52,7 +52,7 @@ def test_a_model_with_more_methods_than_rows_gets_rows(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value", "says"),
-    [("modes_of_operation", 9, r"\[0, 1, 6\]"), ("homing_method", 1, r"\[-18, 17, 35\]")],
+    [("modes_of_operation", 9, r"\[0, 1, 6\]"), ("homing_method", 1, r"\[-18, 0, 17, 35\]")],
 )
 def test_who_writes_another_one_is_told_those_there_are(tmp_path, name, value, says):
     drive = Drive(made(tmp_path / "own", "generic", TWO_MODES))

@@ -75,3 +75,13 @@ def test_a_share_of_a_range_leaves_the_other_episodes_nominal():
 def test_a_share_that_is_none_is_named(given):
     with pytest.raises(ValueError, match=r"randomise\['delay'\] = "):
         LinearAxisEnv(randomise={"delay": given})
+
+
+def test_a_delay_is_a_whole_number_of_physics_steps():
+    """A cycle has a few steps of physics: 1.3 cycles are none of them, 1 and 2 are drawn."""
+    with pytest.raises(ValueError, match=r"randomise\['delay'\] = 1.3: 1.3 position cycles are no"):
+        LinearAxisEnv(randomise={"delay": 1.3})
+    env = LinearAxisEnv(randomise={"delay": (0, 3)})
+    for seed in range(9):
+        said = env.randomisation.draw(np.random.default_rng(seed))["delay"]
+        assert said * env.machine.physics_steps == env.machine.world["delay"][0]

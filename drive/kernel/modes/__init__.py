@@ -52,7 +52,7 @@ def demand(axis):
         axis.synchronised = axis.mode_started
         axis.silence = 0
     axis.sync = 0
-    axis.last_target_position = axis.target_position
+    axis.last_target_position = axis.target_position + axis.position_offset
     axis.last_ip_data = axis.ip_data
 
 

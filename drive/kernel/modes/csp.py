@@ -1,9 +1,9 @@
 """Cyclic synchronous position: the master's trajectory, one target a bus cycle (CiA 402-2, csp).
 
-A set-point counts as new when process data were latched or 607Ah changed. The drive interpolates
-linearly from the last demand to it over the interpolation time period 60C2h and then holds, so the
-demand velocity is the slope of the master's own trajectory. Position and velocity offsets 60B0h and
-60B1h are added; the torque offset 60B2h acts in the cascade.
+A set-point counts as new when process data were latched, or 607Ah or 60B0h changed. The drive
+interpolates linearly from the last demand to it over the interpolation time period 60C2h and then
+holds, so the demand velocity is the slope of the master's own trajectory. Position and velocity
+offsets 60B0h and 60B1h are added; the torque offset 60B2h acts in the cascade.
 
 A target that is too far for one period is approached at the maximum speed, period by period, and
 before a software limit on the quick stop ramp; the limit shows as long as it holds. Where
@@ -43,8 +43,9 @@ def hold(axis: Axis):
 @block
 def demand(axis: Axis):
     """Interpolate one position cycle further."""
-    if axis.sync or axis.target_position != axis.last_target_position:
-        aim(axis, axis.target_position + axis.position_offset, axis.sync)
+    target = axis.target_position + axis.position_offset
+    if axis.sync or target != axis.last_target_position:
+        aim(axis, target, axis.sync)
     travel(axis, axis.velocity_offset)
 
 

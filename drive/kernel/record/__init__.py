@@ -25,15 +25,15 @@ from .fields import FIELDS, IP_RECORDS, KINDS, OWN_STORED, SEGMENTS, SET_POINTS,
 from .variables import (
     ANALOG_INPUTS,
     FAULT_CAUSES,
+    FAULT_ROWS,
     HISTORY,
-    MAIN_FAULTS,
     OBJECTS,
     VENDOR_BYTES,
 )
 
 __all__ = [
-    "ANALOG_INPUTS", "AXIS", "FAULT_CAUSES", "FIELDS", "HISTORY", "IP_RECORDS", "KINDS",
-    "MAIN_FAULTS", "OBJECTS", "OD", "OWN_STORED", "SEGMENTS", "SET_POINTS", "STORED", "UNITS",
+    "ANALOG_INPUTS", "AXIS", "FAULT_CAUSES", "FAULT_ROWS", "FIELDS", "HISTORY", "IP_RECORDS",
+    "KINDS", "OBJECTS", "OD", "OWN_STORED", "SEGMENTS", "SET_POINTS", "STORED", "UNITS",
     "VENDOR_BYTES", "Axis", "Objects", "accessible", "make",
 ]  # fmt: skip
 

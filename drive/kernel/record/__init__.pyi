@@ -16,7 +16,7 @@ STORED: int
 ANALOG_INPUTS: int
 FAULT_CAUSES: int
 HISTORY: int
-MAIN_FAULTS: int
+FAULT_ROWS: int
 VENDOR_BYTES: int
 
 class Objects:
@@ -285,7 +285,7 @@ class Objects:
     supply_voltage: int
     """mV; 2018h:07, rectified"""
     reaction_code: np.ndarray
-    """128 values; by main number: reaction code + 1, 0 = as listed"""
+    """256 values; by row of the model's faults: reaction code + 1, 0 = as listed"""
     fault_reaction: np.ndarray
     """32 values; 2020h, `faults.Reaction` of each cause"""
     set_point_loss_limit: int
@@ -862,7 +862,7 @@ class Axis:
     last_ip_data: float
     """rad; ip_data of the previous cycle"""
     last_target_position: float
-    """rad; target_position of the previous cycle"""
+    """rad; with position_offset, of the previous cycle"""
     sync: int
     """process data were latched since the last position cycle"""
     sync_pulse: int

@@ -281,7 +281,7 @@ FIELDS = (
     ("ip_records", "i8", "", "waiting"),
     ("ip_active", "u1", "", "data records are evaluated"),
     ("last_ip_data", "f8", "rad", "ip_data of the previous cycle"),
-    ("last_target_position", "f8", "rad", "target_position of the previous cycle"),
+    ("last_target_position", "f8", "rad", "with position_offset, of the previous cycle"),
     ("sync", "u1", "", "process data were latched since the last position cycle"),
     ("sync_pulse", "u1", "", "SYNC has come since the last position cycle"),
     ("sync_gap", "i8", "position cycle", "since the last SYNC"),

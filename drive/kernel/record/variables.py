@@ -4,7 +4,7 @@ In drive units and in the CiA 301 type of their object; a model's objects.csv bi
 """
 
 FAULT_CAUSES = 32  # rows of the cause table (`faults.Cause`)
-MAIN_FAULTS = 128  # main numbers a model gives its faults
+FAULT_ROWS = 256  # faults a model can have
 ANALOG_INPUTS = 3
 HISTORY = 8  # depth of pre-defined error field 1003h
 VENDOR_BYTES = 1024  # objects of a drive model that the kernel does not read
@@ -149,9 +149,9 @@ OBJECTS = (
     ("supply_voltage", "<u4", "mV", "2018h:07, rectified"),
     (
         "reaction_code",
-        ("u1", (MAIN_FAULTS,)),
+        ("u1", (FAULT_ROWS,)),
         "",
-        "by main number: reaction code + 1, 0 = as listed",
+        "by row of the model's faults: reaction code + 1, 0 = as listed",
     ),
     ("fault_reaction", ("u1", (FAULT_CAUSES,)), "", "2020h, `faults.Reaction` of each cause"),
     (

@@ -12,7 +12,7 @@ from ...kernel.words import Compatibility
 from ...model.rows import Object
 from ..abort import Abort
 from ..device import Dictionary
-from ..reactions import CODES, REACTIONS, reaction_code, reaction_to, set_reaction
+from ..reactions import REACTIONS, of, reaction_code, set_reaction
 from .hook import Hook
 
 LARGEST_FACTOR = 1 << 24
@@ -23,35 +23,39 @@ UNDERVOLTAGE, FOLLOWING_ERROR, I2T = 2, 17, 31  # main fault numbers
 def _error_reaction(od: Dictionary, row: Object, value: int) -> Abort:
     if value not in REACTIONS:
         return Abort.INVALID_VALUE
-    set_reaction(od.drive, int(od.names["error_number"].get()), value)
+    set_reaction(od.drive, of(od.drive, int(od.names["error_number"].get())), value)
     return Abort.STORED
 
 
 def _error_reaction_now(od: Dictionary, row: Object) -> int:
-    return reaction_code(od.drive, int(od.names["error_number"].get()))
+    return _code(od, int(od.names["error_number"].get()))
+
+
+def _code(od: Dictionary, main: int) -> int:
+    """Reaction code of sub-number 0 of a main fault number."""
+    return next((reaction_code(od.drive, fault) for fault in of(od.drive, main)), 0)
 
 
 def _switch(main: int) -> Hook:
     """0 makes fault `main` a warning, 1 lets it take the controller enable away."""
 
     def write(od: Dictionary, row: Object, value: int) -> Abort:
-        set_reaction(od.drive, main, 5 if value else 3)
+        set_reaction(od.drive, of(od.drive, main, 0), 5 if value else 3)
         return Abort.STORED
 
     def read(od: Dictionary, row: Object) -> int:
-        fault = next(f for f in od.drive.model.faults if (f.main, f.sub or 0) == (main, 0))
-        return int(CODES[reaction_to(od.drive, fault)] >= 5)
+        return int(_code(od, main) >= 5)
 
     return Hook(write, read)
 
 
 def _position_error_limit(od: Dictionary, row: Object, value: int) -> Abort:
-    set_reaction(od.drive, FOLLOWING_ERROR, 8 if value else 0)
+    set_reaction(od.drive, of(od.drive, FOLLOWING_ERROR, 0), 8 if value else 0)
     return Abort.NONE
 
 
 def _position_error_limit_now(od: Dictionary, row: Object) -> int:
-    if reaction_code(od.drive, FOLLOWING_ERROR) != 8:
+    if _code(od, FOLLOWING_ERROR) != 8:
         return 0
     return int(od.drive.axis.od.position_error_limit)
 
@@ -145,7 +149,7 @@ def _analog_voltage(od: Dictionary, row: Object) -> int:
 
 
 HOOKS = {
-    "multiple_of_4": Hook(_multiple_of_4),
+    "multiple_of_4": Hook(_multiple_of_4, judges=True),
     "position_control_v_max": _at_most(131_072, "velocity_encoder_factor", 4096),
     "limit_switch_deceleration": _at_most(3_000_000, "acceleration_factor", 256),
     "ip_time_units": Hook(_ip_time_units),
@@ -156,8 +160,8 @@ HOOKS = {
     "undervoltage_error": _switch(UNDERVOLTAGE),
     "i2t_error": _switch(I2T),
     "position_error_limit": Hook(_position_error_limit, _position_error_limit_now),
-    "older_factor": Hook(_older_factor),
-    "older_factor_unbounded": Hook(_older_factor),
+    "older_factor": Hook(_older_factor, judges=True),
+    "older_factor_unbounded": Hook(_older_factor, judges=True),
     "compatibility": Hook(_compatibility),
     "ip_data": Hook(_ip_data),
     "set_position": Hook(_set_position),

@@ -25,7 +25,9 @@ def _mode(od: Dictionary, row: Object, value: int) -> Abort:
 
 
 def _homing_method(od: Dictionary, row: Object, value: int) -> Abort:
-    return Abort.NONE if value in od.drive.model.homing_methods else Abort.INVALID_VALUE
+    """0: no method is assigned (CiA 402-2)."""
+    known = value == 0 or value in od.drive.model.homing_methods
+    return Abort.NONE if known else Abort.INVALID_VALUE
 
 
 def _factor(od: Dictionary, row: Object, value: int) -> Abort:
@@ -72,8 +74,8 @@ HOOKS = {
     "clear_history": Hook(_clear_history),
     "save": Hook(_save),
     "load": Hook(_load),
-    "shortest_period": Hook(_shortest_period),
-    "mode": Hook(_mode),
-    "homing_method": Hook(_homing_method),
-    "factor": Hook(_factor),
+    "shortest_period": Hook(_shortest_period, judges=True),
+    "mode": Hook(_mode, judges=True),
+    "homing_method": Hook(_homing_method, judges=True),
+    "factor": Hook(_factor, judges=True),
 }
