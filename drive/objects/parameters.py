@@ -52,7 +52,7 @@ class Parameters:
     def __init__(self, drive: Device, file: str | Path | None):
         self._drive = drive
         self.file = None if file is None else Path(file)
-        self.kept: store.Values | None = None  # what 1010h has stored, without a file
+        self.kept: store.Values | None = None  # stored by 1010h without a file, or delivered
         self.alias = 0  # station alias that a master has written into the EEPROM, 0: none
         self.lss: tuple[int, int] | None = None  # stored by LSS: node-id, bit rate or 0
 
@@ -151,11 +151,10 @@ class Parameters:
         self.alias = alias
 
     def stored(self) -> store.Values:
-        """What was saved, empty without it."""
+        """What was saved, empty without it; a file goes before what was delivered."""
+        values = dict(self.kept or {})
         if self.file is not None:
-            values = store.load(self.file, self._drive.model.name, self._unfit)
-        else:
-            values = self.kept or {}
+            values |= store.load(self.file, self._drive.model.name, self._unfit)
         self.alias = int(values.get(ALIAS, 0))
         self.lss = (int(values[LSS[0]]), int(values.get(LSS[1], 0))) if LSS[0] in values else None
         return values
@@ -317,6 +316,14 @@ class Parameters:
         wrong = self._clash(values)
         self._drive.restore(before)
         return wrong
+
+    def deliver(self) -> None:
+        """Keep the values of now for every power-on, as a commissioned axis is handed over.
+
+        Many masters begin with NMT reset node, which takes back what is not stored. 1011h goes back
+        to the factory defaults all the same.
+        """
+        self.kept = self.values()
 
     def save(self) -> bool:
         """What 1010h does: keep all storable objects for the next power-on; False if it failed."""

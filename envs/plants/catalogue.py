@@ -1,6 +1,7 @@
 """Machines by name, ready to be served on a field bus: all compiled that they need."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from ...drive.canopen.frame import Base, Frame
@@ -18,16 +19,13 @@ from .linear_axis import linear_axis
 from .rotary import rotary_axis
 
 # machine by name, and where its axes stand at power-on (m)
-AXES: dict[str, tuple[Callable[[str | DriveModel], Machine], dict[str, float]]] = {
+AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
     "linear": (linear_axis, {"x": 0.12}),
-    "vertical": (lambda drive: linear_axis(drive, inclination=90, brake_torque=4.0), {"x": 0.12}),
+    "vertical": (partial(linear_axis, inclination=90, brake_torque=4.0), {"x": 0.12}),
     "rotary-table": (rotary_axis, {"x": 0.5}),  # rad
-    "conveyor": (lambda drive: rotary_axis(drive, mechanics="conveyor"), {"x": 0.5}),
+    "conveyor": (partial(rotary_axis, mechanics="conveyor"), {"x": 0.5}),
     "gantry": (gantry, {"x": 0.1, "y": 0.1, "z": -0.1}),
-    "gantry-x1x2": (
-        lambda drive: gantry(drive, x_drives=2),
-        {"x1": 0.1, "x2": 0.101, "y": 0.1, "z": -0.1},
-    ),
+    "gantry-x1x2": (partial(gantry, x_drives=2), {"x1": 0.1, "x2": 0.101, "y": 0.1, "z": -0.1}),
 }
 
 
@@ -65,11 +63,23 @@ def axis_for(
             x.use_parameter_file(
                 parameter_file if len(machine.drives) == 1 else named(parameter_file, number)
             )
+    power_on(machine, places)
+    warm_up(drive)
+    return machine
+
+
+def power_on(machine: Machine, places: Mapping[str, float]) -> None:
+    """Hand over a commissioned machine: its parameters are stored, its loop is compiled.
+
+    Args:
+        machine: at rest.
+        places: of its joints (m or rad), by drive.
+    """
+    for drive in machine.drives.values():
+        drive.parameters.deliver()
     machine.reset(positions=places)
     machine.step()
     machine.reset(positions=places)
-    _warm_up(drive)
-    return machine
 
 
 def named(parameter_file: Path, node_id: int) -> Path:
@@ -121,9 +131,7 @@ def ethercat_line(
             continue
         make, places = AXES[axis]
         machine = make(model)
-        machine.reset(positions=places)
-        machine.step()
-        machine.reset(positions=places)
+        power_on(machine, places)
         machines.append(machine)
         drives += machine.drives.values()
     segment = Segment([Slave(drive) for drive in drives], ring=ring)
@@ -131,7 +139,7 @@ def ethercat_line(
     return segment, machines
 
 
-def _warm_up(drive: str) -> None:
+def warm_up(drive: str | DriveModel) -> None:
     """Let a node move its PDOs once: the first one would wait seconds for the compiler."""
     node = Node(Drive(drive))
     node.receive(Frame(Base.NMT, bytes([NmtCommand.START, 0])), 0)

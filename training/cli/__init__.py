@@ -61,6 +61,11 @@ COMMANDS = {
         "ethercat -i veth1 --drive kollmorgen_akd --slaves 2",
         "Unmodified masters bring them to OP. Raw Ethernet sockets need root or CAP_NET_RAW.",
     ),
+    "serve": Command(
+        "serve", "serve a whole machine on its buses, as a machine file describes it",
+        "serve machine.toml --seed 1",
+        "For the tests of a master of your own; servogym.testing has the same as pytest fixtures.",
+    ),
     "eds": Command(
         "sheets", "write the EDS or DCF of a drive model (CiA 306)",
         "eds festo_cmmp_as -o festo.eds",

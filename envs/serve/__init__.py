@@ -1,0 +1,1 @@
+"""Whole machines from one file, served on their buses: several axes, faults by script."""

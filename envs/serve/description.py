@@ -1,0 +1,270 @@
+"""The file of `servogym serve`: which machines there are, and on which bus each of them is.
+
+A machine file is TOML::
+
+    [bus.can]
+    kind = "can"                      # an interface of python-can
+    interface = "udp_multicast"
+    channel = "239.74.163.2"
+
+    [machine.feeder]
+    bus = "can"
+    axis = "linear"                   # a kind of `servogym node --axis`
+    drive = "festo_cmmp_as"           # a drive model by name or folder
+    node_id = 1                       # of its first drive
+    positions = { x = 0.12 }          # m or rad at power-on
+
+    [[event]]
+    at = 2.0                          # s of the machine's own time
+    drive = "feeder.x"
+    inject = "overvoltage"
+    clear_after = 0.5                 # s
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
+
+from ...drive.model.files import content
+from ...drive.model.near import near
+from ..engine.checks import in_range, whole
+
+CAN_CLOCKS = ("real", "sync")
+ETHERCAT_CLOCKS = ("frame", "dc", "real")
+
+
+@dataclass(frozen=True)
+class BusRow:
+    """One bus.
+
+    Args:
+        kind: ``can`` or ``ethercat``.
+        clock: who lets time pass. On CAN ``real`` (the wall clock) or ``sync`` (each SYNC of the
+            master lets `period_us` pass, so runs are repeatable and as fast as the master). On
+            EtherCAT ``frame``, ``dc`` or ``real``, see `servogym.drive.ethercat.bus`.
+        interface: of CAN, the interface of python-can; of EtherCAT, one network interface or two
+            for redundancy.
+        channel: of CAN.
+        udp: of EtherCAT, the address to listen on at UDP port 88A4h instead of an interface.
+        period_us: of CAN with the clock ``sync`` (µs).
+        options: of CAN, further keywords of ``can.Bus``.
+        faults: of EtherCAT, lines as ``servogym ethercat --fault`` takes them.
+        log: file for all frames; ``.pcapng`` on EtherCAT, a format of python-can on CAN.
+
+    Raises:
+        ValueError: names the field and what it may be.
+    """
+
+    name: str
+    kind: str
+    clock: str = ""
+    interface: str | list = ""
+    channel: str = ""
+    udp: str = ""
+    period_us: int = 1000
+    options: dict = field(default_factory=dict)
+    faults: list = field(default_factory=list)
+    log: str = ""
+
+    def __post_init__(self) -> None:
+        clocks = {"can": CAN_CLOCKS, "ethercat": ETHERCAT_CLOCKS}
+        if self.kind not in clocks:
+            raise ValueError(f"kind = {self.kind!r}: {near(self.kind, clocks)}")
+        allowed = clocks[self.kind]
+        if not self.clock:
+            object.__setattr__(self, "clock", allowed[0])
+        if self.clock not in allowed:
+            raise ValueError(f"clock = {self.clock!r}: {near(self.clock, allowed)}")
+        whole("period_us", self.period_us, 1, 10**9)
+        if self.kind == "can":
+            if not isinstance(self.interface, str) or not self.interface:
+                raise ValueError("interface: name one of python-can, such as udp_multicast")
+            if self.udp or self.faults:
+                raise ValueError("udp and faults are for buses of kind ethercat")
+        else:
+            if self.channel or self.options:
+                raise ValueError("channel and options are for buses of kind can")
+            if bool(self.interfaces) == bool(self.udp):
+                raise ValueError("name one interface, two for redundancy, or udp")
+            if len(self.interfaces) > 2:
+                raise ValueError(f"interface = {self.interface!r}: two at most (redundancy)")
+            if self.log and not self.log.endswith(".pcapng"):
+                raise ValueError(f"log = {self.log!r}: captures of EtherCAT are .pcapng")
+
+    @property
+    def interfaces(self) -> list[str]:
+        """Network interfaces of an EtherCAT bus."""
+        return [self.interface] if isinstance(self.interface, str) and self.interface else [
+            *self.interface
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MachineRow:
+    """One machine: what moves, and the drives that move it.
+
+    Args:
+        bus: name of the bus that all its drives are on.
+        axis: kind of machine, as ``servogym node --axis`` has it; or
+        mjcf: file of a robot of one's own.
+        drive: drive model by name or folder; of `mjcf` one for each joint, by its name.
+        parameters: of the machine, as keywords of its factory (mechanics, payload, …).
+        positions: of joints at power-on (m or rad), by drive.
+        node_id: of its first drive on CAN; the others follow.
+        write: objects that are set before the machine is served, by drive and name.
+
+    Raises:
+        ValueError: names the field and what it may be.
+    """
+
+    name: str
+    bus: str
+    axis: str = ""
+    mjcf: str = ""
+    drive: str | dict = "generic"
+    parameters: dict = field(default_factory=dict)
+    positions: dict = field(default_factory=dict)
+    node_id: int = 0
+    write: dict = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if bool(self.axis) == bool(self.mjcf):
+            raise ValueError("give axis, a kind of machine, or mjcf, a file of your own")
+        if self.mjcf and not isinstance(self.drive, dict):
+            raise ValueError('drive: name a model for each joint, as { shoulder = "generic" }')
+        if self.axis and not isinstance(self.drive, str):
+            raise ValueError("drive: a machine of the family has one model; give its name")
+        if self.mjcf and self.parameters:
+            raise ValueError("parameters are those of a kind of machine, not of mjcf")
+
+
+@dataclass(frozen=True)
+class EventRow:
+    """Something that happens to a drive at a time.
+
+    Args:
+        at: time of its machine (s).
+        drive: ``MACHINE.DRIVE``, or the machine if it has one drive.
+        inject: cause, see `servogym.drive.drive.Drive.injectable`.
+        clear_after: when the cause goes away again (s); 0: it stays.
+
+    Raises:
+        ValueError: names the field and its range.
+    """
+
+    at: float
+    drive: str
+    inject: str
+    clear_after: float = 0.0
+
+    def __post_init__(self) -> None:
+        in_range("at", self.at, 0.0, 1e9, "s")
+        in_range("clear_after", self.clear_after, 0.0, 1e9, "s")
+
+
+@dataclass(frozen=True)
+class Description:
+    """All of a machine file.
+
+    Raises:
+        ValueError: a machine names a bus that is not there, or two have one node-id.
+    """
+
+    buses: tuple[BusRow, ...]
+    machines: tuple[MachineRow, ...]
+    events: tuple[EventRow, ...] = ()
+    folder: Path = Path()  # that relative paths start from
+
+    def __post_init__(self) -> None:
+        if not self.machines:
+            raise ValueError("there is no machine: add [machine.NAME]")
+        names = [bus.name for bus in self.buses]
+        for machine in self.machines:
+            if machine.bus not in names:
+                raise ValueError(f"machine.{machine.name}: bus = {machine.bus!r}: "
+                                 f"{near(machine.bus, names)}")  # fmt: skip
+        for bus in self.buses:
+            if not any(machine.bus == bus.name for machine in self.machines):
+                raise ValueError(f"bus.{bus.name}: no machine is on it")
+
+    def of(self, bus: BusRow) -> list[MachineRow]:
+        """The machines on a bus, in the order of the file."""
+        return [machine for machine in self.machines if machine.bus == bus.name]
+
+
+def read(source: str | Path | Mapping[str, Any]) -> Description:
+    """The description in a file, or in a mapping of the same form.
+
+    Raises:
+        ValueError: names file, row, field and what it may be.
+    """
+    if isinstance(source, Mapping):
+        return _description(source, Path(), "machine file")
+    path = Path(source)
+    try:
+        data = tomllib.loads(content(path, "a machine file").decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{path}: {error}") from None
+    return _description(data, path.parent, str(path))
+
+
+def _description(data: Mapping[str, Any], folder: Path, where: str) -> Description:
+    known = ("bus", "machine", "event")
+    for key in data:
+        if key not in known:
+            raise ValueError(f"{where}: {key!r} is unknown: {near(str(key), known)}")
+    try:
+        return Description(
+            tuple(_row(BusRow, f"bus.{n}", row, n) for n, row in _table(data, "bus").items()),
+            tuple(
+                _row(MachineRow, f"machine.{n}", row, n)
+                for n, row in _table(data, "machine").items()
+            ),
+            tuple(
+                _row(EventRow, f"event {i}", row) for i, row in enumerate(data.get("event", []), 1)
+            ),
+            folder,
+        )
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    table = data.get(key, {})
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{key}: write [{key}.NAME]")
+    return table
+
+
+def _row(kind: type, where: str, row: Any, name: str = "") -> Any:
+    """A row as its dataclass, types checked. Raises ValueError with its place."""
+    try:
+        if not isinstance(row, Mapping):
+            raise ValueError(f"it is {row!r}, not a table")
+        own = [f for f in fields(kind) if f.name != "name"]
+        hints = get_type_hints(kind)
+        for key, value in row.items():
+            if key not in {f.name for f in own}:
+                raise ValueError(f"{key!r} is unknown: {near(str(key), [f.name for f in own])}")
+            wanted = _types(hints[key])
+            if isinstance(value, bool) or not isinstance(value, wanted):
+                names = " or ".join(each.__name__ for each in wanted)
+                raise ValueError(f"{key} = {value!r} must be {names}")
+        for f in own:
+            required = f.default is MISSING and f.default_factory is MISSING
+            if required and f.name not in row:
+                raise ValueError(f"{f.name} is missing")
+        return kind(**({"name": name} if name else {}), **row)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _types(hint: Any) -> tuple[type, ...]:
+    if isinstance(hint, UnionType):
+        return tuple(kind for part in get_args(hint) for kind in _types(part))
+    if hint is float:
+        return (float, int)
+    return (get_origin(hint) or hint,)
