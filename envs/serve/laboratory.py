@@ -25,7 +25,7 @@ from ...drive.ethercat.slave import Slave
 from ...drive.model.model import DriveModel, load
 from ...drive.model.near import near
 from ...drive.wire.can_link import CanLink, Traced
-from ...drive.wire.ethercat import EtherCatServer
+from ...drive.wire.ethercat import EtherCatServer, Port
 from ...drive.wire.ethernet import RawPort, UdpPort
 from ...drive.wire.log import LogFile
 from ...drive.wire.pcapng import Writer
@@ -106,7 +106,7 @@ class _EtherCat:
     """Slaves in a line, in the order of their machines."""
 
     def __init__(self, row: BusRow, machines: list[Machine], seed: int):
-        ports = [RawPort(name) for name in row.interfaces] or [UdpPort(row.udp)]
+        ports: list[Port] = [RawPort(name) for name in row.interfaces] or [UdpPort(row.udp)]
         try:
             slaves = [Slave(drive) for machine in machines for drive in machine.drives.values()]
             segment = Segment(slaves, ring=len(ports) == 2)
@@ -498,7 +498,7 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
         )
         for name in machine.drives:
             commission_joint(machine, name)
-        places = {}
+        places: dict[str, float] = {}
     else:
         if row.axis not in AXES:
             raise ValueError(f"axis = {row.axis!r}: {near(row.axis, AXES)}")
