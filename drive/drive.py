@@ -139,7 +139,10 @@ class Drive:
         self._powered_on = (self.node_id, factors(self)), self.memory[self.index].copy()
 
     def use_parameter_file(self, file: str | Path) -> None:
-        """Store parameters (1010h, LSS) in a file from now on, and take over what it holds."""
+        """Store parameters (1010h, LSS) in a file from now on, and take over what it holds.
+
+        Raises ValueError where there is such a file and it cannot be trusted.
+        """
         self.parameters.use(Path(file))
         self._powered_on = (0, b""), np.empty(0)
         self._compile_pdos()

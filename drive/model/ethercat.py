@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .rows import Object, read_text
+from .foreign import text
+from .rows import Object
 
 PROTOCOLS = ("AoE", "EoE", "CoE", "FoE", "SoE", "VoE")  # a bit of word 1Ch of the SII each
 MAILBOX_HEADER = 16  # bytes before the data of a normal SDO: the shortest mailbox has more
@@ -93,7 +94,7 @@ class _Reader:
     def __init__(self, path: Path):
         self.path = path
         try:
-            self.data: dict[str, Any] = tomllib.loads(read_text(path))
+            self.data: dict[str, Any] = tomllib.loads(text(path, "a file of a model"))
         except (tomllib.TOMLDecodeError, OSError, RecursionError) as error:
             raise ValueError(f"{path}: {error}") from None
         for table, keys in TABLES.items():

@@ -18,7 +18,7 @@ from ..kernel.factors.units import Kind
 from ..kernel.faults import Cause, Reaction
 from ..kernel.process_data import parameter_place
 from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES
-from .files import LARGEST, content
+from .foreign import text
 
 # data type of CiA 301 -> struct format; strings have none
 FORMATS = {
@@ -184,22 +184,9 @@ FAULT_COLUMNS = (
 LARGEST_SET = 1 << 16  # values of {low..high}
 
 
-def read_text(path: Path) -> str:
-    """The text of a file of a model. Raises ValueError with file and line where it is none."""
-    data = content(path, "a file of a model", LARGEST)
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise ValueError(
-            f"{path.name}, line {line} ({path.parent.name}): the byte {data[error.start]:02X}h is "
-            "no UTF-8: save the file as UTF-8"
-        ) from None
-
-
 def lines_of(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str], str]]:
     """Rows of a CSV file, each with the words "file, line n" for error messages."""
-    reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
+    reader = csv.DictReader(io.StringIO(text(path, "a file of a model"), newline=""))
     try:
         missing = [column for column in columns if column not in (reader.fieldnames or ())]
         for row in reader:

@@ -138,7 +138,20 @@ class Parameters:
                 set_reaction(self._drive, [fault], reaction_code(self._drive, fault))
 
     def use(self, file: Path) -> None:
-        """Store in a file from now on; what it does not hold stays as it is."""
+        """Store in a file from now on; what it does not hold stays as it is.
+
+        Raises ValueError where there is a file that cannot be trusted: who names it wants what it
+        holds, and not the factory defaults with which a drive would power on.
+        """
+        try:
+            values = store.read(file, self._drive.model.name, self._unfit)
+            if refused := self._untried(values):
+                raise ValueError(refused)
+        except ValueError as error:
+            raise ValueError(
+                f"parameter file {file}: {error}; store the parameters again (1010h), or take "
+                "another file"
+            ) from None
         self.file = file
         self.restore(self.stored())
         self._drive.axis.parameters_changed = 1

@@ -23,7 +23,6 @@ Values = dict[str, int | float]
 Ranges = dict[str, list[int]]
 VERSION = 2  # of the form of the file
 SUFFIX = ".tmp"
-LARGEST = 16 * 2**20  # bytes of a file; that of a drive has a thousandth
 LEFT_OVER = 60.0  # s; an older file of a save is one that was killed
 
 
@@ -91,18 +90,29 @@ def clean(path: Path, now: float) -> None:
                 left.unlink()
 
 
-def load(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
-    """The values of a parameter file, empty if there is none or it cannot be trusted."""
+def read(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
+    """The values of a parameter file, empty if there is none.
+
+    Raises ValueError with the reason where it cannot be trusted.
+    """
     try:
-        return decode(content(path, "a parameter file", LARGEST).decode(), model, check)
+        return decode(content(path, "a parameter file").decode(), model, check)
     except FileNotFoundError:
         return {}
     except UnicodeDecodeError:
-        reason = "it is no text"
-    except (ValueError, OSError) as error:
-        said = str(error).replace(f"{path} ", "it ", 1)
-        reason = f"it cannot be read ({error})" if isinstance(error, OSError) else said
-    ignored(path, reason)
+        raise ValueError("it is no text") from None
+    except OSError as error:
+        raise ValueError(f"it cannot be read ({error})") from None
+    except ValueError as error:
+        raise ValueError(str(error).replace(f"{path} ", "it ", 1)) from None
+
+
+def load(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
+    """The values a drive finds at power-on: none, and a warning, where they cannot be trusted."""
+    try:
+        return read(path, model, check)
+    except ValueError as error:
+        ignored(path, str(error))
     return {}
 
 

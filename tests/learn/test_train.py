@@ -13,6 +13,7 @@ import pytest
 from later import Later, only_with
 from rich.console import Console
 
+from servogym.drive.model import foreign
 from servogym.envs import TASKS
 from servogym.envs.tasks.homing import HomingEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
@@ -94,7 +95,7 @@ def test_a_run_leaves_checkpoints_evaluations_and_the_best_policy(made):
         assert policy.observation_space.shape == env.observation_space.shape
         env.close()
         if folder.name != "best":
-            assert weights.arrays(folder / "state.npz")["num_timesteps"] == about["steps"]
+            assert foreign.arrays(folder / "state.npz")["num_timesteps"] == about["steps"]
     found = np.load(made / "evaluations.npz")
     assert found["timesteps"].tolist() == [128, 256]
     assert found["results"].shape == (2, 16)
@@ -116,10 +117,10 @@ def test_the_same_seed_makes_the_same_policy(made, tmp_path):
 def test_it_continues_without_losing_count(algorithm, tmp_path):
     settings = SMALL if algorithm == "PPO" else SAC_SMALL
     brief(tmp_path, algorithm=algorithm, settings=settings)
-    before = weights.arrays(checkpoint.numbered(tmp_path)[-1] / "state.npz")
+    before = foreign.arrays(checkpoint.numbered(tmp_path)[-1] / "state.npz")
     brief(tmp_path, 512, resume=True)
     last = checkpoint.numbered(tmp_path)[-1]
-    after = weights.arrays(last / "state.npz")
+    after = foreign.arrays(last / "state.npz")
     assert (before["num_timesteps"], after["num_timesteps"]) == (256, 512)
     updates = {"PPO": (2, 4), "SAC": (24, 56)}[algorithm]  # SAC: one for 8 steps after the first 64
     assert (before["_n_updates"], after["_n_updates"]) == updates
@@ -131,7 +132,7 @@ def test_it_continues_without_losing_count(algorithm, tmp_path):
     buffers = [f.parent for f in tmp_path.glob("checkpoints/*/replay.npz")]
     assert buffers == ([last] if algorithm == "SAC" else [])
     if algorithm == "SAC":
-        assert weights.arrays(last / "replay.npz")["pos"] == 512 // 8
+        assert foreign.arrays(last / "replay.npz")["pos"] == 512 // 8
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +199,7 @@ def test_no_file_of_a_run_is_a_pickle(made, learners, tmp_path):
     for file in files:
         assert file.suffix not in (".pkl", ".zip", ".pth")
         if file.suffix == ".npz":
-            assert all(array.dtype.kind in "fiub" for array in weights.arrays(file).values())
+            assert all(array.dtype.kind in "fiub" for array in foreign.arrays(file).values())
 
 
 class Payload:
@@ -440,7 +441,7 @@ def test_ctrl_c_while_a_checkpoint_is_written_leaves_that_checkpoint(tmp_path, m
     with pytest.raises(KeyboardInterrupt):
         brief(tmp_path)
     (only,) = checkpoint.numbered(tmp_path)
-    assert weights.arrays(only / "state.npz")["num_timesteps"] == 128
+    assert foreign.arrays(only / "state.npz")["num_timesteps"] == 128
     assert written[1] == written[2], "in the same place"
     assert not list(tmp_path.glob("checkpoints/.*"))
 

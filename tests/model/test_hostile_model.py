@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from servogym.drive.model import rows
+from servogym.drive.model import files
 from servogym.drive.model.model import load
 
 
@@ -67,8 +67,8 @@ def test_a_base_that_is_no_model_is_refused(models, base):
 def test_a_file_larger_than_any_model_has_is_not_read(models, name):
     (one,) = models("one")
     with (one / name).open("ab") as file:
-        file.truncate(rows.LARGEST + 1)
-    refused(one, f"{name} has {rows.LARGEST + 1} bytes, a file of a model has at most")
+        file.truncate(files.LARGEST + 1)
+    refused(one, f"{name} has {files.LARGEST + 1} bytes, a file of a model has at most")
 
 
 @pytest.mark.parametrize("nest", ["x = " + "[" * 100_000, "x = " + "{a=" * 100_000])

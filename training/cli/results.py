@@ -1,7 +1,6 @@
 """`servogym results`."""
 
 import argparse
-import json
 import shlex
 from pathlib import Path
 
@@ -25,7 +24,7 @@ def add(results: argparse.ArgumentParser) -> None:
         help="of a benchmark: checks the submissions in the folder, writes the leaderboard",
     )
     results.add_argument(
-        "--run-code", action="store_true", help="you have read the programs in the submissions"
+        "--run-code", action="store_true", help="you have read the programs that the folder names"
     )
     arguments.add_work(results)
     results.add_argument(
@@ -39,8 +38,6 @@ def _results(options: argparse.Namespace, console: Console) -> int:
 
     if options.suite is not None:
         return _leaderboard(options, console)
-    if options.run_code:
-        raise ValueError("--run-code is for the submissions of a benchmark: add --suite")
     if options.train is not None:
         return _train(options, console)
     if options.again:
@@ -49,7 +46,7 @@ def _results(options: argparse.Namespace, console: Console) -> int:
         _again(options.folder, options, console)
     elif options.workers or options.ray is not None or options.resume:
         raise ValueError("--workers, --ray and --resume are for what --again computes: add it")
-    return results.run(options.folder, options.out, console)
+    return results.run(options.folder, options.out, console, run_code=options.run_code)
 
 
 def _train(options: argparse.Namespace, console: Console) -> int:
@@ -65,7 +62,9 @@ def _train(options: argparse.Namespace, console: Console) -> int:
         from ..report import writable
 
         writable("--train", out, file=False)
-    return repeat.run(options.folder or SHIPPED, out, options.workers, console)
+    return repeat.run(
+        options.folder or SHIPPED, out, options.workers, console, run_code=options.run_code
+    )
 
 
 def _leaderboard(options: argparse.Namespace, console: Console) -> int:
@@ -86,7 +85,7 @@ def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:
 
     compared = parser("compare")
     for path in results.folders(folder):
-        data = json.loads(results.text(path, results.FILE, "servogym compare"))
+        data = results.table_of(path, results.FILE, "servogym compare", run_code=options.run_code)
         then = compared.parse_args(shlex.split(data["command"])[1:])
         compare.run(
             then.command, then.env, then.policies.split(","), then.drive, then.episodes, then.seed,

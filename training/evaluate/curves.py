@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from ...drive.model import foreign
 from ..report import GRID, INK
 from .metrics import summarise
 
@@ -22,8 +23,11 @@ def read(folder: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     files = sorted(folder.glob(f"seed_*/{FILE}")) or sorted(folder.glob(FILE))
     runs = []
     for file in files:
-        with np.load(file) as found:
+        found = foreign.arrays(file)
+        try:
             runs.append((found["timesteps"], found["results"]))
+        except KeyError as error:
+            raise ValueError(f"{file} holds no evaluations: it lacks {error}") from None
     common = set.intersection(*(set(steps.tolist()) for steps, _ in runs)) if runs else set()
     if not common:
         raise ValueError(

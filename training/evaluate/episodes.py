@@ -23,9 +23,11 @@ from ...envs.view.about import Metric
 from ..pictures.recording import Recorder, Recording
 from ..policies import Bound, BuiltIn, label, make, trainings
 from ..policies.trained.residual import PUBLIC
+from ..policies.trained.saved import HELD_OUT_SEEDS
 from .metrics import METRICS, metrics
 
-FIRST_SEED, SEEDS_APART = 1_000_000, 1_000
+FIRST_SEED, SEEDS_APART = HELD_OUT_SEEDS.start, 1_000
+LAST_SEED = len(HELD_OUT_SEEDS) // SEEDS_APART - 1
 WITHOUT_POSITION = (
     Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
 )  # fmt: skip
@@ -72,8 +74,8 @@ def fixed(seed: int, episodes: int) -> list[int]:
     """Of the fixed episodes. Raises ValueError for numbers out of range."""
     if not (isinstance(episodes, Integral) and 1 <= episodes <= SEEDS_APART):
         raise ValueError(f"--episodes = {episodes!r} is out of range 1..{SEEDS_APART}")
-    if not (isinstance(seed, Integral) and 0 <= seed <= 1_000_000):
-        raise ValueError(f"--seed = {seed!r} is out of range 0..1000000")
+    if not (isinstance(seed, Integral) and 0 <= seed <= LAST_SEED):
+        raise ValueError(f"--seed = {seed!r} is out of range 0..{LAST_SEED}")
     first = FIRST_SEED + SEEDS_APART * seed
     return list(range(first, first + episodes))
 

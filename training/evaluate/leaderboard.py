@@ -6,6 +6,7 @@ below 0, so ending an episode early gains nothing. A condition that a policy doe
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -13,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
+from ...drive.model import foreign
 from ...envs.environment.registry import task
-from ..policies import POLICIES, Bound, make, needed
+from ...envs.environment.servo_env import ServoEnv
+from ..policies import Bound, make, needed
 from ..report import PACKAGES, markdown, number, origin, write_text
 from ..scale.work import ALONE, Work
 from .matrix import Matrix
@@ -24,7 +27,7 @@ from .submission import ENDING, Submission, Table, fits, packed, played, read, w
 from .suite import Suite
 
 RETURN, SUCCESS = "episode_return", "success"
-ALIKE = 0.01  # of an interquartile mean, within which two count as the same numbers
+DECIDING = ("servogym", "mujoco")  # versions that make another environment of the same id
 GAP = "gap"
 
 
@@ -136,7 +139,14 @@ def enter(
     chosen = suiting(suite, policy, tasks)
     files = packed(policy, [*chosen])
     file = out / f"{entry}{ENDING}"
-    table = play(suite, chosen, console, work, out)
+    source = origin(command)
+    made = Submission(
+        name=entry, suite=suite.version, digest=suite.digest, policy=_named(policy),
+        command=command, versions={name: source[name] for name in ("python", *PACKAGES)},
+        machine=source["machine"], table={}, files=files,
+    )  # fmt: skip
+    table = play(suite.drawn(made.identity), chosen, console, work, out)
+    made = replace(made, table=table)
     for env in chosen:
         console.print(
             _lines(suite.only([env], []), env, {entry: table[env]}), markup=False, soft_wrap=True
@@ -144,24 +154,23 @@ def enter(
     if conditions:
         console.print(f"a part of the conditions of {whole.version}: no submission is written")
         return 0
-    source = origin(command)
-    made = Submission(
-        name=entry, suite=suite.version, digest=suite.digest, policy=policy, command=command,
-        versions={name: source[name] for name in ("python", *PACKAGES)},
-        machine=source["machine"], table=table, files=files,
-    )  # fmt: skip
     write(file, made)
-    console.print(f"{file}: hash {made.hash}", soft_wrap=True)
+    console.print(f"{file}: hash {made.identity}", soft_wrap=True)
     return 0
+
+
+def _named(policy: str) -> str:
+    """Without the folders of this machine."""
+    return Path(policy).name if "/" in policy else policy
 
 
 def rank(
     suite: Suite, folder: Path, out: Path, console: Console, work: Work, *, run_code: bool = False
 ) -> int:
-    """Check each submission in a folder from its weights, and write the leaderboard; -> status.
+    """Play each submission in a folder again, and write the leaderboard of that; -> status.
 
-    One that cannot be checked, or that gives other numbers than its table, is told in one line and
-    left out; then the exit status is 2.
+    One that cannot be checked, or whose table says anything else, is told in one line and left out;
+    then the exit status is 2.
     """
     files = sorted(folder.glob(f"*{ENDING}"))
     if not files:
@@ -175,8 +184,11 @@ def rank(
         try:
             submission = read(file)
             fits(file, submission, suite)
-            if submission.name in entries:
-                raise ValueError(f"{file}: there is an entry {submission.name!r} already")
+            for other in entries.values():
+                if submission.name == other.name:
+                    raise ValueError(f"{file}: there is an entry {other.name!r} already")
+                if submission.identity == other.identity:
+                    raise ValueError(f"{file} plays the same as the entry {other.name!r}")
             entries[submission.name] = check(file, submission, suite, console, work, run_code)
         except (ValueError, ImportError) as error:
             print(f"servogym results: {' '.join(str(error).split())}", file=sys.stderr)
@@ -190,47 +202,60 @@ def rank(
 def check(
     file: Path, submission: Submission, suite: Suite, console: Console, work: Work, run_code: bool
 ) -> Submission:
-    """Play it again from its weights.
+    """Play it again -> the same submission with the table that was played.
 
     Raises:
-        ValueError: it brings code and nobody said to run it, or other numbers come out.
+        ValueError: it brings code and nobody said to run it, or its table says anything else.
     """
-    if submission.code and not run_code:
-        raise ValueError(
-            f"{file} brings a program, {submission.code}: read it, and say --run-code to check it"
-        )
+    if submission.code:
+        foreign.consent(f"{file} brings {submission.code}, which", run_code)
+    present = origin("")
+    for package in DECIDING:
+        if (then := submission.versions[package]) != present[package]:
+            raise ValueError(
+                f"{file} was made with {package} {then}, this is {present[package]}: check it with "
+                "that version, or make it again with this one"
+            )
     with TemporaryDirectory() as folder:
         chosen = {env: submission.playable(env, Path(folder)) for env in submission.table}
         console.print(f"{file.name}: {', '.join(chosen)}", highlight=False)
-        found = play(suite, chosen, console, work)
+        found = play(suite.drawn(submission.identity), chosen, console, work)
     for env, conditions in found.items():
         for condition, values in conditions.items():
-            told = submission.table[env][condition]
-            _same(f"{file}, {env}, {condition}", env, told, values, submission.command)
-    return submission
+            _same(f"{file}, {env}, {condition}", submission, submission.table[env][condition],
+                  values, task(env))  # fmt: skip
+    return replace(submission, table=found)
 
 
-def _same(where: str, env: str, told: Mapping[str, Any], found: Mapping[str, Any], command: str):
-    """Refuse what differs by more than `ALIKE`. Raises ValueError with both numbers."""
-    known = metrics(task(env))
-    for metric in _told(env):
-        if (metric in told) != (metric in found):
-            raise ValueError(f"{where}: {known[metric].heading} is in one table only: {command}")
-        if metric not in found:
-            continue
+def _same(
+    where: str, submission: Submission, told: Any, found: Mapping[str, Any], kind: type[ServoEnv]
+) -> None:
+    """Refuse a table that differs in any bit. Raises ValueError with the first two numbers."""
+    if told == found:
+        return
+    again = f"make it again with `{submission.command}`"
+    if not isinstance(told, dict) or told.keys() != found.keys():
+        raise ValueError(f"{where}: its table has other columns than {', '.join(found)}; {again}")
+    known = metrics(kind)
+    metric = next(name for name in found if told[name] != found[name])
+    try:
         one, other = np.array(told[metric], float), np.array(found[metric], float)
-        share = metric == SUCCESS
-        pair = [
-            (s.mean if share else s.iqm)
-            for s in (summarise(values, share=share) for values in (one, other))
-        ]
-        apart = abs(pair[0] - pair[1]) > ALIKE * max(abs(pair[1]), 1e-12)
-        if one.shape != other.shape or apart:
-            raise ValueError(
-                f"{where}: its table says {known[metric].heading} {number(pair[0])} of shape "
-                f"{one.shape}, its weights give {number(pair[1])} of {other.shape}; within "
-                f"{100 * ALIKE:g} % fits: make it again with `{command}`"
-            )
+    except (TypeError, ValueError):
+        one, other = np.empty(0), np.array(found[metric], float)
+    if one.shape != other.shape:
+        raise ValueError(
+            f"{where}: its table has {known[metric].heading} of the shape {one.shape}, it plays "
+            f"{other.shape}, trainings and episodes; {again}"
+        )
+    differ = np.argwhere(~((one == other) | (np.isnan(one) & np.isnan(other))))
+    place = tuple(differ[0])
+    versions = [f"{n} {v}" for n, v in submission.versions.items() if origin("").get(n) != v]
+    others = f" (made with {', '.join(versions)})" if versions else ""
+    raise ValueError(
+        f"{where}: its table says {known[metric].heading} {float(one[place])!r} in episode "
+        f"{place[1]}, it plays {float(other[place])!r}, and {len(differ)} of {one.size} differ"
+        f"{others}; {again}"
+    )
 
 
 def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
@@ -241,22 +266,24 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
         f"{conditions} conditions, the same for all: `{suite.file}`. Ranked "
         "by the return: the mean over the conditions of its interquartile means; a condition that "
         "a policy does not fit is a gap and earns 0. In the columns of the conditions the metric "
-        "of the task, interquartile mean [95 % interval, trainings and episodes resampled]. Who "
-        "is told what was drawn at random, or rehearses, is below the others without a rank.\n\n"
+        "of the task, interquartile mean [95 % interval, trainings and episodes resampled]. What "
+        "is told what was drawn at random, or rehearses, or corrects what does, is below the "
+        "others without a rank.\n\n"
     )
     for env in suite.parts:
         own = {name: entry.table[env] for name, entry in entries.items() if env in entry.table}
         if own:
             text += f"## {env}\n\n{_lines(suite, env, own, entries)}\n"
     rows = [
-        [name, f"`{Path(entry.policy).name}`", str(_trainings(entry)), f"`{entry.hash[:12]}`",
-         f"`{entry.command}`"]
+        [name, f"`{entry.plays}`", str(_trainings(entry)), entry.budget or "–",
+         f"`{entry.identity[:12]}`", f"`{entry.command}`"]
         for name, entry in sorted(entries.items())
     ]  # fmt: skip
-    text += "## Entries\n\n" + markdown(["entry", "policy", "trainings", "hash", "command"], rows)
+    heading = ["entry", "what was played", "trainings", "budget, as stated", "hash", "command"]
+    text += "## Entries\n\n" + markdown(heading, rows)
     return text + (
-        f"\nEach was checked again from its weights by `servogym results {folder.as_posix()} "
-        f"--suite {suite.version}`, which wrote this page.\n"
+        "\nAll numbers are of what was played again from the weights by `servogym results "
+        f"{folder.as_posix()} --suite {suite.version}`, which wrote this page.\n"
     )
 
 
@@ -285,8 +312,7 @@ def _lines(
     }
 
     def told(entry: str) -> bool:
-        policy = entries[entry].policy.partition(":")[0] if entries else ""
-        return policy in POLICIES and POLICIES[policy].told
+        return bool(entries) and entries[entry].told(env)
 
     order = sorted(cells, key=lambda entry: (told(entry), -earned[entry], entry))
     ranked = [entry for entry in order if not told(entry)]

@@ -5,7 +5,7 @@ and ``{out}`` left open, and the steps of each seed. Where the checkpoints do no
 CPU-seconds a training took, it has what they can have been, of the time on two cores: inferred.
 """
 
-import json
+import re
 import shlex
 import subprocess
 import sys
@@ -16,12 +16,15 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from ...drive.model import foreign
 from ...envs.engine.checks import whole
 from ..policies.trained.saved import read
 from ..report import markdown
 
 FILE, MAKER = "trainings.json", "the commands of its trainings"
 HEADING = ("task", "trainings", "stages", "steps each", "CPU-s each", "CPU-s")
+# FILE.py:name, and module:Task-v0 of another package
+PROGRAMS = re.compile(r"[^\s,]*\.py:\w+|(?<![\w.])(?!servogym\.)[A-Za-z_][\w.]*:[\w/-]+-v\d+")
 CORES = 2  # of the machine for which the sum is told
 
 
@@ -37,7 +40,24 @@ def text(path: Path, name: str, maker: str) -> str:
     """Of a file of a folder. Raises ValueError naming what makes it where it is not there."""
     if not (path / name).is_file():
         raise ValueError(f"{path} has no {name}: write it there with {maker}")
-    return (path / name).read_text(encoding="utf-8")
+    return foreign.text(path / name)
+
+
+def table_of(path: Path, name: str, maker: str, *, run_code: bool = False) -> dict[str, Any]:
+    """What a JSON file of a folder says: data only, unless somebody says that its programs may run.
+
+    The commands in it are those of servogym alone; one of them may name a policy in a Python file,
+    or a task that another module registers, which are programs.
+
+    Raises ValueError where the file is not there or damaged, or names a program.
+    """
+    text(path, name, maker)
+    found = foreign.table(path / name)
+    commands = found.get("commands", [found.get("command", "")])
+    for line in [*(commands if isinstance(commands, list) else []), found.get("env", "")]:
+        if program := PROGRAMS.search(str(line)):
+            foreign.consent(f"{path / name} names {program[0]}, which", run_code)
+    return found
 
 
 class Training(NamedTuple):
@@ -52,14 +72,14 @@ class Training(NamedTuple):
     inferred: bool  # an upper bound, because it was not kept
 
 
-def plan(folder: Path, out: Path) -> list[Training]:
+def plan(folder: Path, out: Path, *, run_code: bool = False) -> list[Training]:
     """All trainings behind the folders of tasks in `folder`, to be made again in `out`.
 
     Raises ValueError where a folder has no `trainings.json`, or one that is none.
     """
     found = []
     for path in folders(folder):
-        data = json.loads(text(path, FILE, MAKER))
+        data = table_of(path, FILE, MAKER, run_code=run_code)
         try:
             found += list(_trainings(path, data, out))
         except (KeyError, TypeError, IndexError, AttributeError) as error:
@@ -77,6 +97,8 @@ def _trainings(path: Path, data: dict[str, Any], out: Path) -> Iterator[Training
             shlex.split(line.format(seed=seed, steps=steps, out=own))[1:]
             for line, steps in zip(data["commands"], stages, strict=True)
         ]
+        if any(command[:1] != ["train"] for command in commands):
+            raise TypeError("a command that is not `servogym train`")
         took, inferred = _cpu_seconds(
             path / f"seed_{seed}", stages, data.get("cpu_us_per_step_at_most")
         )
@@ -135,9 +157,11 @@ def told(trainings: Sequence[Training]) -> str:
     )
 
 
-def run(folder: Path, out: Path | None, workers: int | None, console: Console) -> int:
+def run(
+    folder: Path, out: Path | None, workers: int | None, console: Console, *, run_code: bool = False
+) -> int:
     """Show the plan; with `out` do it, in as many processes side by side; -> exit status."""
-    trainings = plan(folder, out or Path("out"))
+    trainings = plan(folder, out or Path("out"), run_code=run_code or out is None)
     for training in trainings:
         for command in training.commands:
             console.print(f"servogym {shlex.join(command)}", soft_wrap=True, highlight=False)

@@ -4,7 +4,6 @@ Each folder, named after its task, has the `compare.json` that `servogym compare
 and a README.md with a paragraph that begins with `HONEST`. Nothing else is on the page.
 """
 
-import json
 import os
 import re
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ from ..policies import LEARNED, SHIPPED
 from ..report import markdown, number
 from . import repeat
 from .metrics import METRICS, Difference, Summary, metrics
-from .repeat import folders, text
+from .repeat import folders, table_of, text
 from .tables import SHARES, ahead
 
 FILE, PAGE, HONEST = "compare.json", "README.md", "**Where the baseline is better**"
@@ -58,7 +57,7 @@ FOOT = """Written by `servogym results` from the `compare.json` of each folder.
 """
 
 
-def page(folder: Path, at: str = ".") -> str:
+def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
     """The page about the policies in `folder`, a folder a task.
 
     `at` is the way to it from the page.
@@ -68,7 +67,7 @@ def page(folder: Path, at: str = ".") -> str:
     """
     rows, room, sections = [], [], []
     for path in folders(folder):
-        data = json.loads(text(path, FILE, "servogym compare"))
+        data = table_of(path, FILE, "servogym compare", run_code=run_code)
         kind = task(data["env"])
         known = metrics(kind)
         own, baseline = _chosen(path, data, kind.METRIC, known)
@@ -84,7 +83,7 @@ def page(folder: Path, at: str = ".") -> str:
     return HEAD + tables + "".join(sections) + _again(folder) + FOOT
 
 
-def run(folder: Path | None, out: Path | None, console: Console) -> int:
+def run(folder: Path | None, out: Path | None, console: Console, *, run_code: bool = False) -> int:
     """Write the page; -> exit status.
 
     Args:
@@ -98,7 +97,7 @@ def run(folder: Path | None, out: Path | None, console: Console) -> int:
     if "site-packages" in installed.parts and page_at.resolve().is_relative_to(installed):
         raise ValueError(f"{page_at} is in the installed package: name another page with --out")
     source = folder or SHIPPED
-    text = page(source, os.path.relpath(source, page_at.parent))
+    text = page(source, os.path.relpath(source, page_at.parent), run_code=run_code)
     page_at.parent.mkdir(parents=True, exist_ok=True)
     page_at.write_text(text, encoding="utf-8")
     console.print(f"{page_at}", soft_wrap=True)

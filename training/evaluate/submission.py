@@ -3,33 +3,44 @@
 The file is an ``.npz`` without pickles: `submission.json`, and under ``files/`` the bytes of what
 the policy is made of: `checkpoint.json` and `weights.npz` of each training, ``seed_*`` in a folder
 a task; or the Python file of a policy of one's own, which is run for nobody who does not say so.
-The hash is that of suite, policy and files.
+Two hashes are taken: `Submission.identity` of what plays, from which a suite may draw its episodes,
+and `Submission.hash` of all that the file says.
 """
 
-import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
+from ...drive.model import foreign
+from ...drive.model.files import content
+from ...drive.model.foreign import Key
 from ...drive.model.near import near
 from ...envs.environment.registry import task
-from ..learn.hyperparameters import COMMON
 from ..policies import ENTRY_POINTS, LEARNED, POLICIES, trainings
 from ..policies.file import SUFFIX
+from ..policies.trained import saved
 from ..policies.trained.saved import ABOUT
-from ..policies.trained.weights import WEIGHTS, arrays
+from ..policies.trained.weights import WEIGHTS
+from ..report import PACKAGES
 from .suite import Suite
 
 HEAD, FILES, ENDING = "submission.json", "files/", ".npz"
 LARGEST = 512 * 2**20  # bytes, unpacked
-KEYS = ("name", "suite", "digest", "policy", "command", "versions", "machine", "table", "hash")
-OF_WEIGHTS = re.compile(rf"[\w.-]+-v\d+/\w+/({re.escape(ABOUT)}|{re.escape(WEIGHTS)})")
-BEST = "best"
+KEYS = {
+    "name": Key(str, True), "suite": Key(str, True), "digest": Key(str, True),
+    "policy": Key(str, True), "command": Key(str, True), "versions": Key(dict, True),
+    "machine": Key(str, True), "table": Key(dict, True), "hash": Key(str, True),
+}  # fmt: skip
+NAME = r"[\w+-][\w+. -]*"  # of an entry
+WORDS = r"[^`|<>\[\]\x00-\x1f\x7f]*"  # what is shown on a page, and cannot be taken for its markup
+PROGRAM = r"[\w.-]+\.py"
+TRAINED = re.compile(rf"([\w.-]+-v\d+)/(seed_\d+)/({re.escape(ABOUT)}|{re.escape(WEIGHTS)})")
 
 # by task, condition and metric: values of the episodes, shape ``(trainings, episodes)``
 Table = Mapping[str, Mapping[str, Mapping[str, list[list[float | None]]]]]
@@ -49,18 +60,66 @@ class Submission:
     table: Table
     files: Mapping[str, bytes]
 
+    @cached_property
+    def identity(self) -> str:
+        """SHA-256 of suite and policy: the weights, the program or the name, and nothing else."""
+        what = [("suite", f"{self.suite} {self.digest}".encode())]
+        if not self.files or self.code:
+            what.append(("policy", self.plays.encode()))
+        return foreign.digest([*what, *sorted(self.files.items())])
+
     @property
     def hash(self) -> str:
-        """Of what plays, and on what."""
-        found = hashlib.sha256(f"{self.suite} {self.digest} {self.policy}\n".encode())
-        for name, data in sorted(self.files.items()):
-            found.update(f"{name} {len(data)}\n".encode() + data)
-        return found.hexdigest()[:32]
+        """SHA-256 of all that the file says."""
+        return foreign.digest([("head", _text(self)), *sorted(self.files.items())])
 
     @property
     def code(self) -> str:
         """The name of its Python file; empty: it brings none."""
         return next((name for name in self.files if name.endswith(SUFFIX)), "")
+
+    @cached_property
+    def checkpoints(self) -> dict[str, list[dict[str, Any]]]:
+        """By task what the checkpoints say, of weights only."""
+        found: dict[str, list[dict[str, Any]]] = {}
+        for name, data in sorted(self.files.items()):
+            if name.endswith(ABOUT):
+                found.setdefault(name.partition("/")[0], []).append(saved.about(data, name))
+        return found
+
+    @property
+    def plays(self) -> str:
+        """What is played, in words that follow from the files alone."""
+        if self.code:
+            return f"{self.code}:{self.policy.rpartition(':')[2]}"
+        if not self.files:
+            return self.policy
+        bases = {one.get("residual") for each in self.checkpoints.values() for one in each}
+        kinds = sorted({one["algorithm"] for each in self.checkpoints.values() for one in each})
+        on = sorted(base for base in bases if base)
+        return ", ".join(kinds) + (f" on {', '.join(on)}" if on else "")
+
+    def told(self, env: str) -> bool:
+        """Whether what plays a task is told what was drawn, itself or below a correction."""
+        names = {one.get("residual") for one in self.checkpoints.get(env, ())}
+        names |= set() if self.files else {self.policy.partition(":")[0]}
+        return any(POLICIES[name].told for name in names if name in POLICIES)
+
+    @property
+    def budget(self) -> str:
+        """What its trainings took, as their checkpoints state it; empty without any."""
+        stages = []
+        for one in (one for each in self.checkpoints.values() for one in each):
+            stage: dict[str, Any] | None = one
+            while stage is not None:
+                stages.append(stage)
+                stage = stage.get("start")
+        if not stages:
+            return ""
+        steps = sum(stage["steps"] for stage in stages)
+        seconds = [float(stage.get("cpu_seconds", 0.0)) for stage in stages]
+        took = f", {sum(seconds):.0f} CPU-s" if all(seconds) else ""
+        return f"{steps:,} steps{took}"
 
     def playable(self, env: str, folder: Path) -> str:
         """The policy for a task, as `policies.make` takes it; its files are written to `folder`."""
@@ -69,8 +128,13 @@ class Submission:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         if self.code:
-            return f"{folder / self.code}:{self.policy.rpartition(':')[2]}"
+            return str(folder / self.plays)
         return str(folder / env) if self.files else self.policy
+
+
+def _text(submission: Submission) -> bytes:
+    head = {name: getattr(submission, name) for name in KEYS if name != "hash"}
+    return json.dumps(head, ensure_ascii=False, sort_keys=True).encode()
 
 
 def packed(policy: str, tasks: list[str]) -> dict[str, bytes]:
@@ -86,19 +150,24 @@ def packed(policy: str, tasks: list[str]) -> dict[str, bytes]:
     """
     file, _, _ = policy.rpartition(":")
     if file.endswith(SUFFIX):
-        return {Path(file).name: Path(file).read_bytes()}
+        return {Path(file).name: content(Path(file), "a policy")}
     if policy.partition(":")[0] in POLICIES:
         return {}
     files: dict[str, bytes] = {}
     for env in tasks:
         for one in map(Path, trainings(played(policy, env), task(env).ID)):
-            inner = one if (one / ABOUT).is_file() else one / BEST
-            name = one.name if re.fullmatch(r"\w+", one.name) else "training"
+            inner = saved.folder(one)
+            about = saved.read(inner)
+            place = f"{env}/seed_{about.get('seed', 0)}"
+            if f"{place}/{ABOUT}" in files:
+                raise ValueError(
+                    f"policy {policy!r}: {one} has the seed {about.get('seed', 0)} like another "
+                    "training: each needs a seed of its own"
+                )
             for part in (ABOUT, WEIGHTS):
                 if not (inner / part).is_file():
                     raise ValueError(f"policy {policy!r}: {inner} has no {part}")
-                files[f"{env}/{name}/{part}"] = (inner / part).read_bytes()
-            _without_code(f"policy {policy!r}", files[f"{env}/{name}/{ABOUT}"])
+                files[f"{place}/{part}"] = content(inner / part, "a part of a submission", LARGEST)
     if not files:
         raise ValueError(
             f"policy {policy!r} of {ENTRY_POINTS} belongs to another package: give its FILE.py:name"
@@ -114,7 +183,7 @@ def played(policy: str, env: str) -> str:
 
 def write(path: Path, submission: Submission) -> None:
     """The same bytes for the same submission."""
-    head = {name: getattr(submission, name) for name in KEYS}
+    head = json.loads(_text(submission)) | {"hash": submission.hash}
     text = json.dumps(head, ensure_ascii=False, sort_keys=True)
     members = {HEAD: text.encode()} | {
         FILES + name: data for name, data in sorted(submission.files.items())
@@ -130,31 +199,100 @@ def read(path: Path) -> Submission:
     Raises:
         ValueError: it is none, it was changed since, or what it brings could run code unasked.
     """
-    found = {
-        name: array.tobytes() if isinstance(array, np.ndarray) else bytes(array)
-        for name, array in arrays(path, LARGEST).items()
-    }
-    try:
-        head = json.loads(found.pop(HEAD))
-        kept = {key: head[key] for key in KEYS}
-    except (KeyError, ValueError, TypeError, RecursionError) as error:
-        raise ValueError(f"{path} is no submission of `servogym benchmark` ({error!r})") from None
+    found = {name: array.tobytes() for name, array in foreign.arrays(path, LARGEST).items()}
+    if HEAD not in found:
+        raise ValueError(f"{path} is no submission of `servogym benchmark`: it lacks {HEAD}")
+    head = foreign.parsed(found.pop(HEAD), f"{path} is no submission of `servogym benchmark`", KEYS)
     files = {name.removeprefix(FILES): data for name, data in found.items()}
-    told = kept.pop("hash")
-    submission = Submission(**kept, files=files)
-    for name, data in files.items():
-        if name == submission.code and re.fullmatch(r"[\w.-]+\.py", name):
-            continue
-        if not OF_WEIGHTS.fullmatch(name):
-            raise ValueError(f"{path}: {name!r} is no file of a policy: {ABOUT} and {WEIGHTS} are")
-        if name.endswith(ABOUT):
-            _without_code(str(path), data)
-    if told != submission.hash:
+    stated = head.pop("hash")
+    submission = Submission(**head, files=files)
+    _files(path, submission)
+    _words(path, submission)
+    if stated != submission.hash:
         raise ValueError(
-            f"{path}: its hash is {told}, its policy and files have {submission.hash}: it was "
-            "changed; make it again"
+            f"{path}: its hash is {stated}, what it says has {submission.hash}: it was changed; "
+            "make it again"
         )
     return submission
+
+
+def _words(path: Path, submission: Submission) -> None:
+    """Refuse names and words that would say something else on a page."""
+    shown = {"name": NAME, "command": "servogym benchmark learned " + WORDS, "machine": WORDS}
+    for key, pattern in shown.items():
+        if not re.fullmatch(pattern, text := getattr(submission, key)):
+            raise ValueError(f"{path}: {key} = {text!r:.80} is none that a page could show")
+    for package in ("python", *PACKAGES):
+        if not re.fullmatch(r"[\w.+-]+", str(submission.versions.get(package, ""))):
+            raise ValueError(f"{path}: versions lack {package}, or say no version of it")
+    plain = not submission.files and submission.policy.partition(":")[0]
+    if submission.name in (*POLICIES, LEARNED) and submission.name not in (plain, LEARNED):
+        raise ValueError(
+            f"{path}: an entry {submission.name!r} has to be the policy of that name, this one "
+            f"plays {submission.policy!r}: give it another name"
+        )
+
+
+def _files(path: Path, submission: Submission) -> None:
+    """Refuse what is not a baseline, one program, or whole and different trainings."""
+    if not submission.files:
+        if submission.policy.partition(":")[0] not in POLICIES:
+            raise ValueError(
+                f"{path} brings no files, and {submission.policy!r} is no baseline: "
+                f"{near(submission.policy, POLICIES)}"
+            )
+        return
+    if submission.code:
+        if len(submission.files) > 1 or not re.fullmatch(PROGRAM, submission.code):
+            names = ", ".join(map(repr, submission.files))
+            raise ValueError(f"{path} brings {names}: a program is one file, NAME.py")
+        if not submission.plays.rpartition(":")[2].isidentifier():
+            raise ValueError(f"{path}: {submission.policy!r} names nothing in {submission.code}")
+        return
+    for name in submission.files:
+        if not TRAINED.fullmatch(name):
+            raise ValueError(f"{path}: {name!r} is no file of a policy: {ABOUT} and {WEIGHTS} are")
+        for part in (ABOUT, WEIGHTS):
+            if str(PurePosixPath(name).parent / part) not in submission.files:
+                raise ValueError(f"{path}: {name!r} is there without its {part}")
+    for env, given in submission.checkpoints.items():
+        places = sorted({n.rpartition("/")[0] for n in submission.files if n.startswith(f"{env}/")})
+        for place, about in zip(places, given, strict=True):
+            _training(f"{path}, {place}", env, place, about, submission.files)
+        _apart(path, places, submission.files)
+
+
+def _training(
+    where: str, env: str, place: str, about: Mapping[str, Any], files: Mapping[str, bytes]
+) -> None:
+    if about["env_id"] != task(env).ID:
+        raise ValueError(f"{where} was trained for {about['env_id']}, not for {env}")
+    if (stated := about.get("sha256")) is not None:
+        foreign.intact(f"{where}/{WEIGHTS}", files[f"{place}/{WEIGHTS}"], stated)
+    seed = about.get("seed")
+    if place != f"{env}/seed_{seed}":
+        raise ValueError(f"{where} states the seed {seed}, its folder another one")
+    if about.get("residual") and not any(about["bounds"]):
+        raise ValueError(
+            f"{where} corrects {about['residual']!r} by nothing (bounds {about['bounds']}): enter "
+            "that policy by its name"
+        )
+
+
+def _apart(path: Path, places: Sequence[str], files: Mapping[str, bytes]) -> None:
+    """Refuse one training as several: their intervals would be too narrow."""
+    seen: dict[bytes, str] = {}
+    for place in places:
+        arrays = foreign.arrays(files[f"{place}/{WEIGHTS}"], LARGEST, f"{path}, {place}/{WEIGHTS}")
+        content = b"".join(
+            name.encode() + value.tobytes()
+            for name, value in sorted(arrays.items()) if name.startswith("network/")
+        )  # fmt: skip
+        if content in seen:
+            raise ValueError(
+                f"{path}: {place} has the weights of {seen[content]}: each training counts once"
+            )
+        seen[content] = place
 
 
 def fits(path: Path, submission: Submission, suite: Suite) -> None:
@@ -164,12 +302,18 @@ def fits(path: Path, submission: Submission, suite: Suite) -> None:
             f"{path} is of suite {submission.suite} ({submission.digest}), this is "
             f"{suite.version} ({suite.digest}): make it again with --suite {suite.version}"
         )
+    if not submission.table:
+        raise ValueError(f"{path}: its table is empty")
     for env, conditions in submission.table.items():
         if env not in suite.parts:
             raise ValueError(
                 f"{path}: suite {suite.version} has no task {env!r}: {near(env, suite.parts)}"
             )
+        if submission.checkpoints and env not in submission.checkpoints:
+            raise ValueError(f"{path}: its table has {env}, for which it brings no training")
         names = [row.name for row in suite.parts[env].rows]
+        if not isinstance(conditions, dict):
+            raise ValueError(f"{path}, {env}: its table is no table")
         for name in conditions:
             if name not in names:
                 raise ValueError(
@@ -178,21 +322,3 @@ def fits(path: Path, submission: Submission, suite: Suite) -> None:
                 )
         if missing := [name for name in names if name not in conditions]:
             raise ValueError(f"{path}, {env}: its table lacks {', '.join(missing)}")
-
-
-def _without_code(where: str, about: bytes) -> None:
-    """Refuse a checkpoint that names what is not of this package. Raises ValueError."""
-    try:
-        found = json.loads(about)
-        algorithm, residual = found["algorithm"], found.get("residual")
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{where}: {ABOUT} is not that of a training ({error!r})") from None
-    if algorithm not in COMMON:
-        raise ValueError(
-            f"{where}: algorithm {algorithm!r} is unknown: {near(str(algorithm), COMMON)}"
-        )
-    if residual and residual not in POLICIES:
-        raise ValueError(
-            f"{where} corrects {residual!r}, which others do not have: correct a baseline of "
-            f"the table, {', '.join(POLICIES)}"
-        )

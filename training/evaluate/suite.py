@@ -4,23 +4,29 @@ Those that come with the laboratory are `assets/suites`; one of your own is the 
 """
 
 import hashlib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from ...drive.model import foreign
 from ...drive.model.files import content
+from ...drive.model.foreign import Key
 from ...drive.model.near import near
 from ...envs.environment.registry import short, task
 from .conditions import NOMINAL, Condition, suiting
-from .episodes import fixed
+from .episodes import LAST_SEED, fixed
 
 SUITES = Path(str(resources.files("servogym.assets"))) / "suites"
 HELD_OUT = "held_out"
-KEYS = {"version": str, "drive": str, "seed": int, "episodes": int, "conditions": list}
-OF_A_TASK = {"drive": str, "conditions": list, HELD_OUT: dict}
+MANY = LAST_SEED + 1
+OF_SUBMISSION = "of_submission"  # instead of a seed
+KEYS = {
+    "version": Key(str, True), "drive": Key(str, True), "seed": Key((int, str), True),
+    "episodes": Key(int, True), "conditions": Key(list, True), "tasks": Key(dict, True),
+}  # fmt: skip
+OF_A_TASK = {"drive": Key(str), "conditions": Key(list), HELD_OUT: Key(dict)}
 
 
 @dataclass(frozen=True)
@@ -36,11 +42,21 @@ class Suite:
     """Read by `read`."""
 
     version: str
-    seed: int  # of the episodes
+    seed: int | None  # of the episodes; None: each submission has its own, of its hash
     episodes: int  # in each condition
     parts: Mapping[str, Part]  # by task, without the name space
     file: str  # as a page names it
     digest: str  # of the file
+
+    def drawn(self, identity: str) -> "Suite":
+        """With the seed of a submission, where it does not have one of its own.
+
+        Nobody knows it before the policy is done, and anybody finds it again.
+
+        Args:
+            identity: of the submission, hexadecimal digits.
+        """
+        return self if self.seed is not None else replace(self, seed=int(identity[:16], 16) % MANY)
 
     def only(self, tasks: Sequence[str], conditions: Sequence[str]) -> "Suite":
         """A part of it; empty lists leave out nothing. Raises ValueError for what is not in it."""
@@ -82,33 +98,18 @@ def read(name: str) -> Suite:
     if not path.exists():
         raise ValueError(f"there is no suite {name!r}: {near(name, versions())}, or give FILE.toml")
     data = content(path, "a suite")
-    try:
-        found = tomllib.loads(data.decode())
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"suite {path}: {error}") from None
-    about = _checked(path, found, KEYS | {"tasks": dict})
-    fixed(about["seed"], about["episodes"])
-    parts = {
-        short(name): _part(path, name, about | _checked(path, own, OF_A_TASK, name))
-        for name, own in about["tasks"].items()
-    }
+    about = foreign.parsed(data, f"suite {path}", KEYS)
+    seed = None if about["seed"] == OF_SUBMISSION else about["seed"]
+    fixed(0 if seed is None else seed, about["episodes"])
+    parts = {}
+    for env, own in about["tasks"].items():
+        where = f"suite {path}, {env}"
+        if not isinstance(own, dict):
+            raise ValueError(f"{where}: {own!r} is no table")
+        parts[short(env)] = _part(path, env, about | foreign.checked(own, where, OF_A_TASK))
     digest = hashlib.sha256(data).hexdigest()[:16]
     file = name if name.endswith(".toml") else f"assets/suites/{name}.toml"
-    return Suite(about["version"], about["seed"], about["episodes"], parts, file, digest)
-
-
-def _checked(path: Path, found: Any, keys: Mapping[str, type], of: str = "") -> dict[str, Any]:
-    where = f"suite {path}, {of}" if of else f"suite {path}"
-    if not isinstance(found, dict):
-        raise ValueError(f"{where}: {found!r} is no table")
-    for key, value in found.items():
-        if key not in keys:
-            raise ValueError(f"{where}: {key!r} is unknown: {near(key, keys)}")
-        if type(value) is not keys[key]:
-            raise ValueError(f"{where}: {key} = {value!r} has to be a {keys[key].__name__}")
-    if not of and (missing := [key for key in keys if key not in found]):
-        raise ValueError(f"{where} lacks {', '.join(missing)}")
-    return found
+    return Suite(about["version"], seed, about["episodes"], parts, file, digest)
 
 
 def _part(path: Path, name: str, own: Mapping[str, Any]) -> Part:

@@ -7,6 +7,7 @@ is killed leaves the checkpoint before.
 
 import contextlib
 import csv
+import hashlib
 import json
 import os
 import shutil
@@ -60,6 +61,7 @@ def save(model, about: dict[str, Any], folder: Path, *, resumable: bool = True) 
         "steps": model.num_timesteps,
         "cpu_seconds": round(time.process_time() - getattr(model, "cpu_begin", 0.0), 1),
         "versions": versions(),
+        "sha256": hashlib.sha256((scratch / weights.WEIGHTS).read_bytes()).hexdigest(),
     }
     (scratch / ABOUT).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     if folder.exists():

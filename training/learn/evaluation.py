@@ -11,6 +11,7 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecEnv
 
+from ...drive.model import foreign
 from . import checkpoint
 
 PATIENCE, FALL = 8, 0.15  # evaluations running so far below the best end a training
@@ -69,13 +70,13 @@ class EvaluationCallback(EvalCallback):
         file = self.out / "evaluations.npz"
         if not file.is_file():
             return
-        with np.load(file) as found:
-            kept = found["timesteps"] <= steps
-            self.evaluations_timesteps = found["timesteps"][kept].tolist()
-            self.evaluations_results = found["results"][kept].tolist()
-            self.evaluations_length = found["ep_lengths"][kept].tolist()
-            if "successes" in found:
-                self.evaluations_successes = found["successes"][kept].tolist()
+        found = foreign.arrays(file)
+        kept = found["timesteps"] <= steps
+        self.evaluations_timesteps = found["timesteps"][kept].tolist()
+        self.evaluations_results = found["results"][kept].tolist()
+        self.evaluations_length = found["ep_lengths"][kept].tolist()
+        if "successes" in found:
+            self.evaluations_successes = found["successes"][kept].tolist()
         means = [float(np.mean(rewards)) for rewards in self.evaluations_results]
         self.best_mean_reward = max(means, default=-np.inf)
 

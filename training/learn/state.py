@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 
+from ...drive.model import foreign
 from ..policies.trained import weights
 
 STATE, REPLAY = "state.npz", "replay.npz"
@@ -51,7 +52,7 @@ def load(model, folder: Path) -> None:
             "program when they are read; begin a new run with another --out"
         )
     found = weights.load(folder)
-    arrays = weights.arrays(folder / STATE)
+    arrays = foreign.arrays(folder / STATE)
     try:
         _restore(model, arrays, found.network)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -132,7 +133,7 @@ def load_replay(model, folder: Path) -> None:
     """Read it into the buffer of the algorithm. Raises ValueError where it is of another one."""
     buffer, file = model.replay_buffer, folder / REPLAY
     into = _replayed(buffer)
-    arrays = weights.arrays(file, sum(array.nbytes for array in into.values()) + SLACK)
+    arrays = foreign.arrays(file, sum(array.nbytes for array in into.values()) + SLACK)
     try:
         pos, full = int(arrays["pos"]), bool(arrays["full"])
         if not 0 <= pos < buffer.buffer_size:

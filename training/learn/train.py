@@ -75,6 +75,7 @@ class Run:
 
     def __post_init__(self):
         whole("seed", self.seed, 0, 2**31 - 1)
+        saved.judged_apart("--seed", self.seed, self.envs)
 
     def vector(self, envs: int, device: str | None = None) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""

@@ -130,11 +130,15 @@ def needed(name: Any) -> dict[str, Any]:
     return dict(row.arguments) if row else {}
 
 
+def declared() -> list[str]:
+    """All registered names: of the table, and then of those that installed packages declare."""
+    points = metadata.entry_points(group=ENTRY_POINTS)
+    return [*POLICIES, *sorted({point.name for point in points} - POLICIES.keys())]
+
+
 def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
     """Of the policies for a task, and then of those that other packages declare."""
-    own = [name for name in POLICIES if name in ANYWHERE or name in task.POLICIES]
-    points = metadata.entry_points(group=ENTRY_POINTS)
-    return own + sorted({point.name for point in points} - POLICIES.keys())
+    return [n for n in declared() if n not in POLICIES or n in ANYWHERE or n in task.POLICIES]
 
 
 POLICIES_TOLD = "FILE.py:name, or a folder of `servogym train`"

@@ -19,9 +19,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...drive.model import foreign
 from ...envs.engine.checks import THREADS
 
 Result = dict[str, Any]  # by name: an array, or what JSON has
+LARGEST = 2**32  # bytes of a result, unpacked
 REST = "_rest"  # of the archive: what is no array
 PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "ruckig")  # that decide a result
 SOURCES = ("servogym.drive", "servogym.envs", "servogym.training", "servogym.assets")
@@ -83,12 +85,10 @@ def encoded(result: Result) -> bytes:
 
 def decoded(data: bytes) -> Result:
     """What was encoded. Raises ValueError where it is something else."""
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as found:
-            arrays = {name: found[name] for name in found.files}
-        return arrays | json.loads(arrays.pop(REST).tobytes())
-    except Exception as error:  # whatever a damaged archive raises
-        raise ValueError(f"no result of a job: {error!r}") from None
+    arrays = foreign.arrays(data, LARGEST, "the result of a job")
+    if REST not in arrays:
+        raise ValueError("this archive is no result of a job")
+    return arrays | foreign.parsed(arrays.pop(REST).tobytes(), "the result of a job")
 
 
 class Done(NamedTuple):

@@ -15,6 +15,7 @@ from ....envs.environment.vector_env import ServoVectorEnv
 from ....envs.exchange import fields
 from ..bound import Bound
 from ..homing import BuiltIn
+from .saved import registered
 
 PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
 
@@ -85,6 +86,7 @@ class ResidualVectorEnv(ServoVectorEnv):
         bounds: Sequence[float],
         **arguments: Any,
     ):
+        registered(residual, "--residual")
         super().__init__(task, num_envs, **arguments)
         self.bounds = checked(bounds, self.envs[0])
         self._policies = [baseline(residual, env) for env in self.envs]

@@ -1,17 +1,35 @@
 """Policies that were trained, as a training run saves them: one folder each.
 
-`weights.npz` is the policy, `checkpoint.json` says what the run is and how far it has come. Earlier
-versions wrote `model.zip` of stable-baselines3 and `vecnormalize.pkl`, which are pickles.
+`weights.npz` is the policy, `checkpoint.json` says what the run is and how far it has come. A
+folder may come from anybody: its files are read by `servogym.drive.model.foreign`, and what they
+name is looked up in tables, never imported.
 """
 
-import json
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from ....drive.model import foreign
+from ....drive.model.files import content
+from ....drive.model.foreign import Key
+from ....drive.model.near import near
+from ....envs.engine.checks import flag, in_range, whole
+
 BEST = "best"  # of a run, the policy of the best evaluation
 ABOUT, MODEL, STATISTICS = "checkpoint.json", "model.zip", "vecnormalize.pkl"
+ALGORITHMS = ("PPO", "SAC", "A2C", "TD3", "DDPG")  # of stable-baselines3, whose policies are played
+# of episodes by which policies are judged, all evaluation seeds; no training may have them
+HELD_OUT_SEEDS = range(1_000_000, 1_000_000 + 1_000 * 1_000_001)
+NOTHING = type(None)
+KEYS = {  # of `checkpoint.json`
+    "env_id": Key(str, True), "algorithm": Key(str, True), "arguments": Key(dict, True),
+    "hyperparameters": Key(dict, True), "steps": Key(int, True), "versions": Key(dict, True),
+    "drive": Key(str), "seed": Key(int), "envs": Key(int), "streams": Key(str),
+    "residual": Key((str, NOTHING)), "bounds": Key((list, NOTHING)), "start": Key((dict, NOTHING)),
+    "demonstrate": Key((str, NOTHING)), "device": Key((str, NOTHING)), "mean_reward": Key(float),
+    "cpu_seconds": Key(float), "sha256": Key(str),
+}  # fmt: skip
 
 
 def stable_baselines3() -> ModuleType:
@@ -42,14 +60,70 @@ def folder(of: Path) -> Path:
 def read(folder: Path) -> dict[str, Any]:
     """What `checkpoint.json` says. Raises ValueError where it is not what a run wrote."""
     try:
-        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-        return about | {
-            "steps": int(about["steps"]),
-            "cpu_seconds": float(about.get("cpu_seconds", 0.0)),  # of all threads; 0: not known
-            "versions": dict(about["versions"]),
-        }
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        return about(content(folder / ABOUT, "a checkpoint"), str(folder / ABOUT))
+    except OSError as error:
+        raise ValueError(f"{folder / ABOUT} cannot be read ({error}): {INSTEAD}") from None
+    except ValueError as error:
+        raise ValueError(f"{error}; {INSTEAD}") from None
+
+
+INSTEAD = "remove its folder, and the one before is taken"
+
+
+def about(data: bytes, where: str) -> dict[str, Any]:
+    """The same of its bytes.
+
+    Raises ValueError where they are damaged, or name an algorithm or a policy to be corrected that
+    is none of the tables: nothing a file names is imported.
+    """
+    found = foreign.parsed(data, where, KEYS)
+    one: dict[str, Any] | None = found
+    while one is not None:
+        foreign.checked(one, where, KEYS)
+        _fits(one, where)
+        one = one.get("start")
+    return found | {"cpu_seconds": float(found.get("cpu_seconds", 0.0))}  # of all threads; 0: none
+
+
+def _fits(found: dict[str, Any], where: str) -> None:
+    if found["algorithm"] not in ALGORITHMS:
+        hint = near(found["algorithm"], ALGORITHMS)
+        raise ValueError(f"{where}: algorithm {found['algorithm']!r} is unknown: {hint}")
+    judged_apart(where, found.get("seed", 0), found.get("envs", 1))
+    arguments, settings = found["arguments"], found["hyperparameters"]
+    whole(f"{where}: history", arguments.get("history", 1), 1, 100)
+    flag(f"{where}: previous_action", arguments.get("previous_action", False))
+    if not isinstance(settings.get("policy_kwargs", {}), dict):
+        raise ValueError(f"{where}: policy_kwargs = {settings['policy_kwargs']!r} is no table")
+    if found.get("residual") is not None:
+        registered(found["residual"], where)
+    if (found.get("residual") is None) != (found.get("bounds") is None):
+        raise ValueError(f"{where}: residual and bounds belong together")
+    if found.get("residual") is not None:
+        for bound in found["bounds"]:
+            in_range(f"{where}: bounds", bound, 0.0, 1.0)
+
+
+def judged_apart(where: str, seed: int, envs: int) -> None:
+    """Raise ValueError where a training would meet episodes by which policies are judged."""
+    low, high = HELD_OUT_SEEDS.start, HELD_OUT_SEEDS.stop - 1
+    if seed <= high and seed + envs > low:
         raise ValueError(
-            f"{folder / ABOUT} is no checkpoint of a training run ({error!r}): "
-            "remove its folder, and the one before is taken"
-        ) from None
+            f"{where}: seed = {seed} with {envs} environments meets the episodes of evaluations "
+            f"and suites, seeds {low} to {high}: take a seed below {low - envs}"
+        )
+
+
+def registered(residual: str, where: str) -> None:
+    """Raise ValueError where a policy to be corrected has no registered name.
+
+    A correction goes wherever its folder goes; a file beside it would be a program from elsewhere.
+    """
+    from .. import ENTRY_POINTS, declared
+
+    names = declared()
+    if residual not in names:
+        raise ValueError(
+            f"{where} corrects {residual!r}, which is no registered policy: {near(residual, names)}"
+            f"; one of your own is registered by an entry point, {ENTRY_POINTS}"
+        )

@@ -10,18 +10,18 @@ the file says::
 
 import argparse
 import pickle
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....drive.model import foreign
+from ....drive.model.files import content
 from .network import CLIP, RELU, TANH, forward
 from .saved import ABOUT, MODEL, STATISTICS, read, stable_baselines3
 
 WEIGHTS = "weights.npz"
-LARGEST = 256 * 2**20  # bytes, unpacked
 NETWORK = "network/"
 COMMAND = "python -m servogym.training.policies.trained.weights {} --unpickle"
 Layer = tuple[np.ndarray, np.ndarray]  # weights (outputs, inputs), biases (outputs,)
@@ -159,11 +159,11 @@ def save(model, folder: Path) -> None:
 
 
 def load(folder: Path) -> Weights:
-    """Read them; nothing is unpickled.
+    """Read them; nothing is unpickled. An older `checkpoint.json` states no SHA-256 of them.
 
     Raises:
         ValueError: there are none, with the command that makes them of an older checkpoint, or the
-            file is no such file.
+            file is no such file, or was changed since.
     """
     file = folder / WEIGHTS
     if not file.is_file():
@@ -176,7 +176,9 @@ def load(folder: Path) -> Weights:
                 else ""
             )
         )
-    found = arrays(file)
+    found = foreign.arrays(file)
+    if (folder / ABOUT).is_file() and (stated := foreign.table(folder / ABOUT).get("sha256")):
+        foreign.intact(str(file), content(file, "weights", foreign.LARGEST_ARRAYS), stated)
     try:
         seen, actions = map(int, found["shape"])
         clip, epsilon = map(float, found["limits"])
@@ -185,21 +187,6 @@ def load(folder: Path) -> Weights:
     network = {n.removeprefix(NETWORK): a for n, a in found.items() if n.startswith(NETWORK)}
     mean, variance = found.get("mean"), found.get("variance")
     return Weights((seen, actions), network, mean, variance, (clip, epsilon))
-
-
-def arrays(file: Path, largest: int = LARGEST) -> dict[str, np.ndarray]:
-    """The arrays of an npz file of at most `largest` bytes, by name; nothing is unpickled.
-
-    Raises ValueError where it is no such file, or a larger one.
-    """
-    try:
-        with zipfile.ZipFile(file) as packed:
-            if sum(entry.file_size for entry in packed.infolist()) > largest:
-                raise ValueError(f"it is larger than {largest} bytes")
-        with np.load(file, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-    except (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{file} holds no arrays that can be read: {error}") from None
 
 
 def convert(folder: Path) -> None:

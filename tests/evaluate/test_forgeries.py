@@ -1,0 +1,270 @@
+"""Submissions that were forged with the right hash: each is refused, and the reason is said.
+
+The forger has the source: he writes what he likes and seals it as `submission.write` does.
+"""
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_benchmark import ONE, RESULTS, SMALL, entered, refused
+
+from servogym.training import cli
+from servogym.training.evaluate import submission as format_of
+from servogym.training.evaluate import suite
+from servogym.training.policies import SHIPPED
+
+TASK, ABOUT, WEIGHTS = "LinearAxis-v0", "checkpoint.json", "weights.npz"
+FIRST = f"{TASK}/seed_1"
+HELD_OUT = 1_180_000  # of suite v1: seed 180
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory):
+    """The head and the files of a submission that was trained."""
+    folder = tmp_path_factory.mktemp("honest")
+    (folder / "small.toml").write_text(SMALL, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert entered(ONE, "--entry", "mine") == 0
+        made = format_of.read(folder / "entries" / "mine.npz")
+    return {name: getattr(made, name) for name in format_of.KEYS if name != "hash"}, made.files
+
+
+@pytest.fixture
+def forge(honest, tmp_path, monkeypatch):
+    """Writes a forged entry and returns what `servogym results` says of it."""
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(SMALL, encoding="utf-8")
+
+    def forge(change, capsys, *words):
+        head, files = copy.deepcopy(honest[0]), dict(honest[1])
+        change(head, files)
+        made = format_of.Submission(**head, files=files)
+        format_of.write(Path("entries") / "forged.npz", made)
+        return refused(capsys, *RESULTS, *words)
+
+    return forge
+
+
+def about(files, place=FIRST, **changes):
+    """Other words in a checkpoint."""
+    name = f"{place}/{ABOUT}"
+    files[name] = json.dumps(json.loads(files[name]) | changes).encode()
+
+
+def test_the_honest_one_is_ranked(honest, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(SMALL, encoding="utf-8")
+    made = format_of.Submission(**honest[0], files=dict(honest[1]))
+    format_of.write(Path("entries") / "mine.npz", made)
+    assert cli.main([*RESULTS]) == 0
+    page = Path("entries", "README.md").read_text(encoding="utf-8")
+    assert "| mine | 1 |" in page
+    assert "| mine | `PPO` | 1 | " in page
+
+
+def returns(head, condition="nominal"):
+    return head["table"][TASK][condition]["episode_return"]
+
+
+def scaled(head, files):
+    head["table"][TASK]["held_out"]["episode_return"] = [[1.0095 * returns(head, "held_out")[0][0]]]
+
+
+def last_bit(head, files):
+    returns(head)[0][0] = float(np.nextafter(returns(head)[0][0], np.inf))
+
+
+def more_episodes(head, files):
+    returns(head)[0].append(200.0)
+
+
+def no_numbers(head, files):
+    head["table"][TASK]["nominal"]["episode_return"] = "200"
+
+
+def another_column(head, files):
+    head["table"][TASK]["nominal"]["score"] = [[1.0]]
+
+
+def without_the_hard_condition(head, files):
+    del head["table"][TASK]["held_out"]
+
+
+def empty(head, files):
+    head["table"] = {}
+
+
+def other_weights(head, files):
+    other = SHIPPED / TASK / "seed_2"
+    files[f"{FIRST}/{WEIGHTS}"] = (other / WEIGHTS).read_bytes()
+    about(files, sha256=json.loads((other / ABOUT).read_text()).get("sha256"))
+    found = json.loads(files[f"{FIRST}/{ABOUT}"])
+    files[f"{FIRST}/{ABOUT}"] = json.dumps({k: v for k, v in found.items() if v}).encode()
+
+
+def one_training_as_two(head, files):
+    for part in (ABOUT, WEIGHTS):
+        files[f"{TASK}/seed_2/{part}"] = files[f"{FIRST}/{part}"]
+    about(files, f"{TASK}/seed_2", seed=2)
+
+
+def seed_of_a_suite(head, files):
+    for part in (ABOUT, WEIGHTS):
+        files[f"{TASK}/seed_{HELD_OUT}/{part}"] = files.pop(f"{FIRST}/{part}")
+    about(files, f"{TASK}/seed_{HELD_OUT}", seed=HELD_OUT)
+
+
+def seed_of_a_suite_in_a_vector(head, files):
+    about(files, seed=1, start=json.loads(files[f"{FIRST}/{ABOUT}"])
+          | {"seed": HELD_OUT - 1_000, "envs": 200_000})  # fmt: skip
+
+
+def another_seed_than_its_folder(head, files):
+    about(files, seed=2)
+
+
+def a_limit_corrected_by_nothing(head, files):
+    about(files, residual="oracle", bounds=[0.0])
+
+
+def a_program_as_base(head, files):
+    files["evil.py"] = b"open('ran.txt', 'w')\n"
+    about(files, residual="evil.py:act", bounds=[0.1])
+
+
+def a_program_beside(head, files):
+    files["evil.py"] = b"open('ran.txt', 'w')\n"
+
+
+def a_program(head, files):
+    files.clear()
+    files["evil.py"] = b"open('ran.txt', 'w')\ndef act(seen):\n    return [0.0]\n"
+    head["policy"] = "evil.py:act"
+
+
+def a_path_without_files(head, files):
+    files.clear()
+    Path("evil.py").write_text("open('ran.txt', 'w')\n", encoding="utf-8")
+    head["policy"] = "evil.py:act"
+
+
+def what_comes_with_the_laboratory(head, files):
+    files.clear()
+    head["policy"] = "learned"
+
+
+def a_name_that_is_a_baseline(head, files):
+    head["name"] = "ruckig"
+
+
+def a_name_with_markup(head, files):
+    head["name"] = "mine | 1 | 200"
+
+
+def a_command_with_markup(head, files):
+    head["command"] = "servogym benchmark learned ` | 1 | 200 |"
+
+
+def an_earlier_version(head, files):
+    head["versions"] = head["versions"] | {"mujoco": "3.0.0"}
+
+
+def without_versions(head, files):
+    head["versions"] = {}
+
+
+def of_another_suite(head, files):
+    head["digest"] = "0" * 16
+
+
+def of_another_task(head, files):
+    about(files, env_id="servogym/LinearAxisTracking-v0")
+
+
+def a_tensor_of_objects(head, files):
+    about(files, sha256="0" * 64)
+
+
+def half_a_training(head, files):
+    del files[f"{FIRST}/{WEIGHTS}"]
+
+
+def out_of_its_folder(head, files):
+    files["../../evil"] = b"x"
+
+
+FORGERIES = {
+    scaled: "held_out: its table says return",
+    last_bit: "nominal: its table says return",
+    more_episodes: "of the shape (1, 2), it plays (1, 1)",
+    no_numbers: "of the shape (), it plays (1, 1)",
+    another_column: "its table has other columns",
+    without_the_hard_condition: "its table lacks held_out",
+    empty: "its table is empty",
+    other_weights: "its table says return",
+    one_training_as_two: "has the weights of LinearAxis-v0/seed_1: each training counts once",
+    seed_of_a_suite: "meets the episodes of evaluations and suites",
+    seed_of_a_suite_in_a_vector: "meets the episodes of evaluations and suites",
+    another_seed_than_its_folder: "states the seed 2, its folder another one",
+    a_limit_corrected_by_nothing: "corrects 'oracle' by nothing",
+    a_program_as_base: "a program is one file",
+    a_program_beside: "a program is one file",
+    a_program: "brings evil.py, which is a program: read it, and say --run-code",
+    a_path_without_files: "brings no files, and 'evil.py:act' is no baseline",
+    what_comes_with_the_laboratory: "brings no files, and 'learned' is no baseline",
+    a_name_that_is_a_baseline: "an entry 'ruckig' has to be the policy of that name",
+    a_name_with_markup: "name = 'mine | 1 | 200' is none that a page could show",
+    a_command_with_markup: "is none that a page could show",
+    an_earlier_version: "was made with mujoco 3.0.0, this is",
+    without_versions: "versions lack python",
+    of_another_suite: "is of suite small (0000000000000000), this is small",
+    of_another_task: "was trained for servogym/LinearAxisTracking-v0, not for LinearAxis-v0",
+    a_tensor_of_objects: "was changed or damaged: its SHA-256 is",
+    half_a_training: "is there without its weights.npz",
+    out_of_its_folder: "is no file of a policy",
+}
+
+
+@pytest.mark.parametrize("change", FORGERIES, ids=lambda change: change.__name__)
+def test_a_forgery_is_refused_with_the_reason(change, forge, capsys):
+    assert FORGERIES[change] in forge(change, capsys)
+    assert not Path("ran.txt").exists()
+    assert not Path("entries", "README.md").exists()
+
+
+def test_the_same_policy_under_two_names_is_one_entry(honest, forge, capsys):
+    Path("entries").mkdir()
+    first = format_of.Submission(**honest[0] | {"name": "first"}, files=dict(honest[1]))
+    format_of.write(Path("entries") / "a.npz", first)
+    assert "plays the same as the entry 'first'" in forge(lambda head, files: None, capsys)
+
+
+def test_a_correction_of_what_is_told_has_no_rank(honest):
+    """A folder whose base is the oracle was rank 1 of version 1 of this page."""
+    head, files = copy.deepcopy(honest[0]), dict(honest[1])
+    about(files, residual="oracle", bounds=[0.01])
+    made = format_of.Submission(**head, files=files)
+    assert made.told(TASK)
+    assert made.plays == "PPO on oracle"
+    assert not format_of.Submission(**head, files=dict(honest[1])).told(TASK)
+
+
+def test_a_suite_may_draw_its_seed_from_what_plays_and_nothing_else(honest, tmp_path):
+    text = SMALL.replace("seed = 181", 'seed = "of_submission"')
+    (tmp_path / "blind.toml").write_text(text, encoding="utf-8")
+    blind = suite.read(str(tmp_path / "blind.toml"))
+    assert blind.seed is None
+    made = format_of.Submission(**honest[0], files=dict(honest[1]))
+    drawn = blind.drawn(made.identity).seed
+    assert 0 <= drawn <= 1_000_000
+    head = honest[0] | {"name": "other", "command": "servogym benchmark learned", "table": {}}
+    assert blind.drawn(format_of.Submission(**head, files=made.files).identity).seed == drawn
+    files = dict(made.files)
+    about(files, steps=1)
+    other = format_of.Submission(**honest[0], files=files).identity
+    assert blind.drawn(other).seed != drawn
+    assert suite.read("v1").drawn(other).seed == 180
