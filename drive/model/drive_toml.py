@@ -12,7 +12,7 @@ import numpy as np
 
 from ..kernel.process_data import MAX_BITS
 from ..kernel.record import FIELDS, OD
-from .foreign import text
+from . import foreign
 from .near import near
 
 # Departures from the standard a model may declare: fields of the record that the kernel reads, and
@@ -54,7 +54,7 @@ UNITS = {"position_gain": 1e-3, "velocity_gain": 1e-6, "temperature": 0.1}
 def read_toml(path: Path) -> dict[str, Any]:
     """One drive.toml, checked as far as it can be alone. Raises ValueError with file and key."""
     try:
-        toml = tomllib.loads(text(path, "a file of a model"))
+        toml = tomllib.loads(foreign.text(path, "a file of a model"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
     _refuse_unknown(toml, KINDS, path)

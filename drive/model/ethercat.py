@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .foreign import text
+from . import foreign
 from .rows import Object
 
 PROTOCOLS = ("AoE", "EoE", "CoE", "FoE", "SoE", "VoE")  # a bit of word 1Ch of the SII each
@@ -94,7 +94,7 @@ class _Reader:
     def __init__(self, path: Path):
         self.path = path
         try:
-            self.data: dict[str, Any] = tomllib.loads(text(path, "a file of a model"))
+            self.data: dict[str, Any] = tomllib.loads(foreign.text(path, "a file of a model"))
         except (tomllib.TOMLDecodeError, OSError, RecursionError) as error:
             raise ValueError(f"{path}: {error}") from None
         for table, keys in TABLES.items():

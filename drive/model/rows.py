@@ -18,7 +18,7 @@ from ..kernel.factors.units import Kind
 from ..kernel.faults import Cause, Reaction
 from ..kernel.process_data import parameter_place
 from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES
-from .foreign import text
+from . import foreign
 
 # data type of CiA 301 -> struct format; strings have none
 FORMATS = {
@@ -186,7 +186,7 @@ LARGEST_SET = 1 << 16  # values of {low..high}
 
 def lines_of(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str], str]]:
     """Rows of a CSV file, each with the words "file, line n" for error messages."""
-    reader = csv.DictReader(io.StringIO(text(path, "a file of a model"), newline=""))
+    reader = csv.DictReader(io.StringIO(foreign.text(path, "a file of a model"), newline=""))
     try:
         missing = [column for column in columns if column not in (reader.fieldnames or ())]
         for row in reader:

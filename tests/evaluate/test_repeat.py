@@ -80,8 +80,10 @@ def test_the_cpu_seconds_are_those_of_the_whole_training_not_of_its_best_checkpo
     folder = task(tmp_path, [LINE + " --out {out}/a", LINE + " --out {out}/b"], {"1": [500, 1000]})
     seed = folder / "LinearAxis-v0" / "seed_1"
     seed.mkdir()
-    first = {"steps": 250, "cpu_seconds": 150.0}
-    about = {"steps": 400, "cpu_seconds": 20.0, "versions": {}, "start": first}
+    kind = {"env_id": "servogym/LinearAxis-v0", "algorithm": "PPO", "versions": {}}
+    kind |= {"arguments": {}, "hyperparameters": {}}
+    first = kind | {"steps": 250, "cpu_seconds": 150.0}
+    about = kind | {"steps": 400, "cpu_seconds": 20.0, "start": first}
     (seed / "checkpoint.json").write_text(json.dumps(about), encoding="utf-8")
     (training,) = repeat.plan(folder, tmp_path)
     assert training.cpu_seconds == pytest.approx(350.0)
@@ -97,7 +99,7 @@ def test_the_cpu_seconds_are_those_of_the_whole_training_not_of_its_best_checkpo
 
 @pytest.mark.parametrize(
     ("content", "says"),
-    [(None, "has no trainings.json"), ("{}", "says no trainings"), ("[1]", "says no trainings")],
+    [(None, "has no trainings.json"), ("{}", "says no trainings"), ("[1]", "is damaged: a table")],
 )
 def test_a_folder_without_trainings_is_told(tmp_path, capsys, content, says):
     folder = tmp_path / "LinearAxis-v0"

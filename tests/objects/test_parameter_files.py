@@ -14,10 +14,12 @@ import pytest
 from servogym.drive.canopen.frame import parse
 from servogym.drive.canopen.node import Node
 from servogym.drive.drive import Drive
+from servogym.drive.model import files
 from servogym.drive.model.model import model_names
 from servogym.drive.objects import store
 from servogym.envs.plants.catalogue import machines_for
 from servogym.envs.plants.linear_axis import linear_axis
+from servogym.training import cli
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 ODD = (0, 1, -1, 2.5, 1e300, True, 10**30, -(10**30))
@@ -101,7 +103,7 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path):
 def test_a_file_larger_than_any_drives_is_not_read_to_its_end(file):
     with file.open("wb") as grown:
         grown.truncate(1 << 40)  # a hole of a tebibyte
-    with pytest.warns(UserWarning, match=f"a parameter file has at most {store.LARGEST};"):
+    with pytest.warns(UserWarning, match=f"a parameter file has at most {files.LARGEST};"):
         Drive(parameter_file=file)
 
 
@@ -310,3 +312,29 @@ def test_each_of_several_drives_of_a_node_has_its_own_file(tmp_path):
     shutil.rmtree(tmp_path)
     with pytest.raises(ValueError, match=r"there is no folder .* make it first"):
         machines_for("generic", [3], "linear", tmp_path / "p.json")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[: len(text) // 2],
+        lambda text: text.replace('"generic"', '"another"'),
+        lambda text: text.replace("6081:00", "6081:01"),
+        lambda text: "",
+        lambda text: "\xff\xfe",
+    ],
+)
+def test_a_damaged_file_that_is_named_is_refused_and_no_factory_drive_measured(
+    damage, file, capsys
+):
+    """A drive that powers on has its defaults; who names a file wants what it holds."""
+    kept = Drive(parameter_file=file)
+    kept.write("profile_velocity", 123_456)
+    kept.write("save_all_parameters", SAVE)
+    file.write_text(damage(file.read_text(encoding="utf-8")), encoding="latin-1")
+    with pytest.raises(ValueError, match=r"parameter file .*parameters.json: its? "):
+        linear_axis(parameter_file=file)
+    assert cli.main(["bode", "rigid", "--parameter-file", str(file)]) == 2
+    error = capsys.readouterr().err
+    assert "take another file" in error
+    assert error.count("\n") == 1

@@ -52,6 +52,7 @@ def play(
         work: who plays.
         folder: where what is done is kept until all is.
     """
+    assert suite.seed is not None, "it is drawn from a submission"
     matrices = {
         env: Matrix(env, [policy], part.drive, suite.seed, suite.episodes, {}, part.rows)
         for env, policy in policies.items()
@@ -312,7 +313,7 @@ def _lines(
     }
 
     def told(entry: str) -> bool:
-        return bool(entries) and entries[entry].told(env)
+        return entries is not None and entries[entry].told(env)
 
     order = sorted(cells, key=lambda entry: (told(entry), -earned[entry], entry))
     ranked = [entry for entry in order if not told(entry)]
