@@ -89,13 +89,18 @@ print(f"from {start} to {reached} µm, {server.statistics.missed} deadlines miss
 assert abs(reached - target) < 50
 
 # %% [markdown]
-# What went over the bus, by meaning. `servogym decode` does the same with a log of candump.
+# What went over the bus, by meaning. `servogym decode` does the same with a log: give this lesson
+# the name of one, `run.log`, and it leaves it.
 
 # %%
 messages = []
 while (message := recorder.recv(timeout=0)) is not None:
     messages.append(message)
 recorder.shutdown()
+for log in (argument for argument in sys.argv[1:] if argument.endswith(".log")):
+    with can.CanutilsLogWriter(log) as writer:
+        for message in messages:
+            writer(message)
 decoder = Decoder("generic", [5])
 kinds: dict[str, list[float]] = {}
 last = ""

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 PACKAGES = ("servogym", "mujoco", "gymnasium", "numpy", "numba", "ruckig")
+ROUNDING = 1e-12  # of any unit: what is smaller is none, but the rounding of sums
 INK = "#1f5fa8"
 GRID: Any = {"alpha": 0.3, "lw": 0.6}  # of every picture
 
@@ -115,7 +116,7 @@ def number(value: float, digits: int = 3) -> str:
     """Of so many significant digits; a dash where there is none."""
     if not np.isfinite(value):
         return "–"
-    if value == 0.0:
+    if abs(value) < ROUNDING:
         return "0"
     if abs(value) < 1e-4:
         return f"{value:.{digits - 1}e}"

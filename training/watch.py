@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 from rich.console import Console
 
+from ..envs.engine.checks import words
 from .pictures.video import Recording
 from .policies import Bound, BuiltIn, Policy, make, needed
 from .report import progress
@@ -51,8 +52,7 @@ def run(
     try:
         env: Any = gymnasium.make(identity, drive=drive, disable_env_checker=True, **given)
     except TypeError as error:
-        told = str(error).partition(" was raised from")[0]  # Gymnasium's, around every error
-        raise ValueError(f"--argument: {told}") from None
+        raise ValueError(f"--argument: {words(error)}") from None
     policy = make(policy_name, env.unwrapped, seed)
     if isinstance(policy, BuiltIn | Bound):
         raise ValueError(

@@ -78,6 +78,30 @@ def choice(name: str, given: Any, known: Iterable[Any]) -> Any:
     return given
 
 
+class UnknownArgument(TypeError):
+    """An argument that an environment does not have.
+
+    It reads as Python's own error does, because libraries look for these words: torchrl tries an
+    argument, and leaves it out where it is an unexpected one.
+    """
+
+    words = ""  # the same to a person
+
+    @classmethod
+    def of(cls, owner: str, name: str, known: Iterable[str]) -> "UnknownArgument":
+        """Of the class of an environment, with near names."""
+        hint = near(name, known)
+        error = cls(f"{owner}.__init__() got an unexpected keyword argument {name!r}: {hint}")
+        error.words = f"{owner} has no argument {name!r}: {hint}"
+        return error
+
+
+def words(error: BaseException) -> str:
+    """What an error says to a person, also where Gymnasium has put its own words around it."""
+    own = getattr(error.__cause__ or error, "words", "")
+    return own or str(error).partition(" was raised from the environment")[0]
+
+
 class Options(dict[str, Any]):
     """Options of a reset, which know what a task has asked for.
 

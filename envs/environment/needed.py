@@ -56,6 +56,10 @@ NEEDED = {
     "ACTION": Need("a record made by servogym.envs.action", _numbers("f8")),
     "OBSERVATION": Need("a record made by servogym.envs.observation", _numbers("f4")),
     "EPISODE": Need("a record made by servogym.envs.episode", _episode),
+    "STEPS": Need(
+        "the steps of an episode, a whole number from 1 on",
+        lambda value: type(value) is int and value >= 1,
+    ),
     "act": Need("a compiled function (worlds, episodes, actions, rpdos)", callable),
     "judge": Need("a compiled function (worlds, episodes, rpdos, tpdos, observations)", callable),
     "_make": Need("a method (model) that builds the machine", _takes_one),

@@ -16,9 +16,9 @@ import numpy as np
 from ...drive.kernel.words import ENABLED, Mode, state_of
 from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import named, near
+from ...drive.model.near import named
 from ...drive.objects.abort import SdoAbort
-from ..engine.checks import Options, accepted, choice, flag, whole
+from ..engine.checks import Options, UnknownArgument, accepted, choice, flag, whole
 from ..engine.machine import Machine
 from ..engine.rates import interpolation_period, step_cycles
 from ..exchange import fields
@@ -195,7 +195,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         known = accepted(cls) if arguments else {}  # type: ignore[arg-type]
         for name in arguments:
             if name not in known:
-                raise TypeError(f"{cls.__name__} has no argument {name!r}: {near(name, known)}")
+                raise UnknownArgument.of(cls.__name__, name, known)
         env = super().__new__(cls)
         env._arguments = args, arguments
         return env

@@ -27,6 +27,7 @@ from servogym.envs import (
     task,
     tune,
 )
+from servogym.envs.engine.checks import words
 from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.tasks.contour import GantryContourEnv
@@ -272,7 +273,7 @@ def test_a_wrong_call_is_refused_by_us_in_words(name, stage):
     with pytest.raises(refused) as caught:
         CALLS[name](stage)
     frames = traceback.extract_tb(caught.value.__traceback__)
-    text = str(caught.value)
+    text = words(caught.value)
     assert frames[-1].filename.startswith(HOUSE) or name == "drives name", text
     assert not any(raw in text for raw in RAW), text
     assert len(text) > 20, text

@@ -9,6 +9,7 @@ import pytest
 from later import Later
 
 from servogym.drive.kernel.words import State
+from servogym.training import cli
 
 matplotlib = Later("matplotlib")
 plt = Later("matplotlib.pyplot")
@@ -68,6 +69,25 @@ def test_a_lesson_draws_its_picture_and_its_claim_holds(lesson, tmp_path, monkey
     assert width > 600
     assert height > 400
     assert FACTS[lesson.stem](names)
+
+
+def test_the_log_of_a_lesson_is_what_the_readme_looks_at(tmp_path, monkeypatch, capsys):
+    lesson = FOLDER / "07_talk_to_it_with_canopen.py"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(lesson), "run.log", "lesson.png"])
+    before = matplotlib.get_backend()
+    matplotlib.use("Agg")
+    try:
+        runpy.run_path(str(lesson), run_name="__main__")
+    finally:
+        plt.close("all")
+        matplotlib.use(before)
+    readme = (FOLDER.parent / "README.md").read_text(encoding="utf-8")
+    assert f"python examples/{lesson.name} run.log" in readme
+    for command in re.findall(r"^servogym (.* run\.log.*|\w+ run\.log)$", readme, re.M):
+        assert cli.main(command.split()) == 0, command
+    assert "target_reached" in capsys.readouterr().out
+    assert Path("out", "scope.csv").is_file()
 
 
 def test_without_an_argument_the_picture_goes_to_out(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import re
 import runpy
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tomllib
@@ -84,6 +85,37 @@ def test_every_command_exists(capsys):
             wrong += [command] * (program not in ("python", "pip"))
     assert COMMANDS
     assert wrong == []
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_readme_run_as_they_are_printed(tmp_path):
+    """In their order, in one folder; what serves until Ctrl-C is interrupted, and says so."""
+    text = re.sub(r"--steps 200000", "--steps 20000", PAGES["README.md"])
+    commands = [
+        line.partition("   #")[0]
+        for block in re.findall(r"^```sh\n(.*?)^```", text, re.M | re.S)
+        for line in block.splitlines()
+        if not line.startswith("make ")
+    ]
+    assert len(commands) > 9
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    scripts = str(Path(sys.executable).parent)
+    env = os.environ | {"PATH": f"{scripts}:{os.environ['PATH']}", "MPLBACKEND": "agg"}
+    for command in commands:
+        serves = command.split()[1] in ("node", "ethercat", "panel")
+        with subprocess.Popen(
+            shlex.split(command), cwd=tmp_path, env=env, stderr=subprocess.PIPE, text=True
+        ) as process:
+            try:
+                _, said = process.communicate(timeout=20 if serves else 400)
+            except subprocess.TimeoutExpired:
+                assert serves, command
+                process.send_signal(signal.SIGINT)
+                _, said = process.communicate(timeout=20)
+            else:
+                assert not serves, (command, said)
+        assert process.returncode in ((0, 130) if serves else (0,)), (command, said)
+        assert "Traceback" not in said, (command, said)
 
 
 def test_links_lead_to_files():

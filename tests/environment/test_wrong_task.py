@@ -6,6 +6,7 @@ import gymnasium
 import pytest
 
 from servogym.envs import register
+from servogym.envs.engine.checks import words
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training.evaluate.metrics import metrics
 
@@ -28,6 +29,24 @@ def test_steps_and_modes_that_are_none(attributes, says):
     with pytest.raises(ValueError, match=says):
         register(written(**attributes))
     assert "test/Wrong-v0" not in gymnasium.registry
+
+
+@pytest.mark.parametrize("steps", [0, -1, 1.5, "200", True, None])
+def test_steps_that_are_none_are_refused_where_a_task_is_made_too(steps):
+    with pytest.raises(ValueError, match=r"task WrongEnv: STEPS = |task WrongEnv lacks STEPS"):
+        written(STEPS=steps)()
+
+
+def test_an_unknown_argument_reads_as_pythons_own_error():
+    """torchrl 0.14.1 tries `frameskip`, and leaves it out where these words are in the error."""
+    for make in (
+        lambda: LinearAxisEnv(frameskip=1),
+        lambda: gymnasium.make("servogym.envs:servogym/LinearAxis-v0", frameskip=1),
+    ):
+        with pytest.raises(TypeError) as caught:
+            make()
+        assert "unexpected keyword argument 'frameskip'" in str(caught.value)
+        assert words(caught.value).startswith("LinearAxisEnv has no argument 'frameskip': ")
 
 
 def test_a_metric_that_is_none():

@@ -23,7 +23,7 @@ from servogym.training import cli
 from servogym.training.evaluate import compare, comparison, tables
 from servogym.training.evaluate.episodes import FIRST_SEED, Evaluator
 from servogym.training.evaluate.homing import repeatability
-from servogym.training.evaluate.metrics import METRICS, iqm
+from servogym.training.evaluate.metrics import METRICS, Difference, iqm
 from servogym.training.policies import make
 from servogym.training.report import number
 
@@ -331,3 +331,12 @@ def test_the_committed_table_is_reproduced_bit_for_bit(tmp_path, undrawn):
     for metric, row in here.items():
         for policy, cell in row.items():
             assert there[metric][policy] == cell, (metric, policy)
+
+
+def test_doing_nothing_is_no_merit_and_rounding_is_no_number():
+    """`hold` was told in bold with 5.40e-23 J."""
+    assert number(5.4e-23) == number(-2.2e-17) == "0"
+    assert number(2e-9) == "2.00e-09"
+    found = Difference(-13.6, -17.3, -9.57)
+    assert compare._apart("energy", found, "low", "hold") == "-13.6 [-17.3, -9.57]"
+    assert compare._apart("energy", found, "low", "ruckig") == "**-13.6 [-17.3, -9.57]**"

@@ -120,3 +120,13 @@ def test_in_a_terminal_it_shows_a_bar_and_ctrl_c_says_how_to_continue(tmp_path, 
     assert [line.strip() for line in lines].count("interrupted") == 1
     assert "Traceback" not in text
     assert checkpoint.numbered(tmp_path)
+
+
+def test_numbers_that_cannot_be_are_refused_before_torch_is_loaded():
+    code = "from servogym.training import cli; import sys; s = cli.main(sys.argv[1:]); "
+    code += "print(s, 'torch' in sys.modules)"
+    for option in ("--steps", "--envs", "--evaluate-every", "--checkpoint-every", "--seed"):
+        call = [sys.executable, "-c", code, "train", ID, option, "-5"]
+        done = subprocess.run(call, capture_output=True, text=True, timeout=120)
+        assert done.stdout.strip() == "2 False", done
+        assert f"{option[2:].replace('-', '_')} = -5 must be a whole number" in done.stderr

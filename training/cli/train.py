@@ -52,12 +52,14 @@ def add_curves(curves: argparse.ArgumentParser) -> None:
 def _train(options: argparse.Namespace, console: Console) -> int:
     from ...drive.model.model import load
     from ...envs.environment.registry import task
+    from ..learn import hyperparameters
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)
     task(options.env)  # refused before torch is loaded, which takes seconds
     if options.drive:
         load(options.drive)
+    hyperparameters.counted({name: getattr(options, name) for name in hyperparameters.OF_A_RUN})
     from ..learn import train
 
     console = get_console()  # on which the bar lives: what is printed comes above it

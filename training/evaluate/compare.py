@@ -62,15 +62,15 @@ def _worst(metric: str, summary: Summary | None) -> str:
     return ", ".join(number(value) for value in pair)
 
 
-def _apart(metric: str, found: Difference | None, better: str) -> str:
-    """In bold where the interval leaves 0 out on the better side."""
+def _apart(metric: str, found: Difference | None, better: str, policy: str) -> str:
+    """In bold where the interval leaves 0 out on the better side; doing nothing is no merit."""
     if found is None:
         return "–"
     if metric in SHARES:
         text = f"{100 * found.value:+.0f} % [{100 * found.low:+.0f}, {100 * found.high:+.0f}]"
     else:
         text = f"{number(found.value)} [{number(found.low)}, {number(found.high)}]"
-    return f"**{text}**" if ahead(found, better) else text
+    return f"**{text}**" if ahead(found, better) and policy not in IDLE else text
 
 
 def draw(
@@ -169,7 +169,10 @@ def run(
             [
                 [
                     metrics[metric].heading,
-                    *(_apart(metric, found, metrics[metric].better) for found in apart[metric]),
+                    *(
+                        _apart(metric, found, metrics[metric].better, policy)
+                        for policy, found in zip(names, apart[metric], strict=True)
+                    ),
                 ]
                 for metric in sorted_out
                 if metric in apart

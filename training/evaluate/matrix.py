@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ...envs.engine.checks import words
 from ...envs.environment.registry import task
 from ..policies import make, needed
 from ..scale.job import Job, Result
@@ -45,7 +46,7 @@ class Matrix:
             try:
                 nominal = kind(drive=drive, **own)
             except TypeError as error:
-                raise ValueError(f"--argument: {error}") from None
+                raise ValueError(f"--argument: {words(error)}") from None
             make(policy, nominal)
             nominal.close()
             for row in self.rows:

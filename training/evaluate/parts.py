@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.engine.checks import words
 from ...envs.environment.registry import task
 from ...envs.environment.servo_env import ServoEnv
 from ..pictures.recording import Recording
@@ -73,7 +74,7 @@ class Episodes:
         try:
             first = self._kind(drive=drive, **arguments)
         except TypeError as error:
-            raise ValueError(f"--argument: {error}") from None
+            raise ValueError(f"--argument: {words(error)}") from None
         make(policy, first)
         self._words, self._channels = first.DONE, first.channels()
         self.duration = first.STEPS * first.step_time

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ...drive.model.model import load
+from ...envs.engine.checks import words
 from ...envs.environment.registry import short, task
 from ..report import markdown, number, origin, write_csv, write_json, write_page
 from ..scale.job import Job, Result
@@ -131,7 +132,9 @@ def _cells(sweep: Sweep, values: Mapping[str, Any], left_out: list[str]) -> Iter
                         given, settings,
                     )  # fmt: skip
         except TypeError as error:
-            raise ValueError(f"--vary, --argument: {error}: see the arguments of {env}") from None
+            raise ValueError(
+                f"--vary, --argument: {words(error)}: see the arguments of {env}"
+            ) from None
         except ValueError as error:
             left_out.append(f"{env}, drive {drive}: {error}")
 

@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from torch.optim import Optimizer
 
 from ...drive.model.near import near
-from ...envs.engine.checks import whole
+from ...envs.engine.checks import words
 from ...envs.environment.registry import short, task
 from ..policies.trained import saved, weights
 from ..report import interrupted
@@ -34,7 +34,6 @@ from . import checkpoint, hyperparameters, imitate, state
 from .compiled import CompiledPPO
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
-MOST = 10**12  # steps
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 
@@ -74,7 +73,7 @@ class Run:
     device: str | None = None
 
     def __post_init__(self):
-        whole("seed", self.seed, 0, 2**31 - 1)
+        hyperparameters.counted({"seed": self.seed, "envs": self.envs})
         saved.judged_apart("--seed", self.seed, self.envs)
 
     def vector(self, envs: int, device: str | None = None) -> VecEnv:
@@ -87,7 +86,7 @@ class Run:
                 )
             )  # fmt: skip
         except TypeError as error:
-            raise ValueError(f"arguments of {self.env_id}: {error}") from None
+            raise ValueError(f"arguments of {self.env_id}: {words(error)}") from None
 
 
 def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None) -> Run:
@@ -206,10 +205,10 @@ def train(
         ValueError: naming what is wrong; where `out` has a run already, or another one.
     """
     console = console or Console(quiet=True)
-    whole("steps", steps, 1, MOST)
-    whole("checkpoint_every", checkpoint_every, 1, MOST)
-    whole("evaluate_every", evaluate_every, 1, MOST)
-    whole("envs", 1 if envs is None else envs, 1, 100_000)
+    hyperparameters.counted({
+        "steps": steps, "checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every,
+        "envs": envs, "seed": seed,
+    })  # fmt: skip
     arguments = None if arguments is None else json.loads(json.dumps(dict(arguments)))
     asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
              "arguments": arguments, "residual": residual,
