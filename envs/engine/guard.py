@@ -2,8 +2,7 @@
 
 MuJoCo reports an error by a function that must not return; unhandled, it ends the process. MuJoCo's
 own batches survive it: `mjb_apply` calls a function and comes back when there was an error in it.
-The loop runs inside such a call, on a batch of one empty simulation, one for each thread; and while
-it runs, MuJoCo reads no clock.
+The loop runs inside such a call, on a batch of one empty simulation, one for each thread.
 """
 
 import ctypes
@@ -12,12 +11,11 @@ import threading
 import weakref
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from ...drive.kernel.jit import DISABLED
 from ...drive.kernel.record import accessible
-from .physics import LIBRARY
+from .physics import EMPTY, LIBRARY
 
 ERROR_SIZE = 1000
 
@@ -54,10 +52,9 @@ class _Batch:
         library.mjb_makeBatch.restype = ctypes.c_void_p
         library.mjb_error.restype = ctypes.c_char_p
         self._library = library
-        model = mujoco.MjModel.from_xml_string('<mujoco><size memory="1K"/></mujoco>')
         text = ctypes.create_string_buffer(ERROR_SIZE)
         alone = ctypes.byref(_Config(1, 0))
-        made = library.mjb_makeBatch(ctypes.c_void_p(model._address), 1, alone, text, ERROR_SIZE)
+        made = library.mjb_makeBatch(ctypes.c_void_p(EMPTY._address), 1, alone, text, ERROR_SIZE)
         if not made:
             raise MemoryError(f"MuJoCo makes no batch: {text.value.decode(errors='replace')}")
         self.address = made
@@ -79,44 +76,6 @@ class _Guarded(threading.local):
         self.address = 0 if self.batch is None else self.batch.address
 
 
-class _Clock:
-    """MuJoCo's clock, which stands still while it is entered, by any number of threads.
-
-    A step of one axis reads it some fifty times for ``MjData.timer``, which takes nearly as long as
-    the physics. The timers still count calls. A clock of the user's own (`mujoco.set_mjcb_time`)
-    goes on.
-    """
-
-    def __init__(self) -> None:
-        self._read = ctypes.c_void_p.in_dll(ctypes.CDLL(LIBRARY), "mjcb_time")
-        self._reader: int | None = None
-        self.free()
-
-    def free(self) -> None:
-        """Nobody is inside: at first, and in a forked process."""
-        self._lock = threading.Lock()
-        self._inside = 0
-        self._start()
-
-    def _start(self) -> None:
-        if self._read.value is None:  # else the user has set another one meanwhile
-            self._read.value = self._reader
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if self._inside == 0 and mujoco.get_mjcb_time() is None:
-                self._reader = self._read.value or self._reader
-                self._read.value = None
-            self._inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0:
-                self._start()
-
-
-clock = _Clock()
 guarded = _Guarded()
 _turns: "weakref.WeakSet[Turn]" = weakref.WeakSet()
 
@@ -147,7 +106,6 @@ def _forked() -> None:
     """The threads that held turns are not there in a forked process."""
     for turn in _turns:
         turn._lock = threading.RLock()
-    clock.free()
 
 
 if hasattr(os, "register_at_fork"):

@@ -22,8 +22,23 @@ from ...drive.kernel.jit import DISABLED, block, entry
 from ...drive.memory import address, bytes_at, floats_at, integers_at, peek, viewer
 from . import friction, tick
 from .arrays import positions, velocities
-from .guard import JOB, clock, guarded
-from .physics import STATE, mj_get_state, mj_reset, mj_set_state, mj_step1, mj_step2
+from .clock import clock
+from .guard import JOB, guarded
+from .physics import (
+    STATE,
+    mj_check_acc,
+    mj_compare_fwd_inv,
+    mj_euler,
+    mj_fwd_acceleration,
+    mj_fwd_constraint,
+    mj_get_state,
+    mj_implicit,
+    mj_reset,
+    mj_sensor_acc,
+    mj_set_state,
+    mj_step1,
+    mj_step2,
+)
 from .probe import begin_step, probes_at
 from .tick import axes_at, coordinates, copy, couplings_at, mechanics_at, sense, speeds, world_at
 from .world import FIELD, WORLD
@@ -40,9 +55,17 @@ class Status(IntEnum):
     FAILED = 2  # MuJoCo left it in the middle of a step
     MISFIT = 3  # a coupling names what the model does not have
     MAPPING = 4  # the PDOs of its drives are not what the images are made of
+    OPTION = 5  # the timestep of the model is not that of its rates, or its integrator takes none
 
 
-SOUND, RUNNING, FAILED, MISFIT, MAPPING = map(int, Status)
+SOUND, RUNNING, FAILED, MISFIT, MAPPING, OPTION = map(int, Status)
+_kinds = {int(kind) for kind in mujoco.mjtIntegrator.__members__.values()}
+RK4, LAST_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4), max(_kinds)
+INTEGRATORS = _kinds - {RK4}
+EULER, UNPACKED = (
+    int(mujoco.mjtIntegrator.mjINT_EULER),
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+)
 INTERRUPTED = "the step was interrupted"
 RESET = "the machine stands in the middle of a step, reset() it or restore() a snapshot"
 REFUSALS: dict[int, tuple[type[Exception], str]] = {
@@ -57,9 +80,17 @@ REFUSALS: dict[int, tuple[type[Exception], str]] = {
         "the PDO mapping of a drive has changed, its process image has another size now: "
         "map what the task needs, or make the environment anew",
     ),
+    OPTION: (
+        ValueError,
+        "model.opt has been changed since the machine was made: the cycles of its drives are whole "
+        "multiples of the timestep it had, and its integrator takes one step, so it is not RK4. "
+        "Set them back, or build the machine anew",
+    ),
 }
 
+FWDINV = int(mujoco.mjtEnableBit.mjENBL_FWDINV)
 fields_at = viewer(FIELD)
+integers32_at = viewer(np.dtype("i4"))
 job_at = viewer(JOB)
 
 
@@ -68,11 +99,45 @@ def _tick(world):
     """One physics step and the control cycles that begin with it."""
     if tick.control(world):
         mj_step1(world.mj_model, world.mj_data)
-        if tick.forces(world):
+        grips = tick.forces(world)
+        if grips:
             friction.stick(world)
-        mj_step2(world.mj_model, world.mj_data)
+        if grips and world.act_callbacks != 0 and _integrator(world) <= UNPACKED:
+            _second_half(world)
+        else:
+            mj_step2(world.mj_model, world.mj_data)
         tick.finish(world)
     tick.count(world)
+
+
+@block
+def _integrator(world):
+    return integers32_at(world.option_integrator, 1)[0]
+
+
+@block
+def _second_half(world):
+    """What `mj_step2` is made of, without the actuation, whose callbacks `stick` has called."""
+    model, data = world.mj_model, world.mj_data
+    mj_fwd_acceleration(model, data)
+    mj_fwd_constraint(model, data)
+    bytes_at(world.rne_flag, 1)[0] = 0
+    mj_sensor_acc(model, data)
+    mj_check_acc(model, data)
+    if integers32_at(world.option_enableflags, 1)[0] & FWDINV:
+        mj_compare_fwd_inv(model, data)
+    if _integrator(world) == EULER:
+        mj_euler(model, data)
+    else:
+        mj_implicit(model, data)
+
+
+@block
+def _as_made(world):
+    """Whether timestep and integrator of the model are such as the machine can step with."""
+    integrator = _integrator(world)
+    one_step = 0 <= integrator <= LAST_INTEGRATOR and integrator != RK4
+    return one_step and floats_at(world.option_timestep, 1)[0] == world.timestep
 
 
 @block
@@ -144,6 +209,8 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
         return FAILED
     if not _fits(world, couplings, joints):
         return MISFIT
+    if not _as_made(world):
+        return OPTION
     world.status = RUNNING
     _enter(address, world)
     axes = axes_at(world.axes, world.drives)

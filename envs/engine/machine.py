@@ -21,7 +21,7 @@ from .checks import whole
 from .coupling import couple, unit
 from .guard import Turn
 from .mjcf import attach, read
-from .physics import STATE, addresses
+from .physics import OPTIONS, RNE_FLAG, STATE, addresses, compiled
 from .probe import PROBE
 from .rates import rates
 from .world import COUPLING, FIELD, PDOS, WORLD
@@ -80,10 +80,11 @@ class Machine:
             joints = [model.joint(i).name for i in range(model.njnt)]
             named = [name for name in dict.fromkeys([*_actuators(model), *joints]) if name]
             raise ValueError(f"drives is empty: name at least one actuator or joint of {named}")
-        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        if model.opt.integrator not in loop.INTEGRATORS:
             raise ValueError(
-                "integrator RK4 takes several steps in one, friction and drive act once in each: "
-                'use integrator="implicitfast", or Machine.from_mjcf, which sets it'
+                f"integrator {_integrator(model)} is refused: RK4 takes several steps in one, "
+                'friction and drive act once in each; use integrator="implicitfast", or '
+                "Machine.from_mjcf, which sets it"
             )
         # A state that is not finite must reach the drive as a dead encoder, not vanish in a reset.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -150,6 +151,10 @@ class Machine:
             ("directions", self._directions), ("responses", self._responses),
         ):  # fmt: skip
             world[name] = address(array)
+        for name, offset in OPTIONS.items():
+            world[f"option_{name}"] = address(self._model.opt.gravity) + offset
+        world["rne_flag"] = address(self._data.energy) + RNE_FLAG
+        world["act_callbacks"] = _has_act_callbacks(self._model)
         world["timestep"] = self._model.opt.timestep
         world["response_row"] = self._responses.strides[0]
         world["nq"], world["nv"], world["nu"] = self._model.nq, self._model.nv, self._model.nu
@@ -158,7 +163,7 @@ class Machine:
 
     @property
     def data(self) -> mujoco.MjData:
-        """The state of the physics; its ``timer`` counts calls, see `guard`, and takes no time."""
+        """The state of the physics; its ``timer`` counts calls and takes no time, see `clock`."""
         if self._residence:
             with self.turn:
                 loop.enter(self.addresses)
@@ -240,7 +245,7 @@ class Machine:
             }
             if models:
                 attach(spec, models, gears or {})
-            return cls(spec.compile(), models)
+            return cls(compiled(spec), models)
         except ValueError as error:
             name = text if len(text) < 200 else "MJCF"
             said = str(error)
@@ -249,7 +254,7 @@ class Machine:
     @property
     def time(self) -> float:
         """Time since the reset (s)."""
-        return int(self.world["tick"][0]) * self.model.opt.timestep
+        return int(self.world["tick"][0]) * float(self.world["timestep"][0])
 
     def joint(self, name: str) -> tuple[float, str]:
         """Gear of a drive (rad of motor shaft per unit of its joint), and that unit: m or rad."""
@@ -423,6 +428,21 @@ def _rebuild(
     machine._settle()
     mujoco.mj_fwdPosition(machine.model, machine.data)  # not `mj_forward`, which warms the solver
     return machine
+
+
+def _integrator(model: mujoco.MjModel) -> str:
+    try:
+        return mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
+    except ValueError:
+        return str(model.opt.integrator)
+
+
+def _has_act_callbacks(model: mujoco.MjModel) -> bool:
+    return bool(
+        np.any(model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_USER))
+        or np.any(model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_USER))
+        or np.any(model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_USER))
+    )
 
 
 LAYOUT = zlib.crc32(repr((COUPLING.descr, mechanics.MECHANICS.descr)).encode())

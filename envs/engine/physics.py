@@ -13,7 +13,7 @@ import numpy as np
 from numba import types
 
 from ...drive.kernel import jit
-from ...drive.memory import floats_at
+from ...drive.memory import address, floats_at, peek
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _models: dict[int, mujoco.MjModel] = {}  # by address, only without JIT
@@ -28,24 +28,10 @@ def _library() -> str:
     raise ImportError(f"no MuJoCo library in {folder}: reinstall the mujoco package")
 
 
-def _step_in_python(model: int, data: int) -> None:
-    mujoco.mj_step(_models[model], _datas[data])
-
-
-def _step1_in_python(model: int, data: int) -> None:
-    mujoco.mj_step1(_models[model], _datas[data])
-
-
-def _step2_in_python(model: int, data: int) -> None:
-    mujoco.mj_step2(_models[model], _datas[data])
-
-
-def _actuation_in_python(model: int, data: int) -> None:
-    mujoco.mj_fwdActuation(_models[model], _datas[data])
-
-
-def _acceleration_in_python(model: int, data: int) -> None:
-    mujoco.mj_fwdAcceleration(_models[model], _datas[data])
+def _in_python(name: str) -> Any:
+    """A function of MuJoCo that takes a model and a state, by their addresses."""
+    function = getattr(mujoco, name)
+    return lambda model, data: function(_models[model], _datas[data])
 
 
 def _solve_in_python(model: int, data: int, solution: int, right: int, n: int) -> None:
@@ -62,39 +48,80 @@ def _set_in_python(model: int, data: int, state: int, signature: int) -> None:
     mujoco.mj_setState(_models[model], _datas[data], _state(model, state), signature)
 
 
-def _state(model: int, address: int) -> np.ndarray:
-    return floats_at(address, mujoco.mj_stateSize(_models[model], STATE))
+def _state(model: int, place: int) -> np.ndarray:
+    return floats_at(place, mujoco.mj_stateSize(_models[model], STATE))
 
 
-def _reset_in_python(model: int, data: int) -> None:
-    mujoco.mj_resetData(_models[model], _datas[data])
-
-
+STEPPING = (  # functions (model, data)
+    "mj_step", "mj_step1", "mj_step2", "mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint",
+    "mj_sensorAcc", "mj_checkAcc", "mj_compareFwdInv", "mj_Euler", "mj_implicit", "mj_resetData",
+)  # fmt: skip
 LIBRARY = _library()
-mj_step: Any = _step_in_python
-mj_step1: Any = _step1_in_python
-mj_step2: Any = _step2_in_python
-mj_fwd_actuation: Any = _actuation_in_python
-mj_fwd_acceleration: Any = _acceleration_in_python
 mj_solve_m: Any = _solve_in_python
 mj_get_state: Any = _get_in_python
 mj_set_state: Any = _set_in_python
-mj_reset: Any = _reset_in_python
+_stepping: list[Any] = [_in_python(name) for name in STEPPING]
 if not jit.DISABLED:
     llvmlite.binding.load_library_permanently(LIBRARY)
-    stepping = types.void(types.intp, types.intp)
-    mj_step = types.ExternalFunction("mj_step", stepping)
-    mj_step1 = types.ExternalFunction("mj_step1", stepping)
-    mj_step2 = types.ExternalFunction("mj_step2", stepping)
-    mj_fwd_actuation = types.ExternalFunction("mj_fwdActuation", stepping)
-    mj_fwd_acceleration = types.ExternalFunction("mj_fwdAcceleration", stepping)
+    pair = types.void(types.intp, types.intp)
+    _stepping = [types.ExternalFunction(name, pair) for name in STEPPING]
     mj_solve_m = types.ExternalFunction(
         "mj_solveM", types.void(types.intp, types.intp, types.intp, types.intp, types.int32)
     )
     copying = types.void(types.intp, types.intp, types.intp, types.int32)
     mj_get_state = types.ExternalFunction("mj_getState", copying)
     mj_set_state = types.ExternalFunction("mj_setState", copying)
-    mj_reset = types.ExternalFunction("mj_resetData", types.void(types.intp, types.intp))
+(
+    mj_step, mj_step1, mj_step2, mj_fwd_actuation, mj_fwd_acceleration, mj_fwd_constraint,
+    mj_sensor_acc, mj_check_acc, mj_compare_fwd_inv, mj_euler, mj_implicit, mj_reset,
+) = _stepping  # fmt: skip
+
+CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias")  # called where one compiles
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The model of a spec.
+
+    Raises:
+        ValueError: what MuJoCo says; where a callback in Python is set, that it has to go: MuJoCo
+            compiles no model as long.
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        names = [f"set_mjcb_{n}" for n in CALLBACKS if getattr(mujoco, f"get_mjcb_{n}")()]
+        if "Python exception raised" not in str(error) or not names:
+            raise
+        raise ValueError(
+            "MuJoCo compiles no model while a callback in Python is set: build the machine first "
+            f"and call mujoco.{', mujoco.'.join(names)} then"
+        ) from None
+
+
+EMPTY = compiled(mujoco.MjSpec.from_string('<mujoco><size memory="1K"/></mujoco>'))
+NEAR = 256  # bytes of a struct before an array in it, and twice as many behind it, to look in
+
+
+def _offset(holder: Any, name: str, array: str, kind: str, values: tuple[Any, Any]) -> int:
+    """Bytes from an array in a struct of MuJoCo to a number in it that Python has no array of."""
+    usual, found, size = getattr(holder, name), [], np.dtype(kind).itemsize
+    for value in values:
+        setattr(holder, name, value)
+        start = address(getattr(holder, array)) - NEAR
+        found.append(peek(np.dtype(kind), start, 3 * NEAR // size) == value)
+    setattr(holder, name, usual)
+    places = np.flatnonzero(found[0] & found[1])
+    if len(places) != 1:
+        raise ImportError(f"MuJoCo {mujoco.__version__} has no {name} where 4.0 has it")
+    return int(places[0]) * size - NEAR
+
+
+OPTIONS = {  # from the gravity in MjModel.opt
+    "timestep": _offset(EMPTY.opt, "timestep", "gravity", "f8", (0.123, 0.456)),
+    "integrator": _offset(EMPTY.opt, "integrator", "gravity", "i4", (1, 2)),
+    "enableflags": _offset(EMPTY.opt, "enableflags", "gravity", "i4", (1, 2)),
+}
+RNE_FLAG = _offset(mujoco.MjData(EMPTY), "flg_rnepost", "energy", "u1", (True, False))
 
 
 def addresses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, int]:

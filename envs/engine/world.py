@@ -68,6 +68,12 @@ WORLD = np.dtype(
         ("fields", "i8"),  # where these fields are
         ("field_count", "i8"),
         ("resident", "i8"),  # the number that is the address of who lives there now
+        # addresses of MjModel.opt.timestep, .integrator and .enableflags
+        ("option_timestep", "i8"),
+        ("option_integrator", "i8"),
+        ("option_enableflags", "i8"),
+        ("act_callbacks", "i8"),  # 1: actuators have laws that callbacks of MuJoCo compute
+        ("rne_flag", "i8"),  # address of MjData.flg_rnepost
     ],
     align=True,
 )

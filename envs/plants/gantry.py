@@ -17,6 +17,7 @@ import mujoco
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
+from ..engine.physics import compiled
 from .linear_axis import LinearAxisParameters, commission, tune
 from .sizing import largest
 from .tuning import Unmovable, inertia_at_shaft
@@ -208,7 +209,7 @@ def _plant(
     spec.geom("payload").mass = p.payload
     if p.cable_length > 0.0:
         _hang(spec, p)
-    return spec.compile()
+    return compiled(spec)
 
 
 def _leave_carriages_out(spec: mujoco.MjSpec) -> None:

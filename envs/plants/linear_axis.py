@@ -13,6 +13,7 @@ import mujoco
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
+from ..engine.physics import compiled
 from . import tuning
 from .axis_parameters import LinearAxisParameters, chosen, family
 from .sizing import Profile, largest
@@ -133,7 +134,7 @@ def _plant(p: LinearAxisParameters, rotor: float, timestep: float) -> mujoco.MjM
         drive_elastically(spec, "carriage", p.transmission_stiffness, p.transmission_damping)
         motor = joint.armature + MOTOR_SIDE_MASS
         slow_enough("transmission_stiffness", p.transmission_stiffness, motor, carried, timestep)
-    return spec.compile()
+    return compiled(spec)
 
 
 def _mount_home_switch(spec: mujoco.MjSpec, place: float) -> None:

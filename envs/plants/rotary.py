@@ -15,6 +15,7 @@ from ...drive.model.model import DriveModel, load
 from ...drive.model.near import near
 from ..engine.checks import in_range
 from ..engine.machine import Machine
+from ..engine.physics import compiled
 from .commissioning import commission_joint
 from .linear_axis import motor_and_encoder, tune
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough
@@ -200,7 +201,7 @@ def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.Mj
             "transmission_stiffness", p.transmission_stiffness, motor, p.inertia, timestep,
             ("Nm/rad", "kg·m²"),
         )  # fmt: skip
-    return spec.compile()
+    return compiled(spec)
 
 
 def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:

@@ -4,7 +4,7 @@ The drive runs a motion once and its torques are recorded. Then blocks alternate
 those torques replayed, and drive and physics together, both from the same state, both inside a
 compiled loop. Physics alone is `mj_step` on the same model with MuJoCo's own friction in it. Both
 see the same motion, and a machine that grows slower meanwhile slows both. MuJoCo's clock stands
-still for both, see `servogym.envs.engine.guard`; what it costs is told too.
+still for both, see `servogym.envs.engine.clock`; what it costs is told too.
 """
 
 import copy
@@ -28,7 +28,7 @@ from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode
 from ...drive.master import Master
 from ...envs.engine import loop
-from ...envs.engine.guard import clock
+from ...envs.engine.clock import clock
 from ...envs.engine.machine import NO_IMAGES, Machine
 from ...envs.engine.physics import STATE, addresses, mj_step
 from ...envs.masters.port import MachinePort
