@@ -2,9 +2,13 @@
 
 The drive runs a motion once and its torques are recorded. Then blocks alternate: physics alone with
 those torques replayed, and drive and physics together, both from the same state, both inside a
-compiled loop. Physics alone is `mj_step` on the same model with MuJoCo's own friction in it. Both
-see the same motion, and a machine that grows slower meanwhile slows both. MuJoCo's clock stands
-still for both, see `servogym.envs.engine.clock`; what it costs is told too.
+compiled loop, by the processor time of their thread. Both see the same motion, and a machine that
+grows slower meanwhile slows both. MuJoCo's clock stands still for both, see
+`servogym.envs.engine.clock`; what it costs is told too.
+
+Two rows for the friction: with it, physics alone is `mj_step` with MuJoCo's own friction
+constraint, which ours takes out of the constraint solver, so part of what the drive costs is earned
+there; and with no friction on either side, where the solver has the same to do for both.
 """
 
 import copy
@@ -35,6 +39,17 @@ from ...envs.masters.port import MachinePort
 from ...envs.plants.linear_axis import linear_axis
 
 CYCLES = 600  # position cycles a block
+ROWS: tuple[tuple[str, str, bool, bool], ...] = (  # key, name, each step, with friction
+    ("rates_of_the_model", "friction, rates of the model", False, True),
+    ("position_cycle_every_step", "friction, position cycle every step", True, True),
+    ("rates_of_the_model_frictionless", "no friction, rates of the model", False, False),
+    (
+        "position_cycle_every_step_frictionless",
+        "no friction, position cycle every step",
+        True,
+        False,
+    ),
+)
 SAME_MOTION = 1e-4  # m; MuJoCo's friction is a soft constraint, ours is not
 
 
@@ -46,8 +61,8 @@ def physics_alone(model, data, ctrl, torques):
         mj_step(model, data)
 
 
-def _moving_machine(drive: str, everything_each_step: bool):
-    machine = linear_axis(drive)
+def _moving_machine(drive: str, everything_each_step: bool, friction: bool = True):
+    machine = linear_axis(drive) if friction else linear_axis(drive, coulomb_friction=0.0)
     if everything_each_step:
         for axis in machine.axes:
             axis.velocity_cycles = 1
@@ -74,9 +89,11 @@ def _with_own_friction(machine: Machine) -> tuple[mujoco.MjModel, mujoco.MjData]
     return model, mujoco.MjData(model)
 
 
-def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, Any]:
+def measure(
+    drive: str, repeat: int, everything_each_step: bool, friction: bool = True
+) -> dict[str, Any]:
     """Nanoseconds per physics step with and without the drive, and their ratio, per block."""
-    machine = _moving_machine(drive, everything_each_step)
+    machine = _moving_machine(drive, everything_each_step, friction)
     snapshot = machine.snapshot()
     steps = CYCLES * (1 if everything_each_step else machine.physics_steps)
     torques = np.zeros(steps)
@@ -88,15 +105,15 @@ def measure(drive: str, repeat: int, everything_each_step: bool) -> dict[str, An
 
     def with_drive() -> float:
         machine.restore(snapshot)
-        begin = time.perf_counter()
+        begin = time.thread_time()
         loop_of_the_machine(steps)
-        return (time.perf_counter() - begin) / steps * 1e9
+        return (time.thread_time() - begin) / steps * 1e9
 
     def alone() -> float:
         mujoco.mj_setState(plain, plain_data, begin_state, STATE)
-        begin = time.perf_counter()
+        begin = time.thread_time()
         physics_alone(model, data, plain_data.ctrl, torques)
-        return (time.perf_counter() - begin) / steps * 1e9
+        return (time.thread_time() - begin) / steps * 1e9
 
     def without_clock() -> float:
         with clock:
@@ -186,23 +203,17 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
             "drive": drive,
             "python": platform.python_version(),
             "mujoco": mujoco.__version__,
-            "rates_of_the_model": measure(drive, repeat, False),
-            "position_cycle_every_step": measure(drive, repeat, True),
+            **{key: measure(drive, repeat, *arguments) for key, _, *arguments in ROWS},
             "two_threads_over_one": two_threads(drive, max(repeat // 5, 3)),
             **start_times(),
         }
     if as_json:
         console.file.write(json.dumps(results, indent=1) + "\n")
         return 0
-    table = Table(
-        title=f"drive {drive}, one axis with friction, moving; MuJoCo {mujoco.__version__}"
-    )
+    table = Table(title=f"drive {drive}, one axis, moving; MuJoCo {mujoco.__version__}")
     for column in ("", "mj_step\n(ns)", "drive + mj_step\n(ns)", "ratio\n(median)", "quartiles"):
         table.add_column(column, justify="right" if column else "left")
-    for key, name in (
-        ("rates_of_the_model", "rates of the model"),
-        ("position_cycle_every_step", "position cycle every step"),
-    ):
+    for key, name, *_ in ROWS:
         r: Any = results[key]
         low, high = r["ratio_quartiles"]
         table.add_row(
@@ -210,6 +221,10 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
             f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
         )  # fmt: skip
     console.print(table)
+    console.print(
+        "friction: of mj_step by its constraint solver, ours outside of it, which is part of the "
+        "difference; no friction: on neither side"
+    )
     rates: Any = results["rates_of_the_model"]
     console.print(
         "MuJoCo's clock stands still in both; where it is read for MjData.timer, mj_step takes "
