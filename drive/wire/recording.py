@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,30 +27,53 @@ from .bus import to_frame
 from .log import messages
 from .pcapng import read
 
+SCALES = {  # units of a column, and what one of them is in SI
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6,
+    "rad": 1.0, "deg": math.pi / 180, "m/s": 1.0, "mm/s": 1e-3, "rad/s": 1.0, "Nm": 1.0,
+    "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "1": 1.0,
+}  # fmt: skip
+SI = {"s": "s", "ms": "s", "us": "s", "µs": "s", "m": "m", "mm": "m", "um": "m", "µm": "m",
+      "rad": "rad", "deg": "rad", "m/s": "m/s", "mm/s": "m/s", "rad/s": "rad/s", "Nm": "Nm",
+      "mNm": "Nm", "A": "A", "mA": "A", "1": ""}  # fmt: skip
 CAPTURES = (".pcapng", ".pcap")
 TRACES = (".csv", ".npz")  # of `Trace.save`; a .csv may be a log of python-can as well
 Heard = Callable[[str, Object, float], None]
 Group = dict[str, float]  # values that came together, by the name of the object
 
 
+class Signal(NamedTuple):
+    """What passed of one object: when, and the numbers; both of shape ``(n,)``."""
+
+    time: np.ndarray  # s, from the first frame of the log
+    value: np.ndarray
+    unit: str  # SI, or that of the drive
+
+
 class Source:
     """A log whose objects are known: who sent them, and their names.
 
     Args:
-        log: of CAN in a format of python-can, a capture of EtherCAT, or what `Trace.save` wrote.
+        log: of CAN in a format of python-can, a capture of EtherCAT, or a table: what `Trace.save`
+            wrote, or any CSV with `columns`.
         model: drive model; of EtherCAT that of the identity, if none is given.
+        columns: of a CSV, ``time=t:ms,target_position=x:mm``: the object's name, the heading of
+            its column, and its unit, one of `SCALES`; without a unit it is one of the drive.
 
     Raises:
         ValueError: a log that is damaged or has no object in it.
     """
 
-    def __init__(self, log: Path, model: str | Path | DriveModel | None = None):
+    def __init__(
+        self, log: Path, model: str | Path | DriveModel | None = None, columns: str | None = None
+    ):
         self._log = log
         self._model = model
         self.units: dict[str, dict[str, str]] = {}  # who -> object -> unit
         self._addresses: dict[str, dict[tuple[int, int], str]] = {}
         self._count: Counter[tuple[str, str]] = Counter()
-        self._columns = _columns(log) if log.suffix in TRACES else []
+        self._columns = _columns(log) if log.suffix in TRACES and columns is None else []
+        if columns is not None:
+            self._columns = chosen_columns(log, columns)
         if self._columns:
             self.units[log.name] = {name: unit for name, unit, _ in self._columns[1:]}
             return
@@ -101,6 +125,22 @@ class Source:
             if group:
                 yield time, dict(group)
                 group.clear()
+
+    def signals(self, who: str) -> dict[str, Signal]:
+        """All that passed of a drive, by object."""
+        if self._columns:
+            time = self._columns[0][2]
+            found = {name: (time, samples) for name, _, samples in self._columns[1:]}
+        else:
+            rows: dict[str, tuple[list[float], list[float]]] = {}
+            for at, group in self.groups(who):
+                for name, value in group.items():
+                    times, values = rows.setdefault(name, ([], []))
+                    times.append(at)
+                    values.append(value)
+            found = {name: (np.array(t), np.array(v)) for name, (t, v) in rows.items()}
+        units = self.units[who]
+        return {name: Signal(t, v, units.get(name, "")) for name, (t, v) in found.items()}
 
     def often(self, who: str, most: int) -> list[str]:
         """Objects of a drive that pass most often, at most so many."""
@@ -237,6 +277,46 @@ def channel_of(model: DriveModel, channel: str) -> str:
     if channel not in model.names:
         raise ValueError(f"there is no channel {channel!r}: {near(channel, model.names)}")
     return channel
+
+
+def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]:
+    """Name, unit and samples in SI of the columns of a CSV that are named, the time first.
+
+    Args:
+        log: the file; its first line has the headings.
+        columns: ``time=t:ms,target_position=x:mm``, see `Source`.
+
+    Raises:
+        ValueError: a heading or unit that is none, what is no number, no time.
+    """
+    with log.open(newline="", encoding="utf-8", errors="replace") as file:
+        reader = csv.reader(file)
+        head = [each.strip() for each in next(reader, [])]
+        lines = [(n, line) for n, line in enumerate(reader, 2) if any(map(str.strip, line))]
+    found = []
+    for part in columns.split(","):
+        name, equals, rest = (text.strip() for text in part.partition("="))
+        heading, _, unit = (text.strip() for text in rest.partition(":"))
+        if not equals or not name or not heading:
+            raise ValueError(f"--columns {part!r}: use NAME=HEADING:UNIT, as time=t:ms")
+        if heading not in head:
+            raise ValueError(f"{log}: no column {heading!r}: {near(heading, head)}")
+        if unit and unit not in SCALES:
+            raise ValueError(f"--columns {part!r}: unknown unit {unit!r}, use {', '.join(SCALES)}")
+        at = head.index(heading)
+        samples = np.zeros(len(lines))
+        for row, (number, line) in enumerate(lines):
+            try:
+                samples[row] = float(line[at])
+            except (ValueError, IndexError):
+                raise ValueError(f"{log}, line {number}: no number in {heading!r}") from None
+        found.append((name, SI.get(unit, ""), samples * SCALES.get(unit or "1", 1.0)))
+    found.sort(key=lambda column: column[0] != "time")
+    if not found or found[0][0] != "time":
+        raise ValueError("--columns: name the time too, as time=t:ms")
+    if len(lines) < 2 or not (np.diff(found[0][2]) > 0).all():
+        raise ValueError(f"{log}: the time has to rise from line to line")
+    return found
 
 
 def _columns(log: Path) -> list[tuple[str, str, np.ndarray]]:

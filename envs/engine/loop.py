@@ -200,6 +200,15 @@ def _fits(world, couplings, joints):
 
 
 @block
+def _arrives(world, tick, ticks):
+    """Whether the RPDO image of the step that began at `tick` is latched."""
+    if world.latches == 0:
+        return True
+    row = (tick - world.latches_from) // max(ticks, 1)
+    return 0 <= row < world.latches_count and bytes_at(world.latches, world.latches_count)[row] != 0
+
+
+@block
 def _advance(address, begin, end, ticks, rpdo, tpdo):
     """Advance one machine from `begin` to `end` of a step of `ticks`; -> its `Status`."""
     world = world_at(address, 1)[0]
@@ -214,9 +223,10 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     world.status = RUNNING
     _enter(address, world)
     axes = axes_at(world.axes, world.drives)
-    if len(rpdo) and begin == 0:
+    arrives = len(rpdo) > 0 and _arrives(world, world.tick - begin, ticks)
+    if arrives and begin == 0:
         begin_step(world, axes, couplings)
-    latched_at = min(max(world.delay, 0), ticks) if len(rpdo) else -1
+    latched_at = min(max(world.delay, 0), ticks) if arrives else -1
     latched, collected = len(rpdo), len(tpdo)
     for now in range(begin, end):
         if now == latched_at:

@@ -2,7 +2,7 @@
 
 import copy
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -30,14 +30,15 @@ MOST = 10**12  # cycles of a step
 # of MjModel, what may differ between machines that share one
 VARIABLE = (
     "body_pos", "body_ipos", "body_mass", "body_subtreemass", "body_inertia", "body_invweight0",
-    "jnt_stiffness", "dof_damping", "dof_invweight0", "dof_M0",
+    "jnt_stiffness", "dof_armature", "dof_damping", "dof_invweight0", "dof_M0",
     "dof_length", "geom_pos", "geom_size", "geom_aabb", "geom_rbound", "light_poscom0",
     "cam_poscom0",
     "tendon_stiffness", "tendon_length0", "tendon_invweight0",
-    "actuator_acc0",
+    "actuator_acc0", "actuator_gainprm", "actuator_gear",
 )  # fmt: skip
 FLOAT = np.dtype("f8")
 NO_IMAGES = np.zeros((1, 0), np.uint8)
+READ = ("position", "velocity", "torque", "position_demand")  # rad, rad/s, Nm, rad
 
 
 class Drives(dict[str, Drive]):
@@ -290,6 +291,37 @@ class Machine:
                     loop.run(self.addresses, left, NO_IMAGES, NO_IMAGES)
                 raise
 
+    def replay(
+        self, rows: Mapping[str, Any], read: Sequence[str] = READ, *,
+        drive: str | None = None, arrives: Any = None,
+    ) -> dict[str, np.ndarray]:  # fmt: skip
+        """Run the set-points of a log into a drive, a row a position cycle, in one compiled call.
+
+        The machine goes on from where it stands, enabled or not; a log of a bus is brought into
+        rows, and a machine to where it begins, by `servogym.envs.twin.experiment`.
+
+        Args:
+            rows: columns by variable of the drive (drive units), such as ``controlword`` and
+                ``target_position``, each of shape ``(n,)``.
+            read: fields of the drive's record (SI units), or ``od.`` and a variable.
+            drive: its name; the first if not given.
+            arrives: whether a process image arrives with the row, shape ``(n,)``; with each if
+                not given.
+
+        Returns:
+            Columns by name of `read`, as they are after each row, shape ``(n,)``.
+
+        Raises:
+            ValueError: an unknown name, columns of different lengths.
+        """
+        from .replay import Replay, rows_of  # it is made of machines
+
+        name = next(iter(self.drives)) if drive is None else drive
+        self._number(name)
+        layout = Replay(name, [*rows], read)
+        found = layout.run([self], rows_of(rows), arrives)[0]
+        return {each: found[each] for each in read}
+
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
         """Power off and on again, at rest, the joints of the named drives at `positions`.
 
@@ -449,9 +481,10 @@ LAYOUT = zlib.crc32(repr((COUPLING.descr, mechanics.MECHANICS.descr)).encode())
 
 
 def _variable(model: mujoco.MjModel) -> list[np.ndarray]:
-    """What may differ between machines that share a model; the last is mjStatistic."""
+    """What may differ between machines that share a model; the last two: gravity, mjStatistic."""
     center = model.stat.center  # behind mean inertia, mass and size, and extent, which it follows
-    return [*(getattr(model, name) for name in VARIABLE), peek(FLOAT, address(center) - 32, 7)]
+    arrays = [getattr(model, name) for name in VARIABLE]
+    return [*arrays, model.opt.gravity, peek(FLOAT, address(center) - 32, 7)]
 
 
 def _checksum(model: mujoco.MjModel) -> int:

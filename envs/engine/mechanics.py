@@ -11,6 +11,7 @@ cogging             amplitude · sin(order · shaft angle)   force              
 torque ripple       share · torque · sin(order · angle)    force                       torque_ripple
 backlash            no spring force within ± half the gap  force                       backlash
 gear loss           (1 / efficiency - 1) · |spring force|  limit of `friction`         efficiency
+load force          constant, in the positive direction    force                       load_force
 end stops           ½ m v² at the moment of contact        measured only               (range)
 ==================  =====================================  ==========================  ==========
 
@@ -30,6 +31,7 @@ In the MJCF an effect is a custom numeric, ``<drive>.`` and the name above or on
     <numeric name="x.torque_ripple" data="0.01 24"/>  share of the torque, periods a revolution
     <numeric name="x.backlash" data="20e-6"/>         m, the whole gap
     <numeric name="x.efficiency" data="0.9"/>         share, of the gear before the transmission
+    <numeric name="x.load_force" data="-3.2"/>        N, of a spring balancer or an offset; signed
     <numeric name="x.switch_period" data="6.283"/>    m or rad, switches come again after it
     <numeric name="x.switch_offset" data="0 0 1e-4"/> m; negative limit, positive limit, home
     <numeric name="x.switch_scatter" data="20e-6"/>   m, standard deviation, drawn at each release
@@ -70,6 +72,7 @@ MECHANICS = np.dtype(
         ("torque_ripple", "f8"),  # amplitude as a share of the motor torque
         ("ripple_order", "f8"),  # periods a motor revolution
         ("backlash", "f8"),  # whole gap of the transmission (m)
+        ("load_force", "f8"),  # constant force on the carriage (N)
         ("gear_loss", "f8"),  # friction of the gear over what it carries; 0: none
         ("switch_period", "f8"),  # switches of an axis without ends come again (m); 0: once
         ("friction_limit", "f8", (2,)),  # of this step (N), where it acts
@@ -118,6 +121,10 @@ def run(world, axis, coupling, m, qpos, qvel):
         torque = m.cogging_torque * math.sin(m.cogging_order * angle)
         torque += m.torque_ripple * axis.torque * math.sin(m.ripple_order * angle)
         reals_at(world, world.passive, world.nv)[coupling.dof] += torque * coupling.gear
+    if m.load_force != 0.0:
+        reals_at(world, world.passive, world.nv)[coupling.dof] += m.load_force
+        if m.guide >= 0:
+            reals_at(world, world.passive, world.nv)[m.elastic_dof] += m.load_force
     held = 0.0 if axis.brake_released else coupling.brake_friction
     if m.guide >= 0:
         if m.backlash > 0.0:
@@ -242,6 +249,7 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
                 )
             m[field] = value
     m.switch_offset[:] = numeric(model, f"{name}.switch_offset", 3) or 0.0
+    m.load_force = (numeric(model, f"{name}.load_force", 1) or [0.0])[0]
     if numeric(model, f"{name}.stribeck", 2):
         _stribeck(name, coupling, m)
     if numeric(model, f"{name}.efficiency", 1):

@@ -31,8 +31,8 @@ class Series:
         self._value = OD[written]
         self._row = np.dtype([(name, AXIS[name]) for name in read])
         of_od = int(AXIS.fields["od"][1]) + int(OD.fields[written][1])  # type: ignore[index]
-        self._rpdos = _mapped({of_od: self._value.itemsize})
-        self._tpdos = _mapped(
+        self._rpdos = mapped({of_od: self._value.itemsize})
+        self._tpdos = mapped(
             {int(AXIS.fields[name][1]): AXIS[name].itemsize for name in read}  # type: ignore[index]
         )
         self._count = len(drives)
@@ -67,8 +67,13 @@ def _bytes(rows: np.ndarray) -> np.ndarray:
     return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)
 
 
-def _mapped(places: Mapping[int, int]) -> np.ndarray:
-    """One PDO of so many bytes at places of a drive's record."""
+def mapped(places: Mapping[int, int]) -> np.ndarray:
+    """One PDO of so many bytes at places of a drive's record.
+
+    Raises ValueError for more places than a PDO has.
+    """
+    if len(places) > process_data.ENTRIES:
+        raise ValueError(f"{len(places)} columns, at most {process_data.ENTRIES} are possible")
     pdo = process_data.make(1)
     pdo["valid"], pdo["count"], pdo["width"] = 1, len(places), sum(places.values())
     pdo["offset"][0, : len(places)] = [*places]

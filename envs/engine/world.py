@@ -57,6 +57,9 @@ WORLD = np.dtype(
         ("drives", "i8"),
         ("tick", "i8"),  # physics steps since the reset
         ("delay", "i8"),  # physics steps an RPDO image is late
+        ("latches", "i8"),  # address of a byte a row: whether its RPDO image is latched; 0: all are
+        ("latches_from", "i8"),  # tick of the first of these rows
+        ("latches_count", "i8"),
         ("pace", "i8"),  # physics steps between two looks at the clock; 0: not yet known
         ("probes", "i8"),  # address of the records that measure the drives; 0: there are none
         ("timestep", "f8"),  # s

@@ -12,6 +12,10 @@
 | delay | of an RPDO on its way to the drives | position cycles |
 | encoder_noise | standard deviation of the measured joint position | m or rad |
 
+These, and every parameter of `servogym.envs.engine.parameters` that can act in the machine, for all
+of its drives: ``{"coulomb_friction": (8.0, 16.0), "viscous_friction": (10.0, 40.0)}`` draws the two
+frictions apart, in N and N·s/m.
+
 A range is ``(low, high)``, drawn uniformly, or one number that is always taken. One with a share,
 ``(low, high, share)``, is drawn in that share of the episodes; the others have the nominal.
 """
@@ -25,8 +29,9 @@ import numpy as np
 
 from ...drive.model.near import near
 from ..engine.machine import Machine
+from ..engine.parameters import PARAMETERS, PAYLOAD, Joint
 
-PAYLOAD, CABLE = "payload", "cable"
+CABLE = "cable"
 GAINS = ("velocity_control_gain", "position_control_gain")
 
 
@@ -38,7 +43,7 @@ class Nominal(NamedTuple):
     joint_stiffness: np.ndarray
     tendon_stiffness: np.ndarray
     gains: list[dict[str, int]]  # by object, for each drive
-    payload_inertia: np.ndarray  # of the body ``payload``, per kg (m²)
+    joints: list[Joint]
 
 
 class Knob(NamedTuple):
@@ -49,12 +54,6 @@ class Knob(NamedTuple):
     unit: str
     turn: Callable[[Machine, Nominal, float], None]
     nominal: Callable[[Machine], float]  # of a machine as it was built
-
-
-def _payload(machine: Machine, nominal: Nominal, mass: float) -> None:
-    body = machine.model.body(PAYLOAD)
-    body.inertia = mass * nominal.payload_inertia  # of the nominal: episodes leave no trace
-    body.mass = mass
 
 
 def _cable_length(machine: Machine, nominal: Nominal, length: float) -> None:
@@ -75,10 +74,6 @@ def _stiffness(machine: Machine, nominal: Nominal, share: float) -> None:
     machine.model.tendon_stiffness[:] = share * nominal.tendon_stiffness
 
 
-def _backlash(machine: Machine, nominal: Nominal, gap: float) -> None:
-    machine.mechanics["backlash"] = gap
-
-
 def _structural_damping(machine: Machine, nominal: Nominal, share: float) -> None:
     free = _without_drive(machine)
     machine.model.dof_damping[free] = share * nominal.damping[free]
@@ -94,36 +89,36 @@ def _gains(machine: Machine, nominal: Nominal, share: float) -> None:
         drive.commission({name: gain * share for name, gain in gains.items()})
 
 
-def _delay(machine: Machine, nominal: Nominal, cycles: float) -> None:
-    machine.world["delay"] = round(cycles * machine.physics_steps)
-
-
-def _encoder_noise(machine: Machine, nominal: Nominal, deviation: float) -> None:
-    machine.couplings["noise"] = deviation
-
-
 def _one(machine: Machine) -> float:
     """Of a share of the nominal."""
     return 1.0
 
 
-def _none(machine: Machine) -> float:
-    """Of what a machine does not have by itself."""
-    return 0.0
+def _parameter(name: str, low: float | None = None, high: float | None = None) -> Knob:
+    """A parameter of the machine, alike for all of its drives."""
+    row = PARAMETERS[name]
+
+    def turn(machine: Machine, nominal: Nominal, value: float) -> None:
+        for joint in nominal.joints:
+            row.set(joint, value)
+
+    return Knob(
+        row.low if low is None else low, row.high if high is None else high, row.unit, turn,
+        lambda machine: max(row.get(Joint(machine, drive)) for drive in machine.drives),
+    )  # fmt: skip
 
 
 KNOBS = {
-    "payload": Knob(1e-3, 100.0, "kg", _payload, lambda m: float(m.model.body(PAYLOAD).mass[0])),
+    **{name: _parameter(name) for name in PARAMETERS},
+    "payload": _parameter("payload", high=100.0),
     "cable_length": Knob(
         0.05, 10.0, "m", _cable_length, lambda m: -float(m.model.body(PAYLOAD).ipos[2])
     ),
     "friction": Knob(0.0, 10.0, "of the nominal friction", _friction, _one),
     "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness, _one),
-    "backlash": Knob(0.0, 0.01, "m", _backlash, lambda m: float(m.mechanics["backlash"].max())),
+    "backlash": _parameter("backlash", high=0.01),
     "structural_damping": Knob(0.0, 10.0, "of the nominal damping", _structural_damping, _one),
     "gains": Knob(0.1, 3.0, "of the nominal gains", _gains, _one),
-    "delay": Knob(0.0, 1000.0, "position cycles", _delay, _none),
-    "encoder_noise": Knob(0.0, 1e-2, "m or rad", _encoder_noise, _none),
 }
 
 
@@ -156,9 +151,8 @@ class Randomisation:
                     f"randomise['delay'] = {ranges['delay']!r}: {end:g} position cycles are no "
                     f"whole number of physics steps, of which a cycle has {machine.physics_steps}"
                 )
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD)
-        mass = float(model.body_mass[body]) if body >= 0 else 0.0
-        if "payload" in ranges and mass <= 0.0:
+        joints = [Joint(machine, name) for name in machine.drives]
+        if "payload" in ranges and joints[0].mass(PAYLOAD) <= 0.0:
             raise ValueError("randomise['payload']: this machine has no body 'payload' with a mass")
         if (
             "cable_length" in ranges
@@ -180,6 +174,9 @@ class Randomisation:
             raise ValueError(
                 "randomise['structural_damping']: no joint without a drive has damping here"
             )
+        for name in ranges:
+            if name in PARAMETERS and not all(PARAMETERS[name].there(each) for each in joints):
+                raise ValueError(f"randomise[{name!r}]: this machine has nothing it could act in")
         self._nominal = Nominal(
             machine.couplings["friction"].copy(),
             model.dof_damping.copy(),
@@ -189,7 +186,7 @@ class Randomisation:
                 {name: drive.read(name) for name in GAINS if name in drive.objects.names}
                 for drive in machine.drives.values()
             ],
-            model.body_inertia[body] / mass if mass > 0.0 else np.zeros(3),
+            joints,
         )
         self.gains = self._nominal.gains  # built with: by object, for each drive
         self._usual = {name: KNOBS[name].nominal(machine) for name in ranges}

@@ -1,0 +1,1 @@
+"""A log of a bus becomes a machine: replay, families of mechanics, fit, intervals, verdict."""

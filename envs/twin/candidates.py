@@ -1,0 +1,160 @@
+"""Machines that repeat an experiment side by side, each with parameters of its own."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..engine import parameters
+from ..engine.machine import Machine
+from ..engine.replay import Replay
+from .experiment import Experiment
+
+LAG = "lag"  # s, from a set-point on the bus to a sample on it: of no machine, found beside it
+READ = ("od.position_actual_internal_value", "torque", "position_demand")
+MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
+
+
+class Simulated(NamedTuple):
+    """What candidates did at the samples of an experiment; each of shape ``(candidates, m)``."""
+
+    position: np.ndarray  # m or rad
+    torque: np.ndarray  # Nm
+    demand: np.ndarray  # m or rad
+
+
+class Candidates:
+    """Machines of one kind, and the state each experiment begins in.
+
+    Args:
+        make: makes one, commissioned.
+        drive: that moves; the others of the machine hold their place.
+        count: how many run side by side.
+    """
+
+    def __init__(self, make: Callable[[], Machine], drive: str | None = None, count: int = 12):
+        self.machines = [make() for _ in range(count)]
+        self.drive = next(iter(self.machines[0].drives)) if drive is None else drive
+        self.joints = [parameters.Joint(m, self.drive) for m in self.machines]
+        self.runs = 0
+        self._starts: dict[int, tuple[Experiment, list[bytes], np.ndarray]] = {}
+
+    @property
+    def joint(self) -> parameters.Joint:
+        """The first one's."""
+        return self.joints[0]
+
+    def _start(self, experiment: Experiment) -> tuple[list[bytes], np.ndarray]:
+        """Snapshots of the machines, off and at rest where the rows begin, and the rows."""
+        kept = self._starts.get(id(experiment))
+        if kept is not None and kept[0] is experiment:
+            return kept[1:]
+        images = np.zeros(len(experiment.arrives), self._layout(experiment).written)
+        for name, values in experiment.rows.items():
+            images[name] = values
+        begin = self._begin(experiment)
+        starts = [_stand(m, self.drive, begin, experiment) for m in self.machines]
+        self._starts[id(experiment)] = (experiment, starts, images)
+        return starts, images
+
+    def _layout(self, experiment: Experiment) -> Replay:
+        return Replay(self.drive, [*experiment.rows], READ)
+
+    def _begin(self, experiment: Experiment) -> float:
+        """Where the machine stands before the rows, as the drive counts (m or rad)."""
+        target = experiment.rows.get("target_position")
+        if target is None or experiment.mode == 1:
+            return experiment.start
+        from .experiment import Scale
+
+        unit = Scale.of(self.machines[0], self.drive).position
+        moved = float(target[0] - target[experiment.begins]) * unit
+        return experiment.start + moved
+
+    def simulate(self, experiment: Experiment, values: Sequence[Mapping[str, float]]) -> Simulated:
+        """Repeat an experiment with each of some sets of values.
+
+        Args:
+            experiment: what is repeated.
+            values: of parameters by name, `LAG` among them.
+        """
+        parts = [
+            self._some(experiment, values[n : n + len(self.machines)])
+            for n in range(0, len(values), len(self.machines))
+        ]
+        return Simulated(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def _some(self, experiment: Experiment, values: Sequence[Mapping[str, float]]) -> Simulated:
+        starts, rows = self._start(experiment)
+        count = len(values)
+        for machine, joint, start, given in zip(
+            self.machines, self.joints, starts, values, strict=False
+        ):
+            machine.restore(start)
+            give(joint, given)
+        self.runs += count
+        found = self._layout(experiment).run(self.machines[:count], rows, experiment.arrives)
+        axis = self.joint.drive.axis
+        gear, begins = self.joint.gear, experiment.begins
+        position = found[READ[0]] * (float(axis.rad_per_increment) / gear)
+        torque = found["torque"]
+        torque = np.concatenate([torque[:, :1], torque[:, :-1]], axis=1)  # as 6077h shows it
+        demand = found["position_demand"] / gear
+        at = np.array([experiment.time - given.get(LAG, 0.0) for given in values])
+        at = at / experiment.cycle + begins - 1.0
+        return Simulated(*(_at(column, at) for column in (position, torque, demand)))
+
+
+def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
+    """Set parameters of one machine, `LAG` left out."""
+    joint.set({name: value for name, value in values.items() if name != LAG})
+
+
+def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -> bytes:
+    """Bring a machine to where an experiment begins; -> a snapshot of it."""
+    low, high = machine.range(drive)
+    reach = np.concatenate([[begin], experiment.position])
+    least, most = float(reach.min()), float(reach.max())
+    shift = 0.0
+    if not (low + MARGIN <= least and most <= high - MARGIN):
+        shift = 0.5 * (low + high) - 0.5 * (least + most) if np.isfinite(low + high) else 0.0
+    x = machine.drives[drive]
+    if shift:
+        x.commission({"min_position_limit": 0, "max_position_limit": 0})
+    x.commission({"following_error_window": 2**31 - 1})
+    units = round(experiment.period * 1e6)
+    if experiment.mode in (7, 8, 9, 10):
+        index = -6 if units <= 255 else -4 if units % 1000 else -3
+        value = units / 10 ** (6 + index)
+        x.commission({"interpolation_time_index": index})
+        x.commission({"interpolation_time_period_value": value})
+    x.commission({
+        name: value for name, value in experiment.objects.items() if name in x.objects.names
+    })  # fmt: skip
+    machine.reset(positions=_places(machine) | {drive: begin + shift})
+    machine.step()
+    axis: Any = x.axis
+    wanted = round(begin * parameters.Joint(machine, drive).gear / float(axis.rad_per_increment))
+    axis.zero_counts = int(axis.counts) - wanted
+    axis.homed = 1
+    machine.step()
+    return machine.snapshot()
+
+
+def _places(machine: Machine) -> dict[str, float]:
+    """The middles of all joints that have ends."""
+    ranges = {name: machine.range(name) for name in machine.drives}
+    return {n: 0.5 * (low + high) for n, (low, high) in ranges.items() if np.isfinite(high - low)}
+
+
+def _at(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Rows between their places, by the cubic through the four nearest; shape of `at`."""
+    last = rows.shape[1] - 3
+    left = np.clip(np.floor(at).astype(int), 1, last)
+    t = np.clip(at - left, -1.0, 2.0)
+    weights = (
+        -t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6,
+    )  # fmt: skip
+    line = np.arange(len(rows))[:, None]
+    return sum(w * rows[line, left + n - 1] for n, w in enumerate(weights))

@@ -1,0 +1,307 @@
+"""Least squares on re-simulation, with residuals made white.
+
+The noise of an encoder passes the control loop, so what a right model leaves over is coloured, in
+position and torque together. Least squares on it as it is would be consistent and its confidence
+intervals wrong. Here the residuals of position and torque are filtered by the inverse of an
+autoregression fitted to them, the prediction-error method (Ljung, System Identification, 1999,
+chapter 7); what is left is white, and its covariance that of the estimate. Where the noise is not
+stationary, at rest behind dry friction, the sandwich of short blocks corrects the intervals (White
+1980); the wider one counts.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .candidates import LAG, Candidates
+from .experiment import Experiment
+
+ORDER = 6  # of the autoregression
+BLOCK = 0.05  # s, of the sandwich
+TRIES = (0.03, 1.0, 30.0)  # of the damping, side by side
+SMALL = 1e-4  # of the cost, a step that gains less is the last one
+DIFFERENCES = 3  # order that leaves noise and little of a model error
+
+
+class Interrupted(Exception):
+    """Ctrl-C; the best so far is what counts."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is looked for.
+
+    Args:
+        name: of the parameter, or `LAG`.
+        start: where the search begins.
+        low: lowest value.
+        high: highest value.
+        step: of the difference that the derivative is taken over.
+        log: the search goes in ratios.
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    step: float
+    log: bool = False
+
+    def inner(self, value: float) -> float:
+        """In the coordinate of the search."""
+        return math.log(value) if self.log else value / self.step
+
+    def outer(self, inner: float) -> float:
+        """The value, within its bounds."""
+        value = math.exp(min(max(inner, -700.0), 700.0)) if self.log else inner * self.step
+        return min(max(value, self.low), self.high)
+
+    @property
+    def width(self) -> float:
+        """Of the difference, in the coordinate of the search."""
+        return math.log1p(self.step) if self.log else 1.0
+
+
+@dataclass
+class Noise:
+    """What whitens residuals: an autoregression and the covariance of what it leaves."""
+
+    scales: tuple[float, float]  # of position (m or rad) and torque (Nm)
+    coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    inverse: np.ndarray = field(default_factory=lambda: np.eye(2))  # of the covariance's factor
+
+    def white(self, residuals: np.ndarray) -> np.ndarray:
+        """Residuals ``(n, 2)`` in their units, or ``(k, n, 2)``, without colour and of size 1."""
+        scaled = residuals / np.array(self.scales)
+        left = scaled.copy()
+        for lag, matrix in enumerate(self.coefficients, 1):
+            left[..., lag:, :] -= scaled[..., :-lag, :] @ matrix.T
+        return left @ self.inverse.T
+
+
+def colour(residuals: Sequence[np.ndarray], order: int = ORDER) -> Noise:
+    """Fit the autoregression to residuals ``(n, 2)`` of several experiments."""
+    both = np.concatenate(residuals)
+    scales = np.maximum(np.sqrt(np.mean(both**2, axis=0)), 1e-12)
+    ahead, behind = [], []
+    for each in residuals:
+        scaled = each / scales
+        if len(scaled) <= 4 * order:
+            continue
+        ahead.append(scaled[order:])
+        behind.append(np.concatenate([scaled[order - k : -k] for k in range(1, order + 1)], axis=1))
+    if not ahead:
+        return Noise((float(scales[0]), float(scales[1])))
+    y, x = np.concatenate(ahead), np.concatenate(behind)
+    gram = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1])
+    solution = np.linalg.solve(gram, x.T @ y)
+    left = y - x @ solution
+    covariance = left.T @ left / max(len(y) - x.shape[1], 1) + 1e-9 * np.eye(2)
+    coefficients = solution.T.reshape(2, order, 2).transpose(1, 0, 2)
+    inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+    return Noise((float(scales[0]), float(scales[1])), coefficients, inverse)
+
+
+@dataclass
+class Estimate:
+    """Where a search ended."""
+
+    values: dict[str, float]
+    cost: float  # mean square of the white residuals, about 1 where the noise explains it
+    covariance: np.ndarray  # of the inner coordinates
+    free: list[Free]
+    noise: Noise
+    jacobian: np.ndarray  # of the white residuals by the inner coordinates
+    residuals: list[np.ndarray] = field(default_factory=list)
+
+    def interval(self, name: str, quantile: float = 1.96) -> tuple[float, float]:
+        """Low and high of a parameter, 95 % by default."""
+        at = [each.name for each in self.free].index(name)
+        free = self.free[at]
+        inner = free.inner(max(self.values[name], 1e-300) if free.log else self.values[name])
+        width = quantile * math.sqrt(max(float(self.covariance[at, at]), 0.0))
+        if free.log:
+            width = min(width, 50.0)
+        return free.outer(inner - width), free.outer(inner + width)
+
+    def correlation(self) -> np.ndarray:
+        """Of the estimates."""
+        sizes = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        return self.covariance / np.outer(sizes, sizes)
+
+
+class Search:
+    """Of parameters of one family in one or several experiments.
+
+    Args:
+        candidates: machines of the family.
+        experiments: what they are to repeat.
+        fixed: parameters that are known.
+        told: is called after each step with the values and the cost.
+    """
+
+    def __init__(
+        self, candidates: Candidates, experiments: Sequence[Experiment],
+        fixed: Mapping[str, float] | None = None,
+        told: Callable[[Mapping[str, float], float], object] = lambda values, cost: None,
+    ):  # fmt: skip
+        self.candidates = candidates
+        self.experiments = list(experiments)
+        self._moving = [each.moving for each in self.experiments]
+        self.fixed = dict(fixed or {})
+        self.told = told
+
+    def residuals(self, values: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
+        """Measured minus simulated, for each experiment, shape ``(len(values), m, 2)``."""
+        found = []
+        for experiment in self.experiments:
+            run = self.candidates.simulate(experiment, [self.fixed | dict(v) for v in values])
+            found.append(
+                np.stack(
+                    [experiment.position - run.position, experiment.torque - run.torque], axis=-1
+                )
+            )
+        return found
+
+    def _white(self, values: Sequence[Mapping[str, float]], noise: Noise) -> list[np.ndarray]:
+        """White residuals of the samples of motion."""
+        return [
+            noise.white(r)[:, moving] for r, moving in zip(self.residuals(values), self._moving,
+                                                          strict=True)
+        ]  # fmt: skip
+
+    def start_noise(self) -> Noise:
+        """Before anything is known: what high differences of the measured values leave."""
+        parts = [(_rough(each.position), _rough(each.torque)) for each in self.experiments]
+        p, t = (math.sqrt(np.mean(np.square(column))) for column in zip(*parts, strict=True))
+        q_p, q_t = self.experiments[0].quanta
+        return Noise((max(p, q_p, 1e-9), max(t, q_t, 1e-6)))
+
+    def cost(self, values: Sequence[Mapping[str, float]], noise: Noise) -> np.ndarray:
+        """Mean square of white residuals of each set of values."""
+        parts = self._white(values, noise)
+        total = sum(np.sum(np.square(part), axis=(1, 2)) for part in parts)
+        count = sum(part.shape[1] * 2 for part in parts)
+        cost: np.ndarray = np.nan_to_num(total / count, nan=1e30, posinf=1e30)
+        return cost
+
+    def descend(
+        self, free: Sequence[Free], values: Mapping[str, float], noise: Noise, steps: int = 10,
+    ) -> Estimate:  # fmt: skip
+        """Levenberg and Marquardt, candidates side by side; the last Jacobian is central."""
+        free = list(free)
+        x = np.array([f.inner(max(values[f.name], f.low)) for f in free])
+        damping, best = 1.0, math.inf
+        for n in range(steps + 1):
+            last = n == steps
+            white, jacobian = self._linear(free, x, noise, central=last)
+            best = float(np.mean(white**2))
+            here = {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
+            self.told(self.fixed | here, best)
+            if last:
+                break
+            gram, slope = jacobian.T @ jacobian, jacobian.T @ white
+            size = np.maximum(np.diag(gram), 1e-12)
+            trials = []
+            for factor in TRIES:
+                step = np.linalg.solve(gram + damping * factor * 1e-3 * np.diag(size), -slope)
+                step = np.clip(step, -_most(free), _most(free))
+                trials.append(self._inside(free, x + step))
+            costs = self.cost(
+                [{f.name: f.outer(c) for f, c in zip(free, t, strict=True)} for t in trials], noise
+            )
+            winner = int(np.argmin(costs))
+            if not costs[winner] < best:
+                damping *= 100.0
+                if damping > 1e7:
+                    steps = n
+                    white, jacobian = self._linear(free, x, noise, central=True)
+                    break
+                continue
+            gained = 1.0 - float(costs[winner]) / best
+            x, damping = trials[winner], damping * TRIES[winner]
+            if gained < SMALL:
+                white, jacobian = self._linear(free, x, noise, central=True)
+                best = float(np.mean(white**2))
+                break
+        values = self.fixed | {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
+        covariance = self._covariance(free, x, white, jacobian)
+        return Estimate(values, best, covariance, free, noise, jacobian)
+
+    def _inside(self, free: Sequence[Free], x: np.ndarray) -> np.ndarray:
+        return np.array([
+            f.inner(max(f.outer(c), 1e-300) if f.log else f.outer(c))
+            for f, c in zip(free, x, strict=True)
+        ])  # fmt: skip
+
+    def _linear(
+        self, free: Sequence[Free], x: np.ndarray, noise: Noise, central: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """White residuals, and their derivatives by the inner coordinates."""
+        points = [x]
+        for n, f in enumerate(free):
+            for sign in (1.0, -1.0) if central else (1.0,):
+                point = x.copy()
+                point[n] += sign * f.width
+                points.append(point)
+        sets = [{f.name: f.outer(c) for f, c in zip(free, p, strict=True)} for p in points]
+        inner = [
+            [f.inner(max(v[f.name], 1e-300) if f.log else v[f.name]) for f in free] for v in sets
+        ]
+        parts = self._white(sets, noise)
+        flat = np.concatenate([p.reshape(len(sets), -1) for p in parts], axis=1)
+        flat = np.nan_to_num(flat, nan=1e6, posinf=1e6, neginf=-1e6)
+        jacobian = np.zeros((flat.shape[1], len(free)))
+        per = 2 if central else 1
+        for n in range(len(free)):
+            ahead = 1 + per * n
+            behind = ahead + 1 if central else 0
+            gap = inner[ahead][n] - inner[behind][n]
+            if abs(gap) < 1e-12:  # at its upper bound
+                continue
+            jacobian[:, n] = (flat[ahead] - flat[behind]) / gap
+        self._lengths = [p.shape[1] * 2 for p in parts]
+        return flat[0], jacobian
+
+    def _covariance(
+        self, free: Sequence[Free], x: np.ndarray, white: np.ndarray, jacobian: np.ndarray
+    ) -> np.ndarray:
+        """Of the inner coordinates: of white noise, or by blocks, whichever is wider."""
+        gram = jacobian.T @ jacobian
+        scale = max(float(np.mean(white**2)), 1e-12)
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-30))
+        bread = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
+        plain = scale * bread
+        meat, blocks, begin = np.zeros_like(gram), 0, 0
+        for length, experiment in zip(self._lengths, self.experiments, strict=True):
+            period = experiment.duration / max(length // 2 - 1, 1)
+            block = max(int(BLOCK / period), 4) * 2
+            for at in range(begin, begin + length, block):
+                part = slice(at, min(at + block, begin + length))
+                score = jacobian[part].T @ white[part]
+                meat += np.outer(score, score)
+                blocks += 1
+            begin += length
+        sandwich = bread @ meat @ bread * (blocks / max(blocks - len(free), 1))
+        wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(plain), 1e-300), 1.0))
+        return plain * np.outer(wider, wider)
+
+
+def _most(free: Sequence[Free]) -> np.ndarray:
+    """Longest step of the search: half as much again, or ten differences."""
+    return np.array([0.7 if f.log else 30.0 for f in free])
+
+
+def _rough(values: np.ndarray) -> float:
+    """Standard deviation of what is left in the highest differences."""
+    left = np.diff(values, DIFFERENCES)
+    ordered = np.sort(np.abs(left))
+    if len(ordered) == 0:
+        return 0.0
+    middle = float(np.median(ordered)) / 0.6745
+    return middle / math.sqrt(math.comb(2 * DIFFERENCES, DIFFERENCES))
+
+
+__all__ = ["LAG", "Candidates", "Estimate", "Free", "Noise", "Search", "colour"]

@@ -1,0 +1,526 @@
+"""A log of one drive as an experiment that can be repeated on a machine.
+
+The time stamps of a bus jitter, drop out and run by another clock. What is sent cyclically is
+brought back to its period: a frame belongs to the nearest cycle, a clock that runs fast or slow is
+stretched to that of the drive, and a cyclic set-point that is missing from the log lies on the
+curve through its neighbours. What is sent on occasion, as a set-point of profile position, keeps
+its time, to the next position cycle.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...drive.drive import Drive
+from ...drive.kernel.words import Mode
+from ...drive.wire.recording import Signal
+from ..engine.machine import Machine
+
+CYCLIC = {  # mode -> the set-point that comes once a bus cycle
+    Mode.CYCLIC_SYNC_POSITION: "target_position", Mode.CYCLIC_SYNC_VELOCITY: "target_velocity",
+    Mode.CYCLIC_SYNC_TORQUE: "target_torque",
+    Mode.INTERPOLATED_POSITION: "interpolation_data_record",
+}  # fmt: skip
+OCCASIONAL = {
+    Mode.PROFILE_POSITION: "target_position", Mode.PROFILE_VELOCITY: "target_velocity",
+    Mode.PROFILE_TORQUE: "target_torque",
+}  # fmt: skip
+OFFSETS = ("position_offset", "velocity_offset", "torque_offset")
+# parameters of a move that a master may write in the log itself
+PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
+STATE, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
+ENABLE = (0x0006, 0x0007, 0x000F)  # controlwords
+NEW_SET_POINT = 0x10
+FAST_CYCLE = 1.5  # most bus cycles of a jittering stamp from its place
+LONGEST_GAP = 0.25  # s without a frame that is taken as a hole in the log
+SETTLING = 0.25  # s that a machine stands enabled before the log begins
+SHORTEST = 0.3  # s of a log
+REST = 0.02  # s without motion, from which an experiment in profile position may begin
+MOTION = 1e-3  # m/s or rad/s
+AFTER_MOTION = 0.01  # s, that belong to it
+
+
+class Unusable(ValueError):
+    """A log that no twin can be made of: what is missing, and how to record it."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Set-points in rows of position cycles, and what was measured meanwhile."""
+
+    name: str  # of the log
+    mode: int
+    cycle: float  # position cycle (s)
+    period: float  # of the bus (s)
+    rows: Mapping[str, np.ndarray]  # what is written, by variable (drive units), shape (n,)
+    arrives: np.ndarray  # a process image comes with the row, shape (n,)
+    begins: int  # row of the log's beginning; before it the machine is enabled and settles
+    start: float  # position there (m or rad, as the drive counts)
+    time: np.ndarray  # of the samples from the beginning (s), shape (m,)
+    position: np.ndarray  # as the drive counts (m or rad), shape (m,)
+    torque: np.ndarray  # at the shaft (Nm), shape (m,)
+    quanta: tuple[float, float]  # of position (m or rad) and torque (Nm)
+    objects: Mapping[str, float] = field(default_factory=dict)  # written in the log
+    notes: tuple[str, ...] = ()
+    lost: float = 0.0  # share of the frames
+
+    @property
+    def moving(self) -> np.ndarray:
+        """Which samples are of motion, shape ``(m,)``.
+
+        At rest dry friction holds the axis where the noise of the encoder has left it, and the
+        integrator with it: nothing is to be learned of the machine, and no two runs are alike.
+        """
+        speed = np.abs(np.gradient(_smooth(self.position, self.time), self.time))
+        on = speed > max(MOTION, 0.01 * float(np.percentile(speed, 98)))
+        reach = max(round(AFTER_MOTION / max(float(np.median(np.diff(self.time))), 1e-9)), 1)
+        return np.convolve(on, np.ones(2 * reach + 1), "same") > 0.5
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last (s)."""
+        return float(self.time[-1] - self.time[0])
+
+    def until(self, end: float) -> "Experiment":
+        """Its first part, to a time (s)."""
+        keep = self.time <= end
+        n = min(len(self.arrives), self.begins + math.ceil(end / self.cycle) + 40)
+        return replace(
+            self, rows={name: values[:n] for name, values in self.rows.items()},
+            arrives=self.arrives[:n], time=self.time[keep], position=self.position[keep],
+            torque=self.torque[keep],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What numbers of a log are in SI."""
+
+    position: float  # m or rad a unit
+    velocity: float
+    torque: float  # Nm per mille
+
+    @classmethod
+    def of(cls, machine: Machine, name: str) -> "Scale":
+        """Of a drive as it is commissioned."""
+        drive, (gear, _) = machine.drives[name], machine.joint(name)
+        axis = drive.axis
+        if axis.parameters_changed:  # what was commissioned counts from the next cycle on
+            machine.step()
+        return cls(
+            float(axis.rad_per_position_unit) / gear, float(axis.rad_s_per_velocity_unit) / gear,
+            int(axis.od.motor_rated_torque) * 1e-6,
+        )  # fmt: skip
+
+
+def experiment(
+    signals: Mapping[str, Signal], machine: Machine, name: str, *, log: str = "log",
+    mode: int | None = None, torque_constant: float | None = None, cycle: float | None = None,
+) -> Experiment:  # fmt: skip
+    """Make an experiment of what a log has of one drive.
+
+    Args:
+        signals: by object.
+        machine: whose drive is commissioned as that of the log: its units, cycles and limits.
+        name: of its drive.
+        log: name of it, for what is said of it.
+        mode: of operation; that of the log if not given.
+        torque_constant: Nm/A, for a log that has the current in A instead of a torque.
+        cycle: of the master (s), where the log was sampled more seldom than set-points came.
+
+    Raises:
+        Unusable: what is missing, and how to record it.
+    """
+    drive, scale = machine.drives[name], Scale.of(machine, name)
+    notes: list[str] = []
+    position, quantum_p = _measured_position(signals, scale, log)
+    torque, quantum_t = _measured_torque(signals, drive, scale, torque_constant, log)
+    begin, end = _enabled(signals, position, log)
+    used = _mode(signals, mode, log, begin, end)
+    target = (CYCLIC | OCCASIONAL)[Mode(used)]
+    if target not in signals and used == Mode.PROFILE_POSITION and "target_position" not in signals:
+        raise Unusable(f"{log}: no set-points of {target} in it: log the RPDOs of the master too")
+    if target not in signals:
+        known = "position_demand_value"
+        if used != Mode.CYCLIC_SYNC_POSITION or known not in signals:
+            raise Unusable(
+                f"{log}: no set-points ({target}) in it: record what the master sends too, or "
+                "the demand 6062h"
+            )
+        signals = dict(signals) | {target: signals[known]}
+        notes.append("set-points: the drive's own demand 6062h")
+    raw = _in_units(signals[target], scale, target)
+    cyclic = Mode(used) in CYCLIC
+    step = machine.cycle_time
+    samples = _regular(position.time, log)
+    if cyclic:
+        places = _regular(raw.time, log)
+        if cycle is not None and places.period > 1.5 * cycle:
+            raw = _filled(raw, places, cycle)
+            places = _regular(raw.time, log)
+        period = _whole_period(places.period, step, log)
+    else:
+        places, period = samples, _whole_period(samples.period, step, log)
+        raw, begin = raw, _first_rest(position, begin, end, log)
+    # one clock: the drive's, in which the bus period is a whole number of cycles
+    stretch = period / places.period
+    origin = float(position.time[np.searchsorted(position.time, begin)])
+    end = min(end, float(raw.time[-1]) + (period if cyclic else math.inf))
+
+    def clock(at: np.ndarray) -> np.ndarray:
+        return (np.asarray(at) - origin) * stretch
+
+    if cyclic:
+        origin = places.nearest(origin)
+    inside = (samples.even >= origin - 1e-9) & (samples.even <= end)
+    time = clock(samples.even[inside])
+    if len(time) < 20 or time[-1] - time[0] < SHORTEST:
+        raise Unusable(
+            f"{log}: only {max(len(time), 0)} samples of an enabled drive in it: record at least "
+            f"{SHORTEST:g} s of moves with the drive enabled"
+        )
+    hole = float(np.diff(time).max())
+    if hole > LONGEST_GAP:
+        at = float(time[int(np.argmax(np.diff(time)))])
+        raise Unusable(
+            f"{log}: nothing was recorded for {hole:.2g} s after {at:.3g} s: record it again "
+            "without gaps, or give the parts as logs of their own"
+        )
+    measured = position.value[inside]
+    torques = _held(torque, samples.even[inside], samples.period)
+    per = round(period / step)
+    lead = math.ceil((SETTLING + _brake(drive)) / period) * per
+    count = lead + math.ceil((float(time[-1]) + 5 * samples.period) / step) + per
+    rows, arrives = _rows(signals, raw, target, used, cyclic, clock, step, per, lead, count, places)
+    moving = float(np.ptp(measured))
+    if moving < 20 * max(quantum_p, 1e-9):
+        raise Unusable(
+            f"{log}: the axis does not move in it ({moving:.2g} of travel): record point-to-point "
+            "moves to both sides at two accelerations"
+        )
+    if np.ptp(torques) < 3 * quantum_t:
+        raise Unusable(
+            f"{log}: the torque does not change in it: map torque_actual_value (6077h), or "
+            "current_actual_value (6078h), into a TPDO and record again"
+        )
+    lost = 1.0 - len(time) / max(
+        round(float(time[-1] - time[0]) / (samples.period * stretch)) + 1, 1
+    )
+    return Experiment(
+        log, used, step, period, rows, arrives, lead, float(measured[0]), time, measured, torques,
+        (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cadence:
+    """Time stamps of something cyclic, and where they should be."""
+
+    period: float  # by the clock of the log (s)
+    phase: float  # s
+    even: np.ndarray  # the stamps without their jitter (s)
+
+    def nearest(self, at: float) -> float:
+        """The stamp without jitter nearest to a time (s)."""
+        return self.phase + round((at - self.phase) / self.period) * self.period
+
+
+def _regular(time: np.ndarray, log: str) -> Cadence:
+    """The period of time stamps, by least squares over the number of the cycle of each."""
+    if len(time) < 3:
+        raise Unusable(f"{log}: fewer than 3 samples: record the moves with the bus running")
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    period = float(np.median(steps))
+    for _ in range(8):
+        number = np.zeros(len(time))
+        number[1:] = np.cumsum(np.maximum(np.round(np.diff(time) / period), 0))
+        slope, first = np.polyfit(number, time, 1)
+        if slope <= 0 or abs(slope / period - 1) < 1e-12:
+            break
+        period = float(slope)
+    number = np.round((time - first) / period)
+    slope, first = np.polyfit(number, time, 1)
+    return Cadence(float(slope), float(first), first + slope * number)
+
+
+def _whole_period(period: float, step: float, log: str) -> float:
+    """The bus period (s) in whole position cycles of the drive."""
+    cycles = max(round(period / step), 1)
+    if abs(cycles * step / period - 1) > 0.02:
+        raise Unusable(
+            f"{log}: a bus cycle of {period * 1e3:.4g} ms is no multiple of the drive's position "
+            f"cycle of {step * 1e3:g} ms: is --drive right?"
+        )
+    return cycles * step
+
+
+def _in_units(signal: Signal, scale: Scale, name: str) -> Signal:
+    """A set-point in units of the drive, also where a table has it in SI."""
+    if signal.unit in ("m", "rad"):
+        return Signal(signal.time, signal.value / scale.position, "")
+    if signal.unit in ("m/s", "rad/s"):
+        return Signal(signal.time, signal.value / scale.velocity, "")
+    if signal.unit == "Nm":
+        return Signal(signal.time, signal.value / scale.torque, "")
+    return signal
+
+
+def _measured_position(
+    signals: Mapping[str, Signal], scale: Scale, log: str
+) -> tuple[Signal, float]:
+    if "position_actual_value" not in signals:
+        raise Unusable(
+            f"{log}: no position in it: map position_actual_value (6064h) into a TPDO and record "
+            "again"
+        )
+    signal = signals["position_actual_value"]
+    si = signal.unit in ("m", "rad")
+    value = signal.value if si else signal.value * scale.position
+    steps = np.abs(np.diff(np.unique(value)))
+    quantum = float(steps.min()) if len(steps) else 0.0
+    return Signal(signal.time, value, "m"), max(quantum, abs(scale.position) if not si else 0.0)
+
+
+def _measured_torque(
+    signals: Mapping[str, Signal], drive: Drive, scale: Scale, constant: float | None, log: str
+) -> tuple[Signal, float]:  # fmt: skip
+    for name in ("torque_actual_value", "current_actual_value"):
+        if name not in signals:
+            continue
+        signal = signals[name]
+        per = scale.torque  # per mille of the rated current too: the motor has a torque constant
+        if signal.unit == "Nm":
+            per = 1.0
+        elif signal.unit == "A":
+            if constant is None:
+                raise Unusable(f"{log}: the current is in A: say --torque-constant in Nm/A")
+            per = constant
+        steps = np.abs(np.diff(np.unique(signal.value * per)))
+        quantum = float(steps.min()) if len(steps) else 0.0
+        return Signal(signal.time, signal.value * per, "Nm"), quantum
+    raise Unusable(
+        f"{log}: no torque in it: map torque_actual_value (6077h) or current_actual_value (6078h) "
+        "into a TPDO and record again"
+    )
+
+
+def _enabled(signals: Mapping[str, Signal], position: Signal, log: str) -> tuple[float, float]:
+    """The longest time that the drive was enabled (s)."""
+    first, last = float(position.time[0]), float(position.time[-1])
+    if "statusword" not in signals:
+        return first, last
+    word = signals["statusword"]
+    on = (word.value.astype(int) & STATE) == ENABLED
+    if not on.any():
+        raise Unusable(
+            f"{log}: the drive is never enabled in it: begin the record, enable, make the moves"
+        )
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(int), [0]])))
+    spans = [
+        (float(word.time[a]), float(word.time[b - 1]) if b < len(on) else last)
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    begin, end = max(spans, key=lambda span: span[1] - span[0])
+    begin = max(begin, first)
+    after = position.time[position.time >= begin]
+    if len(after) == 0:
+        raise Unusable(f"{log}: no position while the drive was enabled: record longer")
+    return float(after[0]), min(end, last)
+
+
+def _mode(
+    signals: Mapping[str, Signal], given: int | None, log: str, begin: float, end: float
+) -> int:  # fmt: skip
+    if given is not None:
+        return given
+    for name in ("modes_of_operation_display", "modes_of_operation"):
+        if name in signals:
+            s = signals[name]
+            at = np.searchsorted(s.time, [begin + 0.5 * (end - begin)], "right")[0] - 1
+            value = int(s.value[max(at, 0)])
+            if value in [*CYCLIC, *OCCASIONAL]:
+                return value
+            raise Unusable(f"{log}: the drive moves in mode {value}: record moves in csp or pp")
+    for name in ("target_position", "position_demand_value"):
+        if name in signals:
+            changes = np.count_nonzero(np.diff(signals[name].value))
+            few = changes < 0.1 * len(signals[name].value) and name == "target_position"
+            controlword = "controlword" in signals
+            pp = few and controlword
+            return int(Mode.PROFILE_POSITION if pp else Mode.CYCLIC_SYNC_POSITION)
+    if "target_velocity" in signals:
+        return int(Mode.CYCLIC_SYNC_VELOCITY)
+    raise Unusable(
+        f"{log}: no set-points in it: record what the master sends too (607Ah), or the demand 6062h"
+    )
+
+
+def _first_rest(position: Signal, begin: float, end: float, log: str) -> float:
+    """When the axis stands for the first time (s)."""
+    inside = (position.time >= begin) & (position.time <= end)
+    time, value = position.time[inside], position.value[inside]
+    if len(time) < 3:
+        raise Unusable(f"{log}: too few samples of an enabled drive: record longer")
+    still = 0.0
+    for n in range(1, len(time)):
+        step = time[n] - time[n - 1]
+        slow = abs(value[n] - value[n - 1]) <= max(MOTION * step, 2e-6)
+        still = still + step if slow else 0.0
+        if still >= REST:
+            return float(time[n])
+    raise Unusable(
+        f"{log}: the axis never stands still, so the state a profile begins in is unknown: begin "
+        "the record at rest"
+    )
+
+
+def _held(signal: Signal, at: np.ndarray, period: float) -> np.ndarray:
+    """Values at times: of the same cycle, a sample is at most half a period away, else between."""
+    place = np.clip(np.searchsorted(signal.time, at - 0.5 * period), 0, len(signal.time) - 1)
+    near = np.abs(signal.time[place] - at) <= 0.75 * period
+    return np.where(near, signal.value[place], np.interp(at, signal.time, signal.value))
+
+
+def _filled(signal: Signal, places: Cadence, cycle: float) -> Signal:
+    """A cyclic set-point that was sampled too seldom, on a curve through the samples."""
+    at = np.arange(places.even[0], places.even[-1] + 0.5 * cycle, cycle)
+    return Signal(at, _curve(places.even, signal.value, at), signal.unit)
+
+
+def _curve(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Through points, by cubics with slopes that do not overshoot (Fritsch, Carlson 1980)."""
+    if len(x) < 4:
+        return np.interp(at, x, y)
+    from ..autotune.needs import scipy
+
+    return scipy("interpolate").PchipInterpolator(x, y, extrapolate=True)(np.clip(at, x[0], x[-1]))
+
+
+def _smooth(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """A mean over 5 ms, so that increments of the encoder do not look like motion."""
+    count = 2 * round(2.5e-3 / max(float(np.median(np.diff(time))), 1e-9)) + 1
+    padded = np.pad(values, count // 2, mode="edge")
+    return np.convolve(padded, np.ones(count) / count, "valid")
+
+
+def _brake(drive: Drive) -> float:
+    od = drive.axis.od
+    return 1e-3 * float(od.brake_release_time) if int(od.brake_fitted) else 0.0
+
+
+def _rows(signals, raw, target, mode, cyclic, clock, step, per, lead, count, places):
+    """Set-points by position cycle, and which of them come with a process image."""
+    written = {
+        "controlword": np.full(count, ENABLE[-1]),
+        "modes_of_operation": np.full(count, mode),
+    }
+    arrives = np.zeros(count, np.uint8)
+    if cyclic:
+        bus = np.arange(0, count - lead + per, per)
+        have = np.round(clock(places.even) / (per * step)).astype(int)
+        inside = (have >= -3) & (have * per < count - lead + 3 * per)
+        number, at = np.unique(have[inside], return_index=True)
+        values = raw.value[inside][at]
+        if len(number) < 4:
+            raise Unusable("too few set-points while the drive was enabled: record longer")
+        cycles = np.arange(len(bus))
+        every = _between(number, values, cycles)
+        every[cycles > number[-1]] = values[-1]
+        every[cycles < number[0]] = values[0]
+        column = np.repeat(every, per)[: count - lead]
+        speed = (values[1] - values[0]) / ((number[1] - number[0]) * per * step)
+        first, ahead = every[0], _lead(every[0], speed, lead, per, step)
+        column = np.concatenate([ahead, column])
+        arrives[::per] = 1
+    else:
+        column = np.zeros(count)
+        at = np.maximum(np.ceil(clock(raw.time) / step - 1e-6).astype(int), 0) + lead
+        first = raw.value[np.flatnonzero(clock(raw.time) <= 0)[-1:]]
+        here = float(first[0]) if len(first) else 0.0
+        column[:] = here
+        for row, value in zip(at, raw.value, strict=True):
+            column[row:] = value
+        arrives[0] = 1
+        arrives[at[(at < count)]] = 1
+    written[target] = np.round(column).astype(int)
+    _control(signals, written, arrives, clock, step, lead, count, per if cyclic else 1)
+    for name in OFFSETS:
+        if name in signals and np.any(signals[name].value):
+            written[name] = _held_rows(signals[name], clock, step, lead, count)
+    for n, word in enumerate(ENABLE):
+        at = n * per * max(round(5e-3 / (per * step)), 1)
+        written["controlword"][at : at + max(per, 1) * max(round(5e-3 / (per * step)), 1)] = word
+        arrives[at] = 1
+    written["controlword"][: arrives.nonzero()[0][1]] = ENABLE[0]
+    return written, arrives
+
+
+def _between(number: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Cyclic set-points with those that are missing from the log on a cubic through four others."""
+    every = np.interp(at, number, values)
+    missing = np.setdiff1d(at[(at > number[0]) & (at < number[-1])], number)
+    for k in missing:
+        right = int(np.searchsorted(number, k))
+        four = slice(max(right - 2, 0), right + 2)
+        x, y = number[four].astype(float), values[four]
+        if len(x) == 4 and x[-1] - x[0] <= 8:
+            every[k] = np.polynomial.polynomial.polyval(
+                0.0, np.linalg.solve(np.vander(x - k, 4, increasing=True), y)
+            )
+    return every
+
+
+def _lead(first: float, speed: float, lead: int, per: int, step: float) -> np.ndarray:
+    """Set-points before the log: at rest, or up to the speed it begins with."""
+    time = np.repeat(np.arange(-(lead // per), 0) * per * step, per)
+    if abs(speed) * per * step < 1e-9:
+        return np.full(lead, first)
+    ramp, even = 0.06, 0.06  # s, of rising speed and of constant one
+    moved = np.where(time > -even, speed * time, 0.0)
+    rising = (time <= -even) & (time > -even - ramp)
+    moved = np.where(
+        rising,
+        -speed * even + speed * (time + even) + speed * (time + even) ** 2 / (2 * ramp),
+        moved,
+    )
+    moved = np.where(time <= -even - ramp, -speed * even - 0.5 * speed * ramp, moved)
+    return first + moved
+
+
+def _held_rows(signal: Signal, clock, step: float, lead: int, count: int) -> np.ndarray:
+    column = np.zeros(count, int)
+    at = np.maximum(np.ceil(clock(signal.time) / step - 1e-6).astype(int), 0) + lead
+    for row, value in zip(at, signal.value, strict=True):
+        column[row:] = round(float(value))
+    return column
+
+
+def _control(signals, written, arrives, clock, step, lead, count, per) -> None:
+    """Controlwords of the log, as long as they keep the drive enabled."""
+    if "controlword" not in signals:
+        return
+    word = signals["controlword"]
+    at = np.maximum(np.ceil(clock(word.time) / step - 1e-6).astype(int), 0) + lead
+    changed = np.concatenate([[True], np.diff(word.value) != 0])
+    for row, value in zip(at[changed], word.value[changed].astype(int), strict=True):
+        if row >= count or value & 0x0F != 0x0F:
+            continue
+        row += -row % per
+        if row < count:
+            keep = value & ~NEW_SET_POINT if row <= lead else value
+            written["controlword"][row:] = keep
+            arrives[row] = 1
+
+
+def _written(signals: Mapping[str, Signal], drive: Drive) -> dict[str, float]:
+    """What was written to parameters in the log: of the profile, and gains."""
+    names = (*PROFILE, "velocity_control_gain", "velocity_control_time", "position_control_gain",
+             "velocity_feed_forward", "velocity_filter_time")  # fmt: skip
+    return {
+        name: float(signals[name].value[-1])
+        for name in names
+        if name in signals and signals[name].unit not in ("m", "rad", "m/s", "rad/s")
+    }

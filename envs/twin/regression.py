@@ -1,0 +1,79 @@
+"""The closed-form stage: torque over acceleration, direction and speed of the smoothed log.
+
+Least squares without a simulation, the inverse-dynamic model of robots (Gautier, Khalil 1992): it
+is good to some per cent and begins the search by re-simulation near the right place.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .experiment import Experiment
+
+WINDOW = 0.015  # s, of the polynomials that smooth
+ORDER = 3
+SLOW = 0.05  # of the highest speed, below which friction is not looked at
+
+
+class Rough(NamedTuple):
+    """At the motor shaft."""
+
+    inertia: float  # kg·m²
+    coulomb: float  # Nm
+    viscous: float  # Nm·s/rad
+    load: float  # Nm, in the positive direction of the axis taken by the motor
+    explained: float  # share of the torque's variance
+    one_way: bool  # it moves in one direction only
+    accelerates: bool
+    curve: tuple[np.ndarray, np.ndarray]  # speed (rad/s) and torque without inertia (Nm)
+
+
+def regress(experiments: list[Experiment], gear: float) -> Rough:
+    """Of all experiments together.
+
+    Args:
+        experiments: measured positions and torques.
+        gear: rad of motor shaft per m or rad.
+    """
+    rows, torques, speeds = [], [], []
+    for each in experiments:
+        period = each.duration / (len(each.time) - 1)
+        half = max(round(0.5 * WINDOW / period), 2)
+        _, speed, acceleration = _derivatives(each.position * gear, half, period)
+        torque, _, _ = _derivatives(each.torque, half, period)
+        rows.append(np.stack([acceleration, speed], axis=1))
+        torques.append(torque)
+        speeds.append(speed)
+    row, torque, speed = np.concatenate(rows), np.concatenate(torques), np.concatenate(speeds)
+    highest = float(np.percentile(np.abs(speed), 98))
+    moving = np.abs(speed) > SLOW * max(highest, 1e-9)
+    sign = np.sign(speed)
+    matrix = np.stack([row[:, 0], sign, row[:, 1], np.ones(len(sign))], axis=1)[moving]
+    wanted = torque[moving]
+    one_way = min(np.count_nonzero(sign[moving] > 0), np.count_nonzero(sign[moving] < 0)) < 0.03 * (
+        len(wanted)
+    )
+    columns = [0, 1, 2] if one_way else [0, 1, 2, 3]
+    scale = np.maximum(np.abs(matrix[:, columns]).max(axis=0), 1e-12)
+    solution = np.linalg.lstsq(matrix[:, columns] / scale, wanted, rcond=1e-9)[0] / scale
+    full = np.zeros(4)
+    full[columns] = solution
+    left = wanted - matrix @ full
+    spread = float(np.var(wanted))
+    accelerating = float(np.std(row[moving, 0])) * abs(full[0])
+    return Rough(
+        float(full[0]), float(full[1]), float(full[2]), float(full[3]),
+        1.0 - float(np.var(left)) / spread if spread > 0 else 0.0, bool(one_way),
+        accelerating > 0.05 * np.sqrt(spread), (speed[moving], wanted - matrix[:, 0] * full[0]),
+    )  # fmt: skip
+
+
+def _derivatives(values: np.ndarray, half: int, period: float) -> tuple[np.ndarray, ...]:
+    """Values, slope and curvature by local polynomials (Savitzky and Golay 1964)."""
+    at = np.arange(-half, half + 1)
+    powers = np.vander(at, min(ORDER, 2 * half) + 1, increasing=True)
+    weights = np.linalg.pinv(powers)
+    padded = np.pad(values, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    smooth, slope, curve = (windows @ weights[k] for k in range(3))
+    return smooth, slope / period, 2 * curve / period**2
