@@ -15,8 +15,6 @@ from .sdo_info import DATA_TYPES
 UNASSIGNED = 0xFF  # sync manager of a PDO that is not assigned by default
 FIXED = 0x0010  # flag of a PDO: its content cannot be changed
 OUTPUTS, INPUTS = 2, 3  # sync managers of the process data
-# flags of the category general: the mailbox can be repeated, 0134h shows the identification
-DATA_LINK_LAYER, IDENTIFICATION = 0x04, 0x08
 TWO_MII_PORTS = 0x0011
 
 
@@ -111,6 +109,7 @@ class Description:
     version: int = 1  # SII
     size: int = 2048  # bytes of the EEPROM
     vendor_strings: tuple[tuple[int, str], ...] = ()  # SII: categories of the vendor
+    ds402_channels: int = 0  # SII: axes, where it says so
 
     def assigned(self, sync_manager: int) -> tuple[Pdo, ...]:
         """The PDOs that a sync manager has by default."""
@@ -158,8 +157,9 @@ def describe(model: DriveModel, alias: int = 0) -> Description:
         protocols=sum(1 << PROTOCOLS.index(protocol) for protocol in ethercat.protocols),
         coe_details=ethercat.coe_details,
         foe_details=int("FoE" in ethercat.protocols),
-        eoe_details=int("EoE" in ethercat.protocols),
-        flags=DATA_LINK_LAYER | IDENTIFICATION,
+        eoe_details=ethercat.eoe_details,
+        flags=ethercat.flags,
+        ds402_channels=ethercat.ds402_channels,
         physical_ports=TWO_MII_PORTS,
         fmmus=ethercat.fmmu,
         sync_managers=tuple(managers),

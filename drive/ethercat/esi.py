@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+from ..model.ethercat import DATA_LINK_LAYER, IDENTIFICATION
 from ..model.ethercat import PROTOCOLS as PROTOCOL_NAMES
 from ..model.model import DriveModel
 from ..objects.mapping import described
 from . import sii
 from .description import (
-    DATA_LINK_LAYER,
     FIXED,
-    IDENTIFICATION,
     UNASSIGNED,
     DcMode,
     Description,
@@ -145,7 +144,7 @@ def write(esi: Esi) -> str:
     _sub(profile, "ProfileNo", esi.profile)
     _dictionary(_sub(profile, "Dictionary"), esi)
     for kind in device.fmmus:
-        _sub(element, "Fmmu", FMMU_KINDS[kind])
+        _sub(element, "Fmmu", FMMU_KINDS.get(kind, FMMU_KINDS[0]))
     for manager in device.sync_managers:
         _sub(
             element,

@@ -121,7 +121,8 @@ def _categories(device: Description, strings: _Strings) -> list[tuple[int, bytes
     number = strings.number
     general = _GENERAL.pack(
         number(device.group), 0, number(device.order), number(device.name),
-        device.coe_details, device.foe_details, device.eoe_details, 0, 0, 0, device.flags,
+        device.coe_details, device.foe_details, device.eoe_details, 0, device.ds402_channels, 0,
+        device.flags,
         0, number(device.group), device.physical_ports, 0,
     )  # fmt: skip
     managers = b"".join(
@@ -188,7 +189,7 @@ def unpack(image: bytes) -> Description:
         return texts[number - 1] if number else ""
 
     general = _GENERAL.unpack_from(found.get(Category.GENERAL, b"").ljust(_GENERAL.size, b"\0"))
-    group, _, order, name, coe, foe, eoe, _, _, _, flags, _, _, ports, _ = general
+    group, _, order, name, coe, foe, eoe, _, channels, _, flags, _, _, ports, _ = general
     return Description(
         vendor_id=vendor,
         product_code=product,
@@ -204,6 +205,7 @@ def unpack(image: bytes) -> Description:
         foe_details=foe,
         eoe_details=eoe,
         flags=flags,
+        ds402_channels=channels,
         physical_ports=ports,
         fmmus=tuple(found.get(Category.FMMU, b"")),
         sync_managers=tuple(

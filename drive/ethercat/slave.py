@@ -29,6 +29,7 @@ SYNC_ACTIVATION = 0x0981
 SYNC_ACTIVE = 0x03  # 0981h: cyclic operation and SYNC0
 SYNC_UNIT = 0x07  # bits of 0981h that the operation modes name
 ERROR_LIMIT = (0x10F1, 2)  # sync error counter limit
+EOE_TYPE, SET_IP, SET_IP_RESPONSE = 0x0F, 2, 3  # of the first word of an EoE telegram
 COPY_TIME = (0x1C32, 6)  # calculation and copy time (ns)
 
 
@@ -119,9 +120,11 @@ class Slave:
         self._foe = Foe({PARAMETERS: File(self._parameters, self._take_parameters)})
         self._coe = Coe(self._sdo, SdoInfo(drive.model) if data.information else None)
         self._offered: dict[int, Service] = {
-            Kind[name.upper()]: {"CoE": self._coe.request, "FoE": self._foe.request}.get(
-                name, _refuse
-            )
+            Kind[name.upper()]: {
+                "CoE": self._coe.request,
+                "FoE": self._foe.request,
+                "EoE": _ethernet,
+            }.get(name, _refuse)
             for name in data.protocols
         }
         self.mailbox = Mailbox(self._offered)
@@ -364,5 +367,12 @@ class Slave:
 
 
 def _refuse(body: bytes) -> Answer:
-    """A protocol that the device names and that leads nowhere here, such as EoE."""
+    """A protocol that the device names and that leads nowhere here."""
+    return MailboxError.SERVICE_NOT_SUPPORTED
+
+
+def _ethernet(body: bytes) -> Answer:
+    """EoE: an address is taken (ETG.1000.6, 5.7); there is no Ethernet behind it."""
+    if int.from_bytes(body[:2], "little") & EOE_TYPE == SET_IP:
+        return [SET_IP_RESPONSE.to_bytes(2, "little") + bytes(2)]  # result 0000h, success
     return MailboxError.SERVICE_NOT_SUPPORTED

@@ -12,6 +12,8 @@ from . import foreign
 from .rows import Object
 
 PROTOCOLS = ("AoE", "EoE", "CoE", "FoE", "SoE", "VoE")  # a bit of word 1Ch of the SII each
+# flags of the category general: the mailbox can be repeated, 0134h shows the identification
+DATA_LINK_LAYER, IDENTIFICATION = 0x04, 0x08
 MAILBOX_HEADER = 16  # bytes before the data of a normal SDO: the shortest mailbox has more
 MEMORY = 0x1000, 0x3000  # process data memory of the slave controller, first and behind
 
@@ -58,6 +60,9 @@ class EtherCat:
     pdi_control: int
     pdi_configuration: int
     strings: tuple[tuple[int, str], ...]  # categories of the vendor
+    eoe_details: int  # of the category general
+    flags: int  # of the category general
+    ds402_channels: int  # of the category general
     registers: dict[int, bytes]  # of the slave controller, by address
     cycle_ns: int  # shortest cycle with SYNC0; all are multiples of it
     exact_period: bool  # the cycle has to be that of 60C2h
@@ -82,7 +87,16 @@ TABLES: dict[str, tuple[str, ...]] = {
     "": ("name", "order", "group", "vendor", "without"),
     "mailbox": ("standard", "bootstrap", "shortest", "protocols", "coe_details"),
     "process_data": ("start", "length", "control", "mailbox_control", "fmmu"),
-    "sii": ("size", "version", "pdi_control", "pdi_configuration", "strings"),
+    "sii": (
+        "size",
+        "version",
+        "pdi_control",
+        "pdi_configuration",
+        "strings",
+        "eoe_details",
+        "flags",
+        "ds402_channels",
+    ),
     "dc": ("cycle_ns", "exact_period", "late_limit", "hop_delay_ns", "error_settings", "modes"),
     "al": ("bootstrap", "by_edge", "init_acknowledges", "codes"),
 }
@@ -189,6 +203,9 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
         pdi_control=get("sii", "pdi_control", int, 0),
         pdi_configuration=get("sii", "pdi_configuration", int, 0),
         strings=tuple(sorted(strings.items())),
+        eoe_details=get("sii", "eoe_details", int, int("EoE" in protocols)),
+        flags=get("sii", "flags", int, DATA_LINK_LAYER | IDENTIFICATION),
+        ds402_channels=get("sii", "ds402_channels", int, 0),
         registers=registers,
         cycle_ns=get("dc", "cycle_ns", int),
         exact_period=get("dc", "exact_period", bool, False),

@@ -273,10 +273,10 @@ def test_10_writing_an_error_counter_clears_them():
 
 def test_10_a_broken_link_shows_and_takes_the_slaves_behind_it_away():
     segment = addressed(bare(4))
-    assert fprd(segment, 1, 0x0110, 2).data == b"\x31\x5a"
+    assert fprd(segment, 1, 0x0110, 2).data == b"\x33\x5a"
     segment.break_link(1)
     assert one(segment, C.BRD, 0, 0, b"\0").wkc == 2
-    assert fprd(segment, 1, 0x0110, 2).data == b"\x11\x56"  # port 1: no link, loop closed
+    assert fprd(segment, 1, 0x0110, 2).data == b"\x13\x56"  # port 1: no link, loop closed
     assert fprd(segment, 1, 0x0310, 4).data == b"\0\1\0\0"
     segment.heal_link(1)
     assert one(segment, C.BRD, 0, 0, b"\0").wkc == 4

@@ -69,7 +69,8 @@ def test_the_image_of_the_akd_has_what_a_real_one_had():
         "AKD EtherCAT Drive (CoE)", "AKD", "Drive"
     )  # fmt: skip
     assert device.coe_details == 0x0D
-    assert device.fmmus == (1, 2, 3, 0)
+    assert device.fmmus == (1, 2, 3, 0xFF)
+    assert (device.ds402_channels, device.flags, device.eoe_details) == (1, 0x05, 3)
     assert [(sm.start, sm.control) for sm in device.sync_managers] == [
         (0x1800, 0x26), (0x1C00, 0x22), (0x1100, 0x24), (0x1140, 0x20)
     ]  # fmt: skip

@@ -23,7 +23,7 @@ from servogym.drive.wire import pcapng
 
 HERE = Path(__file__).parent
 MASTERS = {
-    "soem": "simple_ng of SOEM as pysoem 1.1.13 has it",
+    "soem": "pysoem 1.1.13, tests/interop/pysoem_master.py",
     "ethercrab": "ethercrab 0.7.1, tests/interop/ethercrab",
     "kickcat": "KickCAT 2.5, tests/interop/kickcat_master.py",
 }

@@ -15,6 +15,7 @@ from .registers import R
 
 SECOND = 1_000_000_000  # ns
 ITERATIONS = 8  # of `time_of`
+CLOCK_64 = 1 << 3  # of 0008h
 FAR = 1 << 60  # ns: 36 years; what lies further away does not come
 TERA = 1_000_000_000_000
 STEEPEST = 500_000  # the drift loop's correction, at most (1e-9)
@@ -51,6 +52,18 @@ def local_time(esc, now):
 def system_time(esc, now):
     """The slave's copy of the system time (ns)."""
     return local_time(esc, now) + get64(esc.memory, R.SYSTEM_TIME_OFFSET)
+
+
+@block
+def wide(esc):
+    """Whether the clock has 64 bits, not 32 (0008h bit 3)."""
+    return esc.memory[R.FEATURES] & CLOCK_64 != 0
+
+
+@block
+def put_time(esc, at, time):
+    """A time in its registers, the lower half alone where the clock has 32 bits."""
+    put64(esc.memory, at, time if wide(esc) else time & 0xFFFFFFFF)
 
 
 @block
@@ -91,7 +104,7 @@ def receive_times(esc, now, unit, entrance):
         if at >= 0:
             time = local_time(esc, now + at) + _jitter(esc)
             put32(esc.memory, R.RECEIVE_TIME + 4 * port, time)
-    put64(esc.memory, R.RECEIVE_TIME_UNIT, local_time(esc, unit))
+    put_time(esc, R.RECEIVE_TIME_UNIT, local_time(esc, unit))
 
 
 @block
@@ -185,6 +198,8 @@ def activate(esc, now):
         return
     start = get64(memory, R.START_TIME)
     own = system_time(esc, now)
+    if not wide(esc):  # the next time, or the last, at which the lower half is this
+        start = own + (start - own + (1 << 31)) % (1 << 32) - (1 << 31)
     if start <= own:
         late = own - start
         start = start + (late // cycle + 1) * cycle if cycle and 0 <= late < FAR else own + 1
@@ -193,7 +208,7 @@ def activate(esc, now):
     esc.sync0_count = 0
     esc.outputs_late = 0
     memory[R.ACTIVATION_STATUS] = (active >> 1) & 3
-    put64(memory, R.START_TIME, start)
+    put_time(esc, R.START_TIME, start)
 
 
 @block
@@ -238,10 +253,10 @@ def _next(esc, edges):
         esc.sync0_at = NEVER
         return
     esc.sync0_at += edges * cycle
-    put64(esc.memory, R.START_TIME, esc.sync0_at)
+    put_time(esc, R.START_TIME, esc.sync0_at)
     if esc.sync1_at != NEVER:
         esc.sync1_at += edges * cycle
-        put64(esc.memory, R.NEXT_SYNC1, esc.sync1_at)
+        put_time(esc, R.NEXT_SYNC1, esc.sync1_at)
 
 
 @block
@@ -267,7 +282,7 @@ def latch_input(esc, now, unit, rising):
         return
     memory[R.LATCH_STATUS + unit] |= bit
     at = R.LATCH_TIME + 16 * unit + (0 if rising else 8)
-    put64(memory, at, system_time(esc, now))
+    put_time(esc, at, system_time(esc, now))
     memory[R.AL_EVENT] |= 1 << 1
     memory[R.ECAT_EVENT] |= 1
 

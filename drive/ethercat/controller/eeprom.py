@@ -9,6 +9,7 @@ from .record import Event
 from .registers import R
 
 READ, WRITE, RELOAD = 1, 2, 4  # commands, 0502h bits 10-8
+IP_CORE = 0x04  # 0000h: its PDI is chosen when it is built, not by the EEPROM (0140h)
 EIGHT_BYTES = 1 << 6  # 0502h: a read gives 8 bytes, not 4
 # 0503h, the upper byte of 0502h
 COMMAND_BITS, CHECKSUM_ERROR, NOT_LOADED, COMMAND_ERROR, ENABLE_ERROR, BUSY = 7, 8, 16, 32, 64, 128
@@ -36,7 +37,8 @@ def load_configuration(esc):
         return
     memory[R.EEPROM_CONTROL + 1] &= 0xFF ^ (CHECKSUM_ERROR | NOT_LOADED)
     memory[R.DL_STATUS] |= 1
-    put16(memory, R.PDI_CONTROL, get16(sii, 0))
+    if memory[R.TYPE] != IP_CORE:
+        put16(memory, R.PDI_CONTROL, get16(sii, 0))
     put16(memory, 0x0150, get16(sii, 2))
     put16(memory, R.PULSE_LENGTH, get16(sii, 4))
     put16(memory, 0x0152, get16(sii, 6))

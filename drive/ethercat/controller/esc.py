@@ -101,7 +101,7 @@ def read(esc, address, data, at, n, mix, now, unit):
             return False
         found = False
         for b in range(address, address + n):
-            found = found or READABLE[b] != 0
+            found = found or (READABLE[b] != 0 and _built(memory, b))
         if not found:
             return False
         _refresh(esc, address, n, now, unit)
@@ -114,6 +114,16 @@ def read(esc, address, data, at, n, mix, now, unit):
         sync_manager.finish(esc, address, n, now)
     elif address < R.ECAT_EVENT + 2 or address >= R.LATCH_TIME:
         _was_read(esc, address, n)
+    return True
+
+
+@block
+def _built(memory, at):
+    """Whether this slave has the FMMU or sync manager whose register this is (0004h, 0005h)."""
+    if R.FMMU <= at < R.SYNC_MANAGER:
+        return (at - R.FMMU) // 16 < memory[R.FMMUS_SUPPORTED]
+    if R.SYNC_MANAGER <= at < R.SYNC_MANAGER + 8 * SYNC_MANAGERS:
+        return (at - R.SYNC_MANAGER) // 8 < memory[R.SYNC_MANAGERS_SUPPORTED]
     return True
 
 
@@ -131,7 +141,7 @@ def _refresh(esc, address, n, now, unit):
     if edges and not dc.synchronised(esc):
         dc.skip(esc, unit)
     if _meets(address, n, R.SYSTEM_TIME, 8):
-        dc.put64(esc.memory, R.SYSTEM_TIME, dc.system_time(esc, unit))
+        dc.put_time(esc, R.SYSTEM_TIME, dc.system_time(esc, unit))
 
 
 @block
@@ -168,7 +178,7 @@ def write(esc, address, data, at, n, now, unit, entrance):
     for b in range(n):
         here = address + b
         mask = WRITABLE[here]
-        if mask == 0 and EFFECT[here] == 0:
+        if (mask == 0 and EFFECT[here] == 0) or not _built(memory, here):
             continue
         found = True
         if R.SYNC_MANAGER <= here < R.SYNC_MANAGER + 8 * SYNC_MANAGERS:
@@ -232,7 +242,7 @@ def _effects(esc, effects, address, data, at, n, now, unit, entrance):
         dc.receive_times(esc, now, unit, entrance)
     if effects >> Effect.SYSTEM_TIME & 1 and address <= R.SYSTEM_TIME and address + n >= 0x0914:
         place = at + R.SYSTEM_TIME - address
-        wide = address + n >= 0x0918
+        wide = address + n >= 0x0918 and dc.wide(esc)
         dc.steer(esc, unit, dc.get64(data, place) if wide else get32(data, place), wide)
     if effects >> Effect.OFFSET & 1:
         dc.skip(esc, now)  # the time jumps: edges that it jumps over do not come

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from . import esc, sync_manager
-from .process_image import NONE_WRITTEN
 from .record import Event
 from .registers import R
 
@@ -123,9 +122,7 @@ class Pdi:
         whole = data[: manager.length].ljust(manager.length, b"\0")
         self.memory[manager.start : manager.start + manager.length] = np.frombuffer(whole, np.uint8)
         status = self._status(IN)
-        self.memory[status] = (
-            int(self.memory[status]) & ~sync_manager.READ & ~NONE_WRITTEN | sync_manager.FULL
-        )
+        self.memory[status] = int(self.memory[status]) & ~sync_manager.READ | sync_manager.FULL
         self.memory[R.AL_EVENT + 1] &= 0xFF ^ 1 << IN
 
     @property

@@ -13,6 +13,7 @@ from .registers import R
 
 FULL = 0x08  # mailbox status of a sync manager (+5 bit 3)
 WRITTEN, READ = 0x01, 0x02  # its interrupts (+5 bits 0, 1)
+MAILBOX = 0x02  # its control byte: one buffer with handshake
 
 
 @block
@@ -24,8 +25,8 @@ def decode(esc, n):
     start, length = get16(memory, at), get16(memory, at + 2)
     if not enabled or length == 0:
         if esc.sm_length[n] != 0:
-            memory[at + 5] = NONE_WRITTEN
-            memory[R.AL_EVENT + 1] &= 0xFF ^ (1 << n)
+            memory[at + 5] = empty(memory[at + 4])
+            memory[R.AL_EVENT + 1 + n // 8] &= 0xFF ^ (1 << n % 8)
         esc.sm_length[n] = 0
         return
     if esc.sm_length[n] != 0:
@@ -38,7 +39,13 @@ def decode(esc, n):
     esc.sm_watchdog[n] = control >> 6 & 1
     esc.sm_open[n] = 0
     esc.sm_fresh[n] = 0
-    memory[at + 5] = NONE_WRITTEN
+    memory[at + 5] = empty(control)
+
+
+@block
+def empty(control):
+    """Status of a sync manager that begins: its buffer bits are those of three buffers alone."""
+    return 0 if control & MAILBOX else NONE_WRITTEN
 
 
 @block
@@ -99,7 +106,7 @@ def finish(esc, at, n, now):
             continue
         esc.sm_open[k] = 0
         status = R.SYNC_MANAGER + 8 * k + 5
-        esc.memory[R.AL_EVENT + 1] |= 1 << k
+        esc.memory[R.AL_EVENT + 1 + k // 8] |= 1 << k % 8
         if esc.sm_mailbox[k]:
             if esc.sm_write[k]:
                 esc.memory[status] |= FULL | WRITTEN
