@@ -147,10 +147,10 @@ def fault_named(model: DriveModel, code: int) -> str:
 
 
 def remedy_of(model: DriveModel, code: int) -> str:
-    """What to do about an error code 603Fh, for who cannot look into the drive."""
+    """What to do about an error code 603Fh, where the drive is only seen from outside."""
     causes = (fault.cause for fault in model.faults if fault.code == code)
-    known = next((REMEDIES[cause] for cause in causes if cause in REMEDIES), "")
-    return f"{known or 'look it up in the manual of the drive'}; then reset the fault"
+    known = (REMEDIES[cause] for cause in causes if cause in REMEDIES)
+    return next(known, "look it up in the manual of the drive")
 
 
 def refusal(axis: Axis) -> str:

@@ -205,12 +205,13 @@ class RemoteObjects:
         """
         row = self._model.number(name)
         data = row.pack(value)
-        for pdo in self._rpdos:
-            if name in pdo.places:
-                at = pdo.places[name]
-                pdo.data[at : at + len(data)] = data
-                self._pending[pdo.cob_id] = pdo
-                return
+        carriers = [pdo for pdo in self._rpdos if name in pdo.places]
+        for pdo in carriers:  # each that is sent later has to tell the same
+            at = pdo.places[name]
+            pdo.data[at : at + len(data)] = data
+        if carriers:
+            self._pending[carriers[0].cob_id] = carriers[0]
+            return
         self._by_sdo(lambda: self.sdo.download(row.index, row.subindex, data))
 
     def _by_sdo(self, transfer: Callable[[], T]) -> T:

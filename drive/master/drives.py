@@ -6,7 +6,7 @@ from numbers import Real
 from typing import Any, SupportsFloat, TypeVar
 
 from .. import advice
-from ..kernel.words import SWITCHED_ON, State, state_of
+from ..kernel.words import SWITCHED_ON, Mode, State, state_of
 from ..kernel.words import Controlword as C
 from ..kernel.words import Statusword as S
 from ..objects.abort import SdoAbort
@@ -27,6 +27,8 @@ QUICK_STOP = SWITCHED_ON & ~C.QUICK_STOP
 LOST = (
     State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE
 )  # fmt: skip
+CYCLIC = (Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE)
+UNHEARD = (ServoError, SdoAbort, ValueError)  # what telling a drive may raise
 
 
 def in_fault(statusword: int) -> bool:
@@ -168,24 +170,32 @@ class Drives:
     def _fault(self, axis: str) -> str:
         """Error code 603Fh and what the model says it means."""
         code = int(self._known(axis, "error_code") or 0)
-        named = (f.meaning for f in self.port.models[axis].faults if f.code == code)
-        return f"error code {code:04X}h {next(named, '')}".strip()
+        return f"error code {advice.fault_named(self.port.models[axis], code) or '0000h'}"
+
+    def _in_fault(self, what: str, axis: str, then: str = "reset_fault()") -> DriveFault:
+        """The fault by name, and what to do about it."""
+        code = int(self._known(axis, "error_code") or 0)
+        remedy = advice.remedy_of(self.port.models[axis], code)
+        said = f"FAULT, {self._fault(axis)}{self._touching(axis)}"
+        step = f"{remedy}; remove the cause, then {then}"
+        return DriveFault(what, said, step, self._shown(axis))
 
     def _shown(self, *axes: str) -> tuple[Status, ...]:
         return tuple(
             Status(axis, self._fresh(axis), self._told(axis), self._mode(axis)) for axis in axes
         )
 
-    def _power(self, what: str) -> None:
+    def _power(self, what: str, *axes: str) -> None:
         """Refuse without power: the controlwords of a motion would switch it on."""
-        for axis in self.axes:
-            if state_of(self._fresh(axis)) is not State.OPERATION_ENABLED:
+        for axis in axes or self.axes:
+            word = self._fresh(axis)
+            if in_fault(word):
+                raise self._in_fault(what, axis, "reset_fault() and enable()")
+            if state_of(word) is not State.OPERATION_ENABLED:
                 raise self._no_power(what, axis)
 
     def _no_power(self, what: str, axis: str) -> NoPower:
-        shown = self._shown(axis)
-        step = "reset_fault() and enable()" if in_fault(shown[0].statusword) else "enable()"
-        return NoPower(what, "no power", f"it needs {step} first", shown)
+        return NoPower(what, "no power", "it needs enable() first", self._shown(axis))
 
     def _until(
         self,
@@ -253,10 +263,33 @@ class Drives:
 
     def _stop(self) -> None:
         """Quick stop of every drive that hears."""
+        with suppress(*UNHEARD):
+            self._to_each(lambda axis: self._tell(axis, "controlword", QUICK_STOP))
+
+    def _to_each(self, tell: Callable[[str], None]) -> None:
+        """Tell every drive, whatever the one before has answered; then raise the first error."""
+        errors = []
         for axis in self.axes:
-            with suppress(ServoError):
-                self._tell(axis, "controlword", QUICK_STOP)
+            try:
+                tell(axis)
+            except UNHEARD as error:
+                errors.append(error)
         self.port.exchange()
+        if errors:
+            raise errors[0]
+
+    def _stands(self, axis: str, word: int) -> bool:
+        """Whether a halted drive stands.
+
+        Bit 10 says so, except in the cyclic modes, where it is reserved: there the velocity 606Ch
+        is within its threshold 606Fh, or a hundredth of the profile velocity where that is 0.
+        """
+        if self._mode(axis) not in CYCLIC:
+            return bool(word & S.TARGET_REACHED)
+        velocity = self._known(axis, "velocity_actual_value")
+        slow = self._known(axis, "velocity_threshold")
+        slow = slow or 0.01 * (self._known(axis, "profile_velocity") or 0)
+        return velocity is None or abs(velocity) <= slow
 
     def _check(self, axis: str, what: str, faulty: bool, powered: bool, homing: bool) -> None:
         """Raise what makes waiting useless; see `_until`."""
@@ -269,10 +302,7 @@ class Drives:
             said = "" if number is None else f"error {number}"
             raise HomingFailed("homing failed", said, step, self._shown(axis))
         if not faulty and self._sure(axis, in_fault):
-            step = "remove the cause, then reset_fault()"
-            raise DriveFault(
-                what, f"FAULT, {self._fault(axis)}{self._touching(axis)}", step, self._shown(axis)
-            )
+            raise self._in_fault(what, axis)
         if powered and self._sure(axis, lambda word: state_of(word) in LOST):
             raise self._no_power(what, axis)
 

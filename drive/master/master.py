@@ -12,16 +12,36 @@ several drives fails, the others make a quick stop.
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
-from ..kernel.words import ENABLED, SWITCHED_ON, TO_ENABLED, Mode, State, state_of
+from ..kernel.words import (
+    ENABLED,
+    MODE_ABBREVIATION,
+    SWITCHED_ON,
+    TO_ENABLED,
+    Mode,
+    State,
+    state_of,
+)
 from ..kernel.words import Controlword as C
 from ..kernel.words import Statusword as S
 from ..model.near import near
 from .drives import QUICK_STOP, Drives, in_fault
-from .errors import HomingFailed, Refused, Timeout
+from .errors import HomingFailed, Refused, ServoError, Timeout
 
+BY_NAME = {mode.name.lower(): mode for mode in Mode} | {
+    short: mode for mode, short in MODE_ABBREVIATION.items() if mode
+}
 COMMAND = 0x000F  # controlword bits of the device control
 STAYS = range(5, 9)  # 605Ah: values that end in QUICK_STOP_ACTIVE
+RAMP = C.NEW_SET_POINT | C.CHANGE_SET_IMMEDIATELY | C.RELATIVE  # what lets vl turn
+TORQUE = (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE)
+COASTS = 1.0  # s until an axis has to stand where halt may only take its torque away (inferred)
+AT_REST = {  # by mode: the set-point that is dropped by a stop
+    Mode.VELOCITY: "vl_target_velocity", Mode.PROFILE_VELOCITY: "target_velocity",
+    Mode.PROFILE_TORQUE: "target_torque", Mode.CYCLIC_SYNC_POSITION: "target_position",
+    Mode.CYCLIC_SYNC_VELOCITY: "target_velocity", Mode.CYCLIC_SYNC_TORQUE: "target_torque",
+}  # fmt: skip
 HOMED = S.TARGET_REACHED | S.MODE_12
 # what makes a profile, if the drive has it; in proportion to the distance they make one time law
 PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
@@ -62,10 +82,12 @@ class Master(Drives):
 
     def disable(self, timeout: float = 10.0) -> None:
         """Take the power off; axes in motion come to rest first, as 605Ch says."""
-        for axis in self.axes:
+
+        def off(axis: str) -> None:
             if state_of(self._word(axis)) is State.OPERATION_ENABLED:
                 self._tell(axis, "controlword", SWITCHED_ON)  # is disable operation here
-        self.port.exchange()
+
+        self._to_each(off)
         self._until(lambda axis, word: state_of(word) is not State.OPERATION_ENABLED, timeout,
                     "disable operation", faulty=True)  # fmt: skip
         self.control(0)
@@ -74,8 +96,8 @@ class Master(Drives):
 
     def quick_stop(self, timeout: float = 10.0) -> None:
         """Quick stop, until the axes stand in QUICK_STOP_ACTIVE or the power is off (605Ah)."""
+        self._to_each(lambda axis: self._tell(axis, "controlword", QUICK_STOP))
         stays = {axis: self._known(axis, "quick_stop_option_code") in STAYS for axis in self.axes}
-        self.control(QUICK_STOP)
 
         def stopped(axis: str, word: int) -> bool:
             stands = state_of(word) is State.QUICK_STOP_ACTIVE and word & S.TARGET_REACHED
@@ -108,16 +130,19 @@ class Master(Drives):
     # --------------------------------------------------- modes of operation
 
     def set_mode(self, mode: Mode | str, timeout: float = 1.0) -> None:
-        """Select a mode of operation, a `Mode` or its name, and wait until 6061h shows it.
+        """Select a mode of operation and wait until 6061h shows it.
+
+        Args:
+            mode: a `Mode`, its name or the standard's abbreviation: ``"profile_torque"``, ``"tq"``.
+            timeout: (s)
 
         Raises:
             Refused: a drive model without the mode.
         """
         try:
-            mode = Mode[mode.upper()] if isinstance(mode, str) else Mode(mode)
+            mode = BY_NAME[mode.lower()] if isinstance(mode, str) else Mode(mode)
         except (KeyError, ValueError):
-            known = [each.name.lower() for each in Mode]
-            raise Refused(f"mode {mode!r}", "there is none", near(str(mode), known)) from None
+            raise Refused(f"mode {mode!r}", "there is none", near(str(mode), [*BY_NAME])) from None
         without = [axis for axis in self.axes if mode and mode not in self.port.models[axis].modes]
         if without:
             raise Refused(f"mode {mode.name}", f"drive {self.port.models[without[0]].name!r} of "
@@ -256,11 +281,13 @@ class Master(Drives):
 
     def halt(self, timeout: float = 10.0) -> None:
         """Halt (bit 8) until the axes stand; `resume` lets them go on."""
-        self._power("halt")
-        self.write("controlword", {
-            axis: ENABLED | self._told(axis) & ~COMMAND | C.HALT for axis in self.axes
-        })  # fmt: skip
-        self._until(lambda axis, word: bool(word & S.TARGET_REACHED), timeout, "halt")
+
+        def hold(axis: str) -> None:
+            self._power("halt", axis)
+            self._tell(axis, "controlword", ENABLED | self._told(axis) & ~COMMAND | C.HALT)
+
+        self._to_each(hold)
+        self._until(self._stands, timeout, "halt", powered=True)
 
     def resume(self) -> None:
         """Take halt back."""
@@ -268,6 +295,65 @@ class Master(Drives):
         self.write("controlword", {
             axis: ENABLED | self._told(axis) & ~(COMMAND | C.HALT) for axis in self.axes
         })  # fmt: skip
+
+    def stop(self, timeout: float = 10.0) -> tuple[str, ...]:
+        """Come to rest in whatever mode, and stay at rest until the next motion is commanded.
+
+        The axes are halted, what they were doing is dropped (`AT_REST`), and halt stays, so that
+        no old set-point acts again. A drive that halt does not bring to rest in time, as one that
+        only takes its torque away, makes a quick stop. Drives without power are left alone.
+
+        Args:
+            timeout: until the axes stand (s); in the torque modes a second at most.
+
+        Returns:
+            Names of the drives that were stopped.
+
+        Raises:
+            Timeout: halt did not bring an axis to rest; the quick stop is commanded.
+            DriveFault: on the way.
+        """
+        powered: dict[str, int] = {}  # with the mode
+
+        def hold(axis: str) -> None:
+            if state_of(self._fresh(axis)) is State.OPERATION_ENABLED:
+                powered[axis] = mode = self._mode(axis)
+                ramp = self._told(axis) & RAMP if mode == Mode.VELOCITY else 0
+                self._tell(axis, "controlword", ENABLED | ramp | C.HALT)
+
+        self._to_each(hold)
+        if not powered:
+            return ()
+        halted = Master(self.port, *powered)
+        self.wait(self.port.latency)
+        if any(mode in TORQUE for mode in powered.values()):
+            timeout = min(timeout, COASTS)
+        try:
+            halted._until(lambda axis, word: state_of(word) is not State.OPERATION_ENABLED
+                          or halted._stands(axis, word), timeout, "stop")  # fmt: skip
+        except Timeout as error:
+            halted._stop()
+            raise Timeout("stop", f"halt did not bring it to rest within {timeout:g} s",
+                          "a quick stop was commanded instead", error.status) from None  # fmt: skip
+        for axis, mode in powered.items():
+            self[axis]._drop(mode)
+        self.port.exchange()
+        return tuple(powered)
+
+    def _drop(self, mode: int) -> None:
+        """Forget what a halted drive was doing; halt stays."""
+        (axis,) = self.axes
+        if state_of(self._fresh(axis)) is not State.OPERATION_ENABLED:
+            return
+        if mode == Mode.PROFILE_POSITION:  # its own place replaces the target that was halted
+            at, bits = self.port.read(axis, "position_actual_value"), ENABLED | C.HALT
+            with suppress(ServoError):  # not every drive takes one while it is halted
+                self._tell(axis, "target_position", at)
+                self._set_point(bits | C.CHANGE_SET_IMMEDIATELY, True, "stop", False, 0.2)
+            self.control(bits)
+        elif name := AT_REST.get(mode):
+            here = mode == Mode.CYCLIC_SYNC_POSITION
+            self._tell(axis, name, self.port.read(axis, "position_actual_value") if here else 0)
 
     def home(
         self,

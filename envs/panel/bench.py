@@ -7,18 +7,18 @@ what comes after it needs, is carried through, unless it is a stop that comes.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from typing import Any, Protocol
 
 import numpy as np
 
-from ...drive.diagrams import ENABLED, Mode
-from ...drive.master import Master, Refused, ServoError, Units
+from ...drive.diagrams import Mode
+from ...drive.master import DriveFault, Master, NoPower, Refused, ServoError, Units
 from ...drive.master.port import Port
 from ...drive.model.model import DriveModel
 from ...drive.model.rows import Object
 from ...drive.objects.abort import SdoAbort
 from .control import Control
+from .log import Event, Log
 from .recorder import Recorder
 
 CHANNELS = (
@@ -31,6 +31,10 @@ HERE = ":"  # between an axis and its channel, where there are several axes
 
 
 ENDED = "ended by another command"
+STREAMED = {  # what is moved by set-points goes on until it gets another one
+    Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.INTERPOLATED_POSITION,
+    Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
+}  # fmt: skip
 BUTTONS = {"enable()": "Enable", "reset_fault()": "Reset fault", "home()": "Home"}
 
 
@@ -38,14 +42,12 @@ class Interrupted(Exception):
     """A motion was ended by another command."""
 
 
-def _words(error: Exception) -> str:
-    """What went wrong and what to do, for who sees the drive's words beside it."""
-    if not isinstance(error, ServoError):
-        return str(error)
-    said = "; ".join(filter(None, (error.received, error.next_step))) or str(error)
+def words(error: ServoError) -> tuple[str, str]:
+    """What went wrong and what to do, for readers who see the drive's words beside it."""
+    step = error.next_step
     for call, button in BUTTONS.items():
-        said = said.replace(call, button)
-    return said
+        step = step.replace(call, button)
+    return error.received or str(error), step
 
 
 class Agent(Protocol):
@@ -84,8 +86,9 @@ class Bench:
         self.pace: Callable[[], None] = lambda: None
         self.doing = ""  # the motion under way
         self.carried_through = False  # it does not end for the next one
-        self.messages: list[tuple[int, str, str]] = []  # number, kind, text
-        self._number = 0
+        self.log = Log()
+        self._faults: dict[str, str] = {}
+        self.underway: set[str] = set()  # axes that somebody here has set in motion
         self.agent: Agent | None = None
         self.pupil: Any = None  # `lessons.Pupil`: the lesson that is being done
         self.lessons: tuple[Any, ...] = ()  # `lessons.Lesson`: that are offered
@@ -131,6 +134,10 @@ class Bench:
 
     def powered(self, axis: str) -> bool:
         """Whether a drive is in OPERATION_ENABLED."""
+        raise NotImplementedError
+
+    def fault_of(self, axis: str) -> tuple[str, str]:
+        """The fault of a drive and its remedy, empty without one."""
         raise NotImplementedError
 
     def mapped(self, axis: str, direction: str) -> list[Object]:
@@ -212,66 +219,104 @@ class Bench:
             else:
                 self.exchange()
 
-    # --------------------------------------------------------------- messages
+    # ---------------------------------------------------------------- the log
 
-    def tell(self, kind: str, text: str) -> None:
-        """Leave a message; `kind` is done or error, for all who watch info or alarm."""
-        self._number += 1
-        self.messages = [*self.messages[1 - MESSAGES :], (self._number, kind, text)]
+    def tell(
+        self, kind: str, text: str, axis: str = "", reason: str = "", remedy: str = ""
+    ) -> None:
+        """Enter something into the log; see `log.KINDS`."""
+        self.log.enter(self.time, kind, text, axis, self.control.who, reason, remedy)
+
+    @property
+    def messages(self) -> list[Event]:
+        """The last events."""
+        return self.log.events[-MESSAGES:]
+
+    def _watch_faults(self) -> None:
+        """Enter a fault that has come or gone."""
+        for axis in self.axes:
+            fault, remedy = self.fault_of(axis)
+            if fault == self._faults.get(axis, ""):
+                continue
+            self._faults[axis] = fault
+            if fault:
+                self.tell("fault", f"{axis}: FAULT {fault}", axis, fault, remedy)
+            else:
+                self.tell("info", f"{axis}: the fault is gone", axis)
 
     # ---------------------------------------------------------------- motions
 
-    def run(self, what: str, motion: Callable[[], None], *, through: bool = False) -> str:
+    def run(
+        self, what: str, motion: Callable[[], Any], axis: str = "", *, through: bool = False,
+        goes_on: bool = False,
+    ) -> str:  # fmt: skip
         """Carry out a motion; -> what came of it, empty if all went well.
 
         Args:
             what: it is, in words.
             motion: lets time pass until it is done.
+            axis: that it moves; it is under way until the motion has come to its end.
             through: whether the next motion waits for its end.
+            goes_on: whether the axis goes on when the motion has returned, as it does at a speed.
         """
         if self.agent is not None:
-            return self._failed(what, f"{self.agent.name} has the machine: take it back first")
+            return self._failed(what, f"{self.agent.name} has the machine", "take it back first")
         self.doing, self.carried_through = what, through
+        if axis:
+            self.underway.add(axis)
+        self.tell("command", what, axis)
         try:
             motion()
         except Interrupted:
+            self.tell("info", f"{what}: {ENDED}", axis)
             return f"{what}: {ENDED}"
-        except (ServoError, SdoAbort) as error:
-            return self._failed(what, _words(error))
+        except ServoError as error:
+            if isinstance(error, NoPower | DriveFault | Refused):  # it does not move
+                self.underway.discard(axis)
+            return self._failed(what, *words(error), axis)
+        except SdoAbort as error:
+            return self._failed(what, str(error), "", axis)
         finally:
             self.doing, self.carried_through = "", False
-        self.tell("done", what)
+        if not goes_on:
+            self.underway.discard(axis)
+        self.tell("done", what, axis)
         return ""
 
-    def _failed(self, what: str, why: str) -> str:
-        self.tell("error", why if why.startswith(what) else f"{what}: {why}")
-        return why
+    def _failed(self, what: str, why: str, remedy: str = "", axis: str = "") -> str:
+        said = "; ".join(filter(None, (why, remedy)))
+        text = said if said.startswith(what) else f"{what}: {said}"
+        self.tell("refused", text, axis, why, remedy)
+        return said
 
     def enable(self, axis: str) -> str:
         """Walk to OPERATION_ENABLED."""
-        return self.run(f"{axis}: enable", self.masters[axis].enable, through=True)
+        moves = (self.value(axis, "modes_of_operation_display") or 0) in STREAMED
+        return self.run(
+            f"{axis}: enable", self.masters[axis].enable, axis, through=True, goes_on=moves
+        )
 
     def disable(self, axis: str) -> str:
-        """Take the power off."""
-        return self.run(f"{axis}: disable", self.masters[axis].disable)
+        """Take the power off; an agent gives the machine back."""
+        self.release()
+        return self.run(f"{axis}: disable", self.masters[axis].disable, axis)
 
     def reset_fault(self, axis: str) -> str:
         """Reset the fault."""
-        return self.run(f"{axis}: fault reset", self.masters[axis].reset_fault, through=True)
+        return self.run(f"{axis}: fault reset", self.masters[axis].reset_fault, axis, through=True)
 
     def set_mode(self, axis: str, mode: int) -> str:
         """Select a mode of operation."""
         return self.run(
             f"{axis}: mode {Mode(mode).name.lower()}",
-            lambda: self.masters[axis].set_mode(Mode(mode)),
-            through=True,
-        )
+            lambda: self.masters[axis].set_mode(Mode(mode)), axis, through=True,
+            goes_on=mode in STREAMED,
+        )  # fmt: skip
 
     def home(self, axis: str, method: int | None = None) -> str:
         """Home; the method that is set if none is given."""
-        return self.run(
-            f"{axis}: home", lambda: self.masters[axis].home(method=method, timeout=MOVES)
-        )
+        master = self.masters[axis]
+        return self.run(f"{axis}: home", lambda: master.home(method=method, timeout=MOVES), axis)
 
     def move(self, axis: str, position: float, *, relative: bool = False) -> str:
         """Move to a position (m or rad), or by so much."""
@@ -285,41 +330,67 @@ class Bench:
 
         name, scale = self.unit(axis)
         by = "by" if relative else "to"
-        return self.run(f"{axis}: move {by} {position * scale:g} {name}", motion)
+        return self.run(f"{axis}: move {by} {position * scale:g} {name}", motion, axis)
 
     def jog(self, axis: str, velocity: float) -> str:
         """Run at a velocity (m/s or rad/s); 0 stops."""
-        return self.run(f"{axis}: jog", lambda: self.masters[axis].jog(velocity))
+        name, scale = self.unit(axis)
+        what = f"{axis}: jog at {velocity * scale:g} {name}/s"
+        return self.run(
+            what, lambda: self.masters[axis].jog(velocity), axis, goes_on=velocity != 0.0
+        )
 
-    def halt(self, axis: str) -> str:
-        """Stop and stay enabled; what it was doing is dropped."""
-        return self.run(f"{axis}: stop", lambda: self._stop(axis))
-
-    def _stop(self, axis: str) -> None:
-        master = self.masters[axis]
-        if master.mode == Mode.PROFILE_VELOCITY:
-            master.write("target_velocity", 0)
-        master.halt()
-        if master.mode == Mode.PROFILE_POSITION:
-            with suppress(Refused):  # behind the stroke, as after homing: halt stays
-                master.move_to(master.position, immediate=True)  # in the place of what was halted
-        else:
-            master.control(ENABLED)
+    def stop(self, axis: str | None = None) -> str:
+        """Stop an axis, or all, in any mode; it keeps its power and stands until a new command."""
+        return self._stop("stop", axis, Master.stop)
 
     def quick_stop(self, axis: str | None = None) -> str:
-        """Quick stop of an axis, or of all that have power; outranks an agent."""
+        """Quick stop of an axis, or of all at once; it outranks an agent."""
+        return self._stop("quick stop", axis, Master.quick_stop)
+
+    def _stop(self, what: str, axis: str | None, how: Callable[[Master], Any]) -> str:
+        """All at once, so that none waits for another one."""
         self.release()
-        for name in (axis,) if axis else self.axes:
-            stop = self.masters[name].quick_stop
-            if self.powered(name) and (wrong := self.run(f"{name}: quick stop", stop)):
-                return wrong
-        return ""
+        axes = [name for name in ((axis,) if axis else self.axes) if self.powered(name)]
+        named = f"{', '.join(axes) or axis or 'all axes'}: {what}"
+        if not axes:
+            self.tell("stop", f"{named}: there is no power, so nothing is driven", axis or "")
+            return ""
+        self.tell("stop", named, axis or "")
+        said = self.run(named, lambda: how(Master(self.port, *axes)), through=True)
+        self.underway.difference_update(axes)
+        return said
+
+    def abandon(self, why: str) -> None:
+        """End what moves by commands of somebody who is there no longer."""
+        axes = [name for name in self.axes if name in self.underway and self.powered(name)]
+        if not (axes or self.agent):
+            return
+        self.tell("alarm", f"{why}: what it had set in motion is stopped", "", why, "take control")
+        self.release()
+        if axes:
+            self.run(f"{', '.join(axes)}: stop", Master(self.port, *axes).stop, through=True)
+            self.underway.difference_update(axes)
 
     def control_word(self, axis: str, word: int) -> str:
         """Send a controlword as it is."""
         if self.agent is not None:
             return f"{self.agent.name} has the machine: take it back first"
-        return self.write(axis, "controlword", word & 0xFFFF)
+        return self.command(axis, "controlword", word & 0xFFFF)
+
+    def command(self, axis: str, name: int | str, *arguments: float) -> str:
+        """Write an object for somebody, and enter it into the log; -> why it is refused."""
+        wrong = self.write(axis, name, *arguments)
+        known = f"{name:04X}h" if isinstance(name, int) else name
+        sub = f":{int(arguments[0]):02X}" if len(arguments) > 1 else ""
+        hexadecimal = f"{int(arguments[-1]):04X}h" if name == "controlword" else ""
+        what = f"{axis}: {known}{sub} = {hexadecimal or f'{arguments[-1]:.10g}'}"
+        if wrong:
+            self.tell("refused", f"{what}: {wrong}", axis, wrong)
+        else:
+            self.tell("command", what, axis)
+            self.underway.add(axis)
+        return wrong
 
     def release(self) -> None:
         """Take the machine back from an agent."""

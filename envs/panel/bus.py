@@ -47,6 +47,7 @@ ABSENT = {
     "parameters": "A parameter file is what the drive itself stores: write 65766173h to 1010h:01, "
     "and the node stores what it has.",
 }  # fmt: skip
+FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 Key = tuple[str, int, int]  # axis, index, sub-index
 Where = tuple[str, str, int]  # axis, direction, number of the PDO
 
@@ -128,6 +129,7 @@ class BusBench(Bench):
         else:
             self.bus.exchange()
         self.time = self.bus.now() - self._begun
+        self._watch_faults()
         if due:
             self._due = max(self._due + 1 / self.asked_rate, self.bus.now() - 0.5 / self.asked_rate)
             self._marks = [*self._marks[-50:], self.time]
@@ -278,6 +280,17 @@ class BusBench(Bench):
         word = self._last(axis, self._named["statusword"], ask=False)
         return word is not None and state_of(int(word)) is State.OPERATION_ENABLED
 
+    def fault_of(self, axis: str) -> tuple[str, str]:
+        """As statusword and error code were read last."""
+        word = self._last(axis, self._named["statusword"], ask=False)
+        if word is None or state_of(int(word)) not in FAULTY:
+            return "", ""
+        row = self._named.get("error_code")
+        code = int(self._last(axis, row, ask=False) or 0) if row else 0
+        model = self.model(axis)
+        remedy = f"{remedy_of(model, code)}; then reset the fault"
+        return fault_named(model, code) or "unknown fault", remedy
+
     def mapped(self, axis: str, direction: str) -> list[Object]:
         """Of the PDOs that have passed."""
         return [
@@ -314,10 +327,10 @@ class BusBench(Bench):
             return otherwise if value is None else int(value)
 
         model, units, (_, scale) = self.model(name), self.units(name), self.unit(name)
-        word, told, code = of("statusword"), of("controlword"), of("error_code")
+        word, told = of("statusword"), of("controlword")
         known = self._last(name, self._named["statusword"], ask=False)
         state = None if known is None else state_of(word)
-        faulty = state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        fault, remedy = self.fault_of(name)
         acts = word & Statusword.INTERNAL_LIMIT_ACTIVE
         images = {
             way: b"".join(data for _, data in self._passed(name, way)) for way in ("rx", "tx")
@@ -336,9 +349,9 @@ class BusBench(Bench):
             "target": of("target_position") * units.position * scale,
             "homed": None,
             "homing_method": of("homing_method"),
-            "fault": fault_named(model, code) or "unknown fault" if faulty else "",
+            "fault": fault,
             "faults": (),
-            "remedy": remedy_of(model, code) if faulty else "",
+            "remedy": remedy,
             "refused": unheeded(model, word, told) if state is not None else "",
             "limits": ["internal limit active, statusword bit 11"] if acts else [],
             "inputs": of("digital_inputs"),

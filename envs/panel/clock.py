@@ -10,12 +10,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any
 
-from .bench import Bench, Interrupted
+from .bench import ENDED, Bench, Interrupted
 
 SLOWEST, FASTEST = 0.1, 10.0
 NAP = 0.004  # s, how long the thread sleeps at least when it is ahead of the wall clock
+SILENT = "the window that has control is closed, cut off or stands still"
 DEBT = 0.1  # s behind the wall clock that are made up for; more are let go
 PICTURE = 0.04  # s between two snapshots
 MEASURED = 1.0  # s over which the speed is measured
@@ -70,6 +72,17 @@ class Clock:
         self._motions.append((motion, future, at_once))
         return future
 
+    def stop_motion(self, stop: Callable[[Bench], Any]) -> "Future[Any]":
+        """Carry out a stop now; motions that wait are dropped, the one under way ends."""
+        waiting = []
+        while self._motions:
+            waiting.append(self._motions.popleft()[1])
+        future = self.move(stop, at_once=True)
+        for dropped in waiting:
+            if dropped.set_running_or_notify_cancel():
+                dropped.set_result(ENDED)
+        return future
+
     def set_speed(self, speed: float) -> None:
         """Speed of time, 0.1..10. Raises ValueError."""
         self._own_time()
@@ -119,6 +132,9 @@ class Clock:
             finally:
                 self._in_motion = False
         session.pace = lambda: None
+        if session.real_time:  # what is moved is elsewhere and would go on
+            with suppress(Exception):
+                session.abandon("the panel ends")
         while not self._requests.empty():
             self._requests.get()[1].cancel()
         while self._motions:
@@ -144,6 +160,8 @@ class Clock:
             now = time.monotonic()
             if now - self._drawn >= PICTURE:
                 self._show(now)
+                if self.session.control.lost(now):
+                    self.stop_motion(lambda s: s.abandon(SILENT))
             if self.session.real_time:
                 return
             if self.paused:

@@ -1,4 +1,11 @@
-"""Who commands: one seat, and a token that each tab of the browser has for itself."""
+"""Who commands: one seat, and a token that each tab of the browser has for itself.
+
+A stop needs no seat. Who has the seat shows with each picture that it is still there; a window that
+is silent for `LOST` seconds, because it was closed, cut off or stands still, has lost what it had
+set in motion: the clock stops it.
+"""
+
+LOST = 3.0  # s of silence; a reload takes less
 
 
 class NotInControl(ValueError):
@@ -11,17 +18,26 @@ class Control:
     def __init__(self) -> None:
         self.holder: str | None = None
         self.takeovers = 0
+        self.who = ""  # whose request is carried out now
+        self._windows: dict[str, str] = {}  # names by tab
+        self._seen: float | None = None  # when the holder was there last (s); None: it never says
+
+    def name(self, tab: str) -> str:
+        """What the log calls a tab."""
+        return self._windows.setdefault(tab, f"window {len(self._windows) + 1}")
 
     def take(self, tab: str) -> None:
-        """Sit down; who sat there before watches from now on."""
+        """Sit down; the one who sat there before watches from now on."""
         if self.holder not in (None, tab):
             self.takeovers += 1
+        if self.holder != tab:
+            self._seen = None
         self.holder = tab
 
     def leave(self, tab: str) -> None:
         """Stand up, if it sits there."""
         if self.holder == tab:
-            self.holder = None
+            self.holder, self._seen = None, None
 
     def holds(self, tab: str) -> bool:
         """Whether this tab commands."""
@@ -32,3 +48,15 @@ class Control:
         if not self.holds(tab):
             who = "another window has control" if self.holder else "nobody has control"
             raise NotInControl(f"{who}: press Take control first")
+
+    def beat(self, tab: str, now: float) -> None:
+        """A tab is there at `now` (s)."""
+        if self.holder == tab:
+            self._seen = now
+
+    def lost(self, now: float) -> bool:
+        """Whether the holder was silent for too long; said once."""
+        if self._seen is None or now - self._seen < LOST:
+            return False
+        self._seen = None
+        return True

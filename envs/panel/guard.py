@@ -1,11 +1,13 @@
-"""Who may ask: the right host, the right origin and, beyond the loopback, a token.
+"""Who may ask: the one that knows the token, from a page of our own.
 
-A page of a stranger that the same browser has open could send requests to the loopback, or let its
-own name point there (DNS rebinding): it has another origin, or another host, and is refused.
+The token is asked for on the loopback, too: other people's programs on this computer reach it. It
+comes as ``?token=`` once and as a cookie from then on. A stranger's page that the same browser has
+open has no cookie of ours, or, as a page of another port of this computer, another origin; a name
+that somebody points here (DNS rebinding) has no cookie either. So the host does not matter: behind
+a proxy, an ``ssh -L`` with another port and by a bare name it is another one, and that is right.
 """
 
 import hmac
-import ipaddress
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -13,7 +15,17 @@ from urllib.parse import parse_qs, urlsplit
 
 Scope = MutableMapping[str, Any]
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-COOKIE = "servogym_panel"
+HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsewhere
+    (b"x-frame-options", b"DENY"),
+    (
+        b"content-security-policy",
+        b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
+        b"'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' "
+        b"ws: wss:; object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'none'",
+    ),
+    (b"referrer-policy", b"no-referrer"),  # the first address has the token
+    (b"x-content-type-options", b"nosniff"),
+)
 
 
 def is_loopback(host: str) -> bool:
@@ -26,13 +38,12 @@ class Guard:
 
     Args:
         app: what is guarded, an ASGI application.
-        host: where it is served.
-        port: at which port.
-        token: that has to be known, as ``?token=`` once and as a cookie then; empty: none.
+        token: that has to be known.
+        name: of the cookie: one for each server, for a browser keeps them by host, not by port.
     """
 
-    def __init__(self, app: Callable[..., Awaitable[None]], host: str, port: int, token: str):
-        self.app, self.host, self.port, self.token = app, host, port, token
+    def __init__(self, app: Callable[..., Awaitable[None]], token: str, name: str):
+        self.app, self.token, self.name = app, token, name
 
     async def __call__(
         self, scope: Scope, receive: Callable[..., Any], send: Callable[..., Any]
@@ -45,66 +56,48 @@ class Guard:
                    for name, value in scope["headers"]}  # fmt: skip
         wrong, cookie = self.judge(headers, scope.get("query_string", b"").decode("latin-1"))
         if not wrong:
-            await self.app(scope, receive, self._with_cookie(send) if cookie else send)
+            secure = headers.get("x-forwarded-proto", scope.get("scheme", "")) in ("https", "wss")
+            await self.app(scope, receive, self._sending(send, cookie, secure))
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": wrong[:100]})
         else:
             body = f"servogym panel: {wrong}\n".encode()
             kind = (b"content-type", b"text/plain; charset=utf-8")
-            await send({"type": "http.response.start", "status": 403, "headers": [kind]})
+            headers_ = [kind, *HEADERS]
+            await send({"type": "http.response.start", "status": 403, "headers": headers_})
             await send({"type": "http.response.body", "body": body})
 
     def judge(self, headers: dict[str, str], query: str) -> tuple[str, bool]:
         """Why a request is refused, empty if it is not; and whether the cookie is to be set."""
-        host = headers.get("host", "")
-        if not self._known(host):
-            return f"host {host[:80]!r} is not served here, open http://{self._own()}", False
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            return f"origin {origin[:80]!r} is a stranger here", False
+        if origin is not None:
+            served = {headers.get("host", "").lower(), headers.get("x-forwarded-host", "").lower()}
+            if urlsplit(origin).netloc.lower() not in served - {""}:
+                return (
+                    f"origin {origin[:80]!r} is a stranger here; a proxy has to pass the header "
+                    "Host, or X-Forwarded-Host", False,
+                )  # fmt: skip
         if headers.get("sec-fetch-site") == "cross-site" and "upgrade" in headers:
             return "a stranger's page may not connect", False
-        if not self.token:
-            return "", False
         given = parse_qs(query).get("token", [""])[0]
         if given and hmac.compare_digest(given.encode(), self.token.encode()):
             return "", True
         try:
-            kept = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+            kept = SimpleCookie(headers.get("cookie", "")).get(self.name)
         except CookieError:
             kept = None
         if kept is not None and hmac.compare_digest(kept.value.encode(), self.token.encode()):
             return "", False
         return "the token is missing: open the address that `servogym panel` has printed", False
 
-    def _own(self) -> str:
-        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
-
-    def _known(self, host: str) -> bool:
-        try:
-            parts = urlsplit(f"//{host}")
-            name, port = parts.hostname or "", parts.port or 80
-        except ValueError:
-            return False
-        if port != self.port:
-            return False
-        if is_loopback(self.host):
-            return is_loopback(name)
-        if name == self.host or is_loopback(name):
-            return True
-        try:  # by any of its addresses; by no name that somebody else may point here
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
-
-    def _with_cookie(self, send: Callable[..., Any]) -> Callable[..., Any]:
-        cookie = f"{COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict".encode()
+    def _sending(self, send: Callable[..., Any], cookie: bool, secure: bool) -> Callable[..., Any]:
+        kept = f"{self.name}={self.token}; Path=/; HttpOnly; SameSite=Strict" + "; Secure" * secure
 
         async def sending(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] = [*message.get("headers", []), (b"set-cookie", cookie)]
+                own = [(b"set-cookie", kept.encode())] if cookie else []
+                message["headers"] = [*message.get("headers", []), *HEADERS, *own]
             await send(message)
 
         return sending

@@ -16,6 +16,7 @@ from ..masters.port import MachinePort
 from .bench import Agent, Bench, Interrupted
 
 __all__ = ["Agent", "Interrupted", "Laboratory", "Session"]
+EVERY = 8  # cycles between two looks for faults
 FIELDS = tuple(
     f"axis.{name}" for name in (
         "torque", "position", "velocity", "following_error", "velocity_command", "torque_command",
@@ -53,6 +54,7 @@ class Session(Bench):
     def __init__(self, machine: Machine, title: str = ""):
         self.machine = machine
         self._port = _Port(machine, self)
+        self._cycle = 0
         super().__init__(self._port, title or type(machine).__name__)
         self.scope = self._scope(machine.cycle_time)
 
@@ -63,6 +65,9 @@ class Session(Bench):
         self.machine.step()
         self.time += self.machine.cycle_time
         self.scope.sample(self.time)
+        self._cycle += 1
+        if not self._cycle % EVERY:
+            self._watch_faults()
         if self.pupil is not None:
             self.pupil.look()
 
@@ -104,6 +109,12 @@ class Session(Bench):
     def powered(self, axis: str) -> bool:
         """Whether the drive is in OPERATION_ENABLED."""
         return int(self.machine.drives[axis].axis.state) == State.OPERATION_ENABLED
+
+    def fault_of(self, axis: str) -> tuple[str, str]:
+        """As the drive has it."""
+        drive = self.machine.drives[axis]
+        record = drive.axis
+        return (drive.fault, remedy(record)) if record.fault else ("", "")
 
     def mapped(self, axis: str, direction: str) -> list[Object]:
         """Of all PDOs that are valid."""
@@ -256,7 +267,7 @@ class _Port(MachinePort):
             try:
                 super().write(axis, name, value)
             except (SdoAbort, TypeError) as error:
-                self._session.tell("error", f"{axis}: {error}")
+                self._session.tell("refused", f"{axis}: {error}", axis)
 
     def forget(self) -> None:
         """Nothing is under way any more."""

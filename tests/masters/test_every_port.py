@@ -1,6 +1,7 @@
 """One script on every port with every drive model: the same calls, the same errors."""
 
 import pickle
+from functools import partial
 
 import pytest
 from masters.ports import CASES, axis
@@ -93,7 +94,13 @@ def test_a_fault_is_told_reset_and_needs_its_cause_gone(bench):
         master.wait_until(lambda word: False, 5.0, "work")
     assert e.value.axes == ("x",)
     assert e.value.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
-    assert e.value.next_step == "remove the cause, then reset_fault()"
+    assert e.value.next_step.endswith("; remove the cause, then reset_fault()")
+    assert bench.drive.fault[:5] in e.value.received
+    named = rf"FAULT, error code {bench.drive.fault[:5]}.*; remove the cause, then reset_fault\(\)"
+    for refused in (master.home, master.halt, partial(master.jog, 0.1)):
+        with pytest.raises(DriveFault, match=named + r" and enable\(\)"):
+            refused()
+    assert master.stop() == ()  # it has no power
     assert bench.drive.fault[:5] in e.value.received
     assert isinstance(e.value, RuntimeError)
     with pytest.raises(DriveFault, match="enable: FAULT"):

@@ -58,7 +58,8 @@ class Server:
             stderr=self.log, env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
         )  # fmt: skip
         for line in self.process.stdout:
-            if self.url[:-1] in line:
+            if found := re.search(rf"{self.url}\?token=(\S+)", line):
+                self.token = found[1]
                 return
         self.process.stdout.close()
         raise AssertionError(f"the server ended with {self.process.wait()}")
@@ -80,7 +81,7 @@ def tab(browser, server, width=1280, height=800):
     context = browser.new_context(viewport=size, reduced_motion="reduce")  # a third of the work
     context.set_default_timeout(60_000)
     page = context.new_page()
-    page.goto(server.url)
+    page.goto(f"{server.url}?token={server.token}")
     expect(at(page, "state")).to_be_visible()
     while at(page, "control").inner_text() != "In control":  # the first tab gets it by itself,
         at(page, "control").click()  # perhaps between these two lines

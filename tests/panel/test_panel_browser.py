@@ -278,7 +278,7 @@ def test_a_fault_is_injected_told_with_its_remedy_and_reset_by_clicks(page):
     expect(at(page, "remedy")).to_contain_text("brake resistor")
     picture(page, "state")
     at(page, "reset-fault").click()
-    expect(page.locator(".q-notification").get_by_text("still present")).to_be_visible()
+    expect(page.locator(".q-notification").get_by_text("the cause of x")).to_be_visible()
     open_page(page, "experiments")
     at(page, "clear-injected").click()
     shows(page, "injected", "Nothing is injected.")
@@ -443,14 +443,18 @@ def answer(server, path, headers):
     return answer.status, body, answer.headers
 
 
+def cookie(server, **headers):
+    return {"Cookie": f"servogym_panel_{server.port}={server.token}"} | headers
+
+
 @pytest.mark.parametrize(
     "header",
-    [{"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"},
-     {"Host": "evil.example", "Origin": "http://evil.example"}, {"Sec-Fetch-Site": "cross-site"}],
+    [{}, {"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"},
+     {"Host": "evil.example", "Origin": "http://evil.example"}, {"Cookie": "servogym_panel=x"}],
 )  # fmt: skip
-def test_strangers_are_refused(server, header):
-    """A page, a poll and a WebSocket; a link from elsewhere may open the page."""
-    for path in ("/", f"{SOCKET}polling") if "Sec-Fetch-Site" not in header else ():
+def test_strangers_are_refused_on_the_loopback_too(server, header):
+    """A page, a poll and a WebSocket, of who does not know the token."""
+    for path in ("/", "/?token=guess", f"{SOCKET}polling"):
         status, body, _ = answer(server, path, header)
         assert status == 403
         assert b"servogym panel" in body
@@ -458,8 +462,29 @@ def test_strangers_are_refused(server, header):
     assert status == 403  # before there is a WebSocket, as RFC 6455 4.2.2 has it
 
 
-def test_the_page_itself_gets_its_websocket(server):
-    own = {"Origin": server.url[:-1], "Sec-Fetch-Site": "same-origin"}
-    status, _, headers = answer(server, f"{SOCKET}websocket", UPGRADE | own)
+@pytest.mark.parametrize(
+    "header", [{"Origin": "http://evil.example"}, {"Origin": "http://localhost:1"},
+               {"Sec-Fetch-Site": "cross-site"}]
+)  # fmt: skip
+def test_a_strangers_page_in_the_same_browser_gets_no_websocket(server, header):
+    """Its request has our cookie where it is a page of another port."""
+    status, *_ = answer(server, f"{SOCKET}websocket", UPGRADE | cookie(server) | header)
+    assert status == 403
+
+
+@pytest.mark.parametrize(
+    ("host", "more"),
+    [("localhost:{port}", {}), ("localhost:9", {}), ("127.0.0.1", {}), ("labpc", {}),
+     ("127.0.0.1:{port}", {"X-Forwarded-Host": "lab.example", "Origin": "https://lab.example"})],
+)  # fmt: skip
+def test_behind_a_proxy_another_port_and_by_a_bare_name_it_is_served(server, host, more):
+    """`ssh -L 9:localhost:8402`, a reverse proxy with and without the Host of the browser."""
+    host = host.format(port=server.port)
+    own = {"Host": host, "Origin": f"http://{host}", "Sec-Fetch-Site": "same-origin"} | more
+    status, _, headers = answer(server, "/", cookie(server, Host=host))
+    assert status == 200
+    assert headers["X-Frame-Options"] == "DENY"
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    status, _, headers = answer(server, f"{SOCKET}websocket", UPGRADE | cookie(server) | own)
     assert status == 101
     assert headers["Sec-WebSocket-Accept"] == "s3pPLMBiTxaQ9kYGzzhZRbK+xOo="  # RFC 6455 1.3

@@ -54,7 +54,7 @@ def test_enable_home_and_move_bring_the_axis_to_the_target(homed):
 
 def test_a_move_without_power_is_refused_and_says_the_next_step(session):
     assert "Enable" in session.move("x", 0.2)
-    assert session.messages[-1][1] == "error"
+    assert session.messages[-1].kind == "refused"
     assert state(session) is State.SWITCH_ON_DISABLED
 
 
@@ -68,7 +68,7 @@ def test_stop_drops_the_move_and_leaves_the_axis_enabled(homed):
     homed.master = homed.masters["x"]
     homed.master.move_to(0.4, wait=False)
     homed.advance(0.05)
-    assert homed.halt("x") == ""
+    assert homed.stop("x") == ""
     stopped = homed.shown()["axes"]["x"]["position"]
     homed.advance(0.5)
     assert state(homed) is State.OPERATION_ENABLED
@@ -168,7 +168,7 @@ def test_unknown_channels_leave_the_scope_as_it_is(session, names):
 
 def test_a_motion_ends_the_one_before_it(clock):
     first = clock.move(lambda s: s.move("x", 0.45))
-    second = clock.move(lambda s: s.halt("x"))
+    second = clock.move(lambda s: s.stop("x"))
     assert "ended" in first.result(20)
     assert second.result(20) == ""
 
@@ -195,7 +195,7 @@ def test_enable_clicked_right_after_reset_fault_comes_after_it(clock):
     assert clock.ask(state).result(20) is State.OPERATION_ENABLED
 
 
-@pytest.mark.parametrize("stop", ["disable", "quick_stop", "halt"])
+@pytest.mark.parametrize("stop", ["disable", "quick_stop", "stop"])
 def test_a_stop_does_not_wait_for_a_reset_that_waits_for_its_cause(clock, stop):
     drive = clock.session.machine.drives["x"]
     clock.ask(lambda _: drive.inject("overvoltage")).result(20)
@@ -212,7 +212,7 @@ def test_a_stop_does_not_wait_for_a_reset_that_waits_for_its_cause(clock, stop):
     assert second
     assert ended[1] - begun[0] < 0.5  # a reset goes on for 2 s
     after = clock.move(lambda s: s.reset_fault("x"))  # carried through again, to its own end
-    assert clock.move(lambda s: s.halt("x")).result(20) is not None
+    assert clock.move(lambda s: s.stop("x")).result(20) is not None
     assert "still present" in after.result(20)
 
 

@@ -18,7 +18,6 @@ def add(panel: argparse.ArgumentParser) -> None:
 
     panel.add_argument(
         "--axis",
-        default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
     )
     panel.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
@@ -37,9 +36,7 @@ def add(panel: argparse.ArgumentParser) -> None:
     panel.add_argument(
         "--listen", action="store_true", help="send nothing on the bus; PDOs alone are seen"
     )
-    panel.add_argument(
-        "--samples", type=float, default=RATE, help=f"a second of the scope on a bus ({RATE:g})"
-    )
+    panel.add_argument("--samples", type=float, help=f"a second of the scope on a bus ({RATE:g})")
     panel.add_argument(
         "--units", metavar="M[,M/S]",
         help="on a bus: a position unit in m, a velocity unit in m/s (the same)",
@@ -50,7 +47,7 @@ def add(panel: argparse.ArgumentParser) -> None:
     panel.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
     panel.add_argument(
         "--host", default="127.0.0.1",
-        help="listen on this address instead of the loopback; needs a token, which is printed",
+        help="listen on this address instead of the loopback",
     )  # fmt: skip
     panel.add_argument("--pictures", type=int, default=25, help="a second, 1..60 (25)")
     panel.add_argument("--no-browser", action="store_true", help="do not open a browser")
@@ -64,11 +61,14 @@ def _machine(options: argparse.Namespace):
     if options.mjcf is None:
         if options.joint:
             raise ValueError("--joint names joints of --mjcf, which is not given")
+        options.axis = options.axis or "linear"
         if options.axis not in AXES:
             raise ValueError(f"--axis = {options.axis!r}: use one of {', '.join(AXES)}")
         make, places = AXES[options.axis]
         machine = make(options.drive)
     else:
+        if options.axis:
+            raise ValueError(f"--axis {options.axis} and --mjcf are two machines: give one of them")
         if not options.joint:
             raise ValueError("--mjcf needs --joint NAME for each joint that gets a drive")
         machine = Machine.from_mjcf(options.mjcf, dict.fromkeys(options.joint, options.drive))
@@ -89,7 +89,7 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     from ...drive.wire.adapter import Adapter, AdapterPort
     from ...envs.panel.bus import BusBench
 
-    for name in ("mjcf", "joint", "parameter_file", "lessons"):
+    for name in ("axis", "mjcf", "joint", "parameter_file", "lessons"):
         if getattr(options, name):
             raise ValueError(f"--{name.replace('_', '-')} is for a machine, not for --node-id")
     if len({*options.node_id}) < len(options.node_id):
@@ -109,7 +109,7 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     place = where(options) or f"{INTERFACE} {CHANNEL}"
     try:
         return BusBench(
-            AdapterPort(adapter), nodes, options.drive, rate=options.samples, units=units,
+            AdapterPort(adapter), nodes, options.drive, rate=options.samples or RATE, units=units,
             listen=options.listen, title=f"{', '.join(nodes)} on {place}",
         ), adapter  # fmt: skip
     except ValueError:
@@ -144,9 +144,11 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
         finally:
             adapter.shutdown()
         return 0
-    for name in ("listen", "units"):
-        if getattr(options, name):
-            raise ValueError(f"--{name} is for nodes on a bus: give --node-id")
+    bus = ("listen", "units", "samples", "interface", "channel", "bitrate", "bus_config")
+    for name in bus:
+        if getattr(options, name, None):
+            option = name.replace("_", "-")
+            raise ValueError(f"--{option} is for nodes on a bus: give --node-id")
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         machine = _machine(options)
         machine.step()

@@ -1,13 +1,17 @@
 """What one tab of the browser has: its axis, its right to command, its way to the session."""
 
 import asyncio
-from collections.abc import Callable
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future
 from typing import Any
 
 from nicegui import ui
 
+from ....drive.master import ServoError
+from ....drive.objects.abort import SdoAbort
 from ...engine.machine import Machine
-from ..bench import ENDED, Bench
+from ..bench import ENDED, Bench, words
 from ..clock import Clock
 
 Request = Callable[[Any], Any]  # of the bench, or of the session where a page needs one
@@ -56,31 +60,68 @@ class Desk:
         """What a session says; for looking only."""
         return await asyncio.wrap_future(self.clock.ask(request))
 
+    def beat(self) -> None:
+        """This tab is there."""
+        self.clock.session.control.beat(self.tab, time.monotonic())
+
     async def command(self, request: Request) -> Any:
         """Let the session do something that takes no time; words, where it is refused."""
-
-        def checked(session: Bench) -> Any:
-            session.control.check(self.tab)
-            return request(session)
-
-        return await self._told(self.clock.ask(checked))
+        return await self.tried(self.clock.ask(self._checked(request)))
 
     async def motion(self, motion: Request, *, at_once: bool = False) -> Any:
         """Let the session carry out a motion, as `Clock.move` does; words, where it fails."""
         if not self.in_control:  # a motion under way is not ended by who may not command
             return await self.command(lambda session: "")
+        return await self.tried(self.clock.move(self._checked(motion), at_once=at_once))
+
+    async def stop(self, stop: Request) -> Any:
+        """Let the session carry out a stop, at once; every window may."""
+        return await self.tried(self.clock.stop_motion(self._signed(stop)))
+
+    def _checked(self, request: Request) -> Request:
+        """Only of the tab that has control."""
+        self.beat()
 
         def checked(session: Bench) -> Any:
             session.control.check(self.tab)
-            return motion(session)
+            return signed(session)
 
-        return await self._told(self.clock.move(checked, at_once=at_once))
+        signed = self._signed(request)
+        return checked
 
-    async def _told(self, future: Any) -> Any:
+    def _signed(self, request: Request) -> Request:
+        """In the log with the name of this window."""
+
+        def signed(session: Bench) -> Any:
+            control = session.control
+            control.who = control.name(self.tab)
+            try:
+                return request(session)
+            finally:
+                control.who = ""
+
+        return signed
+
+    async def tried(self, work: Awaitable[Any] | Future[Any]) -> Any:
+        """What comes of something; words, where it is refused: every page's errors end here."""
         try:
-            return await asyncio.wrap_future(future)
-        except (ValueError, RuntimeError) as error:
-            return str(error)
+            return await (asyncio.wrap_future(work) if isinstance(work, Future) else work)
+        except REFUSED as error:
+            return Refusal(in_words(error))
+
+
+REFUSED = (ServoError, SdoAbort, ValueError, RuntimeError, OSError, ImportError)
+
+
+class Refusal(str):
+    """Why something was refused, in words."""
+
+
+def in_words(error: BaseException) -> str:
+    """An error as people read it."""
+    if isinstance(error, ServoError):
+        return "; ".join(filter(None, words(error)))
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def over(words: Any) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
+from ....drive.advice import remedy
 from ...autotune.bode import bode
 from ...autotune.margins import Margins
 from ...autotune.response import Response
@@ -15,7 +16,7 @@ from ...autotune.trial import Trial
 from ...autotune.tune import Tuned, tune
 from ...engine.machine import Machine
 from .charts import SMALL, bode_chart, move_chart, step_chart
-from .desk import Desk, refuse
+from .desk import Desk, Refusal, refuse
 from .widgets import Entry, Tag, button, card, two_sided
 
 TAKE_OVER, PUT_BACK = "Take over", "Put back"
@@ -81,17 +82,22 @@ class LoopsPage:
     # --------------------------------------------------------------- on a copy
 
     async def _on_a_copy(self, made: ui.button, work: Callable[[Machine], Any]) -> Any:
-        """What comes of it; None where it is refused, which is then said."""
+        """What comes of it; None where it is refused, which is then said, or the drive's fault."""
+        axis, bench = self.desk.axis, self.desk.bench
         self.wrong.set_text("")
-        made.props("loading")
-        try:
-            twin = await self.desk.ask(lambda session: copy.deepcopy(session.machine))
-            return await asyncio.to_thread(work, twin)
-        except (ValueError, RuntimeError, ImportError) as error:
-            self.wrong.set_text(str(error))
+        if said := faulty(axis, *bench.fault_of(axis)):
+            self.wrong.set_text(said)
             return None
-        finally:
-            made.props(remove="loading")
+        made.props("loading")
+        twin = await self.desk.ask(lambda session: copy.deepcopy(session.machine))
+        done = await self.desk.tried(asyncio.to_thread(work, twin))
+        made.props(remove="loading")
+        if not isinstance(done, Refusal):
+            return done
+        drive = twin.drives[axis]
+        fault = (drive.fault, remedy(drive.axis)) if drive.fault else ("", "")
+        self.wrong.set_text(faulty(axis, *fault, "the copy") or done)
+        return None
 
     async def _measure(self) -> None:
         amplitude, axis = self.amplitude.number(), self.desk.axis
@@ -224,6 +230,11 @@ class LoopsPage:
 
     def show(self) -> None:
         """Nothing changes by itself."""
+
+
+def faulty(axis: str, fault: str, remedy: str, what: str = "it") -> str:
+    """Why nothing can be measured on a drive in fault; empty without one."""
+    return f"{axis}: {what} is in FAULT, {fault}; {remedy}" if fault else ""
 
 
 def _error(trial: Trial, unit: str) -> str:

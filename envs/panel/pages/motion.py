@@ -42,6 +42,7 @@ class MotionPage:
         self.desk = desk
         axis = desk.axis
         self.model = desk.bench.model(axis)
+        self._changing = 0  # modes that are on their way to the drive
         self.names = {row.name: row for row in desk.bench.rows(axis)}
         self.unit, self.scale = desk.bench.unit(axis)
         with ui.element("div").classes("columns motion-columns"):
@@ -71,11 +72,11 @@ class MotionPage:
                     modes,
                     label="Mode of operation 6060h",
                     value=present if present in modes else None,
+                    on_change=lambda event: self._mode(event.value),
                 )
                 .props("dense outlined data-test=mode")
                 .classes("entry wide")
             )
-            self.mode.on("update:model-value", self._mode)
 
     def _move(self) -> None:
         with card("Move"):
@@ -83,7 +84,9 @@ class MotionPage:
             with ui.element("div").classes("cluster"):
                 button("Move to", lambda: self.target.apply(), "move-to", "main")
                 button("Move by", self._relative, "move-by")
-                button("Stop", self._halt, "stop")
+                button("Stop", self._stop, "stop").props(
+                    "title='Any window may. The axis keeps its power.'"
+                )
 
     def _jog(self) -> None:
         with card("Jog"):
@@ -152,8 +155,9 @@ class MotionPage:
     async def _reset(self) -> None:
         await self._go("reset_fault")
 
-    async def _halt(self) -> None:
-        await self._go("halt", at_once=True)
+    async def _stop(self) -> None:
+        axis = self.desk.axis
+        refuse(await self.desk.stop(lambda session: session.stop(axis)))
 
     async def _home(self) -> None:
         method = self.method.value
@@ -162,10 +166,14 @@ class MotionPage:
             return
         await self._go("home", int(method))
 
-    async def _mode(self) -> None:
-        mode = self.mode.value
+    async def _mode(self, mode: int | None) -> None:
+        """What was chosen, not what the list shows by now: it follows the drive meanwhile."""
         if mode is not None and mode != self.desk.seen["mode"]:
-            await self._go("set_mode", int(mode))
+            self._changing += 1
+            try:
+                await self._go("set_mode", int(mode))
+            finally:
+                self._changing -= 1
 
     async def _go(self, what: str, *arguments: Any, at_once: bool = False) -> None:
         axis, desk = self.desk.axis, self.desk
@@ -222,7 +230,8 @@ class MotionPage:
             "A bus does not tell whether the axis is referenced." if seen["homed"] is None
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."
         )  # fmt: skip
-        if self.mode.value != seen["mode"] and seen["mode"] in self.mode.options:
+        known = seen["mode"] in self.mode.options
+        if not self._changing and known and self.mode.value != seen["mode"]:
             self.mode.set_value(seen["mode"])
         if self.method.value is None and seen["homing_method"] in self.method.options:
             self.method.set_value(seen["homing_method"])
@@ -265,7 +274,7 @@ class _Parameter:
 
     async def _send(self, value: float) -> str:
         axis, name = self.desk.axis, self.name
-        words = await self.desk.command(lambda session: session.write(axis, name, value))
+        words = await self.desk.command(lambda session: session.command(axis, name, value))
         if not words:
             self.entry.field.value = ""
             self.entry.field.error = None

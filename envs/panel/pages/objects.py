@@ -127,7 +127,7 @@ class ObjectsPage:
         if self.chosen is None:
             return "choose an object first"
         row = self.rows[self.chosen]
-        words = await self.desk.command(lambda s: s.write(axis, row.index, row.subindex, value))
+        words = await self.desk.command(lambda s: s.command(axis, row.index, row.subindex, value))
         if not words:
             self.entry.field.value, self.entry.field.error = "", None
         return str(words or "")

@@ -10,7 +10,8 @@ from nicegui import app, ui
 
 from ....drive.diagrams import MODE_ABBREVIATION, State
 from ..clock import Clock
-from .desk import Desk, refuse
+from ..log import Event
+from .desk import Desk, in_words, refuse
 from .experiments import ExperimentsPage
 from .lesson import LessonPage
 from .loops import LoopsPage
@@ -30,6 +31,13 @@ for (const id in texts) {
   if (element?.firstChild) element.firstChild.nodeValue = texts[id];
 }
 return 1"""
+# Esc closes what is open; where nothing is, it is the quick stop
+LISTEN = """window.addEventListener("blur", () => emitEvent("left"));
+window.addEventListener("keydown", (event) => {
+  if (event.key !== "Escape" || event.repeat || event.isComposing) return;
+  if (document.querySelector(".q-menu, .q-dialog__inner")) return;
+  emitEvent("escape");
+}, true)"""
 TAKE_CONTROL = "Take control"
 PAUSE, GO_ON = "pause", "play_arrow"  # icons
 SLOWEST = 20.0  # s that a browser may take for a picture
@@ -75,7 +83,9 @@ class Shell:
         ui.keyboard(self._key, ignore=["input", "select", "textarea"], repeating=False)
         ui.keyboard(self._always, ignore=[], repeating=False)
         ui.on("left", self._rest)
-        ui.run_javascript('window.addEventListener("blur", () => emitEvent("left"))')
+        ui.on("escape", self._quick_stop)
+        ui.on_exception(self._broken)
+        ui.run_javascript(LISTEN)
         ui.timer(1 / pictures, self.show)
 
     def _header(self) -> None:
@@ -198,19 +208,22 @@ class Shell:
         if shown == TAKE_CONTROL:
             await self.desk.ask(lambda session: session.control.take(tab))
         else:
-            await self.desk.ask(lambda session: session.control.leave(tab))
+            await self.desk.stop(lambda session: leave(session, tab))
 
     async def _quick_stop(self) -> None:
-        refuse(await self.desk.motion(lambda session: session.quick_stop(), at_once=True))
+        refuse(await self.desk.stop(lambda session: session.quick_stop()))
+
+    async def _broken(self, error: Exception) -> None:
+        """A mistake of ours in a page is told as well; the log has it."""
+        said = f"{type(error).__name__}: {in_words(error)}"
+        await self.desk.ask(lambda session: session.tell("alarm", f"an error of the panel: {said}"))
 
     async def _take_back(self) -> None:
         refuse(await self.desk.command(lambda session: session.release()))
 
     async def _always(self, event: Any) -> None:
-        """Keys that work in a field, too: the quick stop, and the end of jogging."""
-        if event.key.escape and event.action.keydown:
-            await self._quick_stop()
-        elif (event.key.arrow_left or event.key.arrow_right) and event.action.keyup:
+        """Keys that work in a field, too: the end of jogging."""
+        if (event.key.arrow_left or event.key.arrow_right) and event.action.keyup:
             await self._rest()
 
     async def _rest(self) -> None:
@@ -278,17 +291,18 @@ class Shell:
         texts = json.dumps(pending(ui.context.client.id))
         try:  # a slow browser gets fewer pictures, not older ones
             await ui.run_javascript(SHOW % texts, timeout=GONE if self.desk.jogging else SLOWEST)
+            self.desk.beat()
         except TimeoutError:
             await self._rest()  # nobody knows whether the key is still held
 
-    def _messages(self, messages: list[tuple[int, str, str]]) -> None:
-        for number, kind, text in messages:
-            if number > self.desk.told:
-                self.desk.told = number
-                if kind == "info":
-                    ui.notify(text, position="bottom-left")
-                elif kind == "alarm":
-                    refuse(text)
+    def _messages(self, events: list[Event]) -> None:
+        for event in events:
+            if event.number > self.desk.told:
+                self.desk.told = event.number
+                if event.kind == "info" and not event.who:
+                    ui.notify(event.text, position="bottom-left")
+                elif event.kind in ("alarm", "fault"):
+                    refuse("; ".join(filter(None, (event.text, event.remedy))))
 
     # ------------------------------------------------------------ coming, going
 
@@ -301,6 +315,7 @@ class Shell:
                 session.control.take(tab)
 
         await self.desk.ask(sit)
+        self.desk.beat()
 
     def lose(self) -> None:
         """The browser is gone: an axis that was jogged comes to rest."""
@@ -317,7 +332,20 @@ class Shell:
             client.tab_id == tab for client in type(ui.context.client).instances.values()
         )
         if not open_still:
-            self.clock.ask(lambda session: session.control.leave(tab))
+            self.clock.ask(lambda session: leave_if_gone(self.clock, session, tab))
+
+
+def leave(session: Any, tab: str) -> None:
+    """Stand up; what the window had set in motion comes to rest."""
+    if session.control.holds(tab):
+        session.control.leave(tab)
+        session.abandon("nobody has control any more")
+
+
+def leave_if_gone(clock: Clock, session: Any, tab: str) -> None:
+    """The same of a window that is closed; only then is anything stopped."""
+    if session.control.holds(tab):
+        clock.stop_motion(lambda session: leave(session, tab))
 
 
 class _Absent:

@@ -39,6 +39,8 @@ class StatePage:
         assert word is not None
         if row.command == "fault reset":
             refuse(await self.desk.motion(lambda session: session.reset_fault(axis)))
+        elif row.command == "quick stop":  # every window may
+            refuse(await self.desk.stop(lambda session: session.quick_stop(axis)))
         else:
             refuse(await self.desk.command(lambda session: session.control_word(axis, word)))
 

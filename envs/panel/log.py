@@ -1,0 +1,55 @@
+"""The log of events: each command, refusal, fault and stop, with time, reason and remedy."""
+
+import csv
+import io
+from typing import NamedTuple
+
+KEPT = 5000  # events
+KINDS = ("command", "done", "refused", "fault", "stop", "info", "alarm")
+
+
+class Event(NamedTuple):
+    """Something that has happened."""
+
+    number: int
+    kind: str  # of KINDS; info and alarm are shown in every window
+    text: str
+    time: float  # s of the panel
+    axis: str
+    who: str  # the window that has commanded, or nothing
+    reason: str
+    remedy: str
+
+
+class Log:
+    """The last events, the newest last."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+        self._number = 0
+
+    def enter(
+        self, time: float, kind: str, text: str, axis: str = "", who: str = "", reason: str = "",
+        remedy: str = "",
+    ) -> None:  # fmt: skip
+        """Enter an event. Raises ValueError for an unknown kind."""
+        if kind not in KINDS:
+            raise ValueError(f"kind {kind!r}: use one of {', '.join(KINDS)}")
+        self._number += 1
+        event = Event(self._number, kind, text, time, axis, who, reason, remedy)
+        self.events = [*self.events[1 - KEPT :], event]
+
+    def csv(self) -> str:
+        """All of them as a table."""
+        text = io.StringIO()
+        writer = csv.writer(text)
+        writer.writerow(["number", "time (s)", "kind", "axis", "by", "event", "reason", "remedy"])
+        for e in self.events:
+            row = (e.axis, e.who, e.text, e.reason, e.remedy)
+            writer.writerow([e.number, f"{e.time:.4f}", e.kind, *map(_plain, row)])
+        return text.getvalue()
+
+
+def _plain(text: str) -> str:
+    """No formula where a spreadsheet opens it."""
+    return f"'{text}" if text[:1] in "=+-@" else text
