@@ -80,6 +80,7 @@ class Drive:
         self.memory = process_data.memory(self.axes)
         od_offset = record.AXIS.fields["od"][1]  # type: ignore[index]
         self._record = process_data.raw(self.memory[index])
+        self._more = bytearray(self.model.more)
         self._commissioned: dict[str, int] = {}
         self.objects = ObjectDictionary(
             self,
@@ -87,6 +88,7 @@ class Drive:
                 "axis": self._record[od_offset : od_offset + record.OD.itemsize],
                 "rpdo": process_data.raw(self.rpdos),
                 "tpdo": process_data.raw(self.tpdos),
+                "more": memoryview(self._more),
                 "constant": None,
             },
         )
@@ -441,7 +443,7 @@ class Drive:
     # --------------------------------------------------------------- snapshot
 
     def _identity(self) -> dict[str, Any]:
-        sizes = [len(self._record), self.rpdos.nbytes, self.tpdos.nbytes]
+        sizes = [len(self._record), self.rpdos.nbytes, self.tpdos.nbytes, len(self._more)]
         return {
             "kind": "drive", "model": self.model.name, "bus": self.model.bus,
             "objects": _layout(self.model),
@@ -458,8 +460,9 @@ class Drive:
             "commissioned": self._commissioned,
             "stored": self.parameters.kept,
             "alias": self.parameters.alias,
+            "texts": [[*at, data.hex()] for at, data in self.objects.texts.items()],
         }
-        parts = [bytes(self._record), self.rpdos.tobytes(), self.tpdos.tobytes()]
+        parts = [bytes(self._record), self.rpdos.tobytes(), self.tpdos.tobytes(), bytes(self._more)]
         return snapshots.seal(self._identity(), state, parts)
 
     def restore(self, snapshot: bytes) -> None:
@@ -477,10 +480,13 @@ class Drive:
     def take(self, opened: tuple[dict[str, Any], list[bytes]]) -> None:
         """Become what was `opened`."""
         state, parts = opened
-        views = self._record, process_data.raw(self.rpdos), process_data.raw(self.tpdos)
+        views = self._record, process_data.raw(self.rpdos), process_data.raw(self.tpdos), self._more
         for view, part in zip(views, parts, strict=True):
             view[:] = part
         self.operational = state["operational"]
+        texts = {(index, sub): bytes.fromhex(data) for index, sub, data in state["texts"]}
+        self.objects.texts.clear()
+        self.objects.texts.update(texts)
         self.parameters.become(state["stored"], state["alias"])
         if state["commissioned"] != self._commissioned:
             self._commissioned = state["commissioned"]

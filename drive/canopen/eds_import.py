@@ -1,49 +1,59 @@
-"""A drive model made from somebody's EDS (CiA 306): a folder that every command takes.
+"""A drive model made from somebody's EDS or DCF (CiA 306): a folder that every command takes.
 
-The EDS says which objects there are, their types, ranges, defaults and PDOs; not what the drive
+The file says which objects there are, their types, ranges, defaults and PDOs; not what the drive
 does. What the profile knows, with the type it has there, behaves as in the model `generic`; the
-rest are objects that keep what is written. The folder's README says which is which.
+rest are objects that keep what is written. `sheet` reads the file, `made` writes the folder; here
+each object finds its row. What could not be taken as it stands is a repair in the folder's README.
 """
 
-import configparser
-import csv
-import json
 import re
-import shutil
-import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import canopen
-from canopen.objectdictionary import ODVariable, datatypes
+from canopen.objectdictionary import datatypes
 
 from ..drive import Drive
-from ..kernel.words import MODE_ABBREVIATION
-from ..model.files import content
-from ..model.model import load
+from ..kernel.factors.units import FRACTION_LIMIT
+from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS, parameter_place
+from ..kernel.record import VENDOR_BYTES
+from ..kernel.words import MODE_ABBREVIATION, Mode
+from ..model.made import Made, Repair, check_place, line, write
+from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
-from ..model.rows import FORMATS, Object
+from ..model.rows import FORMATS, LENGTHS, SIZES, Cells, Object, read_cells
 from ..objects.abort import SdoAbort
+from .sheet import Entry, Sheet, number, read_sheet
 
-LARGEST = 2_000_000  # bytes
-MOST = 6000  # objects
-LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
-NEEDED = (0x1000, 0x6040, 0x6041)
+MOST = 1 << 16  # objects
+NEEDED = (0x6040, 0x6041)
 TYPES = {
-    number: name
-    for name in FORMATS
-    if (number := getattr(datatypes, name, None)) is not None
+    code: name for name in FORMATS if (code := getattr(datatypes, name, None)) is not None
 }  # fmt: skip
-COLUMNS = ("index", "subindex", "name", "object_type", "data_type", "access", "pdo", "unit", "min",
-           "max", "default", "storable", "section", "note", "field", "when", "hook")  # fmt: skip
+TYPES |= {0x0C: "TIME_OF_DAY", 0x0D: "TIME_DIFFERENCE"}
 # access of CiA 306 -> of a row, and where it may be mapped
 ACCESS = {
     "ro": ("ro", "tx"), "wo": ("wo", "rx"), "rw": ("rw", "rxtx"), "rww": ("rw", "rx"),
     "rwr": ("rw", "tx"), "const": ("const", ""),
 }  # fmt: skip
 SOURCE = "EDS"
+OFF = 0x8000_0000  # bit of an identifier: not valid
+MAKERS = range(0x2000, 0x6000)  # objects of the maker, which mean something else in each file
+GAINS = (0x60F6, 0x60F7, 0x60F9, 0x60FB)  # each maker has units of its own for them
+PDO_TYPES = {1: "UNSIGNED32", 2: "UNSIGNED8", 3: "UNSIGNED16", 5: "UNSIGNED16", 6: "UNSIGNED8"}
+PREDEFINED = {"rx": (0x200, 0x300, 0x400, 0x500), "tx": (0x180, 0x280, 0x380, 0x480)}
+SECOND = 0x6090  # shares its bytes with 608Fh in the profile, and says something else in a file
+RESOLUTION, GEAR, FEED = 0x608F, 0x6091, 0x6092
+# where 0 says that the maker's tool has not set it yet, and nothing moves with it
+UNSET = (0x6072, 0x6073, 0x6075, 0x6076, RESOLUTION, GEAR, FEED, 0x6096, 0x6097, 0x60C2)
+# modes by what a master needs for them, where 6502h does not say (inferred)
+NEEDS = {
+    Mode.PROFILE_POSITION: (0x607A, 0x6081), Mode.VELOCITY: (0x6042,),
+    Mode.PROFILE_VELOCITY: (0x60FF,), Mode.PROFILE_TORQUE: (0x6071,), Mode.HOMING: (0x6098,),
+    Mode.INTERPOLATED_POSITION: (0x60C1,), Mode.CYCLIC_SYNC_POSITION: (0x607A, 0x60C2),
+    Mode.CYCLIC_SYNC_VELOCITY: (0x60FF, 0x60C2), Mode.CYCLIC_SYNC_TORQUE: (0x6071, 0x60C2),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -53,257 +63,492 @@ class Imported:
     folder: Path
     objects: int
     unknown: tuple[str, ...]  # objects that only keep what is written
-    left_out: tuple[str, ...]  # objects of a type the emulator does not have
+    left_out: tuple[str, ...]
+    repairs: tuple[Repair, ...]
+    node_id: int | None  # of a DCF
 
 
-def import_eds(eds: Path, folder: Path) -> Imported:
+def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
     """Make a drive model in `folder`, which must not exist, or be empty.
 
+    Args:
+        eds: the EDS or DCF.
+        folder: of the model.
+        strict: refuse a file that needs a repair, for those who write EDS files.
+
     Raises:
-        ValueError: the file is no EDS of a CiA 402 drive, or there is no place for the folder.
+        ValueError: the file is no EDS of a CiA 402 drive, it needs repairs and `strict` forbids
+            them, or there is no place for the folder.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"{folder} is there already: choose a folder that is new or empty")
-    if not folder.parent.is_dir():
-        raise ValueError(f"{folder}: there is no folder {folder.parent}; make it first")
-    od = _parsed(eds)
-    made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        summary = _write(od, made, eds)
-        try:
-            Drive(made)
-        except (ValueError, SdoAbort) as error:
-            raise ValueError(f"{eds}: {str(error).replace(str(made), str(folder))}") from None
-        if folder.exists():
-            folder.rmdir()
-        made.chmod(0o755)
-        made.rename(folder)
-    except BaseException:
-        shutil.rmtree(made, ignore_errors=True)
-        raise
-    return Imported(folder, *summary)
-
-
-def _parsed(eds: Path) -> canopen.ObjectDictionary:
     if not eds.exists():
         raise ValueError(f"{eds}: there is no such file")
-    data = content(eds, "an EDS", LARGEST)
-    if b"\0" in data:
-        raise ValueError(f"{eds}: it is binary, not the text of an EDS (CiA 306)")
-    lists = configparser.RawConfigParser(strict=False)
-    with tempfile.TemporaryDirectory() as place:
-        copy = Path(place) / "drive.eds"  # by its suffix canopen knows what it is
-        copy.write_text(data.decode("utf-8", "replace"), encoding="utf-8")
-        try:
-            lists.read(copy, encoding="utf-8")
-            od = canopen.import_od(str(copy))
-            listed = {
-                int(value, 0) for name in LISTS for key, value in lists.items(name) if key.isdigit()
-            }
-        except Exception as error:  # canopen raises anything
-            reason = str(error).splitlines()[0].replace(str(copy), "") if str(error) else ""
-            reason = f"{type(error).__name__}: {reason}"
-            raise ValueError(f"{eds}: it is no EDS of CiA 306 ({reason[:120]})") from None
-    missing = sorted(listed - set(od))
-    if missing:
-        raise ValueError(
-            f"{eds}: {missing[0]:04X}h is listed, but its section is missing: is it complete?"
-        )
-    for index in NEEDED:
-        if index not in od:
-            raise ValueError(f"{eds}: it has no {index:04X}h: it is not that of a CiA 402 drive")
-    return od
+    check_place(folder)
+    sheet = read_sheet(eds)
+    made = _Import(sheet).made()
+    if strict and made.repairs:
+        told = "\n".join(f"{eds}, {repair}" for repair in made.repairs)
+        raise ValueError(f"{told}\n{eds}: {len(made.repairs)} departures from CiA 306 (--strict)")
+    try:
+        write(made, folder, Drive)
+    except SdoAbort as error:
+        raise ValueError(f"{eds}: {error}") from None
+    except ValueError as error:
+        raise ValueError(f"{eds}: {error}") from None
+    return Imported(
+        folder, len(made.objects), tuple(made.unknown), tuple(made.left_out), tuple(made.repairs),
+        sheet.node_id,
+    )  # fmt: skip
 
 
-def _variables(od: canopen.ObjectDictionary) -> Iterator[tuple[ODVariable, str]]:
-    """Objects with their object type."""
-    for index in sorted(od):
-        item = od[index]
-        if isinstance(item, ODVariable):
-            if index >= 0x1000:
-                yield item, "VAR"
-            continue
-        kind = "ARRAY" if isinstance(item, canopen.objectdictionary.ODArray) else "RECORD"
-        for subindex in sorted(item.subindices):
-            yield item.subindices[subindex], kind
+class _Import:
+    """One file on its way to a model."""
 
+    def __init__(self, sheet: Sheet):
+        self.sheet = sheet
+        self.base: DriveModel = load("generic")
+        self.cells: Cells = read_cells(self.base.folder / "objects.csv")
+        self.rows: dict[tuple[int, int], dict[str, Any]] = {}
+        self.names: set[str] = set()
+        title = line(sheet.text("DeviceInfo", "ProductName") or sheet.path.stem) or "drive"
+        self.result = Made(title, sheet.path.name, "servogym drives --from-eds")
+        self.result.repairs = sheet.repairs
 
-def _write(
-    od: canopen.ObjectDictionary, folder: Path, eds: Path
-) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
-    base = load("generic")
-    rows: list[dict[str, Any]] = []
-    unknown: list[str] = []
-    left_out: list[str] = []
-    names: set[str] = set()
-    for variable, kind in _variables(od):
-        address = variable.index, variable.subindex
-        shown = f"{address[0]:04X}h:{address[1]:02X} {_text(variable.name)}"
-        data_type = TYPES.get(variable.data_type)
+    def made(self) -> Made:
+        """The model. Raises ValueError where the file is not that of a CiA 402 drive."""
+        sheet, made = self.sheet, self.result
+        for index in NEEDED:
+            if (index, 0) not in sheet.entries:
+                missing = [r for r in sheet.repairs if r.where == f"{index:04X}h"]
+                reason = "is listed, but has no section: is the file complete?" if missing else ""
+                raise ValueError(
+                    f"{sheet.path}, line {_last(sheet)}: {index:04X}h "
+                    + (reason or "is missing: it is not the EDS of a CiA 402 drive")
+                )
+        if len(sheet.entries) > MOST:
+            raise ValueError(f"{sheet.path}: {len(sheet.entries)} objects, at most {MOST}")
+        for entry in sheet.entries.values():
+            self._take(entry)
+        self._factors()
+        self._pdos()
+        self._place()
+        made.objects = [self.rows[address] for address in sorted(self.rows)]
+        indices = sorted({f"{index:04X}h" for index, _ in self.base.objects})
+        made.toml = {"buses": ["can"], "without": indices} | made.toml
+        self._capabilities()
+        self._notes()
+        made.repairs.sort(key=lambda repair: repair.line)
+        return made
+
+    # --------------------------------------------------------------- objects
+
+    def _known(self, entry: Entry) -> Object | None:
+        """What the profile knows of an object."""
+        known = self.base.objects.get((entry.index, entry.subindex))
+        if known is None or entry.index in GAINS or entry.index == SECOND:
+            return None
+        if entry.index in MAKERS and entry.name != known.name:
+            return None  # another maker's, unless the file is one of ours
+        return known
+
+    def _take(self, entry: Entry) -> None:
+        address = entry.index, entry.subindex
+        shown = f"{entry.index:04X}h:{entry.subindex:02X} {line(entry.name)}"
+        data_type = self._data_type(entry)
         if data_type is None:
-            left_out.append(shown)
-            continue
-        known: Object | None = base.objects.get(address)
-        if known is not None and known.data_type != data_type:
-            known = None
-        name = known.name if known else _name(variable, names)
-        names.add(name)
-        rows.append(_row(variable, kind, data_type, known, name))
-        if known is None and not 0x1000 <= variable.index < 0x2000:
-            unknown.append(shown)
-    if len(rows) > MOST:
-        raise ValueError(f"{eds}: {len(rows)} objects are more than {MOST}")
-    with (folder / "objects.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        writer.writeheader()
-        writer.writerows(rows)
-    _write_pdos(od, folder / "pdo.csv")
-    title = _text(od.device_information.product_name or eds.stem) or "drive"
-    supported = od.get(0x6502)
-    bits = getattr(supported, "default", None) or 0
-    modes = [MODE_ABBREVIATION[m] for m in base.modes if bits >> (m - 1) & 1]
-    without = sorted({f"{index:04X}h" for index, _ in base.objects})
-    lines = [
-        f"# From {_text(eds.name)}; see README.md for what is inferred.",
-        f"title = {json.dumps(title)}", 'based_on = "generic"', 'buses = ["can"]',
-        f"without = {json.dumps(without)} # objects.csv has all there are",
-    ]  # fmt: skip
-    listed = getattr(od.get(0x60E3), "subindices", {})
-    said = {row.default for subindex, row in listed.items() if subindex}
-    methods = [method for method in base.homing_methods if method in said]
-    if modes or methods:
-        lines += ["", "[capabilities] # 6502h, 60E3h"]
-    if modes:
-        lines.append(f"modes = {json.dumps(modes)}")
-    if methods:
-        lines.append(f"homing_methods = {json.dumps(methods)}")
-    (folder / "drive.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "README.md").write_text(
-        _readme(title, eds, bool(modes), bool(methods), unknown, left_out), encoding="utf-8"
-    )
-    return len(rows), tuple(unknown), tuple(left_out)
+            self.result.left_out.append(shown)
+            return
+        known = self._known(entry)
+        field = self.cells[address][0]["field"] if known else ""
+        if known is not None and data_type != known.data_type:
+            if _lower_bytes(data_type, known.data_type) and field:
+                pass
+            elif known.index in NEEDED or known.name in ("modes_of_operation", "target_position"):
+                self.sheet.tell(entry.line, entry.where, data_type, known.data_type,
+                                "the profile has it so, and nothing works without it")  # fmt: skip
+                data_type = known.data_type
+            else:
+                known, field = None, ""
+        self.rows[address] = self._row(entry, data_type, known)
+        if known is None and not 0x1000 <= entry.index < 0x2000:
+            self.result.unknown.append(shown)
 
+    def _data_type(self, entry: Entry) -> str | None:
+        """The name of the data type; None: the object is left out, which is told."""
+        place = parameter_place(entry.index, entry.subindex)
+        if place is not None:
+            mapping = bool(entry.index & 0x200)
+            if mapping and entry.subindex > ENTRIES:
+                self.sheet.tell(entry.line, entry.where, "a mapping entry", "left out",
+                                f"a PDO has {ENTRIES} at most here")  # fmt: skip
+                return None
+            usual = ("UNSIGNED32" if entry.subindex else "UNSIGNED8") if mapping else (
+                PDO_TYPES.get(entry.subindex, "UNSIGNED8" if entry.subindex == 0 else "")
+            )  # fmt: skip
+            found = TYPES.get(entry.data_type, "")
+            if usual and found != usual:
+                self.sheet.tell(entry.line, entry.where, found or f"{entry.data_type:02X}h", usual,
+                                "CiA 301 says so for PDOs")  # fmt: skip
+            return usual or TYPES.get(entry.data_type)
+        data_type = TYPES.get(entry.data_type)
+        if data_type is None:
+            self.sheet.tell(entry.line, entry.where, f"data type {entry.data_type:02X}h",
+                            "left out", "there is no such type in CiA 301")  # fmt: skip
+        return data_type
 
-def _row(
-    variable: ODVariable, kind: str, data_type: str, known: Object | None, name: str
-) -> dict[str, Any]:  # fmt: skip
-    access, pdo = ACCESS.get(variable.access_type, ("rw", "rxtx"))
-    code = FORMATS[data_type]
-    row: dict[str, Any] = {
-        "index": f"0x{variable.index:04X}", "subindex": f"0x{variable.subindex:02X}",
-        "name": name, "object_type": kind, "access": access, "section": SOURCE,
-        "pdo": pdo if variable.pdo_mappable and access != "const" else "-",
-    }  # fmt: skip
-    row |= {} if known else {"data_type": data_type, "note": "unknown: keeps what is written"}
-    if not known:
-        row["pdo"] = row["pdo"].strip("-")
-        row["storable"] = "yes" if access == "rw" else ""
-    if known and known.area == "constant" and access != "const":
-        row["access"] = known.access if known.access == "const" else access
-        row["pdo"] = "-"
-    default = _default(variable)
-    if not code:
-        row["default"] = _text(str(variable.default or "")) or ("-" if known else "")
+    def _row(self, entry: Entry, data_type: str, known: Object | None) -> dict[str, Any]:
+        access, pdo = ACCESS[entry.access]
+        code = FORMATS[data_type]
+        own = self.cells[entry.index, entry.subindex][0] if known else {}
+        if known is not None:
+            if known.access == "const" and (own["field"] or access == "ro"):
+                access, pdo = "const", ""
+            elif known.access == "ro" and access in ("rw", "wo"):
+                self.sheet.tell(entry.line, entry.where, entry.access, "ro", "the drive makes it")
+                access, pdo = "ro", "tx"
+        name = known.name if known else self._name(entry)
+        self.names.add(name)
+        row: dict[str, Any] = {
+            "index": f"0x{entry.index:04X}", "subindex": f"0x{entry.subindex:02X}", "name": name,
+            "object_type": entry.kind, "data_type": data_type, "access": access,
+            "pdo": pdo if entry.mappable and code else "", "section": SOURCE,
+        }  # fmt: skip
+        for column in ("unit", "storable", "field", "when", "hook", "note"):
+            row[column] = own.get(column, "")
+        if known is None:
+            row["note"] = "" if 0x1000 <= entry.index < 0x2000 else "unknown: keeps what is written"
+            row["storable"] = "yes" if access == "rw" and code else ""
+        if not code:
+            row["default"] = self._text_default(entry, data_type)
+            return row
+        self._numbers(entry, row, data_type, known, own)
         return row
-    low, high = variable.min, variable.max
-    if code != "f" and low is not None and high is not None and low <= high:
-        number = variable.default if isinstance(variable.default, int) else 0
-        if low <= number <= high:
-            row["min"], row["max"] = low, high
-    row["default"] = default if default else ("" if known else "0")
-    return row
+
+    def _text_default(self, entry: Entry, data_type: str) -> str:
+        if data_type not in LENGTHS:
+            text = line(entry.default, 4096)
+            if not text.isascii():
+                self.sheet.tell(entry.line, entry.where, text, "its ASCII characters",
+                                "a VISIBLE_STRING has no others")  # fmt: skip
+            return text.encode("ascii", "ignore").decode()
+        try:
+            if data_type == "REAL64":
+                return str(float(entry.default or 0))
+            return str(number(entry.default)[0] if entry.default else 0)
+        except ValueError:
+            self.sheet.tell(entry.line, entry.where, entry.default, "0", f"it is no {data_type}")
+            return "0"
+
+    def _numbers(
+        self, entry: Entry, row: dict[str, Any], data_type: str, known: Object | None, own: Any
+    ) -> None:
+        """Default and range of a number, such that the default lies in the range."""
+        if data_type == "REAL32":
+            try:
+                row["default"] = str(float(entry.default or 0))
+            except ValueError:
+                self.sheet.tell(entry.line, entry.where, entry.default, "0", "it is no number")
+                row["default"] = "0"
+            return
+        lowest, highest = _span(data_type)
+        default, per_node = self._number(entry, entry.default, data_type, "default value")
+        low, _ = self._number(entry, entry.low, data_type, "low limit")
+        high, _ = self._number(entry, entry.high, data_type, "high limit")
+        if low is not None and high is not None and (low > high or low == high == 0):
+            self.sheet.tell(entry.line, entry.where, f"limits {low}..{high}", "none",
+                            "no value lies in them")  # fmt: skip
+            low = high = None
+        low = lowest if low is None else low
+        high = highest if high is None else high
+        if default is None:
+            factory = known.default if known is not None else 0
+            default = int(factory) if known is None or low <= factory <= high else 0  # type: ignore
+            default = min(max(default, low), high)
+            per_node = known.per_node if known is not None else False
+        elif not per_node and not low <= default <= high:
+            self.sheet.tell(entry.line, entry.where, f"default {default}, limits {low}..{high}",
+                            "limits that have it", "a drive has its own default")  # fmt: skip
+            low, high = min(low, default), max(high, default)
+        allowed = ""
+        if known is not None and not per_node:
+            default, low, high, allowed = self._as_profile(entry, known, own, default, low, high)
+        row["min"] = allowed or (low if low != lowest else "")
+        row["max"] = high if high != highest else ""
+        row["default"] = f"{default:#x}+node_id" if per_node else str(default)
+
+    def _as_profile(
+        self, entry: Entry, known: Object, own: Any, default: int, low: int, high: int
+    ) -> tuple[int, int, int, str]:
+        """The range as far as the profile knows the values; 0 often means that none was set."""
+        span = _span(known.data_type)
+        least, most = max(known.minimum, span[0]), min(known.maximum, span[1])
+        possible = least <= default <= most
+        possible = possible and (known.allowed is None or default in known.allowed)
+        unset = default == 0 and known.index in UNSET
+        if not possible and not unset and (entry.low or entry.high):
+            return default, low, high, ""  # the file knows more values than the profile
+        if not possible:
+            factory = int(known.default)
+            self.sheet.tell(entry.line, entry.where, f"default {default}", str(factory),
+                            f"{known.name} of the profile cannot be that")  # fmt: skip
+            low, high, default = min(low, factory), max(high, factory), factory
+        if known.allowed is not None:
+            return default, low, high, own["min"]
+        if least > low and least <= default:
+            low = int(least)
+        if most < high and most >= default:
+            high = int(most)
+        return default, low, high, ""
+
+    def _number(
+        self, entry: Entry, text: str, data_type: str, what: str
+    ) -> tuple[int | None, bool]:
+        """A number that the data type holds, None where there is none."""
+        if not text:
+            return None, False
+        try:
+            value, per_node = number(text)
+        except ValueError:
+            self.sheet.tell(entry.line, entry.where, f"{what} {text!r}", "none", "it is no number")
+            return None, False
+        lowest, highest = _span(data_type)
+        if lowest <= value <= highest:
+            return value, per_node
+        bits = 8 * SIZES[FORMATS[data_type]]
+        if lowest < 0 <= value < 1 << bits:  # 65535 of an INTEGER16 is -1
+            signed = value - (1 << bits)
+            if not text.lower().startswith("0x"):
+                self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(signed),
+                                f"the bits of an {data_type}")  # fmt: skip
+            return signed, per_node
+        if lowest == 0 and -(1 << bits - 1) <= value < 0:
+            taken = value + (1 << bits)
+        else:
+            taken = min(max(value, lowest), highest)
+        self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(taken),
+                        f"an {data_type} has {lowest}..{highest}")  # fmt: skip
+        return taken, per_node
+
+    def _name(self, entry: Entry) -> str:
+        own = entry.name if entry.subindex == 0 else f"{entry.group}_{entry.name}"
+        name = re.sub(r"[^a-z0-9]+", "_", own.lower()).strip("_")[:80] or "object"
+        name = name if not name[0].isdigit() else f"object_{name}"
+        if name in self.names or name in self.base.names:
+            name = f"{name}_{entry.index:04x}_{entry.subindex:02x}"
+        return name
+
+    # ----------------------------------------------------------------- units
+
+    def _default(self, index: int, subindex: int) -> int | None:
+        row = self.rows.get((index, subindex))
+        return None if row is None or "+" in row["default"] else int(row["default"])
+
+    def _set(self, index: int, subindex: int, value: int, why: str) -> None:
+        """Another default for an object of the factor group."""
+        row, entry = self.rows[index, subindex], self.sheet.entries[index, subindex]
+        self.sheet.tell(entry.line, entry.where, f"default {row['default']}", str(value), why)
+        row["default"] = str(value)
+        if row["max"] != "" and value > row["max"]:
+            row["max"] = ""
+
+    def _factors(self) -> None:
+        """What the file lacks of the factor group, or says as 1, falls back to the profile's."""
+        usual = int(self.base.objects[RESOLUTION, 1].default)
+        increments, turns = self._default(RESOLUTION, 1), self._default(RESOLUTION, 2)
+        if increments is not None and increments <= 1:
+            self._set(RESOLUTION, 1, usual, "no encoder has one increment")
+            increments = usual
+        increments, turns = increments or usual, turns or 1
+        feed, per = self._default(FEED, 1), self._default(FEED, 2)
+        if feed is None:
+            self.result.toml["fixed"] = {"feed_constant": [increments, turns]}
+            feed, per = increments, turns
+        elif feed <= 1 and (per or 1) == 1:
+            self._set(FEED, 1, increments, "a position unit is then an increment")
+            feed = increments
+        gear = self._default(GEAR, 1) or 1, self._default(GEAR, 2) or 1
+        if (FEED, 2) not in self.rows and (FEED, 1) in self.rows:
+            per = 1
+        fraction = Fraction(turns, increments) * Fraction(gear[1], gear[0])
+        fraction *= Fraction(feed, per or 1)
+        too_long = max(fraction.numerator, fraction.denominator) > FRACTION_LIMIT
+        if too_long and (FEED, 1) in self.rows:
+            self._set(FEED, 1, increments, "with the others it makes no exact fraction")
+
+    # ------------------------------------------------------------------ PDOs
+
+    def _pdos(self) -> None:
+        """The PDOs as the file has them by default, in the form of pdo.csv."""
+        there = [index for index, _ in self.rows if 0x1400 <= index < 0x1C00]
+        for direction, first in (("rx", 0x1400), ("tx", 0x1800)):
+            found = [index & 0x1FF for index in there if index & 0xFC00 == first & 0xFC00]
+            numbers = [n for n in found if n < MAX_PDOS]
+            for n in range(max(numbers, default=-1) + 1):
+                self._pdo(direction, first, n)
+        if not there:  # CompactPDO, or none is described: the predefined connection set
+            for direction, key in (("rx", "NrOfRXPDO"), ("tx", "NrOfTXPDO")):
+                try:
+                    count = number(self.sheet.text("DeviceInfo", key) or "0")[0]
+                except ValueError:
+                    count = 0
+                for n, identifier in enumerate(PREDEFINED[direction][:count]):
+                    self.result.pdos.append((direction, n + 1, f"0x{identifier:X}+node_id", 255, 0,
+                                             "", "", "", "", "empty", "inferred"))  # fmt: skip
+
+    def _pdo(self, direction: str, first: int, n: int) -> None:
+        def value(subindex: int, otherwise: int) -> int:
+            found = self._default(first + n, subindex)
+            return otherwise if found is None else found
+
+        count = self._default(first + 0x200 + n, 0) or 0
+        words = [
+            self._default(first + 0x200 + n, s) or 0 for s in range(1, min(count, ENTRIES) + 1)
+        ]
+        entries = self._entries(direction, first + 0x200 + n, [w for w in words if w])
+        common = (direction, n + 1, self._identifier(direction, first + n, n),
+                  value(2, 255), value(3, 0))  # fmt: skip
+        for position, (index, subindex, bits) in enumerate(entries, 1):
+            self.result.pdos.append((*common, position, f"0x{index:04X}", f"0x{subindex:02X}", bits,
+                                     "", SOURCE))  # fmt: skip
+        if not entries:
+            self.result.pdos.append((*common, "", "", "", "", "empty", SOURCE))
+        given = {0: len(entries)} | {
+            s: i << 16 | sub << 8 | b for s, (i, sub, b) in enumerate(entries, 1)
+        }
+        for subindex in range(ENTRIES + 1):  # what the row says is what pdo.csv says
+            row = self.rows.get((first + 0x200 + n, subindex))
+            if row is not None:
+                row["default"] = str(given.get(subindex, 0))
+
+    def _identifier(self, direction: str, index: int, n: int) -> str:
+        row = self.rows.get((index, 1))
+        text = row["default"] if row else str(OFF)
+        base, plus, _ = text.partition("+")
+        cob_id, node_id = int(base, 0) & 0xFFFF_FFFF, self.sheet.node_id
+        own = PREDEFINED[direction][n] if n < 4 else 0
+        if not plus and node_id is not None and own and cob_id & 0x7FF == own + node_id:
+            cob_id, plus = cob_id - node_id, "+"  # of a DCF: it follows the node-id
+        if row is not None:
+            row["default"] = f"{cob_id:#x}+node_id" if plus else str(cob_id)
+        return f"0x{cob_id:08X}{'+node_id' if plus else ''}"
+
+    def _entries(self, direction: str, index: int, words: list[int]) -> list[tuple[int, int, int]]:
+        """The mapped objects that there are, in the length they have."""
+        entries: list[tuple[int, int, int]] = []
+        total = 0
+        for n, word in enumerate(words, 1):
+            target, subindex, bits = mapping_entry(word)
+            where = f"{index:04X}h:{n:02X}h"
+            row = self.rows.get((target, subindex))
+            written = self.sheet.entries.get((index, n))
+            at = written.line if written else 0
+            if direction == "rx" and DUMMY_BITS.get(target) == bits and subindex == 0:
+                own = bits
+            elif row is None or not FORMATS[row["data_type"]] or row["access"] == "const":
+                self.sheet.tell(at, where, f"{word:08X}h", "left out", "no such object is mappable")
+                continue
+            else:
+                own = 8 * SIZES[FORMATS[row["data_type"]]]
+                if direction not in row["pdo"]:
+                    self.sheet.tell(at, where, f"{word:08X}h, of an object that is not mappable",
+                                    "mappable", "it is mapped")  # fmt: skip
+                    row["pdo"] = "rxtx" if row["pdo"] else direction
+            if own != bits:
+                self.sheet.tell(at, where, f"{bits} bits", f"{own} bits", "the object has them")
+            if total + own > MAX_BITS:
+                self.sheet.tell(at, where, f"{word:08X}h", "left out", f"beyond {MAX_BITS} bits")
+                continue
+            total += own
+            entries.append((target, subindex, own))
+        return entries
+
+    def _place(self) -> None:
+        """What no PDO carries by default loses its mapping where the record has no place for it."""
+        used = {
+            (int(row[6], 0), int(row[7], 0)) for row in self.result.pdos if row[6] != ""
+        }  # fmt: skip
+        room, lost = VENDOR_BYTES, 0
+        order = sorted(self.rows, key=lambda address: (address not in used, address))
+        for address in order:
+            row = self.rows[address]
+            own = row["pdo"] and not row["field"] and parameter_place(*address) is None
+            if not own or row["access"] == "const":
+                continue
+            size = 2 * SIZES[FORMATS[row["data_type"]]]  # with what its alignment may take
+            if size > room:
+                row["pdo"] = ""
+                lost += 1
+            else:
+                room -= size
+        if lost:
+            why = f"a PDO reaches {VENDOR_BYTES} bytes of a maker's objects"
+            self.result.tell(0, "PDOs", f"{lost} more objects can be mapped", "they cannot", why)
+
+    # --------------------------------------------------------------- the rest
+
+    def _capabilities(self) -> None:
+        bits = self._default(0x6502, 0) or 0
+        modes = [mode for mode in self.base.modes if bits >> (mode - 1) & 1]
+        indices = {index for index, _ in self.rows}
+        self.modes_said = bool(modes)
+        if not modes:
+            modes = [m for m in self.base.modes if indices.issuperset(NEEDS.get(m, ()))]
+        said = {
+            self._default(0x60E3, n) for n in range(1, 255) if (0x60E3, n) in self.rows
+        }  # fmt: skip
+        methods = [method for method in self.base.homing_methods if method in said]
+        self.methods_said = bool(methods)
+        table: dict[str, Any] = {}
+        if modes:
+            table["modes"] = [MODE_ABBREVIATION[mode] for mode in modes]
+        if methods:
+            table["homing_methods"] = methods
+        self.result.toml["capabilities"] = table
+
+    def _notes(self) -> None:
+        made, node_id = self.result, self.sheet.node_id
+        methods = "from 60E3h" if self.methods_said else (
+            "`inferred`: those of `generic`, 60E3h names none")  # fmt: skip
+        modes = "from 6502h" if self.modes_said else (
+            "`inferred`: those whose objects are there, 6502h has no default")  # fmt: skip
+        units = (
+            "from 608Fh, 6091h, 6092h"
+            if (FEED, 1) in self.rows
+            else ("`inferred`: a position unit is an increment of the encoder, 6092h is missing")
+        )
+        made.notes = [
+            "An EDS tells objects, types, ranges, defaults and PDOs. It does not tell what the "
+            "drive does: behaviour of the objects that CiA 402 knows is `inferred`, that of the "
+            "model `generic`.",
+            "Cycle times, motor, faults: `inferred`, those of `generic`. Correct them in "
+            "`drive.toml`.",
+            f"Modes of operation: {modes}. Homing methods: {methods}.",
+            f"Units: {units}. Gains, what 1010h stores of the drive's own objects: `inferred`.",
+        ]
+        if node_id is not None:
+            made.notes.append(
+                f"A DCF of node {node_id}: defaults are its values; serve it with `--node-id "
+                f"{node_id}`."
+            )
 
 
-def _default(variable: ODVariable) -> str:
-    raw = str(getattr(variable, "default_raw", "") or "")
-    if variable.relative or "$NODEID" in raw.upper():
-        found = re.search(r"0[xX][0-9a-fA-F]+|\b\d+\b", re.sub(r"\$NODEID", "", raw, flags=re.I))
-        return f"{found[0] if found else 0}+node_id"
-    return "" if variable.default is None else str(variable.default)
+def _last(sheet: Sheet) -> int:
+    return max((entry.line for entry in sheet.entries.values()), default=1)
 
 
-def _identifier(variable: ODVariable | None) -> str:
-    """COB-ID of a PDO in the form of pdo.csv; without one it is off."""
-    text = _default(variable) if variable is not None else ""
-    number, plus, node = (text or "0x80000000").partition("+")
-    return f"0x{int(number, 0):08X}{plus}{node}"
+def _span(data_type: str) -> tuple[int, int]:
+    """Least and greatest value of an integer type."""
+    code = FORMATS[data_type]
+    bits = 8 * SIZES[code]
+    if data_type == "BOOLEAN":
+        return 0, 255  # what a drive takes for true differs
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
 
 
-def _write_pdos(od: canopen.ObjectDictionary, path: Path) -> None:
-    """The PDOs as the EDS has them by default, in the form of pdo.csv."""
-    rows = []
-    for direction, first in (("rx", 0x1400), ("tx", 0x1800)):
-        number = 0
-        while first + number in od and first + 0x200 + number in od:
-            parameters: Any = od[first + number]
-            mapping: Any = od[first + 0x200 + number]
-            value = {s: parameters.subindices.get(s) for s in (1, 2, 3)}
-            common = [
-                direction, number + 1,
-                _identifier(value[1]),
-                (_default(value[2]) if value[2] else "") or "255",
-                (_default(value[3]) if value[3] else "") or "0",
-            ]  # fmt: skip
-            count = mapping.subindices[0].default or 0
-            entries = [
-                int(mapping.subindices[s].default or 0)
-                for s in range(1, count + 1)
-                if s in mapping.subindices
-            ]
-            for position, entry in enumerate(filter(None, entries), 1):
-                index, subindex, bits = mapping_entry(entry)
-                rows.append([*common, position, f"0x{index:04X}", f"0x{subindex:02X}", bits, "",
-                             SOURCE])  # fmt: skip
-            if not any(entries):
-                rows.append([*common, "", "", "", "", "empty", SOURCE])
-            number += 1
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["direction", "number", "cob_id", "transmission_type", "inhibit_time",
-                         "position", "index", "subindex", "bits", "note", "section"])  # fmt: skip
-        writer.writerows(rows)
-
-
-def _text(text: str) -> str:
-    """In one line, printable."""
-    return "".join(c for c in " ".join(str(text).split()) if c.isprintable())[:120]
-
-
-def _name(variable: ODVariable, taken: set[str]) -> str:
-    parent: Any = variable.parent
-    own = variable.name if variable.subindex == 0 else f"{parent.name}_{variable.name}"
-    name = re.sub(r"[^a-z0-9]+", "_", own.lower()).strip("_") or "object"
-    name = name if not name[0].isdigit() else f"object_{name}"
-    generic = load("generic").names
-    if name in taken or name in generic:
-        name = f"{name}_{variable.index:04x}_{variable.subindex:02x}"
-    return name
-
-
-def _readme(
-    title: str, eds: Path, modes: bool, methods: bool, unknown: list[str], left_out: list[str]
-) -> str:  # fmt: skip
-    def listed(items: list[str]) -> str:
-        return "\n".join(f"- {item}" for item in items) or "- none"
-
-    methods_from = "from 60E3h" if methods else "`inferred`: those of `generic`, 60E3h names none"
-    modes_from = "from 6502h" if modes else "`inferred`: those of `generic`, 6502h has no default"
-    return f"""# {title}
-
-Made from `{_text(eds.name)}` by `servogym drives --from-eds`. An EDS tells objects, types, ranges,
-defaults and PDOs. It does not tell what the drive does.
-
-- Behaviour of the objects that CiA 402 knows: `inferred`, as the model `generic`.
-- Cycle times, motor, faults: `inferred`, those of `generic`. Correct them in
-  `drive.toml`.
-- Modes of operation: {modes_from}. Homing methods: {methods_from}.
-- Units of the gains, and what 1010h stores of the drive's own objects: `inferred`.
-
-## Unknown: objects that keep what is written and do nothing
-
-{listed(unknown)}
-
-## Left out: of a type the emulator does not have
-
-{listed(left_out)}
-"""
+def _lower_bytes(data_type: str, of: str) -> bool:
+    """Whether values of a type may be the lower bytes of an object of the profile."""
+    code, known = FORMATS[data_type], FORMATS[of]
+    if not code or not known or "f" in (code, known):
+        return False
+    if SIZES[code] == SIZES[known]:
+        return True
+    return SIZES[code] < SIZES[known] and code.isupper()

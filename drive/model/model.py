@@ -81,6 +81,12 @@ class DriveModel:
         own = self.folder == _builtin().get(self.name)
         return load, (self.name if own else str(self.folder), self.bus)
 
+    @functools.cached_property
+    def more(self) -> int:
+        """Bytes of the objects beyond the record."""
+        beyond = [row.offset + row.size for row in self.objects.values() if row.area == "more"]
+        return max(beyond, default=0)
+
     def fault_key(self, code: int, cause: int, node: int = 0) -> int:
         """Manufacturer's number of a fault, main part in the high byte; 0 if it has none.
 

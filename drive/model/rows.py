@@ -20,7 +20,7 @@ from ..kernel.process_data import parameter_place
 from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES
 from . import foreign
 
-# data type of CiA 301 -> struct format; strings have none
+# data type of CiA 301 -> struct format; those that are kept as bytes have none
 FORMATS = {
     "BOOLEAN": "B",
     "INTEGER8": "b",
@@ -33,8 +33,20 @@ FORMATS = {
     "UNSIGNED64": "Q",
     "REAL32": "f",
     "VISIBLE_STRING": "",
+    "OCTET_STRING": "",
+    "UNICODE_STRING": "",
     "DOMAIN": "",
+    "REAL64": "",
+    "TIME_OF_DAY": "",
+    "TIME_DIFFERENCE": "",
+    **{f"{kind}{bits}": "" for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
 }
+LENGTHS = {  # of those without a format that are no strings (bytes)
+    "REAL64": 8, "TIME_OF_DAY": 6, "TIME_DIFFERENCE": 6,
+    **{f"{kind}{bits}": bits // 8 for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
+}  # fmt: skip
+TEXTS = ("VISIBLE_STRING", "DOMAIN")
+TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are no text
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
 # rows of an objects.csv by index and sub-index, each with the words "file, line n"
 Cells = dict[tuple[int, int], tuple[dict[str, str], str]]
@@ -61,7 +73,7 @@ class Object:
     storable: bool
     section: str
     note: str
-    area: str  # "axis", "rpdo", "tpdo" or "constant": where the bytes are
+    area: str  # where the bytes are: "axis", "rpdo", "tpdo", "more" (beyond the record), "constant"
     offset: int
     when: str = ""  # `objects.hooks.WHEN`: state of the drive that a write needs
     hook: str = ""  # `objects.hooks.HOOKS`: what reading or writing does beside moving bytes
@@ -83,6 +95,22 @@ class Object:
     def code(self) -> struct.Struct:
         """The value as bytes, little-endian; of no size for strings."""
         return struct.Struct("<" + self.format)
+
+    @property
+    def length(self) -> int:
+        """Bytes of every value, 0 for strings of any length."""
+        return self.size or LENGTHS.get(self.data_type, 0)
+
+    @cached_property
+    def initial(self) -> bytes:
+        """The default of a row without a format, as bytes."""
+        text = str(self.default)
+        if self.data_type == "REAL64":
+            return struct.pack("<d", float(text or 0))
+        if self.length:
+            value = int(text or "0", 0) & (1 << 8 * self.length) - 1
+            return value.to_bytes(self.length, "little")
+        return text.encode("utf-16-le" if self.data_type == "UNICODE_STRING" else "utf-8")
 
     def pack(self, value: int | float) -> bytes:
         """Bytes of a number. Raises ValueError for one that its data type does not hold."""
@@ -181,6 +209,8 @@ FAULT_COLUMNS = (
     "emcy_code", "main", "sub", "meaning", "error_register_bit", "cause", "reaction", "changeable",
     "section",
 )  # fmt: skip
+MORE_BYTES = 1 << 20  # objects beyond the record, which no PDO carries
+ALIGNMENT = 7  # bytes at most that an object's alignment leaves free
 LARGEST_SET = 1 << 16  # values of {low..high}
 
 
@@ -258,8 +288,9 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
     """The objects by index and sub-index. Raises ValueError with file, line and reason."""
     objects: dict[tuple[int, int], Object] = {}
     names: set[str] = set()
-    free = OD.fields["vendor"][1]  # type: ignore[index]
-    end = free + VENDOR_BYTES
+    record = _Places(OD.fields["vendor"][1], VENDOR_BYTES)  # type: ignore[index]
+    more = _Places(0, MORE_BYTES)
+    mapped = sum(_own_size(a, row) for a, (row, _) in cells.items() if row["pdo"])
     for (index, subindex), (row, where) in cells.items():
         if row["name"] in names:
             raise ValueError(f"{where}: the name {row['name']!r} occurs twice")
@@ -269,8 +300,10 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
                     f"{where}: {column} {row[column]!r} is unknown, use one of {', '.join(known)}"
                 )
         size = SIZES[FORMATS[row["data_type"]]]
-        constant = row["access"] == "const"
-        area, offset = (not constant and parameter_place(index, subindex)) or ("axis", 0)
+        place = parameter_place(index, subindex) if row["access"] != "const" else None
+        if place == ("constant", 0) and row["access"] in ("rw", "wo"):  # reserved, yet written to
+            place = None
+        area, offset = place or ("axis", 0)
         if area != "axis":
             pass
         elif row["field"].startswith("@"):  # another name for the bytes of an earlier row
@@ -280,16 +313,44 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
             area, offset = other.area, other.offset
         elif row["field"]:
             offset = _field_offset(row["field"], row["data_type"], where)
-        elif row["data_type"] in ("VISIBLE_STRING", "DOMAIN") or row["access"] == "const":
+        elif not FORMATS[row["data_type"]] or row["access"] == "const":
             area = "constant"
         else:
-            free += -free % max(size, 1)
-            offset, free = free, free + size
-            if free > end:
-                raise ValueError(f"{where}: more than {VENDOR_BYTES} bytes of objects of its own")
+            # what can be mapped has to be in the record; the others as far as there is place
+            fits = bool(row["pdo"]) or record.left - size - ALIGNMENT >= mapped
+            area = "axis" if fits else "more"
+            offset = (record if fits else more).take(size, where)
+            mapped -= _own_size((index, subindex), row) if row["pdo"] else 0
         objects[index, subindex] = _object(row, where, index, subindex, area, offset)
         names.add(row["name"])
     return objects
+
+
+@dataclass
+class _Places:
+    """Bytes that are given away one after the other, each object aligned to its size."""
+
+    free: int
+    left: int
+
+    def take(self, size: int, where: str) -> int:
+        """The place of an object. Raises ValueError where none is left."""
+        gap = -self.free % max(size, 1)
+        if gap + size > self.left:
+            raise ValueError(
+                f"{where}: more than {VENDOR_BYTES} bytes of objects of its own that PDOs may "
+                f"carry, or {MORE_BYTES} of others: leave the column pdo empty where it is not used"
+            )
+        at = self.free + gap
+        self.free, self.left = at + size, self.left - gap - size
+        return at
+
+
+def _own_size(address: tuple[int, int], row: dict[str, str]) -> int:
+    """Bytes of the record that a row takes, its alignment included; 0 where it has others."""
+    code = FORMATS.get(row["data_type"], "")
+    own = code and not row["field"] and row["access"] != "const"
+    return SIZES[code] + SIZES[code] - 1 if own and parameter_place(*address) is None else 0
 
 
 def _object(row, where, index, subindex, area, offset) -> Object:
@@ -303,17 +364,30 @@ def _object(row, where, index, subindex, area, offset) -> Object:
         low = max(low, float(integer(row["min"], where, "min")))
     if row["max"]:
         high = min(high, float(integer(row["max"], where, "max")))
+    if not code and row["data_type"] in LENGTHS:
+        _check_number(default, row["data_type"], where)
     if code:
         default = float(default or 0) if code == "f" else integer(default or "0", where, "default")
         if not low <= default <= high or (allowed is not None and default not in allowed):
             raise ValueError(f"{where}: default {default} is out of range [{low:.0f}, {high:.0f}]")
         if area == "constant" and row["pdo"]:
             raise ValueError(f"{where}: a constant cannot be mapped to a PDO")
+    hook = row["hook"]
+    if not code and not hook and (row["access"] in ("rw", "wo") or row["data_type"] not in TEXTS):
+        hook = TEXT_BYTES
     return Object(
         index, subindex, row["name"], row["object_type"], row["data_type"], row["access"],
         row["pdo"], row["unit"], low, high, allowed, default, row["storable"] == "yes",
-        row["section"], row["note"], area, offset, row["when"], row["hook"], bool(plus), where,
+        row["section"], row["note"], area, offset, row["when"], hook, bool(plus), where,
     )  # fmt: skip
+
+
+def _check_number(default: str, data_type: str, where: str) -> None:
+    """Refuse a default that a number kept as bytes cannot have."""
+    try:
+        float(default or 0) if data_type == "REAL64" else int(default or "0", 0)
+    except ValueError:
+        raise ValueError(f"{where}: default {default!r} is no {data_type}") from None
 
 
 def address(text: str, where: str) -> tuple[int, int]:

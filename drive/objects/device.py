@@ -46,6 +46,7 @@ class Dictionary(Protocol):
 
     drive: "Device"
     results: dict[int, bytes]
+    texts: dict[tuple[int, int], bytes]
 
     @property
     def slots(self) -> Mapping[tuple[int, int], Any]:

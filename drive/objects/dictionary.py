@@ -62,6 +62,7 @@ class ObjectDictionary:
         self.slots = Slots(shared, views)
         self.names = Names(names, self.slots)
         self.results: dict[int, bytes] = {}  # of a parameter channel, by sub-index
+        self.texts: dict[tuple[int, int], bytes] = {}  # written to objects that are kept as bytes
         self._stores = drive.model.quirk("writes_are_stored")
         self._changed = drive.axes["parameters_changed"][drive.index : drive.index + 1]
 

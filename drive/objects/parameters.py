@@ -66,9 +66,11 @@ class Parameters:
 
     def defaults(self) -> None:
         """Put the factory defaults in force, PDOs included."""
-        for slot in self._drive.objects.slots.within("axis"):
-            if slot.row.format:
-                slot.put(self._default(slot))
+        self._drive.objects.texts.clear()
+        for area in ("axis", "more"):
+            for slot in self._drive.objects.slots.within(area):
+                if slot.row.format:
+                    slot.put(self._default(slot))
         self._default_pdos()
 
     def _default(self, slot: Slot) -> Any:
@@ -284,7 +286,7 @@ class Parameters:
         stored = self.stored()
         for (index, _), slot in self._drive.objects.slots.items():
             belongs = slot.row.storable or slot.row.per_node
-            if index < 0x2000 and slot.row.area == "axis" and belongs:
+            if index < 0x2000 and slot.row.area in ("axis", "more") and belongs:
                 slot.put(self._default(slot))
         self._default_pdos()
         self.restore({a: v for a, v in stored.items() if a.startswith("1")})
@@ -358,7 +360,7 @@ class Parameters:
             slot
             for slot in self._drive.objects.slots.values()
             if slot.row.index >= 0x2000
-            and slot.row.area == "axis"
+            and slot.row.area in ("axis", "more")
             and slot.row.storable
             and slot.row.name not in KEPT
         ]

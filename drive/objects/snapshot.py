@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-VERSION = 3  # of the layout, and of what is in it
+VERSION = 4  # of the layout, and of what is in it
 MARK = b"servogym-snapshot"
 
 

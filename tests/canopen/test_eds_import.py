@@ -34,11 +34,14 @@ def test_our_own_models_come_back_with_the_same_answers(name, tmp_path):
     own, back = Drive(name, bus="can"), Drive(made.folder)
     rows = [row for row in eds.rows(own.model) if row.access != "wo"]
     assert made.objects >= len(rows)
+    # factors of 0, which nothing can be divided by; the README tells each
+    repaired = {r.where for r in made.repairs if r.says == "default 0"}
     differ = [
         f"{row.index:04X}h:{row.subindex:02X} {row.name}"
         for row in rows
         if answer(own, row) != answer(back, row)
         and not (row.hook in COMPUTED or (row.index == 0x1003 and row.subindex))
+        and f"{row.index:04X}h:{row.subindex:02X}h" not in repaired
     ]
     assert differ == []
     page = (made.folder / "README.md").read_text(encoding="utf-8")
@@ -81,14 +84,14 @@ def text_of(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda text: text[: len(text) // 3], "it complete|no EDS"),
-        (lambda text: "", "it is no EDS"),
+        (lambda text: text[: len(text) // 3], r"bad.eds, line \d+: 6040h is .*file complete\?"),
+        (lambda text: "", "bad.eds, line 1: .* it is no EDS"),
         (lambda text: "\0\1\2" * 500, "it is binary"),
         (lambda text: text + ";" * 10_000_000, "bytes, an EDS has at most"),
         (lambda text: "[FileInfo]\nFileName=x.eds\n", "it is no EDS"),
-        (lambda text: text.replace("[6040]", "[6040"), "6040h is listed|it is no EDS"),
-        (lambda text: without(text, "6041"), "it has no 6041h"),
-        (lambda text: "\n".join(text[i : i + 7] for i in range(0, 4000, 7)), "it is no EDS"),
+        (lambda text: text.replace("[6040]", "[604"), "6040h is listed, but has no section"),
+        (lambda text: without(text, "6041"), "6041h is missing: it is not the EDS"),
+        (lambda text: "\n".join(text[i : i + 7] for i in range(0, 4000, 7)), r"line \d+: .* is missing|no EDS"),
     ],
 )
 def test_what_is_no_eds_is_refused_in_one_line_and_leaves_nothing(spoil, reason, tmp_path, capsys):

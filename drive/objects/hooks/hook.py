@@ -20,7 +20,7 @@ class Hook(NamedTuple):
     """
 
     write: Callable[[Dictionary, Object, int], Abort] | None = None
-    read: Callable[[Dictionary, Object], int | Abort] | None = None
+    read: Callable[[Dictionary, Object], int | str | Abort] | None = None
     power_on: Callable[[Device], None] | None = None
     raw: Callable[[Dictionary, Object, bytes | None], tuple[bytes, Abort]] | None = None
     judges: bool = False

@@ -5,11 +5,15 @@ from fractions import Fraction
 
 from ...kernel.factors.units import FRACTION_LIMIT
 from ...kernel.statusword import POWERED
-from ...model.rows import Object
+from ...model.rows import TEXT_BYTES, Object
 from ..abort import Abort
 from ..device import Dictionary
 from .hook import Hook
 
+# objects that make a position unit, and their fields: a drive need not have all of them
+FRACTION = {
+    0x608F: "position_encoder_resolution", 0x6091: "gear_ratio", 0x6092: "feed_constant",
+}  # fmt: skip
 SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 
 
@@ -33,11 +37,12 @@ def _homing_method(od: Dictionary, row: Object, value: int) -> Abort:
 def _factor(od: Dictionary, row: Object, value: int) -> Abort:
     """608Fh, 6091h, 6092h: the exact fraction they make together has to stay computable."""
     fractions = []
-    for index, upside_down in ((0x608F, True), (0x6091, True), (0x6092, False)):
+    for index, field in FRACTION.items():
+        upside_down = index != 0x6092
         parts = []
         for subindex in (1, 2):
             here = (index, subindex) == (row.index, row.subindex)
-            parts.append(value if here else int(od.slots[index, subindex].get()))
+            parts.append(value if here else int(od.drive.axis.od[field][subindex - 1]))
         fractions.append(Fraction(*(reversed(parts) if upside_down else parts)))
     product = math.prod(fractions)
     too_long = max(product.numerator, product.denominator) > FRACTION_LIMIT
@@ -46,9 +51,8 @@ def _factor(od: Dictionary, row: Object, value: int) -> Abort:
 
 def _shortest_period(od: Dictionary, row: Object, value: int) -> Abort:
     """60C2h: the set-points of a bus come no faster than the position controller works."""
-    units, index = (
-        value if row.subindex == n else int(od.slots[row.index, n].get()) for n in (1, 2)
-    )
+    fields = od.drive.axis.od.interpolation_time_units, od.drive.axis.od.interpolation_time_index
+    units, index = (value if row.subindex == n else int(fields[n - 1]) for n in (1, 2))
     shortest = Fraction(round(od.drive.model.cycle_time["position"] * 1e9), 10**9)
     return Abort.VALUE_TOO_LOW if units * Fraction(10) ** index < shortest else Abort.NONE
 
@@ -70,7 +74,26 @@ def _load(od: Dictionary, row: Object, value: int) -> Abort:
     return Abort.STORED if od.drive.parameters.forget() else Abort.HARDWARE
 
 
+def _bytes(od: Dictionary, row: Object, data: bytes | None) -> tuple[bytes, Abort]:
+    """An object that is kept as bytes: strings of any length, numbers of a length of their own."""
+    address = row.index, row.subindex
+    if data is None:
+        return od.texts.get(address, row.initial), Abort.NONE
+    if row.length and len(data) != row.length:
+        return b"", Abort.LENGTH_TOO_HIGH if len(data) > row.length else Abort.LENGTH_TOO_LOW
+    od.texts[address] = data
+    return b"", Abort.NONE
+
+
+def _shown(od: Dictionary, row: Object) -> int | str:
+    data, _ = _bytes(od, row, None)
+    if row.length and row.data_type != "REAL64":
+        return int.from_bytes(data, "little", signed=row.data_type.startswith("INTEGER"))
+    return data.decode("utf-16-le" if row.data_type == "UNICODE_STRING" else "utf-8", "replace")
+
+
 HOOKS = {
+    TEXT_BYTES: Hook(raw=_bytes, read=_shown),
     "clear_history": Hook(_clear_history),
     "save": Hook(_save),
     "load": Hook(_load),

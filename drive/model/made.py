@@ -1,0 +1,161 @@
+"""A drive model made from somebody's file: its folder, and a README that says what became of what.
+
+Whatever the file is (an EDS, a device description, an EEPROM, answers of a real drive), the reader
+of it fills in a `Made`; the folder is written here, as a whole or not at all.
+"""
+
+import csv
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .rows import OBJECT_COLUMNS
+
+PDO_COLUMNS = ("direction", "number", "cob_id", "transmission_type", "inhibit_time", "position",
+               "index", "subindex", "bits", "note", "section")  # fmt: skip
+
+HEADING = "| line | object | the file says | taken | why |\n|---|---|---|---|---|\n"
+
+
+class Repair(NamedTuple):
+    """What a file says in a way that could not be taken as it stands, and what was taken."""
+
+    line: int  # of the file, 0: of no line
+    where: str  # object or section
+    says: str
+    taken: str
+    why: str
+
+    def __str__(self) -> str:
+        at = f"line {self.line}, " if self.line else ""
+        return f"{at}{self.where}: {self.says}; taken: {self.taken} ({self.why})"
+
+
+@dataclass
+class Made:
+    """A model to be written."""
+
+    title: str
+    source: str  # name of the file, or of the drive that was asked
+    command: str  # that makes it, as `servogym drives --from-eds`
+    base: str = "generic"
+    toml: dict[str, Any] = field(default_factory=dict)  # more of drive.toml, tables as dicts
+    objects: list[dict[str, Any]] = field(default_factory=list)  # rows of objects.csv
+    pdos: list[tuple[Any, ...]] = field(default_factory=list)  # rows of pdo.csv
+    more: dict[str, str] = field(default_factory=dict)  # further files, as ethercat.toml
+    notes: list[str] = field(default_factory=list)  # where the rest comes from, a line each
+    repairs: list[Repair] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)  # objects that only keep what is written
+    left_out: list[str] = field(default_factory=list)
+
+    def tell(self, line: int, where: str, says: object, taken: object, why: str) -> None:
+        """Note a repair."""
+        self.repairs.append(Repair(line, where, str(says), str(taken), why))
+
+
+def check_place(folder: Path) -> None:
+    """Refuse a folder that cannot be made.
+
+    Raises:
+        ValueError: there is something already, or no folder to make it in.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"{folder} is there already: choose a folder that is new or empty")
+    if not folder.parent.is_dir():
+        raise ValueError(f"{folder}: there is no folder {folder.parent}; make it first")
+
+
+def write(made: Made, folder: Path, check: Callable[[Path], object]) -> None:
+    """Write the folder of a model.
+
+    Args:
+        made: the model.
+        folder: must not exist, or be empty.
+        check: makes a drive of the folder; what it raises leaves nothing behind.
+
+    Raises:
+        ValueError: the folder cannot be made, or `check` refuses it.
+    """
+    check_place(folder)
+    place = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    try:
+        _table(place / "objects.csv", OBJECT_COLUMNS, made.objects)
+        rows = [dict(zip(PDO_COLUMNS, row, strict=True)) for row in made.pdos]
+        _table(place / "pdo.csv", PDO_COLUMNS, rows)
+        for name, text in made.more.items():
+            (place / name).write_text(text, encoding="utf-8")
+        (place / "drive.toml").write_text(_toml(made), encoding="utf-8")
+        (place / "README.md").write_text(readme(made), encoding="utf-8")
+        try:
+            check(place)
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(place), str(folder))) from None
+        if folder.exists():
+            folder.rmdir()
+        place.chmod(0o755)
+        place.rename(folder)
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        raise
+
+
+def _table(path: Path, columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [*columns], restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _toml(made: Made) -> str:
+    head = {"title": made.title, "based_on": made.base}
+    plain = {key: value for key, value in made.toml.items() if not isinstance(value, dict)}
+    lines = [f"# From {line(made.source)}; see README.md for what is inferred."]
+    lines += [f"{key} = {json.dumps(value)}" for key, value in (head | plain).items()]
+    for name, table in made.toml.items():
+        if isinstance(table, dict) and table:
+            lines += ["", f"[{name}]"]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in table.items()]
+    return "\n".join(lines) + "\n"
+
+
+def line(text: object, most: int = 120) -> str:
+    """A text in one line, printable."""
+    return "".join(c for c in " ".join(str(text).split()) if c.isprintable())[:most]
+
+
+def readme(made: Made) -> str:
+    """The page of a model: where it comes from, and all repairs."""
+
+    def listed(items: list[str]) -> str:
+        return "\n".join(f"- {item}" for item in items) or "- none"
+
+    repairs = "\n".join(
+        f"| {repair.line or ''} | " + " | ".join(_cell(text) for text in repair[1:]) + " |"
+        for repair in made.repairs
+    )
+    return f"""# {line(made.title)}
+
+Made from `{line(made.source)}` by `{made.command}`.
+
+{listed(made.notes)}
+
+## Repairs: what the file says and could not be taken as it stands
+
+{HEADING + repairs if repairs else "- none"}
+
+## Unknown: objects that keep what is written and do nothing
+
+{listed(made.unknown)}
+
+## Left out
+
+{listed(made.left_out)}
+"""
+
+
+def _cell(text: str) -> str:
+    return line(text, 200).replace("|", "\\|")
