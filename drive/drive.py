@@ -133,12 +133,21 @@ class Drive:
             self.parameters.standard_defaults()
         self.model.power_on(self.axis)
         for name, value in self._commissioned.items():
-            setattr(self.axis.od, name, value)
+            if name not in self.objects.names:
+                setattr(self.axis.od, name, value)
         self.parameters.defaults()
+        self._put_commissioned()
         self.parameters.restore(values)
         if self.model.quirk("values_keep_meaning"):
             units_changed(self.axes, self.index)  # as `restore` does where factors are stored
         self._powered_on = (self.node_id, factors(self)), self.memory[self.index].copy()
+
+    def _put_commissioned(self) -> None:
+        """What a maker's tool has set of the objects that a master cannot write."""
+        for name, value in self._commissioned.items():
+            slot = self.objects.names.get(name)
+            if slot is not None and slot.view is not None:
+                slot.put(value)
 
     def use_parameter_file(self, file: str | Path) -> None:
         """Store parameters (1010h, LSS) in a file from now on, and take over what it holds.
@@ -185,7 +194,11 @@ class Drive:
         """
         for name, given in named("values", values, '{"max_torque": 3000}').items():
             value = finite(name, given)
-            if name in self.objects.names:
+            if name in self.objects.names and not self.objects.names[name].writable:
+                self._commissioned[name] = int(round(value))  # by the maker's tool
+                self._put_commissioned()
+                self._powered_on = (0, b""), np.empty(0)
+            elif name in self.objects.names:
                 try:
                     self.write(name, round(value))
                 except SdoAbort as error:

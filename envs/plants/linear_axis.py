@@ -14,7 +14,7 @@ from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from ..engine.physics import compiled
-from . import tuning
+from . import own_units, tuning
 from .axis_parameters import LinearAxisParameters, chosen, family
 from .sizing import Profile, largest
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough, spring
@@ -153,9 +153,10 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
     if not x.model.positions:
         return  # its motor and its ramps are parameters of its own
     micro = 1e6  # drive units per m
+    coupling = machine.couplings[list(machine.drives).index(name)]
+    per_unit = abs(float(coupling.gear)) / micro  # rad of the shaft
+    own_units.motor_and_factors(x, MOTOR | factor_group(x, p.feed_constant * micro))
     parameters = {
-        **MOTOR,
-        **factor_group(x, p.feed_constant * micro),
         "min_position_limit": 0,
         "max_position_limit": 0.5 * micro,
         "following_error_window": 1_000,
@@ -177,8 +178,7 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
         "homing_acceleration": 1.0 * micro,
         "home_offset": 5_000,
     }
-    x.commission(parameters | motor_and_encoder(p))
-    coupling = machine.couplings[list(machine.drives).index(name)]
+    own_units.commission(x, parameters | motor_and_encoder(p), per_unit)
     place = machine.model, machine.data, coupling.dof, coupling.gear
     inertia, motor_side = inertia_at_shaft(*place), inertia_of_motor_side(*place)
     if not tuned:
@@ -189,12 +189,11 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
         velocity=p.max_velocity * gear, acceleration=p.max_acceleration * gear,
         stop=2 * p.max_acceleration * gear, homing_speed=0.1 * gear, homing_acceleration=gear,
     )  # fmt: skip
-    x.commission(
-        tuning.tuned(
-            machine, name, inertia=inertia, motor_side=motor_side, wanted=wanted,
-            per_unit=gear / micro, window=1e-3 * gear,
-        )
+    tuned_values = tuning.tuned(
+        machine, name, inertia=inertia, motor_side=motor_side, wanted=wanted,
+        per_unit=per_unit, window=1e-3 * gear,
     )  # fmt: skip
+    own_units.commission(x, tuned_values, per_unit)
 
 
 def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:

@@ -129,12 +129,11 @@ def work(found, network, server, made):
         node.op_mode = "PROFILED POSITION"
         begin = float(machine.data.qpos[0])
         node.state = "OPERATION ENABLED"
-        target = round(DISTANCE / unit)
-        node.sdo[0x607A].raw = target
+        node.sdo[0x607A].raw = node.sdo[0x6064].raw + round(DISTANCE / unit)
         until(lambda: not node.statusword & 0x1000)
-        node.controlword = 0x5F  # relative, new set-point
+        node.controlword = 0x1F  # new set-point
         until(lambda: node.statusword & 0x1000)
-        node.controlword = 0x4F
+        node.controlword = 0x0F
         until(lambda: node.statusword & 0x1400 == 0x400, 30)
         went = float(machine.data.qpos[0]) - begin
         right = abs(went - DISTANCE) < TOLERANCE + abs(unit)

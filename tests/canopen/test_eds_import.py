@@ -91,7 +91,10 @@ def text_of(tmp_path):
         (lambda text: "[FileInfo]\nFileName=x.eds\n", "it is no EDS"),
         (lambda text: text.replace("[6040]", "[604"), "6040h is listed, but has no section"),
         (lambda text: without(text, "6041"), "6041h is missing: it is not the EDS"),
-        (lambda text: "\n".join(text[i : i + 7] for i in range(0, 4000, 7)), r"line \d+: .* is missing|no EDS"),
+        (
+            lambda text: "\n".join(text[i : i + 7] for i in range(0, 4000, 7)),
+            r"line \d+: .* is missing|no EDS",
+        ),
     ],
 )
 def test_what_is_no_eds_is_refused_in_one_line_and_leaves_nothing(spoil, reason, tmp_path, capsys):

@@ -117,11 +117,9 @@ def test_one_row_adds_an_object_to_a_model_and_leaves_all_others(based, base):
     assert Drive(own).read(0x5000) == 3
 
 
-def test_a_range_that_does_not_let_the_axis_be_commissioned_is_refused_by_its_name(based):
+def test_commissioning_fits_itself_to_a_range_of_the_drive(based):
     own = based("0x607F,0x00,,,,,,,,1000000,1000000,,,,,,\n")
-    says = r"model 'mine' refuses max_profile_velocity = 2000000, .*: 607Fh:00h: .* 0..1000000"
-    with pytest.raises(ValueError, match=says):
-        linear_axis(own)
+    assert linear_axis(own).drives["x"].read("max_profile_velocity") == 1000000
 
 
 def test_a_default_of_the_toml_goes_before_that_of_the_csv(based):

@@ -11,7 +11,13 @@ from rich.table import Table
 def add(drives: argparse.ArgumentParser) -> None:
     """Its options."""
     drives.add_argument("model", nargs="?", help="name or folder of a model")
-    drives.add_argument("--from-eds", type=Path, metavar="FILE", help="make a model of an EDS")
+    drives.add_argument(
+        "--from-eds", type=Path, metavar="FILE", help="make a model from an EDS or a DCF"
+    )
+    drives.add_argument(
+        "--strict", action="store_true",
+        help="with --from-eds: refuse a file that departs from CiA 306, and list where",
+    )  # fmt: skip
     drives.add_argument("-o", "--out", type=Path, help="folder of the model made, new or empty")
     drives.set_defaults(run=_drives)
 
@@ -75,16 +81,18 @@ def _import(options: argparse.Namespace) -> int:
 
     if options.from_eds is None or options.out is None or options.model is not None:
         raise ValueError("--from-eds FILE and -o FOLDER belong together, without a model")
-    made = import_eds(options.from_eds, options.out)
+    made = import_eds(options.from_eds, options.out, strict=options.strict)
+    node = f"; a DCF of node {made.node_id}" if made.node_id is not None else ""
     print(
         f"{made.folder}: {made.objects} objects, {len(made.unknown)} of them unknown to the "
-        f"profile, {len(made.left_out)} left out; {made.folder / 'README.md'} says what is inferred"
+        f"profile, {len(made.left_out)} left out, {len(made.repairs)} repairs{node}; "
+        f"{made.folder / 'README.md'} says what was repaired and what is inferred"
     )
     return 0
 
 
 def _drives(options: argparse.Namespace, console: Console) -> int:
-    if options.from_eds is not None or options.out is not None:
+    if options.from_eds is not None or options.out is not None or options.strict:
         return _import(options)
     from ...drive.drive import Drive
     from ...drive.model.model import foreign_names, load, model_names

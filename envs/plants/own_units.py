@@ -1,0 +1,111 @@
+"""Commissioning in the drive's own units and ranges: the axis fits itself to the drive.
+
+Values are given in units that suit the axis (1 µm, 1 µm/s, 1 µm/s²). A drive whose factor group
+takes those has them; one without it, or with ranges of its own, gets the same motion in its own
+units, as near as its objects allow.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ...drive.drive import Drive
+from ...drive.kernel.factors import units_changed
+from ...drive.kernel.record import OD
+from ...drive.model.model import load
+from ...drive.model.rows import Object, quantity
+
+SAME = 1e-9  # relative difference of units that are equal
+INCREMENTS = 4  # of the encoder, the smallest window of a position or, a velocity cycle, of a speed
+WINDOWS = (
+    "following_error_window", "position_window", "velocity_window", "velocity_threshold",
+)  # fmt: skip
+
+
+def motor_and_factors(drive: Drive, values: Mapping[str, float]) -> None:
+    """Set motor data and the factor group, as far as the drive has them to be set.
+
+    A factor that only the maker sets stays, and with it the units it makes.
+    """
+    names = drive.objects.names
+    possible = {n: v for n, v in values.items() if n not in names or names[n].writable}
+    drive.commission(
+        {n: _inside(drive, names[n].row, v) if n in names else v for n, v in possible.items()}
+    )
+
+
+def commission(drive: Drive, values: Mapping[str, float], per_unit: float) -> None:
+    """Set objects by name.
+
+    Args:
+        drive: its factor group, if it has one, is set.
+        values: in units of `per_unit`, and of that per s and s².
+        per_unit: one unit at the shaft (rad).
+
+    Raises:
+        ValueError: as `Drive.commission`.
+    """
+    drive.commission(fitted(drive, values, per_unit))
+
+
+def fitted(drive: Drive, values: Mapping[str, float], per_unit: float) -> dict[str, float]:
+    """The same `values` in units and ranges of the drive."""
+    units_changed(drive.axes, drive.index)
+    axis = drive.axis
+    own = {
+        "position": abs(float(axis.rad_per_position_unit)),
+        "velocity": abs(float(axis.rad_s_per_velocity_unit)),
+        "acceleration": abs(float(axis.rad_s2_per_acceleration_unit)),
+    }
+    scale = {what: per_unit / unit if unit else 1.0 for what, unit in own.items()}
+    scale = {what: 1.0 if abs(ratio - 1.0) < SAME else ratio for what, ratio in scale.items()}
+    increment = float(axis.rad_per_increment)
+    smallest = {
+        "position": max(INCREMENTS * increment / own["position"], 1.0),
+        "velocity": max(increment / float(axis.velocity_period) / own["velocity"], 1.0),
+    }
+    found = {}
+    for name, value in values.items():
+        what = _quantity(name)
+        value = value * scale.get(what, 1.0)
+        if name in WINDOWS:
+            value = max(value, smallest[what])
+        row = drive.model.names.get(name)
+        found[name] = _in_field(name, value) if row is None else _inside(drive, row, value)
+    return found
+
+
+def _in_field(name: str, value: float) -> float:
+    """The nearest value that a field of the record holds, of which the drive has no object."""
+    kind = OD[name].base if name in (OD.names or ()) else np.dtype(float)
+    if kind.kind == "f":
+        return value
+    return min(max(value, float(np.iinfo(kind).min)), float(np.iinfo(kind).max))
+
+
+def _quantity(name: str) -> str:
+    """What an object of the profile measures in units of the factor group; "" for any other."""
+    row = load("generic").names.get(name)
+    if row is None:
+        return ""
+    return "acceleration" if row.unit == "jerk unit" else quantity(row.unit)
+
+
+def _inside(drive: Drive, row: Object, value: float) -> float:
+    """The nearest value that an object takes."""
+    if row.name == "homing_method" and drive.model.homing_methods:
+        possible = value in drive.model.homing_methods
+        possible = possible and row.minimum <= value <= row.maximum
+        return value if possible else _homing_method(drive, row)
+    if not row.format:
+        return value
+    if row.allowed is not None:
+        return min(row.allowed, key=lambda one: abs(one - value))
+    return min(max(value, row.minimum), row.maximum)
+
+
+def _homing_method(drive: Drive, row: Object) -> float:
+    """A method the drive has: where it stands, else the first it allows."""
+    methods = drive.model.homing_methods
+    here = [m for m in (37, 35) if m in methods] + [*methods]
+    return next((m for m in here if row.minimum <= m <= row.maximum), float(row.default))

@@ -1,0 +1,463 @@
+"""What stops other makers' data sheets: each departure alone, and files that have many of them.
+
+The texts are ours; the departures are those of public files of other makers (docs/results). The
+oracle is a foreign master on a bus, and the library `canopen` where it reads the file too.
+"""
+
+import csv
+import re
+from pathlib import Path
+
+import canopen
+import pytest
+from foreign_eds import outcome
+
+from servogym.drive.canopen.eds_import import import_eds
+from servogym.drive.canopen.sheet import number, read_sheet
+from servogym.drive.drive import Drive
+from servogym.drive.objects.abort import Abort, SdoAbort
+from servogym.envs import linear_axis
+from servogym.training.cli import main
+
+# index, sub-index, data type, access, PDO mapping, further lines
+SMALL = """
+1000 . 7 ro 0 DefaultValue=0x60192
+1001 . 5 ro 0
+1018 0 5 ro 0 DefaultValue=1
+1018 1 7 ro 0 DefaultValue=0x1A3
+1400 0 5 ro 0 DefaultValue=2
+1400 1 7 rw 0 DefaultValue=$NODEID + 0x200
+1400 2 5 rw 0 DefaultValue=255
+1600 0 5 rw 0 DefaultValue=1
+1600 1 7 rw 0 DefaultValue=0x60400010
+1800 0 5 ro 0 DefaultValue=5
+1800 1 7 rw 0 DefaultValue=$NodeID+0x180
+1800 2 5 rw 0 DefaultValue=255
+1800 5 6 rw 0 DefaultValue=0
+1A00 0 5 rw 0 DefaultValue=1
+1A00 1 7 rw 0 DefaultValue=0x60410010
+6040 . 6 rww 1
+6041 . 6 ro 1
+6060 . 2 wo 1
+6061 . 2 ro 1
+6064 . 4 ro 1
+607A . 4 rww 1
+6081 . 7 rww 1
+6083 . 7 rww 1
+6098 . 2 rw 0 DefaultValue=35
+6502 . 7 ro 0 DefaultValue=0x21
+"""
+INFO = "[DeviceInfo]\nVendorName=Somebody\nProductName=Small\nNrOfRXPDO=1\nNrOfTXPDO=1\n"
+
+
+def sheet(rows=SMALL, *more):
+    """The text of an EDS, a line an object."""
+    lines, groups = [INFO], set()
+    listed = []
+    for row in (*rows.strip().splitlines(), *more):
+        index, sub, kind, access, mapped, *rest = row.split(" ", 5)
+        if index not in listed:
+            listed.append(index)
+        if sub != "." and index not in groups:
+            groups.add(index)
+            lines.append(f"[{index}]\nParameterName=Group {index}\nObjectType=0x9\n")
+        name = index if sub == "." else f"{index}sub{sub}"
+        lines.append(f"[{name}]\nParameterName=Object {name}\nObjectType=0x7\nDataType={kind}\n"
+                     f"AccessType={access}\nPDOMapping={mapped}\n"
+                     + "".join(f"{line}\n" for line in "".join(rest).split("|")))  # fmt: skip
+    objects = "".join(f"{n}=0x{index}\n" for n, index in enumerate(listed, 1))
+    lists = f"[MandatoryObjects]\nSupportedObjects={len(listed)}\n{objects}"
+    return lists + "\n".join(lines)
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Import a text; -> what became of it."""
+
+    def make(text, name="drive.eds", encoding="ascii"):
+        file = tmp_path / name
+        file.write_bytes(text.encode(encoding) if isinstance(text, str) else text)
+        return import_eds(file, tmp_path / f"model_{len([*tmp_path.iterdir()])}")
+
+    return make
+
+
+def said(made, where):
+    """The repair of an object."""
+    (repair,) = [r for r in made.repairs if r.where.startswith(where)]
+    return repair
+
+
+# object, what the file says, what the drive then reads, and the repair
+DEFAULTS = [
+    ("60C0 . 3 rw 0 DefaultValue=65535", (0x60C0, 0), None, "65535"),
+    ("2001 . 3 rw 0 DefaultValue=65535", (0x2001, 0), -1, "65535"),
+    ("6076 . 7 rw 0 DefaultValue=0", (0x6076, 0), 1270, "default 0"),
+    ("6075 . 7 rw 0 DefaultValue=0|LowLimit=0|HighLimit=100000", (0x6075, 0), 2600, "default 0"),
+    ("60C4 2 7 rw 0 DefaultValue=0", (0x60C4, 2), 64, "default 0"),
+    ("607F . 7 rw 0 DefaultValue=50000|LowLimit=0|HighLimit=25000", (0x607F, 0), 50000, "limits"),
+    ("6066 . 6 rw 0 DefaultValue=10|LowLimit=0|HighLimit=0", (0x6066, 0), 10, "limits 0..0"),
+    ("2002 . 5 rw 0 DefaultValue=300", (0x2002, 0), 255, "300"),
+    ("2003 . 7 rw 0 DefaultValue=-1", (0x2003, 0), 0xFFFFFFFF, "-1"),
+    ("2004 . 7 rw 0 DefaultValue=abc", (0x2004, 0), 0, "'abc'"),
+    ("2005 . 7 rw 0 DefaultValue=5|LowLimit=9|HighLimit=3", (0x2005, 0), 5, "limits 9..3"),
+    ("608F 1 7 rw 0 DefaultValue=1", (0x608F, 1), 1048576, "default 1"),
+    ("6091 1 7 rw 0 DefaultValue=0", (0x6091, 1), 1, "default 0"),
+]
+
+
+@pytest.mark.parametrize(("row", "address", "value", "says"), DEFAULTS, ids=lambda x: str(x)[:12])
+def test_a_default_outside_its_range_or_type_is_repaired_and_told(made, row, address, value, says):
+    model = made(sheet(SMALL, row))
+    where = f"{address[0]:04X}h:{address[1]:02X}h"
+    repairs = [r for r in model.repairs if r.where == where]
+    assert any(says in r.says for r in repairs), model.repairs
+    assert all(r.line > 0 for r in repairs)
+    page = (model.folder / "README.md").read_text(encoding="utf-8")
+    assert where in page.partition("## Repairs")[2].partition("## Unknown")[0]
+    drive = Drive(model.folder)
+    read = drive.read(*address)
+    assert read == value or value is None
+    row = drive.model.objects[address]
+    assert row.minimum <= read <= row.maximum
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("0x10", 16), ("10", 10), ("010", 10), ("08", 8), ("0X1f", 31), ("1Fh", 31), (" 7 ", 7),
+     ("-5", -5), ("0x-5", None), ("0xFFFFFFFF", 0xFFFFFFFF), ("5.0", 5), ("5.5", None), ("", None),
+     ("$NODEID+0x200", (0x200, True)), ("0x200 + $NODEID", (0x200, True)), ("$NodeID", (0, True)),
+     ("$NODEID + 0x40000180", (0x40000180, True)), ("0x200+$NODEID+1", None)],
+)  # fmt: skip
+def test_numbers_as_files_write_them(text, value):
+    if value is None:
+        with pytest.raises(ValueError, match="is no number"):
+            number(text)
+    else:
+        assert number(text) == (value if isinstance(value, tuple) else (value, False))
+
+
+def test_identifiers_follow_the_node_id_however_it_is_written(made):
+    folder = made(sheet()).folder
+    drive = Drive(folder, node_id=9)
+    assert (drive.read(0x1400, 1), drive.read(0x1800, 1)) == (0x209, 0x189)
+
+
+def test_more_own_objects_than_the_record_has_place_for(made):
+    """1,024 bytes are in the record, where PDOs reach; all others work by SDO alike."""
+    rows = [f"{0x2000 + n:04X} . 7 rw 1 DefaultValue={n}" for n in range(2000)]
+    model = made(sheet(SMALL, *rows))
+    assert "can be mapped" in said(model, "PDOs").says
+    drive = Drive(model.folder)
+    for n in (0, 100, 511, 512, 1999):
+        assert drive.read(0x2000 + n, 0) == n
+        drive.write(0x2000 + n, 0, n + 7)
+        assert drive.read(0x2000 + n, 0) == n + 7
+    state = drive.snapshot()
+    drive.write(0x2000 + 1999, 0, 1)
+    drive.restore(state)
+    assert drive.read(0x2000 + 1999, 0) == 2006
+    drive.reset()
+    assert drive.read(0x2000 + 1999, 0) == 1999
+    assert drive.model.objects[0x2000 + 1999, 0].pdo == ""
+    assert "rx" in drive.model.objects[0x2000, 0].pdo
+
+
+def test_ten_thousand_objects(made):
+    rows = [f"{0x2000 + n // 200:04X} {n % 200 + 1:x} 6 rw 0" for n in range(10_000)]
+    assert made(sheet(SMALL, *rows)).objects > 10_000
+
+
+def test_a_mapped_object_keeps_its_mapping_where_place_is_short(made):
+    rows = [f"{0x2000 + n:04X} . 7 rw 1" for n in range(600)]
+    text = sheet(SMALL, *rows).replace("DefaultValue=0x60400010", "DefaultValue=0x22570020")
+    drive = Drive(made(text).folder)
+    assert int(drive.rpdos[0].valid)
+    assert drive.rpdo_size == 4
+
+
+TYPES = {
+    "INTEGER24": ("0x10", b"\xfe\xff\xff", 3), "UNSIGNED40": ("0x18", b"\1\2\3\4\5", 5),
+    "REAL64": ("0x11", b"\0\0\0\0\0\0\xf0\x3f", 8), "TIME_OF_DAY": ("0x0C", b"\1\2\3\4\5\6", 6),
+    "TIME_DIFFERENCE": ("0x0D", b"\1\2\3\4\5\6", 6), "OCTET_STRING": ("0x0A", b"\0\xff\1", 0),
+    "UNICODE_STRING": ("0x0B", "Ω".encode("utf-16-le"), 0), "DOMAIN": ("0x0F", bytes(300), 0),
+    "VISIBLE_STRING": ("9", b"a longer text than four bytes", 0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_every_type_of_cia_301_is_kept_as_it_is_written(made, name):
+    code, data, length = TYPES[name]
+    model = made(sheet(SMALL, f"2001 . {code} rw 0", f"2002 . {code} ro 0"))
+    assert model.left_out == ()
+    objects = Drive(model.folder).objects
+    assert objects.write(0x2001, 0, data) is Abort.NONE
+    assert objects.read(0x2001, 0) == (data, Abort.NONE)
+    assert objects.write(0x2002, 0, data) is Abort.READ_ONLY
+    if length:
+        assert len(objects.read(0x2002, 0)[0]) == length
+        assert objects.write(0x2001, 0, data + b"\0") is Abort.LENGTH_TOO_HIGH
+        assert objects.write(0x2001, 0, data[1:]) is Abort.LENGTH_TOO_LOW
+
+
+def test_texts_are_in_a_snapshot_and_gone_after_power_on(made):
+    drive = Drive(made(sheet(SMALL, "2001 . 9 rw 0 DefaultValue=factory")).folder)
+    drive.objects.write(0x2001, 0, b"mine")
+    state = drive.snapshot()
+    drive.reset()
+    assert drive.read(0x2001) == "factory"
+    drive.restore(state)
+    assert drive.read(0x2001) == "mine"
+
+
+STRUCTURE = [
+    ("a listed object without a section", lambda t: t.replace("=0x6064", "=0x6064\n99=0x6077"),
+     "6077h", "listed"),
+    ("a section that is not listed", lambda t: t.replace("=0x6064\n", "=0x6061\n"), "6064h",
+     "not listed"),
+    ("no header of a record", lambda t: re.sub(r"\[1400\]\n.*\n.*\n", "", t), "1400h",
+     "no section"),
+    ("no number of entries", lambda t: re.sub(r"\[1018sub0\]\n(?:(?!\[).*\n)*", "", t), "1018h:00h",
+     "missing"),
+    ("a bracket that does not close", lambda t: t.replace("[6064]", "[6064"), "[6064]", "[6064"),
+    ("a section that comes twice", lambda t: t + "\n[6064]\nDefaultValue=0\n", "[6064]",
+     "a second time"),
+    ("a line that is nothing", lambda t: t.replace("[6064]", "what is this\n[6064]"), "file",
+     "what is this"),
+    ("no type of access", lambda t: t.replace("AccessType=rw\n", "AccessType=xyz\n", 1), "1400h",
+     "access 'xyz'"),
+    ("a data type there is not", lambda t: t + "\n[2001]\nParameterName=x\nDataType=0x99\n"
+     "AccessType=ro\n", "2001h:00h", "data type 99h"),
+    ("a variable with sub-indices", lambda t: t.replace("Group 1018\nObjectType=0x9",
+                                                        "Group 1018\nObjectType=0x7"),
+     "1018h", "a variable"),
+    ("a mapping of what there is not", lambda t: t.replace("0x60410010", "0x60770010"), "1A00h:01h",
+     "60770010"),
+    ("a mapping with another length", lambda t: t.replace("0x60410010", "0x60410020"), "1A00h:01h",
+     "32 bits"),
+    ("a mapping of what says it is none", lambda t: re.sub(
+        r"(Object 6041\n(?:.*\n){3})PDOMapping=1", r"\1PDOMapping=0", t), "1A00h:01h",
+     "not mappable"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("spoil", "where", "says"),
+    [case[1:] for case in STRUCTURE],
+    ids=[case[0] for case in STRUCTURE],
+)
+def test_a_structure_other_readers_forgive_is_repaired_and_told(made, spoil, where, says):
+    text = spoil(sheet())
+    assert text != sheet()
+    model = made(text)
+    assert any(r.where.startswith(where) and says in r.says for r in model.repairs), model.repairs
+    assert Drive(model.folder).read(0x6041) >= 0
+
+
+def test_lists_may_be_missing_altogether(made):
+    text = re.sub(r"\[MandatoryObjects\]\n(?:(?!\[).*\n)*", "", sheet())
+    assert made(text).repairs == ()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_any_editor_may_have_saved_it(made, encoding, end):
+    text = sheet().replace("ProductName=Small", "ProductName=Größe µ").replace("\n", end)
+    model = made(text, encoding=encoding)
+    assert Drive(model.folder).model.title == "Größe µ"
+    assert bool(model.repairs) == (encoding in ("cp1252", "utf-16"))
+
+
+def test_compact_storage(made):
+    """CompactSubObj with names and values beside it, as CiA 306 has it; canopen is the oracle."""
+    text = sheet() + (
+        "\n[2001]\nParameterName=Table\nObjectType=0x8\nDataType=0x0006\nAccessType=rw\n"
+        "DefaultValue=7\nPDOMapping=0\nCompactSubObj=4\n"
+        "[2001Name]\nNrOfEntries=1\n2=Second\n[2001Value]\nNrOfEntries=2\n1=11\n3=0x21\n"
+        "[1016]\nParameterName=Consumers\nObjectType=0x8\nDataType=0x7\nAccessType=rw\n"
+        "CompactSubObj=127\n"
+    )
+    drive = Drive(made(text).folder)
+    assert [drive.read(0x2001, n) for n in range(5)] == [4, 11, 7, 33, 7]
+    assert drive.read(0x1016, 0) == 127
+    names = [row.name for row in drive.model.objects.values() if row.index == 0x2001]
+    assert "table_second" in names
+
+
+def test_a_dcf_gives_the_drive_its_values(made):
+    text = sheet(SMALL, "2001 . 6 rw 0 DefaultValue=5|ParameterValue=9") + (
+        "\n[DeviceComissioning]\nNodeID=6\nBaudrate=500\n"
+    )
+    text = text.replace("DefaultValue=$NODEID + 0x200", "DefaultValue=0x206|").replace("|", "")
+    model = made(text.replace("5ParameterValue", "5\nParameterValue"), "drive.dcf")
+    assert model.node_id == 6
+    drive = Drive(model.folder, node_id=8)
+    assert drive.read(0x2001) == 9
+    assert drive.read(0x1400, 1) == 0x208  # it follows the node-id
+    assert "--node-id 6" in (model.folder / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_manufacturers_object_is_not_taken_for_one_of_ours(made):
+    """2010h:01 is a gain of `generic` and something else in every other drive."""
+    model = made(sheet(SMALL, "2010 0 5 const 0 DefaultValue=1", "2010 1 6 rw 0 DefaultValue=3"))
+    assert Drive(model.folder).model.objects[0x2010, 1].note.startswith("unknown")
+
+
+def test_what_canopen_reads_we_read_alike(tmp_path, made):
+    rows = [f"{0x2000 + n:04X} . {n + 2} rw 0 DefaultValue={n}" for n in range(5)]
+    text = sheet(SMALL, *rows)
+    model = made(text)
+    theirs = canopen.import_od(str(tmp_path / "drive.eds"))
+    drive = Drive(model.folder)
+    for n in range(5):
+        assert drive.read(0x2000 + n) == theirs[0x2000 + n].default == n
+
+
+def test_strict_lists_each_departure_with_its_line(tmp_path, capsys):
+    file, folder = tmp_path / "drive.eds", tmp_path / "mine"
+    file.write_text(sheet(SMALL, "6076 . 7 rw 0 DefaultValue=0", "2002 . 5 rw 0 DefaultValue=300"))
+    assert main(["drives", "--from-eds", str(file), "-o", str(folder), "--strict"]) == 2
+    told = capsys.readouterr().err
+    assert re.search(r"line \d+, 6076h:00h: default 0; taken: 1270", told)
+    assert re.search(r"line \d+, 2002h:00h: default value 300; taken: 255", told)
+    assert "2 departures from CiA 306" in told
+    assert not folder.exists()
+    file.write_text(sheet())
+    assert main(["drives", "--from-eds", str(file), "-o", str(folder), "--strict"]) == 0
+    assert "0 repairs" in capsys.readouterr().out
+
+
+def test_a_value_of_a_megabyte_is_cut_and_told(made):
+    model = made(sheet(SMALL, f"2001 . 9 ro 0 DefaultValue={'x' * 1_000_000}"))
+    assert "1000000 characters" in said(model, "[2001]").says
+    assert len(Drive(model.folder).read(0x2001)) == 4096
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"hello world\n" * 10, "line 1: no section of an object"),
+        (b"", "line 1: no section of an object"),
+        (b"[1000]\n\0\0", "line 2: it is binary"),
+        (b"\x7fELF\2\1\1\0", "line 1: it is binary"),
+        (sheet().replace("[6040]", "[604]").encode(), r"line \d+: 6040h is listed"),
+    ],
+)
+def test_what_is_no_eds_is_refused_with_file_and_line(tmp_path, data, reason):
+    file = tmp_path / "bad.eds"
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match=f"bad.eds, {reason}") as refusal:
+        import_eds(file, tmp_path / "mine")
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_hundred_megabytes_are_not_read(tmp_path):
+    file = tmp_path / "big.eds"
+    with file.open("wb") as big:
+        big.truncate(100 * 2**20)
+    with pytest.raises(ValueError, match="an EDS has at most"):
+        import_eds(file, tmp_path / "mine")
+
+
+def test_half_a_file_is_refused_or_its_missing_objects_are_told(tmp_path):
+    text = sheet()
+    for n, at in enumerate(range(200, len(text), 150)):
+        file = tmp_path / "half.eds"
+        file.write_text(text[:at])
+        try:
+            model = import_eds(file, tmp_path / f"mine{n}")
+        except ValueError as error:
+            refused = str(error)
+        else:
+            refused, there = "", {index for index, _ in read_sheet(file).entries}
+            gone = {index for index, _ in read_sheet_of(text, tmp_path).entries} - there
+            assert {f"{index:04X}h" for index in gone} <= {r.where[:5] for r in model.repairs}
+        assert not refused or re.search(r"half.eds, line \d+", refused)
+
+
+def read_sheet_of(text, tmp_path):
+    file = tmp_path / "whole.eds"
+    file.write_text(text)
+    return read_sheet(file)
+
+
+# --------------------------------------------------------------- commissioned and moved
+
+OWN_UNITS = {
+    "increments of a coarse encoder": [
+        "608F 1 7 ro 0 DefaultValue=10000", "608F 2 7 ro 0 DefaultValue=1"],
+    "a feed constant that cannot be written": [
+        "6092 1 7 ro 0 DefaultValue=3600", "6092 2 7 ro 0 DefaultValue=1"],
+    "a gear ratio of its own": ["6091 1 7 rw 0 DefaultValue=10", "6091 2 7 rw 0 DefaultValue=1"],
+    "a range of the profile velocity": [
+        "607F . 7 rw 0 DefaultValue=500|LowLimit=1|HighLimit=600000"],
+    "a read-only homing method": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", OWN_UNITS)
+def test_commissioning_works_in_the_drives_own_units_and_ranges(made, kind):
+    text = sheet(SMALL, *OWN_UNITS[kind])
+    if kind == "a read-only homing method":
+        text = re.sub(r"(\[6098\]\n(?:.*\n){3})AccessType=rw", r"\1AccessType=ro", text)
+    machine = linear_axis(made(text).folder)
+    drive = machine.drives["x"]
+    machine.step()
+    unit = float(drive.axis.rad_per_position_unit) / float(machine.couplings[0].gear)
+    speed = float(drive.axis.profile_speed) / float(machine.couplings[0].gear)
+    assert 0.03 < speed <= 1.01, "m/s, whatever the units are"
+    for word in (0x06, 0x07, 0x0F):
+        drive.write("controlword", word)
+        machine.step(50)
+    drive.axis.homed = 1
+    drive.write("modes_of_operation", 1)
+    machine.step(10)
+    here, begin = drive.read("position_actual_value"), float(machine.data.qpos[0])
+    drive.write("target_position", here + round(0.1 / unit))
+    drive.write("controlword", 0x1F)
+    for _ in range(40):
+        machine.step(200)
+    assert float(machine.data.qpos[0]) - begin == pytest.approx(0.1, abs=abs(unit) + 2e-4)
+
+
+def test_a_drive_of_many_departures_is_enabled_homed_and_moved_by_a_foreign_master(tmp_path):
+    rows = [row for rows in OWN_UNITS.values() for row in rows[:1]] + [
+        case[0] for case in DEFAULTS[:6]
+    ]
+    seen, kept = set(), []
+    for row in rows:
+        if (address := tuple(row.split()[:2])) not in seen:
+            seen.add(address)
+            kept.append(row)
+    file = tmp_path / "many.eds"
+    file.write_text(sheet(SMALL, *kept))
+    found = outcome(file, tmp_path)
+    assert (found.imported, found.started, found.enabled, found.moved) == (
+        "yes",
+        "yes",
+        "yes",
+        "100 mm",
+    )
+    assert found.repairs > 5
+    assert found.homed.startswith("method")
+
+
+def test_the_repairs_of_a_model_are_a_table_that_lists_each(made):
+    model = made(sheet(SMALL, *[case[0] for case in DEFAULTS]))
+    page = (model.folder / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \d* \|.*\|$", page, re.M)
+    assert len(rows) == len(model.repairs)
+    with (model.folder / "objects.csv").open(encoding="utf-8") as file:
+        assert sum(1 for _ in csv.reader(file)) == model.objects + 1
+
+
+def test_reserved_entries_and_read_only_objects_answer_with_the_protocol(made):
+    drive = Drive(made(sheet(SMALL, "1800 4 5 rw 0", "6041 . 6 rw 1")).folder)
+    drive.write(0x1800, 4, 3)
+    assert drive.read(0x1800, 4) == 3
+    with pytest.raises(SdoAbort) as refusal:
+        drive.write("statusword", 1)
+    assert refusal.value.code == Abort.READ_ONLY
+
+
+assert Path(__file__).with_name("foreign_eds.py").is_file()
