@@ -20,7 +20,7 @@ from .al import AlState, AlStatusCode
 from .coe_header import Service
 from .controller.registers import REGISTERS_TABLE, R
 from .description import describe
-from .frame import LOGICAL, NAMES, Command, Datagram, unpack
+from .frame import LOGICAL, NAMES, Command, Datagram, body_of, unpack
 from .mailbox import HEADER, Kind
 
 READS = (Command.APRD, Command.FPRD, Command.BRD, Command.LRD)
@@ -30,6 +30,14 @@ PASSED = 2  # bit of the source address that slaves set
 RETURNED = 6  # byte of the frame with it
 ASSIGNMENTS = {0x1C12: 2, 0x1C13: 3}
 IDENTITY = 8  # word of the EEPROM: vendor and product
+# bits of AL Control and AL Status (ETG.1000.6, 5.3.1 and 5.3.2)
+AL_CONTROL_BITS = ((0x10, "acknowledge"), (0x20, "identification asked for"))
+AL_STATUS_BITS = ((0x10, "error bit"), (0x20, "identification shown"))
+EEPROM_COMMANDS = {0: "idle", 1: "read", 2: "write", 4: "reload"}
+EEPROM_ERRORS = (  # bits of 0502h
+    (0x0800, "checksum wrong"), (0x1000, "not loaded"), (0x2000, "refused"),
+    (0x4000, "write not enabled"),
+)  # fmt: skip
 QUIET = {  # polled again and again: told when they change
     R.AL_STATUS, R.AL_STATUS_CODE, R.SYNC_MANAGER + 5, R.SYNC_MANAGER + 13, R.DL_STATUS,
     R.EEPROM_CONTROL, R.SYSTEM_TIME, R.SYSTEM_TIME_DIFFERENCE,
@@ -39,7 +47,9 @@ QUIET = {  # polled again and again: told when they change
 def _registers() -> dict[int, str]:
     """Name of the register that begins at an address."""
     names = {row.address: row.name for row in REGISTERS_TABLE if row.effect not in (3, 4)}
-    return names | {R.AL_STATUS_CODE: "AL status code"}
+    return names | {
+        R.AL_STATUS_CODE: "AL status code", R.EEPROM_CONTROL: "EEPROM control and status",
+    }  # fmt: skip
 
 
 REGISTERS = _registers()
@@ -138,6 +148,8 @@ class EtherCatDecoder:
         model: str | Path | DriveModel | None = None,
         heard: Callable[[str, Object, float], None] = lambda slave, row, value: None,
     ):
+        self.others = 0  # frames of other protocols
+        self._marked = False  # slaves mark what they pass: a frame without that bit was seen
         self._told = heard
         self._given = load(model, "ethercat") if model else None
         self._stations: dict[int, _Slave] = {}
@@ -146,13 +158,19 @@ class EtherCatDecoder:
         self._known = _identities()
 
     def decode(self, frame: bytes) -> list[str]:
-        """Lines about a frame; none for what tells nothing new. It never raises."""
+        """Lines about a frame; none for what tells nothing new, or is no EtherCAT frame.
+
+        It never raises; `others` counts frames that are not EtherCAT's.
+        """
+        if body_of(frame) < 0:
+            self.others += 1
+            return []
         try:
             rows = unpack(frame)
         except ValueError as error:
             return [str(error)]
         key = tuple(row.index << 16 | row.command << 8 | row.ado & 0xFF for row in rows)
-        if not frame[RETURNED] & PASSED:
+        if not self._returned(frame, rows, key in self._sent):
             again = key in self._sent
             self._sent[key] = rows
             return [f"no reply to {rows[0]}"] if again else []
@@ -161,6 +179,17 @@ class EtherCatDecoder:
         for out, back in zip(sent, rows, strict=False):
             lines += self._datagram(out, back)
         return lines
+
+    def _returned(self, frame: bytes, rows: list[Datagram], sent: bool) -> bool:
+        """Whether a frame has passed the slaves: they set a bit of its source address.
+
+        Some masters have it set already, as in each address that is administered locally; then a
+        frame has passed that was sent before, or that a slave has counted.
+        """
+        if not frame[RETURNED] & PASSED:
+            self._marked = True
+            return False
+        return self._marked or sent or any(row.wkc for row in rows)
 
     # -------------------------------------------------------------- datagrams
 
@@ -177,6 +206,8 @@ class EtherCatDecoder:
         manager = self._mailbox(slave, back.ado)
         if manager is not None and back.wkc:
             return self._telegram(slave, sent.data if manager == 0 else back.data)
+        if manager is not None:  # a master polls it; the data sheet lets it not be touched then
+            return [] if manager else [f"{slave.name}: its mailbox is still full"]
         return self._register(name, slave, sent, back)
 
     def _who(self, row: Datagram) -> tuple[str, _Slave | None]:
@@ -203,18 +234,24 @@ class EtherCatDecoder:
         if not back.wkc:
             what = "write" if writes else "read"
             return [f"{name}: {what} {_place(back.ado)} had no effect (working counter 0)"]
+        if writes and back.ado == R.EEPROM_CONTROL and slave is None and len(data) >= 2:
+            everyone = _Slave(name, None)
+            for each in (everyone, *self._stations.values()):
+                each.word = int.from_bytes(data[2:6], "little") if len(data) > 3 else each.word
+            return self._eeprom(everyone, data)
         if slave is not None:
             if not writes and back.ado in QUIET:
                 if slave.polled.get(back.ado) == data:
                     return []
                 slave.polled[back.ado] = data
-            if told := self._configured(slave, back.ado, data, writes):
+            told = self._configured(slave, back.ado, data, writes)
+            if told is not None:
                 return told
         elif not writes and back.ado in QUIET:
             return []
         value = int.from_bytes(data, "little")
         if back.ado in (R.AL_CONTROL, R.AL_STATUS):
-            return [f"{name}: {_place(back.ado)} {_state(data)}"]
+            return [f"{name}: {_place(back.ado)} {_state(data, back.ado == R.AL_CONTROL)}"]
         if back.ado == R.AL_STATUS_CODE:
             return [f"{name}: {_place(back.ado)} {_code(value)}"] if value else []
         arrow = "←" if writes else "="
@@ -235,10 +272,13 @@ class EtherCatDecoder:
             at = R.EEPROM_ADDRESS - address
             if len(data) >= at + 2:
                 slave.word = int.from_bytes(data[at : at + 4], "little")
-            return []
+            return self._eeprom(slave, data) if address == R.EEPROM_CONTROL else []
+        if writes and address == R.EEPROM_CONTROL and len(data) >= 2:
+            return self._eeprom(slave, data)
         if not writes and R.EEPROM_CONTROL <= address <= R.EEPROM_DATA:
             found = data[R.EEPROM_DATA - address :]
-            return self._identity(slave, found)
+            wrong = self._eeprom_errors(slave, data) if address == R.EEPROM_CONTROL else []
+            return wrong + self._identity(slave, found)
         if writes and R.FMMU <= address < R.FMMU + 0x100 and len(data) >= 13:
             lines = []
             for k in range(0, len(data) - 12, 16):
@@ -259,6 +299,21 @@ class EtherCatDecoder:
         if writes and R.SYNC_MANAGER <= address < R.SYNC_MANAGER + 0x80 and address & 7 == 6:
             return self._switched(slave, address, data)
         return None
+
+    def _eeprom(self, slave: _Slave, data: bytes) -> list[str]:
+        """A command to the EEPROM; reads are so many that only what they find is told."""
+        value = int.from_bytes(data[:2], "little")
+        command = value >> 8 & 7
+        if command in (0, 1):
+            return []
+        what = EEPROM_COMMANDS.get(command, f"command {command}")
+        where = f" word {slave.word:04X}h" if command == 2 and slave.word >= 0 else ""
+        return [f"{slave.name}: EEPROM {what}{where}" + ("" if value & 1 else ", not enabled")
+                if command == 2 else f"{slave.name}: EEPROM {what}"]  # fmt: skip
+
+    def _eeprom_errors(self, slave: _Slave, data: bytes) -> list[str]:
+        value = int.from_bytes(data[:2], "little")
+        return [f"{slave.name}: EEPROM: {meaning}" for bit, meaning in EEPROM_ERRORS if value & bit]
 
     def _switched(self, slave: _Slave, address: int, data: bytes) -> list[str]:
         """A sync manager switched on or off by its activation byte alone."""
@@ -417,12 +472,14 @@ def _place(address: int) -> str:
     return f"{REGISTERS.get(address, 'register')} ({address:04X}h)"
 
 
-def _state(data: bytes) -> str:
+def _state(data: bytes, requested: bool) -> str:
+    """AL Control as it is `requested`, else AL Status: bits 4 and 5 mean something else there."""
     value = data[0]
     state = value & 0x0F
-    name = AlState(state).name if state in set(AlState) else f"{state:X}h"
-    text = name + (" + error bit" if value & 0x10 else "")
-    if len(data) >= 6 and (code := int.from_bytes(data[4:6], "little")):
+    text = AlState(state).name if state in set(AlState) else f"{state:X}h"
+    for bit, meaning in AL_CONTROL_BITS if requested else AL_STATUS_BITS:
+        text += f" + {meaning}" if value & bit else ""
+    if not requested and len(data) >= 6 and (code := int.from_bytes(data[4:6], "little")):
         text += f", {_code(code)}"
     return text
 

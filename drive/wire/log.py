@@ -3,11 +3,13 @@
 import contextlib
 import gzip
 import logging
+import math
 import re
 import sqlite3
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,17 @@ from can.io.player import MESSAGE_READERS
 
 from ..model.files import regular
 
-TEXT_LOGS = (".log", ".asc", ".trc", ".csv")  # a frame a line
+TEXT_LOGS = (".log", ".txt", ".asc", ".trc", ".csv")  # a frame a line
+OF_CANDUMP = (".log", ".txt")  # what it writes with -l, and what it prints
+APART = 1e-3  # s between frames of a text without times (inferred: an order is all it tells)
+LOOK_AHEAD = 1000  # lines in which times that go back show that they are differences
+# a line that candump prints: (time), channel, TX or RX and flags (-x), identifier, length, the rest
+_PRINTED = re.compile(
+    r"\s*(?:\((?P<time>[^)]*)\)\s+)?(?P<channel>[A-Za-z][\w.-]*)\s+(?:[TR]X\s+[B-]\s+[E-]\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+\[(?P<length>\d{1,2})\](?P<rest>.*)"
+)
+# what stands around it in a terminal: prompts, comments, "...", Ctrl-C
+_AROUND = re.compile(r"\s*(?:[$#>]|\.{2,}|…|\^C|```|\S+@\S+|(?:sudo )?candump\b)")
 LONGEST = 1 << 16  # characters of a line; the readers would hold any at once, unpacked ones too
 LARGEST_BLOCK = 1 << 24  # bytes of a block of a .blf, unpacked, and of what has no frame in it
 BLOCK_TYPE = 12  # place of an object's type in its header of 16 bytes (Vector BLF)
@@ -40,15 +52,18 @@ def messages(log: Path) -> Iterator[can.Message]:
     suffixes = [suffix.lower() for suffix in log.suffixes]
     packed = suffixes[-1:] == [".gz"]
     plain = suffixes[-2:-1] if packed else suffixes[-1:]
-    if not plain or plain[0] not in MESSAGE_READERS or plain[0] in HELD_WHOLE:
-        known = " ".join(sorted({*MESSAGE_READERS} - {*HELD_WHOLE}))
+    readers = MESSAGE_READERS | {".txt": MESSAGE_READERS[".log"]}
+    if not plain or plain[0] not in readers or plain[0] in HELD_WHOLE:
+        known = " ".join(sorted({*readers} - {*HELD_WHOLE}))
         raise ValueError(f"{log}: unknown suffix, use one of {known}, also with .gz behind it")
     size = regular(log)  # also because the reader of .db makes a file that is not there
-    lines = _Lines(log, packed) if plain[0] in TEXT_LOGS else None
+    lines = None
+    if plain[0] in TEXT_LOGS:
+        lines = (_Printed if plain[0] in OF_CANDUMP else _Lines)(log, packed)
     blocks = _Blocks(log, packed) if plain[0] == ".blf" else None
     source: Any = lines or blocks or log
-    reads: Any = MESSAGE_READERS[plain[0]]
-    library = logging.getLogger(MESSAGE_READERS[plain[0]].__module__)
+    reads: Any = readers[plain[0]]
+    library = logging.getLogger(reads.__module__)
     library.addFilter(_refuse)
     try:
         if plain[0] == ".db":
@@ -106,6 +121,67 @@ class _Lines:
     def close(self) -> None:
         """As a file."""
         self._file.close()
+
+
+class _Printed(_Lines):
+    """Text that candump prints (also -t a, A, d, z, -x, -a, -e), as it writes logs (-l).
+
+    Terminals' prompts and comments around it are left out. Times of `-t A` are taken as UTC;
+    frames without times are `APART`.
+    """
+
+    def __init__(self, log: Path, packed: bool):
+        self._frames = 0
+        self._elapsed = 0.0
+        self._differences = _are_differences(_Lines(log, packed))
+        super().__init__(log, packed)
+
+    def __next__(self) -> str:
+        line = super().__next__()
+        while _AROUND.match(line):
+            line = super().__next__()
+        printed = _PRINTED.fullmatch(line.rstrip("\r\n"))
+        return self._as_logged(printed) if printed else line
+
+    def _as_logged(self, printed: re.Match[str]) -> str:
+        length, rest = int(printed["length"]), printed["rest"].strip()
+        data = "".join(rest.split()[:length])
+        if rest.startswith("remote request"):
+            data = f"R{length}"
+        elif len(data) != 2 * length or not re.fullmatch(r"[0-9A-Fa-f]*", data):
+            raise ValueError(f"{length} bytes are announced, {rest[:40]!r} follows")
+        elif len(printed["length"]) == 2:  # a length of two digits is that of CAN FD
+            data = f"#0{data}"
+        self._frames += 1
+        seconds = self._frames * APART if printed["time"] is None else _seconds(printed["time"])
+        if self._differences:
+            self._elapsed = seconds = self._elapsed + seconds
+        return f"({seconds:.6f}) {printed['channel']} {printed['id']}#{data}\n"
+
+
+def _seconds(text: str) -> float:
+    """A time as candump prints it, with a date too."""
+    if "-" in text:
+        return datetime.fromisoformat(text.strip()).replace(tzinfo=UTC).timestamp()
+    return float(text)
+
+
+def _are_differences(lines: _Lines) -> bool:
+    """Whether the times are those from frame to frame (-t d): then they go back."""
+    before = -math.inf
+    try:
+        for line, _ in zip(lines, range(LOOK_AHEAD), strict=False):
+            printed = _PRINTED.match(line)
+            if printed and printed["time"] is not None:
+                seconds = _seconds(printed["time"])
+                if seconds < before:
+                    return seconds < 1e6  # a clock that was set back shows other numbers
+                before = seconds
+    except (ValueError, OSError, EOFError):
+        pass  # it is told where the frame is read
+    finally:
+        lines.close()
+    return False
 
 
 class _Blocks:

@@ -357,9 +357,9 @@ def test_an_error_frame_and_can_fd_are_named(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("run.txt", b"", "unknown suffix, use one of .asc .blf .csv"),
+        ("run.dat", b"", "unknown suffix, use one of .asc .blf .csv"),
         ("run", b"", "unknown suffix, use one of .asc .blf .csv"),
-        ("run.txt.gz", b"", "unknown suffix, use one of .asc .blf .csv"),
+        ("run.dat.gz", b"", "unknown suffix, use one of .asc .blf .csv"),
         ("missing.log", None, "No such file or directory"),
         ("missing.db", None, "No such file or directory"),
         ("empty.log", b"", "there is no frame in it"),

@@ -97,7 +97,8 @@ def test_a_capture_of_ethercat_is_shown_by_the_names_of_the_mapped_objects(tmp_p
         head = bytes(RETURNED) + bytes([passed]) + bytes(11 - RETURNED)
         writer.write(head + frame.ljust(length + 4, b"\0"), n * 1_000_000)
     writer.close()
-    assert main(["scope", str(capture), "--out", str(tmp_path)]) == 0
+    channels = "position_actual_internal_value,statusword"
+    assert main(["scope", str(capture), "--channels", channels, "--out", str(tmp_path)]) == 0
     names, rows = columns(tmp_path)
     assert {"position_actual_internal_value", "statusword"} <= {*names}
     assert len(rows) >= 2

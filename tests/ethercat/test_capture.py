@@ -125,3 +125,104 @@ def test_decoding_never_raises():
         if len(changed) > 6 and n % 2:
             changed[6] |= 2
         assert isinstance(decoder.decode(bytes(changed)), list)
+
+
+# ------------------------------------------------------------------- what is not told, and what is
+
+
+def told(*exchanges, managers=True):
+    """Lines of the last exchange: (command, address, sent, back, working counter)."""
+    decoder, lines = EtherCatDecoder("kollmorgen_akd"), []
+    rows = [(Command.FPWR, 0x0800, struct.pack("<HHBBBB", start, 1024, control, 0, 1, 0), None, 1)
+            for start, control in ((0x1800, 0x26),)]  # fmt: skip
+    rows += [(Command.FPWR, 0x0808, struct.pack("<HHBBBB", 0x1C00, 1024, 0x22, 0, 1, 0), None, 1)]
+    for command, address, sent, back, counter in [*(rows if managers else []), *exchanges]:
+        out = Datagram(command, 0x1001, address, sent)
+        decoder.decode(pack([out]))
+        reply = out._replace(data=sent if back is None else back, wkc=counter)
+        lines = decoder.decode(pack([reply], source=b"\x03\x01\x01\x01\x01\x01"))
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0x11, "AL control (0120h) INIT + acknowledge"),
+        (0x14, "AL control (0120h) SAFE_OPERATIONAL + acknowledge"),
+        (0x28, "AL control (0120h) OPERATIONAL + identification asked for"),
+        (0x02, "AL control (0120h) PRE_OPERATIONAL"),
+    ],
+)
+def test_bit_4_of_al_control_is_the_acknowledge(value, text):
+    assert told((Command.FPWR, 0x0120, bytes([value, 0]), None, 1)) == [f"slave 1001h: {text}"]
+
+
+def test_bit_4_of_al_status_is_the_error():
+    back = bytes.fromhex("14000000 1B00")
+    assert told((Command.FPRD, 0x0130, bytes(6), back, 1)) == [
+        "slave 1001h: AL status (0130h) SAFE_OPERATIONAL + error bit, 001Bh WATCHDOG"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sent", "lines"),
+    [
+        ("0001 08000000", []),  # read, as all masters do hundreds of times
+        ("0001", []),
+        ("0102 04000000", ["slave 1001h: EEPROM write word 0004h"]),
+        ("0002 04000000", ["slave 1001h: EEPROM write word 0004h, not enabled"]),
+        ("0004", ["slave 1001h: EEPROM reload"]),
+        ("0007", ["slave 1001h: EEPROM command 7"]),
+    ],
+)
+def test_a_command_to_the_eeprom_is_told_by_what_it_does(sent, lines):
+    assert told((Command.FPWR, 0x0502, bytes.fromhex(sent), None, 1)) == lines
+
+
+def test_an_eeprom_that_refuses_is_told():
+    assert told((Command.FPRD, 0x0502, bytes(2), b"\x80\x60", 1)) == [
+        "slave 1001h: EEPROM: refused", "slave 1001h: EEPROM: write not enabled"
+    ]  # fmt: skip
+
+
+def test_an_empty_mailbox_that_is_polled_tells_nothing_and_a_full_one_does():
+    assert told((Command.FPRD, 0x1C00, bytes(1024), None, 0)) == []
+    assert told((Command.FPWR, 0x1800, bytes(1024), None, 0)) == [
+        "slave 1001h: its mailbox is still full"
+    ]
+
+
+def foreign(path, frames):
+    log = Writer(path)
+    for n, frame in enumerate(frames):
+        log.write(frame, n)
+    log.close()
+    return str(path)
+
+
+ARP = bytes.fromhex("ffffffffffff 020000000001 0806") + bytes(46)
+
+
+def test_frames_of_other_protocols_are_counted_not_told(tmp_path, capsys):
+    assert main(["decode", foreign(tmp_path / "a.pcapng", [ARP, FRAME, ARP])]) == 0
+    said = capsys.readouterr()
+    assert "EtherCAT" not in said.out
+    assert said.err == "2 frames of other protocols were left out\n"
+
+
+def test_a_capture_without_ethercat_is_told_in_one_line(tmp_path, capsys):
+    assert main(["decode", foreign(tmp_path / "a.pcapng", [ARP] * 3504)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "none of its 3504 frames is EtherCAT's" in said.err
+
+
+def test_a_master_whose_own_address_has_the_bit_of_returned_frames_is_understood(capture, tmp_path):
+    """KickCAT sends from CADECADEDEFF, an address that is administered locally."""
+    local = [p.frame[:6] + bytes.fromhex("cadecadedeff") + p.frame[12:] for p in read(capture)]
+    lines = []
+    for frames in ([packet.frame for packet in read(capture)], local):
+        decoder = EtherCatDecoder()
+        lines.append([line for frame in frames for line in decoder.decode(frame)])
+    assert lines[0] == lines[1]

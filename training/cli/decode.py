@@ -51,11 +51,19 @@ def _of_ethercat(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
     if options.node_id:
         raise ValueError("--node-id is for CAN; slaves of EtherCAT are all told")
     decoder = EtherCatDecoder(options.drive)
-    begin = None
+    begin, count = None, 0
     for packet in read(options.log):
+        count += 1
         begin = packet.time if begin is None else begin
         for text in decoder.decode(packet.frame) or [""]:
             yield (packet.time - begin) * 1e-9, text
+    if count and decoder.others == count:
+        raise ValueError(
+            f"{options.log}: none of its {count} frames is EtherCAT's (type 88A4h, or UDP to that "
+            "port): was it recorded at the right interface?"
+        )
+    if decoder.others:
+        print(f"{decoder.others} frames of other protocols were left out", file=sys.stderr)
 
 
 def _of_can(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
