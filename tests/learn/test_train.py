@@ -370,8 +370,7 @@ def test_the_bench_trains_both_on_the_same(monkeypatch):
     monkeypatch.setattr(train_bench, "ROLLOUT", 512)
     with sb3.one_thread():
         rows = train_bench.measure("generic", 1, (8,))
-    ours = ["ServoVecEnv of 8", "ServoVecEnv of 8, PPO of SB3"]
-    assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", *ours]
+    assert [row["environments"] for row in rows] == ["DummyVecEnv of 8", "ServoVecEnv of 8"]
     assert rows[0]["ratio"] == 1.0
     assert all(row["rollout_us"] > 0 and row["update_us"] > 0 for row in rows)
 
@@ -505,3 +504,61 @@ def test_where_the_last_policy_is_not_the_one_that_is_played_both_are_named(tmp_
         f"{tmp_path} plays the best evaluated, {best['mean_reward']:.1f} after 256 steps; "
         f"the last is {tmp_path / 'checkpoints' / '0000000384'}\n"
     ) in told.getvalue()
+
+
+def test_trainings_of_different_seeds_share_no_episode():
+    """SB3 gives environment k of seed s the stream s + k."""
+    env = sb3.make(ID, 64)
+    env.seed(1)
+    consecutive = env._seeds
+    assert consecutive == list(range(1, 65))
+    env.independent = True
+    seeds = {seed: env.seed(seed) for seed in (0, 1, 2, 3, 2**31 - 1)}
+    drawn = [one for each in seeds.values() for one in each]
+    assert len(set(drawn)) == len(drawn) == 5 * 64
+    assert not {*drawn} & {*range(10**9 + 10**6 + 1)}, "nor one of an evaluation"
+    assert env.seed(1) == seeds[1]
+    first = env.reset()
+    env.seed(2)
+    assert not (env.reset() == first).all()
+    env.close()
+
+
+def test_a_run_has_streams_of_its_own_unless_it_says_otherwise(tmp_path):
+    runs = {}
+    for name, more in (("own", {}), ("same", {"streams": "independent"}),
+                       ("theirs", {"streams": "consecutive"})):  # fmt: skip
+        brief(tmp_path / name, 128, settings=SMALL | more)
+        runs[name] = weights.load(checkpoint.numbered(tmp_path / name)[-1]).network
+    assert all((runs["own"][n] == runs["same"][n]).all() for n in runs["own"])
+    assert any((runs["own"][n] != runs["theirs"][n]).any() for n in runs["own"])
+    with pytest.raises(ValueError, match="streams = 'parallel'"):
+        brief(tmp_path / "other", settings=SMALL | {"streams": "parallel"})
+
+
+def test_a_run_of_an_earlier_version_goes_on_as_it_began(tmp_path):
+    """It says nothing of streams, and perhaps that its PPO was not compiled."""
+    old = SMALL | {"streams": "consecutive"}
+    brief(tmp_path / "now", 128, settings=old)
+    brief(tmp_path / "then", 128, settings=old | {"compiled": False})
+    (last,) = checkpoint.numbered(tmp_path / "then")
+    about = json.loads((last / "checkpoint.json").read_text())
+    assert "compiled" not in about["hyperparameters"]
+    del about["hyperparameters"]["streams"]
+    about["hyperparameters"]["compiled"] = False
+    (last / "checkpoint.json").write_text(json.dumps(about))
+    for name in ("now", "then"):
+        brief(tmp_path / name, 256, resume=True)
+    now, then = (
+        weights.load(checkpoint.numbered(tmp_path / name)[-1]).network for name in ("now", "then")
+    )
+    assert all((now[name] == then[name]).all() for name in now)
+    last = checkpoint.numbered(tmp_path / "then")[-1]
+    about["hyperparameters"]["compiled"] = True
+    about["steps"] = 256
+    (last / "checkpoint.json").write_text(json.dumps(about | {"sha256": ""}))
+    with pytest.raises(ValueError, match="was trained by the compiled PPO of an earlier version"):
+        brief(tmp_path / "then", 384, resume=True)
+    with pytest.raises(ValueError, match="compiled = True: PPO is that of stable-baselines3"):
+        brief(tmp_path / "new", settings=SMALL | {"compiled": True})
+    brief(tmp_path / "new", 128, start=last, settings=SMALL)

@@ -12,7 +12,7 @@ from later import Later, only_with
 
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.training.policies import SHIPPED
-from servogym.training.policies.trained import weights
+from servogym.training.policies.trained import saved, weights
 from servogym.training.policies.trained.learned import Learned
 
 stable_baselines3 = Later("stable_baselines3")
@@ -74,7 +74,7 @@ assert not {"torch", "stable_baselines3", "matplotlib.axes"} & set(sys.modules)
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_what_comes_with_the_laboratory_acts_as_it_was_trained(folder):
     found = weights.load(folder)
-    act = found.actor(weights.read(folder))
+    act = found.actor(saved.read(folder))
     with np.load(GOLDEN) as golden:
         name = f"{folder.parent.name}/{folder.name}"
         for seen, action in zip(golden[f"{name}/seen"], golden[f"{name}/actions"], strict=True):
@@ -113,26 +113,22 @@ def test_an_array_of_objects_is_refused(trained, tmp_path):
 def test_arrays_that_do_not_fit_are_refused(trained, tmp_path):
     found = weights.load(trained[1])
     with pytest.raises(ValueError, match="does not fit the network"):
-        found._replace(network={}).policy(weights.read(trained[1]))
+        found._replace(network={}).policy(saved.read(trained[1]))
     with pytest.raises(ValueError, match="does not fit the network"):
-        found._replace(shape=(3, 1)).actor(weights.read(trained[1]))
+        found._replace(shape=(3, 1)).actor(saved.read(trained[1]))
 
 
-def test_an_older_checkpoint_is_refused_with_the_command_that_converts_it(
-    trained, tmp_path, capsys
-):
+def test_an_older_checkpoint_is_played_from_its_zip_without_its_pickles(trained, tmp_path):
     folder = tmp_path / "checkpoint"
     shutil.copytree(trained[1], folder)
     expected = weights.load(folder)
     (folder / weights.WEIGHTS).unlink()
     trained[0].save(folder / "model.zip")
     trained[0].get_vec_normalize_env().save(str(folder / "vecnormalize.pkl"))
-    with pytest.raises(ValueError, match=r"policies\.trained\.weights .* --unpickle"):
-        Learned(folder, CompliantAxisEnv())
-    with pytest.raises(SystemExit, match="2"):
-        weights.main([str(folder)])
-    assert "can run any program" in capsys.readouterr().err
-    assert weights.main([str(folder), "--unpickle"]) == 0
     again = weights.load(folder)
     assert again.network.keys() == expected.network.keys()
     assert all(np.array_equal(again.network[n], expected.network[n]) for n in again.network)
+    assert np.array_equal(again.mean, expected.mean)
+    assert np.array_equal(again.variance, expected.variance)
+    assert again.limits == expected.limits
+    Learned(folder, CompliantAxisEnv())

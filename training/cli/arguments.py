@@ -12,7 +12,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from ..scale.work import Work
 
-POLICY = "name, FILE.py:function, or folder of a training"
+POLICY = "name, FILE.py:function, folder of a training, or model.zip of stable-baselines3"
 LISTED = "help"  # instead of NAME=VALUE
 
 

@@ -16,6 +16,7 @@ from ...envs.environment.servo_env import ServoEnv
 from ..pictures.recording import Recording
 from ..policies import label, make, trainings
 from ..policies.file import SUFFIX
+from ..policies.trained.saved import STATISTICS, ZIP
 from ..scale.job import Job, Result
 from .episodes import Evaluation, Evaluator, pooled
 from .metrics import metrics
@@ -143,7 +144,7 @@ def watched(
     kind: type[ServoEnv], drive: str, policy: Any, folders: Sequence[str]
 ) -> tuple[str, ...]:
     """Files outside of the package that decide what a policy does."""
-    found = [*folders]
+    found = [*folders, *(str(Path(f).with_name(STATISTICS)) for f in folders if f.endswith(ZIP))]
     base, _, _ = policy.rpartition(":") if isinstance(policy, str) else ("", "", "")
     if base.endswith(SUFFIX):
         found.append(base)

@@ -1,8 +1,10 @@
 """Hyper-parameters of the training runs: for each algorithm the common ones, and what a task says.
 
 The names are those of the arguments of SB3's algorithms; `n_envs` and `normalize` (running mean and
-variance of observations and rewards) are of what is put around the environments; `compiled` is
-whether PPO acts and learns by `servogym.training.learn.compiled` or by torch. `batch_size` of
+variance of observations and rewards) are of what is put around the environments; so are `streams`,
+by which environments draw their episodes: "independent", or "consecutive" as SB3 has it, where
+environment k of seed s is that of s + k, and trainings of neighbouring seeds share nearly all
+episodes. `batch_size` of
 PPO is made smaller where it does not divide the rollout, `n_steps` times the environments. A
 `learning_rate` of two numbers goes from the first to the second in the course of the run.
 """
@@ -11,14 +13,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ...envs.engine.checks import flag, in_range, whole
+from ...envs.engine.checks import choice, flag, in_range, whole
 from ...envs.environment.servo_env import ServoEnv
 
+INDEPENDENT, CONSECUTIVE = STREAMS = "independent", "consecutive"
 COMMON: dict[str, dict[str, Any]] = {
     "PPO": {
         "n_envs": 64,
         "normalize": True,
-        "compiled": True,
+        "streams": INDEPENDENT,
         "n_steps": 64,  # an environment and update
         "batch_size": 512,
         "n_epochs": 5,
@@ -30,6 +33,7 @@ COMMON: dict[str, dict[str, Any]] = {
     "SAC": {
         "n_envs": 8,
         "normalize": False,
+        "streams": INDEPENDENT,
         "buffer_size": 200_000,
         "learning_starts": 2_000,
         "train_freq": 1,
@@ -48,6 +52,7 @@ RESIDUAL: dict[str, dict[str, Any]] = {
     },
     "SAC": {},
 }
+COMPILED = "compiled"  # PPO of an earlier version; false is what there is
 STEPS = 500_000  # of training, of all environments together
 MOST = 10**9
 WHOLE = {  # the least and the most of those that are whole numbers
@@ -64,7 +69,7 @@ OF_A_RUN = {  # not of its algorithm
     "steps": (1, 10**12), "checkpoint_every": (1, 10**12), "evaluate_every": (1, 10**12),
     "envs": (1, 100_000), "seed": (0, 2**31 - 1),
 }  # fmt: skip
-FLAGS = ("normalize", "compiled", "normalize_advantage", "use_sde")
+FLAGS = ("normalize", "normalize_advantage", "use_sde")
 OWN = {  # what a run says of itself
     "seed": "give --seed", "env": "give the id of the environment", "policy": "it is MlpPolicy",
     "device": "a run is on the processor", "tensorboard_log": "the files are in --out",
@@ -89,6 +94,8 @@ def checked(settings: Mapping[str, Any]) -> None:
             in_range(name, value, *REAL[name])
         elif name in FLAGS:
             flag(name, value)
+        elif name == "streams":
+            choice(name, value, STREAMS)
     kwargs = settings.get("policy_kwargs", {})
     if not isinstance(kwargs, Mapping):
         raise ValueError(f'policy_kwargs = {kwargs!r}: give values by name, {{"net_arch": [64]}}')
@@ -133,6 +140,11 @@ def divided(table: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, 
     Raises ValueError as `checked` does.
     """
     chosen = {**table, **settings}
+    if chosen.pop(COMPILED, False):
+        raise ValueError(
+            "compiled = True: PPO is that of stable-baselines3 now; leave it out, or train by sbx, "
+            "see docs/how-to/train.md"
+        )
     checked(chosen)
     if "n_epochs" in chosen and "batch_size" not in settings:
         rollout = chosen["n_steps"] * chosen["n_envs"]

@@ -19,6 +19,7 @@ from ..policies.trained.residual import ResidualVectorEnv
 from ..policies.trained.saved import stable_baselines3
 
 stable_baselines3()  # tells what has to be installed
+STREAM = 0x5E40  # of the seeds of trainings, apart from other uses of the same number
 
 # isort: split
 import torch  # noqa: E402
@@ -104,6 +105,8 @@ class ServoVecEnv(VecEnv):
         ValueError: for another autoreset.
     """
 
+    independent = False  # streams of episodes, see `seed`
+
     def __init__(self, vector: ServoVectorEnv):
         if vector.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ValueError(
@@ -116,6 +119,18 @@ class ServoVecEnv(VecEnv):
         super().__init__(
             vector.num_envs, vector.single_observation_space, vector.single_action_space
         )
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seeds of the episodes that the next reset begins: `seed` + k of environment k.
+
+        With `independent` they are drawn from `seed` (numpy.random.SeedSequence), so that vectors
+        of other seeds have no episode in common.
+        """
+        if not self.independent or seed is None:
+            return super().seed(seed)
+        drawn = np.random.SeedSequence([STREAM, seed]).generate_state(self.num_envs, np.uint64)
+        self._seeds = [int(each) for each in drawn]
+        return self._seeds
 
     def reset(self) -> np.ndarray:
         """Begin anew with the seeds and options set before, shape ``(num_envs, width)``.

@@ -31,7 +31,6 @@ from ...envs.environment.registry import short, task
 from ..policies.trained import saved, weights
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
-from .compiled import CompiledPPO
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
@@ -76,15 +75,17 @@ class Run:
         hyperparameters.counted({"seed": self.seed, "envs": self.envs})
         saved.judged_apart("--seed", self.seed, self.envs)
 
-    def vector(self, envs: int, device: str | None = None) -> VecEnv:
+    def vector(
+        self, envs: int, device: str | None = None, streams: str = hyperparameters.CONSECUTIVE
+    ) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""
         try:
-            return VecMonitor(
-                sb3.make(
-                    self.env_id, envs, drive=self.drive, residual=self.residual,
-                    bounds=self.bounds, device=device, **self.arguments,
-                )
+            made = sb3.make(
+                self.env_id, envs, drive=self.drive, residual=self.residual, bounds=self.bounds,
+                device=device, **self.arguments,
             )  # fmt: skip
+            made.independent = streams == hyperparameters.INDEPENDENT
+            return VecMonitor(made)
         except TypeError as error:
             raise ValueError(f"arguments of {self.env_id}: {words(error)}") from None
 
@@ -123,6 +124,7 @@ def _started(
                 f"{wanted[name]!r}: leave it out, or start from another checkpoint"
             )
     table = {"n_envs": asked["envs"] or about["envs"]} | about["hyperparameters"]
+    table.pop(hyperparameters.COMPILED, None)  # its weights are weights
     chosen = hyperparameters.divided(table, settings or {})
     return Run(
         about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
@@ -151,7 +153,14 @@ def _continued(folder: Path, env_id: str, asked: Mapping[str, Any], console: Con
                 "go on with that version, or begin a new run with another --out"
             )
         console.print(f"note: the checkpoint was made with {name} {then}, this is {present}")
-    return Run(**{name: about[name] for name in Run.__dataclass_fields__ if name in about})
+    kept = {name: about[name] for name in Run.__dataclass_fields__ if name in about}
+    if about["hyperparameters"].get(hyperparameters.COMPILED):
+        raise ValueError(
+            f"checkpoint {folder} was trained by the compiled PPO of an earlier version: begin a "
+            "new run with --start, which takes its weights"
+        )
+    plain = {n: v for n, v in about["hyperparameters"].items() if n != hyperparameters.COMPILED}
+    return Run(**kept | {"hyperparameters": plain})
 
 
 def train(
@@ -255,15 +264,14 @@ def _train(
     run: Run, last: Path | None, out: Path, steps: int, checkpoint_every: int,
     evaluate_every: int, progress: bool, console: Console, first: weights.Weights | None,
 ) -> tuple[Score, Score]:  # fmt: skip
-    env, judged = run.vector(run.envs, run.device), run.vector(EPISODES)
     settings = dict(run.hyperparameters)
+    streams = settings.pop("streams", hyperparameters.CONSECUTIVE)  # an older one does not say it
+    env, judged = run.vector(run.envs, run.device, streams), run.vector(EPISODES)
     settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)
         env = VecNormalize(env, gamma=settings["gamma"])
     kind = ALGORITHMS[run.algorithm]
-    if kind is PPO and settings.pop("compiled", False):  # an older checkpoint does not say it
-        kind = CompiledPPO
     model: Any
     try:
         model = kind("MlpPolicy", env, seed=run.seed, device="cpu", **settings)

@@ -45,6 +45,7 @@ from .profiles import (
 )
 from .repeated import repeated
 from .trained.learned import Learned
+from .trained.saved import ZIP
 
 
 class Policy(Protocol):
@@ -141,7 +142,7 @@ def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
     return [n for n in declared() if n not in POLICIES or n in ANYWHERE or n in task.POLICIES]
 
 
-POLICIES_TOLD = "FILE.py:name, or a folder of `servogym train`"
+POLICIES_TOLD = "FILE.py:name, a folder of `servogym train`, or model.zip of stable-baselines3"
 LEARNED = "learned"  # what comes with the laboratory
 SHIPPED = Path(str(resources.files("servogym.assets"))) / "policies"
 
@@ -150,7 +151,8 @@ def trainings(name: Any, task: str) -> list[str]:
     """The folders of the trainings `name` stands for: ``seed_*`` in it, or itself.
 
     Args:
-        name: a folder, or "learned", what comes with the laboratory for a task.
+        name: a folder, or ``model.zip`` of stable-baselines3, or "learned", what comes with the
+            laboratory for a task.
         task: its id.
 
     Raises:
@@ -158,6 +160,8 @@ def trainings(name: Any, task: str) -> list[str]:
     """
     if not isinstance(name, str):
         return []
+    if name.endswith(ZIP) and os.path.isfile(name):
+        return [name]
     folder = SHIPPED / task.rpartition("/")[2] if name == LEARNED else Path(name)
     if (
         name in POLICIES or not name.strip() or not os.path.isdir(folder)
@@ -213,7 +217,7 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
     if row is None or (rest and base not in BUILT_IN):
         raise ValueError(
             f"policy {name!r} is unknown for {task}: {near(base, names(env))}; "
-            "or give FILE.py:name, or a folder of `servogym train`"
+            f"or give {POLICIES_TOLD}"
         )
     for each in env.POLICIES:
         if each not in POLICIES:

@@ -9,19 +9,24 @@ import numpy as np
 from ....envs.environment.servo_env import ServoEnv
 from . import saved, weights
 from .residual import baseline, checked, corrected
-from .saved import ABOUT, read
+from .saved import ABOUT, STATISTICS, ZIP, read
 
 
 @lru_cache(maxsize=32)
-def _opened(folder: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, Any]:
+def _opened(place: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, Any]:
     """What a checkpoint is, its weights and its network: one for all who play it."""
-    about, arrays = read(folder), weights.load(folder)
+    if place.suffix == ZIP:
+        from .zipped import read as unzipped  # it needs torch
+
+        arrays, kind = unzipped(place)
+        return {"arguments": {}}, arrays, arrays.played(kind)
+    about, arrays = read(place), weights.load(place)
     return about, arrays, arrays.actor(about)
 
 
-def _stamp(folder: Path) -> tuple[int, ...]:
-    """By which a folder that was written anew is known (ns)."""
-    files = (folder / ABOUT, folder / weights.WEIGHTS)
+def _stamp(place: Path) -> tuple[int, ...]:
+    """By which a checkpoint that was written anew is known (ns)."""
+    files = (place / ABOUT, place / weights.WEIGHTS, place, place.with_name(STATISTICS))
     return tuple(file.stat().st_mtime_ns for file in files if file.is_file())
 
 
@@ -32,7 +37,8 @@ class Learned:
     was trained as a correction of another policy (`servogym train --residual`) brings that policy.
 
     Args:
-        folder: of a run, with `best/`, or of one checkpoint.
+        folder: of a run, with `best/`, or of one checkpoint; or `model.zip` of stable-baselines3,
+            which does not say for which environment it was trained.
         env: which it shall serve.
         seed: of what is random in the policy it corrects.
 
@@ -42,9 +48,9 @@ class Learned:
     """
 
     def __init__(self, folder: Path, env: ServoEnv, seed: int = 0):
-        folder = saved.folder(folder)
+        folder = folder if folder.suffix == ZIP else saved.folder(folder)
         about, self._weights, self._actor = _opened(folder, _stamp(folder))
-        if about["env_id"] != env.ID:
+        if about.get("env_id", env.ID) != env.ID:
             raise ValueError(
                 f"checkpoint {folder} was trained for {about['env_id']}, not for {env.ID}: "
                 "take it to that environment, or train one"

@@ -18,6 +18,7 @@ from ....envs.engine.checks import flag, in_range, whole
 
 BEST = "best"  # of a run, the policy of the best evaluation
 ABOUT, MODEL, STATISTICS = "checkpoint.json", "model.zip", "vecnormalize.pkl"
+ZIP = ".zip"  # of a model that stable-baselines3 saved
 ALGORITHMS = ("PPO", "SAC", "A2C", "TD3", "DDPG")  # of stable-baselines3, whose policies are played
 # of episodes by which policies are judged, all evaluation seeds; no training may have them
 HELD_OUT_SEEDS = range(1_000_000, 1_000_000 + 1_000 * 1_000_001)
@@ -25,7 +26,7 @@ NOTHING = type(None)
 KEYS = {  # of `checkpoint.json`
     "env_id": Key(str, True), "algorithm": Key(str, True), "arguments": Key(dict, True),
     "hyperparameters": Key(dict, True), "steps": Key(int, True), "versions": Key(dict, True),
-    "drive": Key(str), "seed": Key(int), "envs": Key(int), "streams": Key(str),
+    "drive": Key(str), "seed": Key(int), "envs": Key(int),
     "residual": Key((str, NOTHING)), "bounds": Key((list, NOTHING)), "start": Key((dict, NOTHING)),
     "demonstrate": Key((str, NOTHING)), "device": Key((str, NOTHING)), "mean_reward": Key(float),
     "cpu_seconds": Key(float), "sha256": Key(str),

@@ -2,15 +2,10 @@
 
 `weights.npz` holds the arrays of the network by name, the width of what it sees and does, and the
 running means its observations are normalised by. Playing it takes NumPy and no torch. An older
-checkpoint, which had to be unpickled, is converted by its owner, who says so: unpickling runs what
-the file says::
-
-    python -m servogym.training.policies.trained.weights FOLDER --unpickle
+checkpoint has `model.zip` instead, which `zipped` reads.
 """
 
-import argparse
-import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,11 +14,10 @@ import numpy as np
 from ....drive.model import foreign
 from ....drive.model.files import content
 from .network import CLIP, RELU, TANH, forward
-from .saved import ABOUT, MODEL, STATISTICS, read, stable_baselines3
+from .saved import ABOUT, MODEL, stable_baselines3
 
 WEIGHTS = "weights.npz"
 NETWORK = "network/"
-COMMAND = "python -m servogym.training.policies.trained.weights {} --unpickle"
 Layer = tuple[np.ndarray, np.ndarray]  # weights (outputs, inputs), biases (outputs,)
 
 PLAIN = {"net_arch", "log_std_init"}  # of policy_kwargs: what changes no more than the widths
@@ -33,7 +27,7 @@ class Kind(NamedTuple):
     """How the networks of an algorithm are built; what their layers do is of `network`."""
 
     hidden: str  # prefix of its layers
-    last: str
+    last: str  # layer; empty: it is the last of the hidden ones
     activation: int
     output: int  # of the last layer
 
@@ -42,6 +36,8 @@ KNOWN = {
     "PPO": Kind("mlp_extractor.policy_net", "action_net", TANH, CLIP),
     "A2C": Kind("mlp_extractor.policy_net", "action_net", TANH, CLIP),
     "SAC": Kind("actor.latent_pi", "actor.mu", RELU, TANH),
+    "TD3": Kind("actor.mu", "", RELU, TANH),
+    "DDPG": Kind("actor.mu", "", RELU, TANH),
 }
 
 
@@ -77,16 +73,20 @@ class Weights(NamedTuple):
     def actor(self, about: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray]:
         """The mean action for an observation as it was seen; raises as `policy` does.
 
-        Compiled where the network is one that `compiled` knows, else by torch.
+        Compiled where the network is `known`, else by torch.
         """
-        try:
-            mean = compiled(about, self.network, self.shape)
-        except ValueError as error:
-            raise ValueError(f"{WEIGHTS} does not fit the network: {error}") from None
-        if mean is not None:
-            return lambda seen: mean(self.normalised(seen))
+        if (kind := known(about, self.network)) is not None:
+            return self.played(kind)
         policy = self.policy(about)
         return lambda seen: policy.predict(self.normalised(seen), deterministic=True)[0]
+
+    def played(self, kind: Kind) -> Callable[[np.ndarray], np.ndarray]:
+        """The same, of a network built so. Raises ValueError where the arrays do not fit."""
+        try:
+            mean = compiled(kind, self.network, self.shape)
+        except ValueError as error:
+            raise ValueError(f"{WEIGHTS} does not fit the network: {error}") from None
+        return lambda seen: mean(self.normalised(seen))
 
     def normalised(self, observation: np.ndarray) -> np.ndarray:
         """An observation as the network was trained on."""
@@ -98,45 +98,61 @@ class Weights(NamedTuple):
 
 
 def compiled(
-    about: Mapping[str, Any], arrays: Mapping[str, np.ndarray], shape: tuple[int, int]
-) -> Callable[[np.ndarray], np.ndarray] | None:
-    """The mean action, float32 in -1..1, for a normalised observation; None for other networks.
+    kind: Kind, arrays: Mapping[str, np.ndarray], shape: tuple[int, int]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The mean action, float32 in -1..1, for a normalised observation.
 
-    Those it knows are of ``MlpPolicy`` with the activations it has where nothing else is said: tanh
-    of PPO and A2C, ReLU of SAC. Actions differ from torch's by the rounding of float32, 1e-6.
+    Actions differ from torch's by the rounding of float32, 1e-6.
 
     Args:
-        about: of the checkpoint.
+        kind: how the network is built.
         arrays: of the network, by the names torch gives them.
         shape: numbers seen, actions.
 
     Raises:
         ValueError: the arrays do not fit one another.
     """
-    settings = about["hyperparameters"]
-    known = KNOWN.get(about["algorithm"])
-    if known is None or set(settings.get("policy_kwargs", {})) - PLAIN:
-        return None
-    if f"{known.last}.0.weight" in arrays:  # of SAC with use_sde: bounded
-        return None
-    chain = [*_layers(arrays, known.hidden), _layer(arrays, known.last)]
+    layers = chain(kind, arrays)
     wanted = shape[0]
-    for weights, biases in chain:
+    for weights, biases in layers:
         if weights.ndim != 2 or weights.shape[1] != wanted or biases.shape != weights.shape[:1]:
             raise ValueError(f"a layer has the shape {weights.shape}, {wanted} numbers come in")
         wanted = len(weights)
     if wanted != shape[1]:
         raise ValueError(f"{wanted} numbers come out, there are {shape[1]} actions")
-    numbers = np.concatenate([part.ravel() for w, b in chain for part in (w.T, b)])
-    widths = np.array([shape[0], *(len(b) for _, b in chain)])
+    numbers = np.concatenate([part.ravel() for w, b in layers for part in (w.T, b)])
+    widths = np.array([shape[0], *(len(b) for _, b in layers)])
 
     def mean(x: np.ndarray) -> np.ndarray:
         told = np.empty(shape[1], np.float32)
         seen = np.ascontiguousarray(x, np.float32)
-        forward(numbers, widths, known.activation, known.output, seen, told)
+        forward(numbers, widths, kind.activation, kind.output, seen, told)
         return told
 
     return mean
+
+
+def known(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Kind | None:
+    """How the network of a checkpoint is built; None for one that only its library can play.
+
+    Known are those of ``MlpPolicy`` with the activations it has where nothing else is said: tanh of
+    PPO and A2C, ReLU of SAC, TD3 and DDPG.
+    """
+    kind = KNOWN.get(about["algorithm"])
+    if kind is None or set(about["hyperparameters"].get("policy_kwargs", {})) - PLAIN:
+        return None
+    bounded = kind.last and f"{kind.last}.0.weight" in arrays  # of SAC with use_sde
+    return None if bounded else kind
+
+
+def chain(kind: Kind, arrays: Mapping[str, np.ndarray]) -> list[Layer]:
+    """Weights and biases of each layer. Raises ValueError for one that is missing."""
+    layers = _layers(arrays, kind.hidden)
+    if kind.last:
+        layers.append(_layer(arrays, kind.last))
+    if not layers:
+        raise ValueError(f"{kind.hidden} is missing")
+    return layers
 
 
 def _layers(arrays: Mapping[str, np.ndarray], name: str) -> list[Layer]:
@@ -162,20 +178,15 @@ def load(folder: Path) -> Weights:
     """Read them; nothing is unpickled. An older `checkpoint.json` states no SHA-256 of them.
 
     Raises:
-        ValueError: there are none, with the command that makes them of an older checkpoint, or the
-            file is no such file, or was changed since.
+        ValueError: there are none, or the file is no such file, or was changed since.
     """
     file = folder / WEIGHTS
     if not file.is_file():
-        older = (folder / MODEL).is_file()
-        raise ValueError(
-            f"{folder} has no {WEIGHTS}"
-            + (
-                f": an older checkpoint, convert it with `{COMMAND.format(folder)}`"
-                if older
-                else ""
-            )
-        )
+        if not (folder / MODEL).is_file():
+            raise ValueError(f"{folder} has no {WEIGHTS}")
+        from .zipped import read  # it needs torch
+
+        return read(folder / MODEL)[0]
     found = foreign.arrays(file)
     if (folder / ABOUT).is_file() and (stated := foreign.table(folder / ABOUT).get("sha256")):
         foreign.intact(str(file), content(file, "weights", foreign.LARGEST_ARRAYS), stated)
@@ -187,17 +198,6 @@ def load(folder: Path) -> Weights:
     network = {n.removeprefix(NETWORK): a for n, a in found.items() if n.startswith(NETWORK)}
     mean, variance = found.get("mean"), found.get("variance")
     return Weights((seen, actions), network, mean, variance, (clip, epsilon))
-
-
-def convert(folder: Path) -> None:
-    """Write the weights of an older checkpoint; runs whatever its files say."""
-    algorithm = getattr(stable_baselines3(), read(folder)["algorithm"])
-    model = algorithm.load(folder / MODEL, device="cpu")
-    statistics = None
-    if (folder / STATISTICS).is_file():
-        with (folder / STATISTICS).open("rb") as file:
-            statistics = pickle.load(file)
-    _write(folder, model.policy.state_dict(), _widths(model), statistics)
 
 
 def _widths(model) -> tuple[int, int]:
@@ -214,24 +214,3 @@ def _write(folder: Path, network, shape: tuple[int, int], statistics) -> None:
         folder / WEIGHTS, shape=np.array(shape), limits=np.array(limits), allow_pickle=False,
         **kept,
     )  # fmt: skip
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; -> exit status."""
-    parser = argparse.ArgumentParser(description="weights.npz of older checkpoints")
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--unpickle", action="store_true", help="you trust who made the folders")
-    asked = parser.parse_args(arguments)
-    if not asked.unpickle:
-        parser.error(
-            f"{MODEL} and {STATISTICS} are pickles, which can run any program when they are read: "
-            "say --unpickle if you made them, or trust who did"
-        )
-    for folder in asked.folders:
-        convert(folder)
-        print(f"{folder / WEIGHTS}: {(folder / ABOUT).name} and the weights are all it needs now")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
