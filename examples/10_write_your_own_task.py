@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
-from servogym.drive.kernel.jit import entry
+from servogym.drive.kernel.jit import block
 from servogym.drive.kernel.words import Mode
 from servogym.envs import (
     METRE,
@@ -21,7 +21,6 @@ from servogym.envs import (
     action,
     clip,
     episode,
-    faulted,
     linear_axis,
     observation,
     register,
@@ -39,23 +38,19 @@ picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/10_write_y
 BELT, FASTEST, WITHIN = 0.15, 0.5, 1e-3  # m/s, m/s, m
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
-    for w in range(len(worlds)):
-        if worlds[w] != 0:  # in a vector: this episode does not wait
-            episodes[w].mark += BELT * episodes[w]._step
-        rpdos[w, 0].target_velocity = round(FASTEST * METRE * actions[w].velocity)
+@block
+def act(episode, action, rpdos):
+    episode.mark += BELT * episode._step
+    rpdos[0].target_velocity = round(FASTEST * METRE * action.velocity)
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
-    for w in range(len(worlds)):
-        away = episodes[w].mark - tpdos[w, 0].position_actual_value / METRE
-        observations[w].distance = clip(away / 0.1)
-        observations[w].velocity = clip(tpdos[w, 0].velocity_actual_value / (FASTEST * METRE))
-        episodes[w].reward = 1.0 / (1.0 + (away / WITHIN) ** 2)
-        episodes[w].is_success = abs(away) < WITHIN
-        episodes[w]._terminated = faulted(tpdos[w])
+@block
+def judge(episode, rpdos, tpdos, observation):
+    away = episode.mark - tpdos[0].position_actual_value / METRE
+    observation.distance = clip(away / 0.1)
+    observation.velocity = clip(tpdos[0].velocity_actual_value / (FASTEST * METRE))
+    episode.reward = 1.0 / (1.0 + (away / WITHIN) ** 2)
+    episode.is_success = abs(away) < WITHIN
 
 
 class FlyingShearEnv(ServoEnv):

@@ -21,6 +21,7 @@ from ..engine.rows import Records, aligned
 from ..engine.worlds import Images, Worlds
 from ..exchange.batch import JUDGED_NAMES, shown
 from ..exchange.faces import CONTROL, FAULT, STATUS, control, report
+from ..exchange.loops import acting, judging
 from .servo_env import ServoEnv
 from .vector_env import ServoVectorEnv
 
@@ -137,8 +138,8 @@ class DeviceVectorEnv(ServoVectorEnv):
 
         kinds, drives = [table.kind for table in tables], len(first.drives)
         kernel: gpu.Kernel = {
-            "act": lambda: gpu.of_act(first.act, drives, *kinds),
-            "judge": lambda: gpu.of_judge(first.judge, drives, *kinds),
+            "act": lambda: gpu.of_act(acting(first.act), drives, *kinds),
+            "judge": lambda: gpu.of_judge(judging(first.judge), drives, *kinds),
             "control": lambda: gpu.of_control(control, modes, drives, *kinds),
             "report": lambda: gpu.of_report(report, modes, drives, *kinds),
         }[name]()

@@ -60,8 +60,8 @@ NEEDED = {
         "the steps of an episode, a whole number from 1 on",
         lambda value: type(value) is int and value >= 1,
     ),
-    "act": Need("a compiled function (worlds, episodes, actions, rpdos)", callable),
-    "judge": Need("a compiled function (worlds, episodes, rpdos, tpdos, observations)", callable),
+    "act": Need("a compiled function (episode, action, rpdos)", callable),
+    "judge": Need("a compiled function (episode, rpdos, tpdos, observation)", callable),
     "_make": Need("a method (model) that builds the machine", _takes_one),
     "_begin": Need("a method (options) that begins an episode", _takes_one),
 }

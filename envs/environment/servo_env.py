@@ -103,8 +103,8 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
     ACTION: np.dtype  # made by `fields.action`; may depend on arguments, as may DRIVES and
     OBSERVATION: np.dtype  # made by `fields.observation`
     EPISODE: ClassVar[np.dtype]  # made by `episode`
-    act: Callable[..., None]  # (worlds, episodes, actions, rpdos)
-    judge: Callable[..., None]  # (worlds, episodes, rpdos, tpdos, observations)
+    act: Callable[..., None]  # (episode, action, rpdos) of one world
+    judge: Callable[..., None]  # (episode, rpdos, tpdos, observation) of one world
 
     # what it tells of itself, for those who train, judge and draw; this will do for most
     POLICIES: tuple[str, ...] = ()  # baselines by name, beside hold and random

@@ -19,6 +19,7 @@ from ..engine.guard import Turn
 from ..engine.machine import Machine
 from . import fields
 from .faces import CONTROL, STATUS, control, report
+from .loops import acting, judging
 
 if TYPE_CHECKING:
     from .over_ethercat import EtherCatLine
@@ -27,7 +28,10 @@ PDO_BYTES = 8
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
 REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO image
 # what every task keeps of an episode
-JUDGED = [("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?")]
+JUDGED = [
+    ("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?"),
+    ("_world", "i8"),  # address of its machine while its task acts or judges, else 0
+]  # fmt: skip
 # What a step may cost beside what a task judges, taken off its reward: price × the mean over the
 # drives. torque: (6077h / rated torque)² at the end of the step, in proportion to the loss in the
 # winding. jerk: (its change in the step / rated torque)², since what is moved has one mass.
@@ -125,7 +129,7 @@ class Batch:
         modes: Sequence[int] = (), history: int = 1, previous_action: bool = False,
         prices: tuple[float, float] = (0.0, 0.0),
     ):  # fmt: skip
-        self.task = task
+        self._act, self._judge_each = acting(task.act), judging(task.judge)
         self.ticks = ticks
         self.prices = prices
         if any(prices) and TORQUE not in (tpdo.names or ()):
@@ -183,7 +187,7 @@ class Batch:
         with part.turn:
             if len(self.modes):
                 _split(part.actions, part.commands, part.controls)
-            self.task.act(part.worlds, part.episodes, part.commands, part.rpdos)
+            self._act(part.worlds, part.episodes, part.commands, part.rpdos)
             if len(self.modes):
                 control(part.worlds, part.controls, self.modes, part.rpdos)
             before = self.torque(part) if any(self.prices) else None
@@ -215,7 +219,7 @@ class Batch:
             self.lines[int(worlds[i])].run(worlds[i : i + 1], self.ticks, rpdos[i], tpdos[i])
 
     def _judge(self, part: Part) -> None:
-        self.task.judge(part.worlds, part.episodes, part.rpdos, part.tpdos, part.seen)
+        self._judge_each(part.worlds, part.episodes, part.rpdos, part.tpdos, part.seen)
         if len(self.modes):
             report(part.tpdos, self.modes, part.status)
             _join(part.seen, part.status, part.observations)

@@ -72,10 +72,16 @@ def faulted(tpdo):
 
 
 @block
-def limited(address):
+def world_of(episode):
+    """The WORLD in which an episode takes place, within `act` and `judge` of its task."""
+    return world_at(episode._world, 1)[0]
+
+
+@block
+def limited(episode):
     """Share of the step with an internal limit active in one of the drives (statusword bit 11).
 
-    `address` is that of the machine, ``worlds[w]``; each physics step counts.
+    Each physics step counts.
     """
-    world = world_at(address, 1)[0]
+    world = world_of(episode)
     return world.limited_ticks / max(world.step_ticks, 1)

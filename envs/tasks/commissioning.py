@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from ...drive.kernel.faults import Cause, Reaction
-from ...drive.kernel.jit import entry
+from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode, State
 from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..engine.tick import axes_at, world_at
+from ..engine.tick import axes_at
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import PDO, clip, limited
+from ..exchange.faces import PDO, clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
@@ -43,70 +43,60 @@ CAUSES = (
 )  # fmt: skip
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """The target position; a cause that has been present long enough is taken away."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        rpdos[w, 0].target_position = round(
-            0.5 * (actions[w].target_position + 1.0) * STROKE * METRE
-        )
-        world = world_at(worlds[w], 1)[0]
-        axis = axes_at(world.axes, world.drives)[0]
-        if axis.injected:
-            episode._present += 1
-            if episode._present > episode.outage:
-                axis.injected = 0
-                episode._present = 0
+    rpdos[0].target_position = round(0.5 * (action.target_position + 1.0) * STROKE * METRE)
+    world = world_of(episode)
+    axis = axes_at(world.axes, world.drives)[0]
+    if axis.injected:
+        episode._present += 1
+        if episode._present > episode.outage:
+            axis.injected = 0
+            episode._present = 0
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """The milestones one after the other, each once, from what the drive itself says."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
-        position = tpdo.position_actual_value / METRE
-        velocity = tpdo.velocity_actual_value / METRE
-        word, mode = int(tpdo.statusword), int(tpdo.modes_of_operation_display)
-        distance = episode.goal - position
-        faulty = word & FAULT != 0
-        seen.goal = clip(2.0 * episode.goal / STROKE - 1.0)
-        seen.position = clip(2.0 * position / STROKE - 1.0)
-        seen.velocity = clip(velocity / episode._speed)
-        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen.fault_class = (int(tpdo.error_code) >> 12 & 0xF) / 15.0 if faulty else 0.0
-        seen.milestones = episode.milestones / MILESTONES
-        enabled = word & STATE == OPERATION_ENABLED
-        referenced = word & ATTAINED and word & REACHED and not word & HOMING_ERROR
-        travelling = enabled and mode == PROFILE_POSITION
-        near = abs(distance) <= episode._tolerance and abs(velocity) <= MOVING
-        before = episode.milestones
-        reached = before
-        if reached == 0 and not faulty:
-            reached = 1
-        if reached == 1 and enabled:
-            reached = 2
-        if reached == 2 and enabled and mode == HOMING and referenced:
-            reached = 3
-        if reached == 3 and travelling and abs(velocity) > MOVING:
-            reached = 4
-        if reached == 4 and travelling and word & REACHED and near:
-            reached = 5
-        episode.milestones = reached
-        episode.reward_fault_cleared = 1.0 if before < 1 <= reached else 0.0
-        episode.reward_operation_enabled = 1.0 if before < 2 <= reached else 0.0
-        episode.reward_homed = 1.0 if before < 3 <= reached else 0.0
-        episode.reward_moving = 1.0 if before < 4 <= reached else 0.0
-        episode.reward_in_position = 1.0 if before < 5 <= reached else 0.0
-        episode.distance = distance
-        episode.reward = (reached - before) / MILESTONES
-        episode.cost = limited(worlds[w])
-        episode.is_success = reached == MILESTONES
-        episode._terminated = episode.is_success
+    tpdo = tpdos[0]
+    position = tpdo.position_actual_value / METRE
+    velocity = tpdo.velocity_actual_value / METRE
+    word, mode = int(tpdo.statusword), int(tpdo.modes_of_operation_display)
+    distance = episode.goal - position
+    faulty = word & FAULT != 0
+    observation.goal = clip(2.0 * episode.goal / STROKE - 1.0)
+    observation.position = clip(2.0 * position / STROKE - 1.0)
+    observation.velocity = clip(velocity / episode._speed)
+    observation.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+    observation.fault_class = (int(tpdo.error_code) >> 12 & 0xF) / 15.0 if faulty else 0.0
+    observation.milestones = episode.milestones / MILESTONES
+    enabled = word & STATE == OPERATION_ENABLED
+    referenced = word & ATTAINED and word & REACHED and not word & HOMING_ERROR
+    travelling = enabled and mode == PROFILE_POSITION
+    near = abs(distance) <= episode._tolerance and abs(velocity) <= MOVING
+    before = episode.milestones
+    reached = before
+    if reached == 0 and not faulty:
+        reached = 1
+    if reached == 1 and enabled:
+        reached = 2
+    if reached == 2 and enabled and mode == HOMING and referenced:
+        reached = 3
+    if reached == 3 and travelling and abs(velocity) > MOVING:
+        reached = 4
+    if reached == 4 and travelling and word & REACHED and near:
+        reached = 5
+    episode.milestones = reached
+    episode.reward_fault_cleared = 1.0 if before < 1 <= reached else 0.0
+    episode.reward_operation_enabled = 1.0 if before < 2 <= reached else 0.0
+    episode.reward_homed = 1.0 if before < 3 <= reached else 0.0
+    episode.reward_moving = 1.0 if before < 4 <= reached else 0.0
+    episode.reward_in_position = 1.0 if before < 5 <= reached else 0.0
+    episode.distance = distance
+    episode.reward = (reached - before) / MILESTONES
+    episode.is_success = reached == MILESTONES
+    episode._terminated = episode.is_success
 
 
 class CommissioningEnv(ServoEnv):

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.jit import block, entry
+from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import flag, in_range
 from ..engine.machine import Machine
-from ..engine.tick import FARTHEST, coordinates, load_noise, speeds, world_at
+from ..engine.tick import FARTHEST, coordinates, load_noise, speeds
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import chosen
 from ..plants.linear_axis import LinearAxisParameters, linear_axis
@@ -34,17 +34,13 @@ PARAMETERS = LinearAxisParameters(payload=5.0, stiffness=20_000.0, structural_da
 RANDOMISE = {"payload": (2.0, 8.0), "stiffness": (0.5, 2.0), "structural_damping": (0.5, 2.0)}
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Move the set-point by action × maximum velocity × step time; add torque."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        target = episode._target + actions[w].velocity * episode._way
-        episode._target = min(max(target, 0.0), STROKE)
-        rpdos[w, 0].target_position = round(episode._target * METRE)
-        rpdos[w, 0].torque_offset = round(actions[w].torque * episode._torque_range)
+    target = episode._target + action.velocity * episode._way
+    episode._target = min(max(target, 0.0), STROKE)
+    rpdos[0].target_position = round(episode._target * METRE)
+    rpdos[0].torque_offset = round(action.torque * episode._torque_range)
 
 
 @block
@@ -53,48 +49,43 @@ def _finite(x):
     return x if abs(x) < FARTHEST else FARTHEST
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation of the TPDOs and the load sensor; reward of where the load really is."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
-        world = world_at(worlds[w], 1)[0]
-        qpos, qvel = coordinates(world), speeds(world)
-        deflection = _finite(qpos[episode._load])
-        rate = _finite(qvel[episode._load])
-        distance = episode.goal - _finite(qpos[episode._x]) - deflection
-        velocity = _finite(qvel[episode._x]) + rate
-        position = tpdo.position_actual_value / METRE
-        seen.distance = clip((episode.goal - position) / STROKE)
-        seen.position = clip(2.0 * position / STROKE - 1.0)
-        seen.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
-        seen.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
-        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen.set_point = clip((episode._target - position) / episode._window)
-        noise = load_noise(world)
-        seen.deflection = clip((deflection + noise) / DEFLECTION) if episode._sensor else 0.0
-        jump = (noise - episode._noise) / episode._step_time  # of a rate that is differentiated
-        seen.deflection_rate = clip((rate + jump) / RATE) if episode._sensor else 0.0
-        episode._noise = noise
-        far = STROKE / episode._tolerance
-        seen.distance_logarithmic = decades((episode.goal - position) / episode._tolerance, far)
-        sag = deflection - episode._rest
-        energy = 0.5 * (episode._stiffness * sag * sag + episode._mass * rate * rate)
-        off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
-        settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
-        episode.distance = distance
-        episode.deflection = deflection
-        episode.energy = energy
-        episode.reward_near = closeness(off, far)
-        episode.reward_settled = 1.0 if settled else 0.0
-        episode.reward_gentle = 1.0 / (1.0 + energy / GENTLE)
-        kept = 0.4 * episode.reward_near + 0.4 * episode.reward_settled
-        episode.reward = kept + 0.2 * episode.reward_near * episode.reward_gentle
-        episode.cost = limited(worlds[w])
-        episode.is_success = settled
-        episode._terminated = faulted(tpdos[w])
+    tpdo = tpdos[0]
+    world = world_of(episode)
+    qpos, qvel = coordinates(world), speeds(world)
+    deflection = _finite(qpos[episode._load])
+    rate = _finite(qvel[episode._load])
+    distance = episode.goal - _finite(qpos[episode._x]) - deflection
+    velocity = _finite(qvel[episode._x]) + rate
+    position = tpdo.position_actual_value / METRE
+    observation.distance = clip((episode.goal - position) / STROKE)
+    observation.position = clip(2.0 * position / STROKE - 1.0)
+    observation.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+    observation.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+    observation.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+    observation.set_point = clip((episode._target - position) / episode._window)
+    noise = load_noise(world)
+    observation.deflection = clip((deflection + noise) / DEFLECTION) if episode._sensor else 0.0
+    jump = (noise - episode._noise) / episode._step_time  # of a rate that is differentiated
+    observation.deflection_rate = clip((rate + jump) / RATE) if episode._sensor else 0.0
+    episode._noise = noise
+    far = STROKE / episode._tolerance
+    observation.distance_logarithmic = decades((episode.goal - position) / episode._tolerance, far)
+    sag = deflection - episode._rest
+    energy = 0.5 * (episode._stiffness * sag * sag + episode._mass * rate * rate)
+    off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
+    settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
+    episode.distance = distance
+    episode.deflection = deflection
+    episode.energy = energy
+    episode.reward_near = closeness(off, far)
+    episode.reward_settled = 1.0 if settled else 0.0
+    episode.reward_gentle = 1.0 / (1.0 + energy / GENTLE)
+    kept = 0.4 * episode.reward_near + 0.4 * episode.reward_settled
+    episode.reward = kept + 0.2 * episode.reward_near * episode.reward_gentle
+    episode.is_success = settled
 
 
 class CompliantAxisEnv(ServoEnv):

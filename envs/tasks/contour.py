@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.jit import block, entry
+from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
-from ..engine.tick import coordinates, world_at
+from ..engine.tick import coordinates
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.gantry import AXES, GantryParameters, gantry
 from ..view.about import Metric
@@ -63,69 +63,55 @@ def deviation(contour, radius, x, y):
     return max(over_x, over_y)
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Go on along the path as the override says; set-points there, and the corrections on top."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        episode._override = SLOWEST + (1.0 - SLOWEST) * 0.5 * (actions[w].override + 1.0)
-        episode._way += episode._override * episode._step
-        for d in range(2):
-            episode._correction[d] = actions[w].correction[d]
-            target = CENTRE[d] + point(episode._contour, episode._radius, episode._way, d)
-            target += actions[w].correction[d] * episode._range
-            rpdos[w, d].target_position = round(target * METRE)
+    episode._override = SLOWEST + (1.0 - SLOWEST) * 0.5 * (action.override + 1.0)
+    episode._way += episode._override * episode._step
+    for d in range(2):
+        episode._correction[d] = action.correction[d]
+        target = CENTRE[d] + point(episode._contour, episode._radius, episode._way, d)
+        target += action.correction[d] * episode._range
+        rpdos[d].target_position = round(target * METRE)
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation of path and TPDOs, reward of where the tool is."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
-        contour, radius = episode._contour, episode._radius
-        for d in range(2):
-            here = point(contour, radius, episode._way, d)
-            for k in range(len(AHEAD)):
-                ahead = AHEAD[k] * episode._step
-                there = point(contour, radius, episode._way + ahead, d)
-                seen.path[k, d] = clip((there - here) / ahead)
-            axis = seen.axes[d]
-            position = tpdo[d].position_actual_value / METRE
-            axis.distance = clip((CENTRE[d] + here - position) / episode._window)
-            axis.velocity = clip(tpdo[d].velocity_actual_value / METRE / episode._speed)
-            axis.following_error = clip(
-                tpdo[d].following_error_actual_value / METRE / episode._window
-            )
-            axis.torque = clip(tpdo[d].torque_actual_value / episode._max_torque)
-            axis.correction = episode._correction[d]
-        qpos = coordinates(world_at(worlds[w], 1)[0])
-        x, y = qpos[episode._x_at] - CENTRE[0], qpos[episode._y_at] - CENTRE[1]
-        error = deviation(contour, radius, x, y)
-        away = error / CLOSE
-        episode.contour_error = error
-        episode.worst = max(episode.worst, abs(error))
-        if episode._way > episode._begin:  # it has begun
-            episode._steps += 1.0
-            episode._sum += abs(error)
-            episode.mean_error = episode._sum / episode._steps
-            episode.progress = (episode._way - episode._begin) / (episode._step * episode._steps)
-        if contour != CIRCLE and min(abs(x), abs(y)) >= radius - CORNER:
-            episode.worst_corner = max(episode.worst_corner, abs(error))
-        episode.laps = (episode._way - episode._begin) / length(contour, radius)
-        episode.reward_close = 1.0 / (1.0 + away * away)
-        episode.reward_progress = episode._override
-        episode.reward = 0.6 * episode.reward_close + 0.4 * episode.reward_progress
-        episode.cost = limited(worlds[w])
-        episode.is_success = (
-            episode.laps >= 1.0
-            and episode.progress >= PROGRESS
-            and episode.worst <= episode._tolerance
-        )
-        episode._terminated = faulted(tpdo)
+    contour, radius = episode._contour, episode._radius
+    for d in range(2):
+        here = point(contour, radius, episode._way, d)
+        for k in range(len(AHEAD)):
+            ahead = AHEAD[k] * episode._step
+            there = point(contour, radius, episode._way + ahead, d)
+            observation.path[k, d] = clip((there - here) / ahead)
+        axis = observation.axes[d]
+        position = tpdos[d].position_actual_value / METRE
+        axis.distance = clip((CENTRE[d] + here - position) / episode._window)
+        axis.velocity = clip(tpdos[d].velocity_actual_value / METRE / episode._speed)
+        axis.following_error = clip(tpdos[d].following_error_actual_value / METRE / episode._window)
+        axis.torque = clip(tpdos[d].torque_actual_value / episode._max_torque)
+        axis.correction = episode._correction[d]
+    qpos = coordinates(world_of(episode))
+    x, y = qpos[episode._x_at] - CENTRE[0], qpos[episode._y_at] - CENTRE[1]
+    error = deviation(contour, radius, x, y)
+    away = error / CLOSE
+    episode.contour_error = error
+    episode.worst = max(episode.worst, abs(error))
+    if episode._way > episode._begin:  # it has begun
+        episode._steps += 1.0
+        episode._sum += abs(error)
+        episode.mean_error = episode._sum / episode._steps
+        episode.progress = (episode._way - episode._begin) / (episode._step * episode._steps)
+    if contour != CIRCLE and min(abs(x), abs(y)) >= radius - CORNER:
+        episode.worst_corner = max(episode.worst_corner, abs(error))
+    episode.laps = (episode._way - episode._begin) / length(contour, radius)
+    episode.reward_close = 1.0 / (1.0 + away * away)
+    episode.reward_progress = episode._override
+    episode.reward = 0.6 * episode.reward_close + 0.4 * episode.reward_progress
+    episode.is_success = (
+        episode.laps >= 1.0 and episode.progress >= PROGRESS and episode.worst <= episode._tolerance
+    )
 
 
 def _tool(d: int) -> Channel:

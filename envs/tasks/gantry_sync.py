@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.jit import entry
+from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..engine.tick import coordinates, world_at
+from ..engine.tick import coordinates
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip, faulted, world_of
 from ..exchange.fields import action, observation
 from ..plants.gantry import MAX_SKEW, SPAN, GantryParameters, gantry
 from ..view.about import Metric
@@ -31,75 +31,65 @@ SIDE = observation("distance", "velocity", "following_error", "torque", "home_sw
 RANDOMISED = {"payload": (0.5, 6.0), "friction": (0.5, 2.0)}
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Move each set-point by action × speed × step time, within the stroke."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        targets = episodes[w]._target
-        for d in range(2):
-            target = targets[d] + actions[w].velocity[d] * episodes[w]._way
-            targets[d] = min(max(target, 0.0), STROKE)
-            rpdos[w, d].target_position = round(targets[d] * METRE)
+    targets = episode._target
+    for d in range(2):
+        target = targets[d] + action.velocity[d] * episode._way
+        targets[d] = min(max(target, 0.0), STROKE)
+        rpdos[d].target_position = round(targets[d] * METRE)
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation of what the TPDOs brought back, reward of where the bridge is."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w], observations[w]
-        fastest = 0.0
-        for d in range(2):
-            side = seen.sides[d]
-            position = tpdo[d].position_actual_value / METRE
-            velocity = tpdo[d].velocity_actual_value / METRE
-            fastest = max(fastest, abs(velocity))
-            home = 1 if int(tpdo[d].digital_inputs) & HOME_SWITCH else 0
-            if home and not episode._home[d]:
-                episode._edge[d] = position
-                episode._edges[d] = 1
-            episode._home[d] = home
-            side.distance = clip((episode.goal - position) / STROKE)
-            side.velocity = clip(velocity / episode._speed)
-            side.following_error = clip(
-                tpdo[d].following_error_actual_value / METRE / episode._window
-            )
-            side.torque = clip(tpdo[d].torque_actual_value / episode._max_torque)
-            side.home_switch = home
-        apart = episode._target[1] - episode._target[0]
-        found = episode._edges[0] and episode._edges[1]
-        seen.set_point_difference = clip(apart / episode._max_twist)
-        seen.switches_met = 1.0 if found else 0.0
-        seen.switch_difference = 0.0
-        if found:
-            difference = episode._edge[1] - episode._edge[0]
-            seen.switch_difference = clip(difference / episode._max_twist)
-        qpos = coordinates(world_at(worlds[w], 1)[0])
-        skew = qpos[episode._skew_at] * episode._span
-        distance = episode.goal - qpos[episode._bridge_at]
-        away, twist = distance / NEAR, skew / SQUARE
-        settled = (
-            abs(distance) <= episode._tolerance
-            and abs(skew) <= episode._skew_tolerance
-            and fastest <= RESTING
-        )
-        episode.skew = skew
-        episode._steps += 1.0
-        episode._squares += skew * skew
-        episode.distance = distance
-        episode.reward_square = 1.0 / (1.0 + twist * twist)
-        episode.reward_near = 1.0 / (1.0 + away * away)
-        episode.reward_settled = 1.0 if settled else 0.0
-        episode.reward = (
-            0.4 * episode.reward_square + 0.3 * episode.reward_near + 0.3 * episode.reward_settled
-        )
-        episode.cost = limited(worlds[w])
-        episode.is_success = settled
-        episode.twisted = not abs(skew) <= episode._max_twist
-        episode._terminated = episode.twisted or faulted(tpdo)
+    fastest = 0.0
+    for d in range(2):
+        side = observation.sides[d]
+        position = tpdos[d].position_actual_value / METRE
+        velocity = tpdos[d].velocity_actual_value / METRE
+        fastest = max(fastest, abs(velocity))
+        home = 1 if int(tpdos[d].digital_inputs) & HOME_SWITCH else 0
+        if home and not episode._home[d]:
+            episode._edge[d] = position
+            episode._edges[d] = 1
+        episode._home[d] = home
+        side.distance = clip((episode.goal - position) / STROKE)
+        side.velocity = clip(velocity / episode._speed)
+        side.following_error = clip(tpdos[d].following_error_actual_value / METRE / episode._window)
+        side.torque = clip(tpdos[d].torque_actual_value / episode._max_torque)
+        side.home_switch = home
+    apart = episode._target[1] - episode._target[0]
+    found = episode._edges[0] and episode._edges[1]
+    observation.set_point_difference = clip(apart / episode._max_twist)
+    observation.switches_met = 1.0 if found else 0.0
+    observation.switch_difference = 0.0
+    if found:
+        difference = episode._edge[1] - episode._edge[0]
+        observation.switch_difference = clip(difference / episode._max_twist)
+    qpos = coordinates(world_of(episode))
+    skew = qpos[episode._skew_at] * episode._span
+    distance = episode.goal - qpos[episode._bridge_at]
+    away, twist = distance / NEAR, skew / SQUARE
+    settled = (
+        abs(distance) <= episode._tolerance
+        and abs(skew) <= episode._skew_tolerance
+        and fastest <= RESTING
+    )
+    episode.skew = skew
+    episode._steps += 1.0
+    episode._squares += skew * skew
+    episode.distance = distance
+    episode.reward_square = 1.0 / (1.0 + twist * twist)
+    episode.reward_near = 1.0 / (1.0 + away * away)
+    episode.reward_settled = 1.0 if settled else 0.0
+    episode.reward = (
+        0.4 * episode.reward_square + 0.3 * episode.reward_near + 0.3 * episode.reward_settled
+    )
+    episode.is_success = settled
+    episode.twisted = not abs(skew) <= episode._max_twist
+    episode._terminated = episode.twisted or faulted(tpdos)
 
 
 class GantrySyncEnv(ServoEnv):

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from ...drive.kernel.homing import METHODS
-from ...drive.kernel.jit import block, entry
+from ...drive.kernel.jit import block
 from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
 from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
 from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
-from ..engine.tick import HOME, NEGATIVE, POSITIVE, world_at
+from ..engine.tick import HOME, NEGATIVE, POSITIVE
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import PDO, clip, faulted, limited
+from ..exchange.faces import PDO, clip, faulted, world_of
 from ..exchange.fields import action, observation
 from ..masters.homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
 from ..masters.port import MachinePort
@@ -46,20 +46,17 @@ IMPACT = 0.1  # J, at which the reward for gentleness has lost half of what impa
 NOWHERE = (1.0, -1.0)  # of a switch that is not there
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Velocity, torque limit, and above the threshold mode hm with bit 4: home is here."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, rpdo = episodes[w], rpdos[w, 0]
-        rpdo.target_velocity = round(actions[w].velocity * episode._max_velocity * METRE)
-        share = LEAST_TORQUE + (1.0 - LEAST_TORQUE) * 0.5 * (1.0 + actions[w].torque_limit)
-        rpdo.max_torque = round(share * episode._max_torque)
-        declared = actions[w].reference > THRESHOLD
-        rpdo.controlword = START if declared else ENABLED
-        rpdo.modes_of_operation = HOMING if declared else episode._mode
-        episode._time += episode._step_time
+    rpdo = rpdos[0]
+    rpdo.target_velocity = round(action.velocity * episode._max_velocity * METRE)
+    share = LEAST_TORQUE + (1.0 - LEAST_TORQUE) * 0.5 * (1.0 + action.torque_limit)
+    rpdo.max_torque = round(share * episode._max_torque)
+    declared = action.reference > THRESHOLD
+    rpdo.controlword = START if declared else ENABLED
+    rpdo.modes_of_operation = HOMING if declared else episode._mode
+    episode._time += episode._step_time
 
 
 @block
@@ -96,51 +93,47 @@ def _watch_switches(episode, inputs, position):
         episode._limit = 1.0 if inputs & 2 else -1.0
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Figures of the run so far; the reward comes with the way to the reference, and at the end."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
-        velocity = tpdo.velocity_actual_value / METRE
-        behind = tpdo.velocity_demand_value / METRE - velocity
-        inputs = int(tpdo.digital_inputs)
-        seen.negative_limit_switch = inputs & 1
-        seen.positive_limit_switch = inputs >> 1 & 1
-        seen.home_switch = inputs >> 2 & 1
-        seen.velocity = clip(velocity / episode._max_velocity)
-        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen.velocity_error = clip(behind / episode._max_velocity)
-        position = tpdo.position_actual_value / METRE
-        seen.displacement = clip((position - episode._power_on) / STROKE)
-        seen.torque_limit = clip(2.0 * rpdos[w, 0].max_torque / episode._max_torque - 1.0)
-        seen.time = episode._time / (episode._time + DURATION)
-        _watch_switches(episode, inputs, position)
-        way = position - episode._edge if episode._edged else 0.0
-        seen.switched = 1.0 if episode._edged else 0.0
-        seen.from_edge = clip(way / COARSE)
-        seen.from_edge_fine = clip(way / (FINE * episode._tolerance))
-        seen.last_limit_switch = episode._limit
-        measure(world_at(worlds[w], 1)[0], episode)
-        home, now = episode._home, episode._position
-        passed = (now - home) * (episode.start - home) <= 0.0
-        left = 0.0 if passed else min(abs(now - home), episode._left)
-        episode.reward_search = (episode._left - left) / max(abs(episode.start - home), SHORTEST)
-        episode._left = left
-        accuracy, speed, gentleness = _terms(
-            episode.error, episode._tolerance, episode._time, episode.impact_energy,
-            episode.greatest_torque,
-        )  # fmt: skip
-        ended = episode.attained
-        episode.reward_accuracy = accuracy if ended else 0.0
-        episode.reward_speed = speed if ended else 0.0
-        episode.reward_gentleness = gentleness if ended else 0.0
-        taken = _worth(episode.reward_accuracy, episode.reward_speed, episode.reward_gentleness)
-        episode.reward = SEARCH * episode.reward_search + taken
-        episode.cost = limited(worlds[w])
-        episode.is_success = ended and abs(episode.error) <= episode._tolerance
-        episode._terminated = ended or faulted(tpdos[w])
+    tpdo = tpdos[0]
+    velocity = tpdo.velocity_actual_value / METRE
+    behind = tpdo.velocity_demand_value / METRE - velocity
+    inputs = int(tpdo.digital_inputs)
+    observation.negative_limit_switch = inputs & 1
+    observation.positive_limit_switch = inputs >> 1 & 1
+    observation.home_switch = inputs >> 2 & 1
+    observation.velocity = clip(velocity / episode._max_velocity)
+    observation.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+    observation.velocity_error = clip(behind / episode._max_velocity)
+    position = tpdo.position_actual_value / METRE
+    observation.displacement = clip((position - episode._power_on) / STROKE)
+    observation.torque_limit = clip(2.0 * rpdos[0].max_torque / episode._max_torque - 1.0)
+    observation.time = episode._time / (episode._time + DURATION)
+    _watch_switches(episode, inputs, position)
+    way = position - episode._edge if episode._edged else 0.0
+    observation.switched = 1.0 if episode._edged else 0.0
+    observation.from_edge = clip(way / COARSE)
+    observation.from_edge_fine = clip(way / (FINE * episode._tolerance))
+    observation.last_limit_switch = episode._limit
+    measure(world_of(episode), episode)
+    home, now = episode._home, episode._position
+    passed = (now - home) * (episode.start - home) <= 0.0
+    left = 0.0 if passed else min(abs(now - home), episode._left)
+    episode.reward_search = (episode._left - left) / max(abs(episode.start - home), SHORTEST)
+    episode._left = left
+    accuracy, speed, gentleness = _terms(
+        episode.error, episode._tolerance, episode._time, episode.impact_energy,
+        episode.greatest_torque,
+    )  # fmt: skip
+    ended = episode.attained
+    episode.reward_accuracy = accuracy if ended else 0.0
+    episode.reward_speed = speed if ended else 0.0
+    episode.reward_gentleness = gentleness if ended else 0.0
+    taken = _worth(episode.reward_accuracy, episode.reward_speed, episode.reward_gentleness)
+    episode.reward = SEARCH * episode.reward_search + taken
+    episode.is_success = ended and abs(episode.error) <= episode._tolerance
+    episode._terminated = ended or faulted(tpdos)
 
 
 def _home(env: Any) -> float:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...drive.kernel.jit import entry
+from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
@@ -14,7 +14,7 @@ from ..engine.machine import Machine
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
@@ -27,32 +27,24 @@ FINE = 20.0  # tolerances, distance that is 1.0 in the fine one of the observati
 RESTING = 5e-3  # m/s, slower counts as settled
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Move the set-point by action × maximum velocity × step time, within the stroke."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        target = episode._target + actions[w].velocity * episode._way
-        episode._target = min(max(target, 0.0), STROKE)
-        rpdos[w, 0].target_position = round(episode._target * METRE)
+    target = episode._target + action.velocity * episode._way
+    episode._target = min(max(target, 0.0), STROKE)
+    rpdos[0].target_position = round(episode._target * METRE)
 
 
-@entry
-def act_velocity(worlds, episodes, actions, rpdos):
+@block
+def act_velocity(episode, action, rpdos):
     """Command action × maximum velocity."""
-    for w in range(len(worlds)):
-        if worlds[w] != 0:
-            rpdos[w, 0].target_velocity = round(actions[w].velocity * episodes[w]._speed * METRE)
+    rpdos[0].target_velocity = round(action.velocity * episode._speed * METRE)
 
 
-@entry
-def act_torque(worlds, episodes, actions, rpdos):
+@block
+def act_torque(episode, action, rpdos):
     """Command action × maximum torque."""
-    for w in range(len(worlds)):
-        if worlds[w] != 0:
-            rpdos[w, 0].target_torque = round(actions[w].torque * episodes[w]._max_torque)
+    rpdos[0].target_torque = round(action.torque * episode._max_torque)
 
 
 class Command(NamedTuple):
@@ -72,34 +64,29 @@ COMMANDS = {
 }
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation and reward of what the TPDOs brought back."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
-        position = tpdo.position_actual_value / METRE
-        velocity = tpdo.velocity_actual_value / METRE
-        distance = episode.goal - position
-        seen.distance = clip(distance / STROKE)
-        seen.position = clip(2.0 * position / STROKE - 1.0)
-        seen.velocity = clip(velocity / episode._speed)
-        seen.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
-        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
-        lead = episode._target - position if episode._csp else 0.0
-        seen.set_point = clip(lead / episode._window)
-        seen.distance_fine = clip(distance / (FINE * episode._tolerance))
-        off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
-        near = closeness(off, STROKE / episode._tolerance)
-        settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
-        episode.distance = distance
-        episode.reward_near = near
-        episode.reward_settled = 1.0 if settled else 0.0
-        episode.reward = 0.5 * near + 0.5 * episode.reward_settled
-        episode.cost = limited(worlds[w])
-        episode.is_success = settled
-        episode._terminated = faulted(tpdos[w])
+    tpdo = tpdos[0]
+    position = tpdo.position_actual_value / METRE
+    velocity = tpdo.velocity_actual_value / METRE
+    distance = episode.goal - position
+    observation.distance = clip(distance / STROKE)
+    observation.position = clip(2.0 * position / STROKE - 1.0)
+    observation.velocity = clip(velocity / episode._speed)
+    observation.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+    observation.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+    lead = episode._target - position if episode._csp else 0.0
+    observation.set_point = clip(lead / episode._window)
+    observation.distance_fine = clip(distance / (FINE * episode._tolerance))
+    off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
+    near = closeness(off, STROKE / episode._tolerance)
+    settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
+    episode.distance = distance
+    episode.reward_near = near
+    episode.reward_settled = 1.0 if settled else 0.0
+    episode.reward = 0.5 * near + 0.5 * episode.reward_settled
+    episode.is_success = settled
 
 
 class LinearAxisEnv(ServoEnv):

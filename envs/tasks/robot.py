@@ -9,18 +9,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...drive.kernel.jit import entry
+from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ...drive.model.near import named, near
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES, read
-from ..engine.tick import coordinates, world_at
+from ..engine.tick import coordinates
 from ..engine.touch import obstacles
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import Joints
 from ..plants.commissioning import commission_joint
@@ -35,66 +35,56 @@ ARM = Path(__file__).parents[1].with_name("assets") / "mjcf/arm.xml"
 AXIS = observation("distance", "distance_fine", "position", "velocity", "following_error", "torque")
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Move each set-point at action × profile velocity, reached at the profile acceleration."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        for d in range(rpdos.shape[1]):
-            ramp = episode._ramp[d]
-            wanted = actions[w].velocity[d] * episode._way[d]
-            episode._move[d] = min(max(wanted, episode._move[d] - ramp), episode._move[d] + ramp)
-            target = episode._target[d] + episode._move[d]
-            episode._target[d] = min(max(target, episode._low[d]), episode._high[d])
-            rpdos[w, d].target_position = round(episode._target[d] * METRE)
+    for d in range(len(rpdos)):
+        ramp = episode._ramp[d]
+        wanted = action.velocity[d] * episode._way[d]
+        episode._move[d] = min(max(wanted, episode._move[d] - ramp), episode._move[d] + ramp)
+        target = episode._target[d] + episode._move[d]
+        episode._target[d] = min(max(target, episode._low[d]), episode._high[d])
+        rpdos[d].target_position = round(episode._target[d] * METRE)
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation of the TPDOs, reward of the joints that have a goal, or of the site."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, seen = episodes[w], observations[w]
-        farthest = fastest = 0.0
-        for d in range(rpdos.shape[1]):
-            tpdo, axis = tpdos[w, d], seen.axes[d]
-            position = tpdo.position_actual_value / METRE
-            velocity = tpdo.velocity_actual_value / METRE
-            away = episode._goal[d] - position if episode._sought[d] else 0.0
-            axis.distance = clip(away / episode._range[d])
-            axis.distance_fine = decades(away / episode._tolerance, FAR)
-            axis.position = clip((position - episode._middle[d]) / episode._range[d])
-            axis.velocity = clip(velocity / episode._speed[d])
-            window = episode._windows[d]
-            axis.following_error = clip(tpdo.following_error_actual_value / METRE / window)
-            axis.torque = clip(tpdo.torque_actual_value / episode._torque[d])
-            farthest = max(farthest, abs(away))
-            fastest = max(fastest, abs(velocity))
-        if episode._at_site:
-            qpos = coordinates(world_at(worlds[w], 1)[0])
-            chain.place(episode._chain, qpos, episode._place)
-            episode.x = episode._place[0]
-            episode.y = episode._place[1]
-            episode.z = episode._place[2]
-            farthest = 0.0
-            for k in range(3):
-                away = episode._place_goal[k] - episode._place[k]
-                seen.site[k] = clip(away / episode._reach)
-                seen.site_fine[k] = decades(away / episode._tolerance, FAR)
-                farthest += away * away
-            farthest = math.sqrt(farthest)
-        settled = farthest <= episode._tolerance and fastest <= episode._resting
-        off = farthest / episode._tolerance + fastest / episode._resting
-        episode.distance = farthest
-        episode.reward_near = closeness(off, FAR)
-        episode.reward_settled = 1.0 if settled else 0.0
-        episode.reward = 0.5 * episode.reward_near + 0.5 * episode.reward_settled
-        episode.cost = limited(worlds[w])
-        episode.is_success = settled
-        episode._terminated = faulted(tpdos[w])
+    farthest = fastest = 0.0
+    for d in range(len(rpdos)):
+        tpdo, axis = tpdos[d], observation.axes[d]
+        position = tpdo.position_actual_value / METRE
+        velocity = tpdo.velocity_actual_value / METRE
+        away = episode._goal[d] - position if episode._sought[d] else 0.0
+        axis.distance = clip(away / episode._range[d])
+        axis.distance_fine = decades(away / episode._tolerance, FAR)
+        axis.position = clip((position - episode._middle[d]) / episode._range[d])
+        axis.velocity = clip(velocity / episode._speed[d])
+        window = episode._windows[d]
+        axis.following_error = clip(tpdo.following_error_actual_value / METRE / window)
+        axis.torque = clip(tpdo.torque_actual_value / episode._torque[d])
+        farthest = max(farthest, abs(away))
+        fastest = max(fastest, abs(velocity))
+    if episode._at_site:
+        qpos = coordinates(world_of(episode))
+        chain.place(episode._chain, qpos, episode._place)
+        episode.x = episode._place[0]
+        episode.y = episode._place[1]
+        episode.z = episode._place[2]
+        farthest = 0.0
+        for k in range(3):
+            away = episode._place_goal[k] - episode._place[k]
+            observation.site[k] = clip(away / episode._reach)
+            observation.site_fine[k] = decades(away / episode._tolerance, FAR)
+            farthest += away * away
+        farthest = math.sqrt(farthest)
+    settled = farthest <= episode._tolerance and fastest <= episode._resting
+    off = farthest / episode._tolerance + fastest / episode._resting
+    episode.distance = farthest
+    episode.reward_near = closeness(off, FAR)
+    episode.reward_settled = 1.0 if settled else 0.0
+    episode.reward = 0.5 * episode.reward_near + 0.5 * episode.reward_settled
+    episode.is_success = settled
 
 
 class RobotEnv(ServoEnv):

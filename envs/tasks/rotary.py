@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.jit import block, entry
+from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..environment.device_env import vectors
 from ..environment.servo_env import ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip
 from ..exchange.fields import action, observation
 from ..plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
 from ..view.channels import Channel
@@ -30,48 +30,39 @@ def nearest(way, period):
     return way - period * math.floor(way / period + 0.5)
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Move the set-point by action × maximum velocity × step time; it repeats as 607Bh does."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        episode._target += actions[w].velocity * episode._way
-        target = episode._target - episode._period * math.floor(episode._target / episode._period)
-        rpdos[w, 0].target_position = round(target * episode._units) % episode._range
+    episode._target += action.velocity * episode._way
+    target = episode._target - episode._period * math.floor(episode._target / episode._period)
+    rpdos[0].target_position = round(target * episode._units) % episode._range
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation and reward of what the TPDOs brought back."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, tpdo, seen = episodes[w], tpdos[w, 0], observations[w]
-        period = episode._period
-        position = tpdo.position_actual_value / episode._units
-        velocity = tpdo.velocity_actual_value / episode._units
-        distance = nearest(episode.goal - position, period)
-        seen.distance = clip(2.0 * distance / period)
-        seen.cosine = clip(math.cos(2.0 * math.pi * position / period))
-        seen.sine = clip(math.sin(2.0 * math.pi * position / period))
-        seen.velocity = clip(velocity / episode._speed)
-        seen.following_error = clip(
-            tpdo.following_error_actual_value / episode._units / episode._window
-        )
-        seen.torque = clip(tpdo.torque_actual_value / episode._max_torque)
-        seen.set_point = clip(nearest(episode._target - position, period) / episode._window)
-        seen.distance_fine = clip(distance / (FINE * episode._tolerance))
-        off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
-        settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
-        episode.distance = distance
-        episode.reward_near = closeness(off, period / episode._tolerance)
-        episode.reward_settled = 1.0 if settled else 0.0
-        episode.reward = 0.5 * episode.reward_near + 0.5 * episode.reward_settled
-        episode.cost = limited(worlds[w])
-        episode.is_success = settled
-        episode._terminated = faulted(tpdos[w])
+    tpdo = tpdos[0]
+    period = episode._period
+    position = tpdo.position_actual_value / episode._units
+    velocity = tpdo.velocity_actual_value / episode._units
+    distance = nearest(episode.goal - position, period)
+    observation.distance = clip(2.0 * distance / period)
+    observation.cosine = clip(math.cos(2.0 * math.pi * position / period))
+    observation.sine = clip(math.sin(2.0 * math.pi * position / period))
+    observation.velocity = clip(velocity / episode._speed)
+    observation.following_error = clip(
+        tpdo.following_error_actual_value / episode._units / episode._window
+    )
+    observation.torque = clip(tpdo.torque_actual_value / episode._max_torque)
+    observation.set_point = clip(nearest(episode._target - position, period) / episode._window)
+    observation.distance_fine = clip(distance / (FINE * episode._tolerance))
+    off = abs(distance) / episode._tolerance + abs(velocity) / RESTING
+    settled = abs(distance) <= episode._tolerance and abs(velocity) <= RESTING
+    episode.distance = distance
+    episode.reward_near = closeness(off, period / episode._tolerance)
+    episode.reward_settled = 1.0 if settled else 0.0
+    episode.reward = 0.5 * episode.reward_near + 0.5 * episode.reward_settled
+    episode.is_success = settled
 
 
 def _degrees(env: Any) -> float:

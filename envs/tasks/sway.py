@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.jit import block, entry
+from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import flag, in_range
 from ..engine.machine import Machine
-from ..engine.tick import coordinates, load_noise, speeds, world_at
+from ..engine.tick import coordinates, load_noise, speeds
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.gantry import GantryParameters, gantry
 from ..view.about import Sensor
@@ -35,17 +35,14 @@ AXIS = observation(*SEEN, "sway", "sway_rate", LAST)
 RANDOMISED = {"payload": (1.0, 5.0), "cable_length": (0.2, 0.4)}
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Move the set-points by action × speed × step time, within the strokes."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        targets = episodes[w]._target
-        for d in range(rpdos.shape[1]):
-            target = targets[d] + actions[w].velocity[d] * episodes[w]._way
-            targets[d] = min(max(target, 0.0), STROKE[d])
-            rpdos[w, d].target_position = round(targets[d] * METRE)
+    targets = episode._target
+    for d in range(len(rpdos)):
+        target = targets[d] + action.velocity[d] * episode._way
+        targets[d] = min(max(target, 0.0), STROKE[d])
+        rpdos[d].target_position = round(targets[d] * METRE)
 
 
 @block
@@ -63,12 +60,12 @@ def _see(episode, tpdo, axis, d):
 
 
 @block
-def _judge(address, episode, tpdo):
+def _judge(episode, tpdos):
     """Reward of where the load is."""
-    world = world_at(address, 1)[0]
+    world = world_of(episode)
     qpos, qvel = coordinates(world), speeds(world)
     distance = speed = sway = 0.0  # their squares, summed over the axes
-    for d in range(len(tpdo)):
+    for d in range(len(tpdos)):
         drive, rod = episode._drive_at[d], episode._sway_at[d]
         angle, rate = qpos[rod], qvel[rod]
         load = qpos[drive] + episode._length * math.sin(angle)
@@ -93,40 +90,31 @@ def _judge(address, episode, tpdo):
     episode.reward = (
         0.4 * episode.reward_near + 0.1 * episode.reward_calm + 0.5 * episode.reward_settled
     )
-    episode.cost = limited(address)
     episode.is_success = settled
-    episode._terminated = faulted(tpdo)
 
 
-@entry
-def judge_blind(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge_blind(episode, rpdos, tpdos, observation):
     """Observation of the TPDOs alone; reward."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        for d in range(rpdos.shape[1]):
-            _see(episodes[w], tpdos[w, d], observations[w].axes[d], d)
-        _judge(worlds[w], episodes[w], tpdos[w])
+    for d in range(len(rpdos)):
+        _see(episode, tpdos[d], observation.axes[d], d)
+    _judge(episode, tpdos)
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation of the TPDOs and of the sway; reward."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        world = world_at(worlds[w], 1)[0]
-        qpos, qvel = coordinates(world), speeds(world)
-        for d in range(rpdos.shape[1]):
-            axis = observations[w].axes[d]
-            _see(episode, tpdos[w, d], axis, d)
-            noise = load_noise(world) / episode._length
-            axis.sway = clip((qpos[episode._sway_at[d]] + noise) / WIDEST)
-            jump = (noise - episode._noise[d]) / episode._step_time  # of a rate, differentiated
-            axis.sway_rate = clip((qvel[episode._sway_at[d]] + jump) / (WIDEST * episode._natural))
-            episode._noise[d] = noise
-        _judge(worlds[w], episode, tpdos[w])
+    world = world_of(episode)
+    qpos, qvel = coordinates(world), speeds(world)
+    for d in range(len(rpdos)):
+        axis = observation.axes[d]
+        _see(episode, tpdos[d], axis, d)
+        noise = load_noise(world) / episode._length
+        axis.sway = clip((qpos[episode._sway_at[d]] + noise) / WIDEST)
+        jump = (noise - episode._noise[d]) / episode._step_time  # of a rate, differentiated
+        axis.sway_rate = clip((qvel[episode._sway_at[d]] + jump) / (WIDEST * episode._natural))
+        episode._noise[d] = noise
+    _judge(episode, tpdos)
 
 
 def _hanging(env: Any, axis: str) -> tuple[float, float]:

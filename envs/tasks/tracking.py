@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.jit import entry
+from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
 from ..engine.probe import elastic
-from ..engine.tick import coordinates, speeds, world_at
+from ..engine.tick import coordinates, speeds
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
-from ..exchange.faces import clip, faulted, limited
+from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
 from ..plants.linear_axis import linear_axis
@@ -37,68 +37,61 @@ CSP = int(Mode.CYCLIC_SYNC_POSITION)
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 
 
-@entry
-def act(worlds, episodes, actions, rpdos):
+@block
+def act(episode, action, rpdos):
     """Set-point: the next point of the reference, corrected; and the torque feed-forward."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode = episodes[w]
-        if episode._running and episode._now < STEPS:
-            episode._now += 1
-        target = episode._position[episode._now] + actions[w].correction * episode._correction
-        rpdos[w, 0].target_position = round(min(max(target, 0.0), STROKE) * METRE)
-        rpdos[w, 0].torque_offset = round(actions[w].torque * episode._max_torque)
+    if episode._running and episode._now < STEPS:
+        episode._now += 1
+    target = episode._position[episode._now] + action.correction * episode._correction
+    rpdos[0].target_position = round(min(max(target, 0.0), STROKE) * METRE)
+    rpdos[0].torque_offset = round(action.torque * episode._max_torque)
 
 
-@entry
-def judge(worlds, episodes, rpdos, tpdos, observations):
+@block
+def judge(episode, rpdos, tpdos, observation):
     """Observation and reward of what the TPDOs brought back."""
-    for w in range(len(worlds)):
-        if worlds[w] == 0:
-            continue
-        episode, rpdo, tpdo, seen = episodes[w], rpdos[w, 0], tpdos[w, 0], observations[w]
-        now = episode._now
-        reference = episode._position[now]
-        position = tpdo.position_actual_value / METRE
-        torque = tpdo.torque_actual_value / episode._max_torque
-        error = reference - position
-        seen.error = clip(error / episode._correction)
-        seen.reference = clip(2.0 * reference / STROKE - 1.0)
-        seen.reference_velocity = clip(episode._velocity[now] / episode._speed)
-        seen.reference_acceleration = clip(episode._acceleration[now] / episode._max_acceleration)
-        seen.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
-        seen.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
-        seen.torque = clip(torque)
-        for i in range(PREVIEW):
-            ahead = (i + 1) * STRIDE
-            way = episode._position[now + ahead] - reference
-            seen.preview[i] = clip(way / (ahead * episode._way))
-        enabled = tpdo.statusword & STATE_MASK == OPERATION_ENABLED
-        was_running = episode._running
-        episode._running = enabled and rpdo.modes_of_operation == CSP
-        away = abs(error) / CLOSE
-        world = world_at(worlds[w], 1)[0]
-        qpos, qvel = coordinates(world), speeds(world)
-        behind = reference + episode._rest
-        for i in range(len(episode._places)):
-            if episode._places[i] >= 0:  # when the position was sampled, a position cycle ago
-                behind -= qpos[episode._places[i]] - qvel[episode._places[i]] * episode._age
-        change = (torque - episode._torque) / SMOOTH
-        episode.error = error
-        episode.reward_close = 1.0 / (1.0 + away) if episode._running else 0.0
-        episode.reward_smooth = 1.0 / (1.0 + change * change) if episode._running else 0.0
-        episode.reward = 0.8 * episode.reward_close + 0.2 * episode.reward_smooth
-        if was_running:
-            episode._squares += error * error
-            episode._load_squares += behind * behind
-            episode._count += 1
-            episode.rms_error = (episode._squares / episode._count) ** 0.5
-            episode.rms_load_error = (episode._load_squares / episode._count) ** 0.5
-        episode._torque = torque
-        episode.cost = limited(worlds[w])
-        episode.is_success = episode._count > 0 and episode.rms_error <= episode._tolerance
-        episode._terminated = faulted(tpdos[w])
+    rpdo, tpdo = rpdos[0], tpdos[0]
+    now = episode._now
+    reference = episode._position[now]
+    position = tpdo.position_actual_value / METRE
+    torque = tpdo.torque_actual_value / episode._max_torque
+    error = reference - position
+    observation.error = clip(error / episode._correction)
+    observation.reference = clip(2.0 * reference / STROKE - 1.0)
+    observation.reference_velocity = clip(episode._velocity[now] / episode._speed)
+    observation.reference_acceleration = clip(
+        episode._acceleration[now] / episode._max_acceleration
+    )
+    observation.velocity = clip(tpdo.velocity_actual_value / METRE / episode._speed)
+    observation.following_error = clip(tpdo.following_error_actual_value / METRE / episode._window)
+    observation.torque = clip(torque)
+    for i in range(PREVIEW):
+        ahead = (i + 1) * STRIDE
+        way = episode._position[now + ahead] - reference
+        observation.preview[i] = clip(way / (ahead * episode._way))
+    enabled = tpdo.statusword & STATE_MASK == OPERATION_ENABLED
+    was_running = episode._running
+    episode._running = enabled and rpdo.modes_of_operation == CSP
+    away = abs(error) / CLOSE
+    world = world_of(episode)
+    qpos, qvel = coordinates(world), speeds(world)
+    behind = reference + episode._rest
+    for i in range(len(episode._places)):
+        if episode._places[i] >= 0:  # when the position was sampled, a position cycle ago
+            behind -= qpos[episode._places[i]] - qvel[episode._places[i]] * episode._age
+    change = (torque - episode._torque) / SMOOTH
+    episode.error = error
+    episode.reward_close = 1.0 / (1.0 + away) if episode._running else 0.0
+    episode.reward_smooth = 1.0 / (1.0 + change * change) if episode._running else 0.0
+    episode.reward = 0.8 * episode.reward_close + 0.2 * episode.reward_smooth
+    if was_running:
+        episode._squares += error * error
+        episode._load_squares += behind * behind
+        episode._count += 1
+        episode.rms_error = (episode._squares / episode._count) ** 0.5
+        episode.rms_load_error = (episode._load_squares / episode._count) ** 0.5
+    episode._torque = torque
+    episode.is_success = episode._count > 0 and episode.rms_error <= episode._tolerance
 
 
 def _reference(env: Any) -> float:

@@ -19,6 +19,7 @@ from servogym.envs.engine.world import MOVE
 from servogym.envs.engine.worlds import _row
 from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.exchange import faces
+from servogym.envs.exchange.loops import acting, judging
 from servogym.envs.tasks.gantry_sync import GantrySyncEnv
 
 without_numba_cuda = pytest.mark.skipif(
@@ -64,14 +65,14 @@ def test_the_kernels_of_a_task_do_what_its_functions_do_on_a_cpu():
     before = episodes[1].copy(), rpdos[1].copy()
     episode, seen = env.EPISODE, np.zeros_like(batch._seen)
     seen[1] = batch._seen[1]
-    act = on_a_cpu(gpu.of_act(env.act, n, episode, env.ACTION, rpdo))
+    act = on_a_cpu(gpu.of_act(acting(env.act), n, episode, env.ACTION, rpdo))
     act(*map(address, (worlds, episodes, batch._commands, rpdos)), 3)
-    judge = on_a_cpu(gpu.of_judge(env.judge, n, episode, rpdo, tpdo, env.OBSERVATION))
+    judge = on_a_cpu(gpu.of_judge(judging(env.judge), n, episode, rpdo, tpdo, env.OBSERVATION))
     judge(*map(address, (worlds, episodes, rpdos, tpdos, seen)), 3)
     assert episodes[1] == before[0], "left out"
     assert (rpdos[1] == before[1]).all()
-    env.act(worlds, batch.episodes, batch._commands, batch.rpdos)
-    env.judge(worlds, batch.episodes, batch.rpdos, batch.tpdos, batch._seen)
+    acting(env.act)(worlds, batch.episodes, batch._commands, batch.rpdos)
+    judging(env.judge)(worlds, batch.episodes, batch.rpdos, batch.tpdos, batch._seen)
     assert (batch.rpdos["target_position"][[0, 2]] != 0).any()
     for own, its in ((episodes, batch.episodes), (rpdos, batch.rpdos), (seen, batch._seen)):
         for name in own.dtype.names:
@@ -112,8 +113,8 @@ def test_what_a_task_computes_compiles_for_a_gpu(task):
     env = task()
     rpdo, tpdo = map(aligned, env._images)
     n = len(env.drives)
-    act = gpu.of_act(env.act, n, env.EPISODE, env.ACTION, rpdo)
-    judge = gpu.of_judge(env.judge, n, env.EPISODE, rpdo, tpdo, env.OBSERVATION)
+    act = gpu.of_act(acting(env.act), n, env.EPISODE, env.ACTION, rpdo)
+    judge = gpu.of_judge(judging(env.judge), n, env.EPISODE, rpdo, tpdo, env.OBSERVATION)
     for kernel in (act, judge):
         text = gpu.ptx(kernel)
         assert len(re.findall(r"^\.visible \.entry", text, re.M)) == 1
@@ -146,12 +147,13 @@ def test_machine_code_is_made_once_for_all_it_depends_on(tmp_path, monkeypatch):
     longer = np.dtype([*fields, ("more", "f8")], align=True)
     records = [(env.EPISODE, rpdo), (env.EPISODE, rpdo), (longer, rpdo)]
     made = [
-        gpu.code(gpu.of_act(env.act, n, episode, env.ACTION, images)) for episode, images in records
+        gpu.code(gpu.of_act(acting(env.act), n, episode, env.ACTION, images))
+        for episode, images in records
     ]
     assert made[0] == made[1]
     assert gpu.ENTRY.encode() in made[0]
     assert len([*tmp_path.glob("*.cubin")]) == 2 == len([*tmp_path.iterdir()])
-    kernel = gpu.of_act(env.act, n, env.EPISODE, env.ACTION, rpdo)
+    kernel = gpu.of_act(acting(env.act), n, env.EPISODE, env.ACTION, rpdo)
     monkeypatch.setattr(gpu, "ptx", None)
     assert gpu.code(kernel) == made[0], "nothing is compiled"
     with pytest.raises(TypeError):
