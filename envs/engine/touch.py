@@ -9,8 +9,8 @@ LARGE = 0.5  # share of the drive's force; what takes that much is told
 def hindrances(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[str]:
     """What stops a joint: the contacts in its way; else what takes the force of its drive.
 
-    That is its limit, its damping, its spring, the weight and the motion of other joints; else the
-    contacts of a robot whose base is free, which may have fallen.
+    That is its limit, an equality such as a weld, its damping, its spring, the weight and the
+    motion of other joints; else the contacts of a robot whose base is free, which may have fallen.
 
     Args:
         model: of the robot.
@@ -22,7 +22,8 @@ def hindrances(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[s
     dof = int(model.jnt_dofadr[joint])
     force, damping = data.qfrc_actuator[dof], -model.dof_damping[dof] * data.qvel[dof]
     limit = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT) & (data.efc_id == joint)
-    against = {
+    tied = {f"{_equality(model, i)}": taken for i, taken in _equalities(model, data, dof).items()}
+    against = tied | {
         "its limit": data.qfrc_constraint[dof] if limit.any() else 0.0,
         f"its damping of {model.dof_damping[dof]:g}": damping,
         "its spring": data.qfrc_spring[dof],
@@ -40,6 +41,28 @@ def hindrances(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[s
     if not found and base >= 0 and model.jnt_type[base] == mujoco.mjtJoint.mjJNT_FREE:
         found = [f"{contact} (the base is free)" for contact in obstacles(model, data, base)]
     return found
+
+
+def _equalities(model: mujoco.MjModel, data: mujoco.MjData, dof: int) -> dict[int, float]:
+    """Force of each equality constraint along a degree of freedom (N or Nm)."""
+    forces: dict[int, float] = {}
+    own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    for i in sorted(set(data.efc_id[own].tolist())):
+        rows, along = np.where(own & (data.efc_id == i), data.efc_force, 0.0), np.zeros(model.nv)
+        mujoco.mj_mulJacTVec(model, data, along, rows)
+        forces[i] = float(along[dof])
+    return forces
+
+
+def _equality(model: mujoco.MjModel, i: int) -> str:
+    """An equality by its kind and its name, or the names of what it couples."""
+    kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
+    name = model.equality(i).name
+    objects, numbers = mujoco.mjtObj(model.eq_objtype[i]), (model.eq_obj1id[i], model.eq_obj2id[i])
+    if kind in ("joint", "tendon"):
+        objects = mujoco.mjtObj.mjOBJ_JOINT if kind == "joint" else mujoco.mjtObj.mjOBJ_TENDON
+    parts = [mujoco.mj_id2name(model, objects, int(n)) or f"number {n}" for n in numbers if n >= 0]
+    return f"the {kind} constraint {f'{name!r}' if name else 'of ' + ' and '.join(parts)}"
 
 
 def obstacles(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[str]:

@@ -1,12 +1,11 @@
 """ServoEnv: a Gymnasium environment in which an agent is the master of emulated drives.
 
-A task is a subclass: a machine, what the process images carry, a record that is the memory of an
-episode, and two compiled functions, `act` and `judge`. All else is here: mapping the PDOs, enabling
-and homing, the two faces of an action, randomisation, injected faults, infos, rendering, pickling.
+A task is a subclass; what it says of itself stands in `task.Task`. All else is here: mapping the
+PDOs, enabling and homing, the step, randomisation, injected faults, infos, rendering, pickling.
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -34,20 +33,16 @@ from ..exchange.batch import (
 )
 from ..exchange.faces import FACES, FAULT, PDO
 from ..masters.port import MachinePort
-from ..plants.axis_parameters import Joints, LinearAxisParameters
-from ..plants.gantry import GantryParameters
-from ..plants.rotary import RotaryParameters
 from ..variation.injection import Faults, injections, sort
 from ..variation.randomisation import Randomisation
-from ..view import channels
-from ..view.about import Metric, Sensor
 from ..view.picture import Picture
 from .needed import NEEDED, built, check
+from .task import METRE as METRE
+from .task import Task
 
 if TYPE_CHECKING:
     from ..exchange.over_ethercat import EtherCatLine
 
-METRE = 1e6  # position units
 STATE_MASK = 0x6F
 STATE_NAME = {  # by statusword & STATE_MASK
     word: state.name for word in range(STATE_MASK + 1) if (state := state_of(word)) is not None
@@ -59,7 +54,7 @@ INTERPOLATING = {  # modes in which the drive has to know the period of the set-
 }  # fmt: skip
 
 
-class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
+class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
     """Base of the environments.
 
     Args:
@@ -88,42 +83,7 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 200}  # noqa: RUF012
 
-    # what makes a task
-    # the first is its own; what depends on drive or arguments is set before `ServoEnv.__init__`
-    MODES: tuple[Mode, ...] = (Mode.CYCLIC_SYNC_POSITION, Mode.HOMING)
-    DRIVES: tuple[str, ...] = ()  # that the agent commands, first in the machine; none: all of it
-    RPDO: tuple[str, ...]  # objects the agent commands, beside controlword and mode
-    TPDO: ClassVar[tuple[str, ...]] = (  # objects it sees, beside statusword and mode displayed
-        "position_actual_value", "torque_actual_value", "velocity_actual_value",
-        "following_error_actual_value",
-    )  # fmt: skip
-    ID: ClassVar[str]  # in the registry of Gymnasium
-    STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
-    STEP_TIME: ClassVar[float] = 5e-3  # of the agent (s), with every drive
-    ACTION: np.dtype  # made by `fields.action`; may depend on arguments, as may DRIVES and
-    OBSERVATION: np.dtype  # made by `fields.observation`
-    EPISODE: ClassVar[np.dtype]  # made by `episode`
-    act: Callable[..., None]  # (episode, action, rpdos) of one world
-    judge: Callable[..., None]  # (episode, rpdos, tpdos, observation) of one world
-
-    # what it tells of itself, for those who train, judge and draw; this will do for most
-    POLICIES: tuple[str, ...] = ()  # baselines by name, beside hold and random
-    REFERENCE: ClassVar[str] = ""  # the one whose score is 1, as hold's is 0; none: no score
-    HOLD: ClassVar[Mapping[str, float]] = {}
-    METRIC: ClassVar[str] = "episode_return"  # by which one policy is better than another
-    METRICS: ClassVar[Mapping[str, Metric]] = {}
-    CHANNELS: ClassVar[tuple[channels.Channel, ...]] = channels.FIRST_DRIVE
-    DONE: ClassVar[tuple[str, str]] = ("settled", "not settled")  # what success is called
-    HYPERPARAMETERS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    STROKE: ClassVar[tuple[float, ...]] = ()  # of each axis (m)
-    UNIT: ClassVar[str] = "m"  # of its coordinates in headings: "m", "rad" or "m or rad"
-    SENSOR: ClassVar[str] = ""  # the argument that gives `sensor`
-
-    # what policies may know
-    datasheet: LinearAxisParameters | GantryParameters | RotaryParameters | Joints | None = None
-    homing_method: int | None = None  # of the drive, that looks for what the agent looks for
     machine: Machine
-    units: float = METRE  # position units per m or rad, set before `ServoEnv.__init__`
     _window: float  # of the following error (m), of tasks that `normalise` by it
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -199,47 +159,6 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
         env = super().__new__(cls)
         env._arguments = args, arguments
         return env
-
-    # ------------------------------------------------- what a task adds or overrides
-
-    def _make(self, model: DriveModel) -> Machine:
-        """The machine, commissioned."""
-        raise NotImplementedError
-
-    def _begin(self, options: dict[str, Any]) -> None:
-        """Bring the machine where an episode begins, from `np_random` and the reset's options."""
-        raise NotImplementedError
-
-    def sensor(self) -> Sensor | None:
-        """Of the load; None: nothing is seen of it."""
-        return None
-
-    def settling(self) -> dict[str, float]:
-        """``goal`` and ``window`` (m) in which what is moved settles, watched at physics steps.
-
-        Without them settling is what ``is_success`` says at the steps of the agent.
-        """
-        return {}
-
-    def figures(self) -> dict[str, float]:
-        """Metrics, common or own, of an episode that has ended; they stand before measured ones."""
-        return {}
-
-    def declared(self) -> bool | None:
-        """Whether the agent has declared itself done; None: it does not, success decides."""
-        return None
-
-    def outcome(self) -> str:
-        """What ended the episode, beside a fault; empty: nothing did."""
-        return ""
-
-    def ghosts(self) -> dict[str, np.ndarray]:
-        """Where bodies should be, by name: displacement (m), shape ``(3,)``; drawn translucent."""
-        return {}
-
-    def path(self) -> np.ndarray:
-        """What is to be followed, shape ``(n, 3)`` (m); drawn as a line."""
-        return np.zeros((0, 3))
 
     # ------------------------------------------------------------------- setting up
 
@@ -344,6 +263,20 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One step of the agent. Raises ValueError for an action out of the space."""
+        self._take(action)
+        if self._steps < 0:
+            raise gym.error.ResetNeeded("call reset() before the first step")
+        self.inject_faults()
+        self._batch.run(self._part)  # act, process images against time, judge
+        self._steps += 1
+        rows = slice(self._row, self._row + 1)
+        self._batch.remember(rows)
+        self._show()
+        info = self.info()
+        observation = self._batch.observed(rows)[0]
+        return observation, self._reward, self._terminated, False, info
+
+    def _take(self, action: np.ndarray) -> None:
         if np.shape(action) != self.action_space.shape:
             raise ValueError(self._refusal(action))
         for i, value in enumerate(action):
@@ -354,17 +287,6 @@ class ServoEnv(gym.Env[np.ndarray, np.ndarray]):
             if not abs(value) <= 1.0 + 1e-6:
                 raise ValueError(self._refusal(action))
             self._part.actions[0, i] = value
-        if self._steps < 0:
-            raise gym.error.ResetNeeded("call reset() before the first step")
-        self.inject_faults()
-        self._batch.run(self._part)
-        rows = slice(self._row, self._row + 1)
-        self._batch.remember(rows)
-        self._steps += 1
-        self._show()
-        info = self.info()
-        observation = self._batch.observed(rows)[0]
-        return observation, self._reward, self._terminated, False, info
 
     def _refusal(self, action: Any) -> str:
         return (

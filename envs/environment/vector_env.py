@@ -153,10 +153,17 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             given = self._numbers(actions)
         except (TypeError, ValueError):
             raise ValueError(f"actions = {actions!r} are not in {self.action_space}") from None
-        if given.shape != batch.actions.shape or not (abs(given) <= 1.0 + 1e-6).all():
+        if given.shape != batch.actions.shape:
             raise ValueError(
-                f"actions of shape {tuple(given.shape)} are not in {self.action_space}: "
-                "clip them, and see that the policy's output is finite"
+                f"actions of shape {tuple(given.shape)} are not in {self.action_space}: give a row "
+                "for each environment"
+            )
+        outside = ~(abs(given) <= 1.0 + 1e-6)
+        if outside.any():
+            place = [int(at[0]) for at in outside.nonzero()]
+            raise ValueError(
+                f"actions{place} = {float(given[tuple(place)]):g} is not in -1..1: clip them, and "
+                "see that the policy's output is finite"
             )
         if (self._steps < 0).any():
             raise gym.error.ResetNeeded("call reset() before the first step")

@@ -100,11 +100,19 @@ def test_bad_arguments_are_named(arguments, message):
         make_vector(**arguments)
 
 
-@pytest.mark.parametrize("wrong", [np.zeros(2), np.full((2, 1), np.nan), np.full((2, 1), 1.1)])
-def test_wrong_actions_are_refused(wrong):
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (np.zeros(2), r"actions of shape \(2,\) are not in"),
+        ([[0.0], [np.nan]], r"actions\[1, 0\] = nan is not in -1\.\.1: clip them"),
+        (np.full((2, 1), 1.1), r"actions\[0, 0\] = 1\.1 is not in -1\.\.1"),
+        ([[0.0], [-np.inf]], r"actions\[1, 0\] = -inf is not in"),
+    ],
+)
+def test_wrong_actions_are_refused(wrong, told):
     vector = make_vector(2)
     vector.reset(seed=1)
-    with pytest.raises(ValueError, match="actions of shape"):
+    with pytest.raises(ValueError, match=told):
         vector.step(wrong)
     vector.close()
 

@@ -22,7 +22,7 @@ WALLED = """<mujoco><worldbody>
     <geom name="beam" type="capsule" fromto="0 0.05 0 0 0.6 0" size="0.02" mass="2"/></body>
   </worldbody></mujoco>"""
 HELD = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody>
-  <body><joint name="swing" axis="0 0 1" {}/>
+  <body name="beam"><joint name="swing" axis="0 0 1" {}/>
     <geom type="capsule" fromto="0 0 0 0 0.6 0" size="0.02" mass="2"/></body>
   </worldbody></mujoco>"""
 FALLING = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 1"/>
@@ -131,6 +131,25 @@ def test_a_force_that_stops_a_joint_is_named(joint, says):
     master.home()
     with pytest.raises(ServoError, match=says):
         master.move_to(2.5, timeout=5.0)
+
+
+@pytest.mark.parametrize(
+    ("equality", "says"),
+    [
+        ('<weld body1="beam"/>', "the weld constraint of beam and world takes .* the drive gives"),
+        ('<weld name="clamp" body1="beam"/>', "the weld constraint 'clamp' takes"),
+        ('<joint joint1="swing"/>', "the joint constraint of swing takes"),
+    ],
+)
+def test_an_equality_that_holds_a_joint_is_named(equality, says):
+    text = HELD.format("").replace("</worldbody>", f"</worldbody><equality>{equality}</equality>")
+    machine = Machine.from_mjcf(text, {"swing": "generic"})
+    commission_joint(machine, "swing", tuned=False)
+    master = Master(MachinePort(machine), "swing")
+    master.enable()
+    master.home()
+    with pytest.raises(ServoError, match=says):
+        master.move_to(0.5, timeout=5.0)
 
 
 def test_a_robot_that_has_fallen_names_the_floor():
