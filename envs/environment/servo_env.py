@@ -35,6 +35,7 @@ from ..exchange.faces import FACES, FAULT, PDO
 from ..masters.port import MachinePort
 from ..variation.injection import Faults, injections, sort
 from ..variation.randomisation import Randomisation
+from ..view import channels
 from ..view.picture import Picture
 from .needed import NEEDED, built, check
 from .task import METRE as METRE
