@@ -4,6 +4,7 @@ from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import (
     Command,
+    Limit,
     State,
     Statusword,
     command_of,
@@ -69,6 +70,21 @@ HINDRANCES = (
         "internal_limit_active (bit 11): I²t limits the current, command less or wait",
     ),
 )
+
+# what holds a drive back while bit 11 is set, of `AXIS.od.active_limits`
+HELD_BACK = {
+    Limit.TORQUE: "the torque limit 6072h, 6073h, 60E0h or 60E1h: accelerate less",
+    Limit.SPEED: "the speed limit 607Fh or 6080h: command less",
+    Limit.SOFTWARE_POSITION_MIN: "the software limit 607Dh:01: choose a target inside",
+    Limit.SOFTWARE_POSITION_MAX: "the software limit 607Dh:02: choose a target inside",
+    Limit.NEGATIVE_LIMIT_SWITCH: "the negative limit switch: move in positive direction",
+    Limit.POSITIVE_LIMIT_SWITCH: "the positive limit switch: move in negative direction",
+    Limit.I2T: "I²t, which limits the current: command less, or wait",
+    Limit.VELOCITY_AMOUNT: "the amounts 6046h of the velocity: command between them",
+    Limit.VOLTAGE: "the voltage of the DC link, which drives no more current against this speed: "
+    "lower the speed 6081h or the acceleration 6083h, or choose a motor with a lower voltage "
+    "constant or a higher supply",
+}
 
 # what to do about a cause of faults (inferred from the causes; manuals say much the same)
 REMEDIES = {
@@ -157,7 +173,8 @@ def refusal(axis: Axis) -> str:
     """Why the last command was refused: command, state, and what is missing."""
     command = Command(int(axis.refused_command))
     if command is Command.NONE:
-        return "no command has been refused"
+        held = [words for limit, words in HELD_BACK.items() if axis.od.active_limits & limit]
+        return "; ".join(["no command has been refused", *(f"held back by {h}" for h in held)])
     state = State(int(axis.refused_state))
     needed = OBEYED[command]
     if not axis.sto_input or not axis.enable_input:

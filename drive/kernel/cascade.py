@@ -9,11 +9,21 @@ takes torque away above the maximum motor speed, or a lower limit (2416h of some
 The position loop runs once a position cycle, the velocity loop once a velocity cycle. The
 integrator is updated with the torque that was really possible (back-calculation), so it never
 winds up behind a limit. The current loop is a first-order lag, sampled exactly.
+
+Where a drive has another structure, filters, an observer or a winding whose voltage counts, the
+velocity loop is `_special`, one step aside, as for torque modes:
+
+    torque = filters(P e + I integral of e + D de/dt + FFv * velocity_demand + FFa * acceleration)
+
+is the PID position controller of structure 1, which gives the torque (current) set-point itself and
+runs every velocity cycle; the D part of a filtered difference has the time constant D / (10 P), as
+maxon's EPOS4 has it (inferred), or of the observer's speed.
 """
 
+import math
 from enum import IntEnum
 
-from . import contacts
+from . import contacts, filters, observer, winding
 from .jit import block
 from .record import Axis
 from .words import Limit, State
@@ -25,6 +35,16 @@ class Control(IntEnum):
     POSITION = 0
     VELOCITY = 1
     TORQUE = 2
+
+
+class Structure(IntEnum):
+    """`AXIS.structure`: how a position error becomes torque."""
+
+    CASCADE = 0  # P for the position, PI for the velocity
+    PID = 1
+
+
+PID_FILTER = 10.0  # P / D over the rate of the D part's low-pass
 
 
 @block
@@ -57,10 +77,15 @@ def position_loop(axis: Axis):
             correction = axis.position_gain * error
             bound = axis.correction_limit
             axis.velocity_correction = min(max(correction, -bound), bound)
-        command = axis.velocity_feed_forward * axis.velocity_demand + axis.velocity_correction
+        ahead = axis.velocity_demand
+        if axis.shaped:
+            axis.feed_forward += axis.feed_forward_filter * (ahead - axis.feed_forward)
+            ahead = axis.feed_forward
+        command = axis.velocity_feed_forward * ahead + axis.velocity_correction
     axis.velocity_command = min(max(command, -axis.max_speed), axis.max_speed)
     if axis.velocity_command != command:
         axis.limits |= Limit.SPEED
+    axis.special = axis.shaped or axis.control == Control.TORQUE
 
 
 @block
@@ -70,33 +95,138 @@ def velocity_loop(axis: Axis):
         axis.velocity_integral = 0.0
         axis.torque_command = 0.0
         axis.torque = 0.0
+        if axis.shaped:
+            _begin(axis)
+        return
+    if axis.special:
+        _special(axis)
         return
     error = axis.velocity_command - axis.velocity
-    if axis.control == Control.TORQUE:
-        wanted = _speed_limited(axis, axis.torque_demand + axis.torque_offset)
-    else:
-        wanted = (
-            axis.velocity_gain * error
-            + axis.velocity_integral
-            + axis.inertia_feed_forward * axis.acceleration_demand
-            + axis.torque_offset
-        )
+    wanted = (
+        axis.velocity_gain * error
+        + axis.velocity_integral
+        + axis.inertia_feed_forward * axis.acceleration_demand
+        + axis.torque_offset
+    )
+    possible = _limited(axis, wanted)
+    _integrate(axis, error, possible - wanted)
+    axis.torque_command = possible
+    axis.torque += axis.torque_filter * (possible - axis.torque)
+
+
+@block
+def _limited(axis: Axis, wanted):
+    """The torque (Nm) within the limits of the drive."""
     possible = min(
         max(wanted, -min(axis.torque_limit_negative, axis.torque_ceiling)),
         min(axis.torque_limit_positive, axis.torque_ceiling),
     )
     if possible != wanted:
         axis.limits |= Limit.TORQUE
-    if axis.control == Control.TORQUE:
-        axis.velocity_integral = possible
-    elif axis.velocity_gain > 0:
+    return possible
+
+
+@block
+def _integrate(axis: Axis, error, missing):
+    """The integrator of the velocity controller; `missing` is what the limits took away (Nm)."""
+    if axis.velocity_gain > 0:
         axis.velocity_integral += (
             axis.velocity_period
             * axis.velocity_integral_gain
-            * (error + (possible - wanted) / axis.velocity_gain)
+            * (error + missing / axis.velocity_gain)
         )
+
+
+@block
+def _begin(axis: Axis):
+    """Without torque: the observer and the speed go on, what is filtered begins anew."""
+    observer.run(axis)
+    winding.follow(axis)
+    filters.clear(axis)
+    axis.feed_forward = axis.pid_difference = 0.0
+    axis.pid_error = axis.position_demand - axis.position
+
+
+@block
+def _special(axis: Axis):
+    """The velocity cycle of torque modes, other structures, filters, and the winding."""
+    observer.run(axis)
+    pid = axis.structure == Structure.PID and axis.control == Control.POSITION
+    error = axis.velocity_command - axis.velocity
+    if axis.control == Control.TORQUE:
+        wanted = axis.torque_demand
+    elif pid:
+        error = axis.position_demand - axis.position
+        wanted = _pid(axis, error)
+    else:
+        wanted = (
+            axis.velocity_gain * error
+            + axis.velocity_integral
+            + axis.inertia_feed_forward * axis.acceleration_demand
+        )
+    if axis.shaped:
+        wanted = filters.run(axis, wanted)
+    wanted += axis.torque_offset
+    if axis.control == Control.TORQUE:
+        wanted = _speed_limited(axis, wanted)
+    possible = _limited(axis, wanted)
+    torque = axis.torque + axis.torque_filter * (possible - axis.torque)
+    if axis.resistance > 0.0:
+        lowest, highest = winding.torque_range(axis)
+        if not lowest <= torque <= highest:
+            torque = min(max(torque, lowest), highest)
+            possible = min(max(possible, lowest), highest)
+            axis.limits |= Limit.VOLTAGE
+    if axis.control == Control.TORQUE:
+        axis.velocity_integral = possible
+    elif pid:
+        if (possible - wanted) * error >= 0.0:  # a limit stops the integrator that pushes into it
+            axis.velocity_integral += axis.velocity_period * axis.pid[1] * error
+    else:
+        _integrate(axis, error, possible - wanted)
     axis.torque_command = possible
-    axis.torque += axis.torque_filter * (possible - axis.torque)
+    axis.torque = torque
+
+
+@block
+def _pid(axis: Axis, error):
+    """Torque (Nm) of the PID position controller; its integral is `velocity_integral`."""
+    difference = (error - axis.pid_error) / axis.velocity_period
+    axis.pid_error = error
+    axis.pid_difference += axis.pid_filter * (difference - axis.pid_difference)
+    if axis.observer_gain[0] > 0.0:
+        axis.pid_difference = axis.velocity_demand - axis.velocity
+    return (
+        axis.pid[0] * error
+        + axis.velocity_integral
+        + axis.pid[2] * axis.pid_difference
+        + axis.pid_velocity * axis.velocity_demand
+        + axis.inertia_feed_forward * axis.acceleration_demand
+    )
+
+
+@block
+def receive(axis: Axis):
+    """What `_special` works with, from the objects."""
+    od = axis.od
+    axis.structure = od.control_structure
+    axis.pid[0] = od.pid_gain * 1e-6
+    axis.pid[1] = od.pid_integral_gain * 1e-3
+    axis.pid[2] = od.pid_derivative_gain * 1e-6
+    axis.pid_velocity = od.velocity_torque_feed_forward * 1e-6
+    axis.pid_filter = 1.0
+    if axis.pid[0] > 0.0 and axis.pid[2] > 0.0:
+        rate = PID_FILTER * axis.pid[0] / axis.pid[2]
+        axis.pid_filter = 1.0 - math.exp(-axis.velocity_period * rate)
+    time = od.feed_forward_filter_time * 1e-6
+    axis.feed_forward_filter = 1.0 - math.exp(-axis.position_period / time) if time > 0.0 else 1.0
+    filtered, observed, limited = (
+        filters.receive(axis),
+        observer.receive(axis),
+        winding.receive(axis),
+    )
+    other = axis.structure != Structure.CASCADE or time > 0.0
+    axis.shaped = other or filtered or observed or limited
 
 
 @block

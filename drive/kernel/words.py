@@ -121,6 +121,7 @@ class Limit(IntEnum):
     POSITIVE_LIMIT_SWITCH = 0x20
     I2T = 0x40
     VELOCITY_AMOUNT = 0x80  # vl velocity min max amount 6046h
+    VOLTAGE = 0x100  # the DC link drives no more current against the speed
 
 
 class SetPointSource(IntEnum):

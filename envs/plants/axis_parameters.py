@@ -34,6 +34,12 @@ RANGES = {
     "transmission_damping": (0.0, 1e6, "N·s/m"),
     "backlash": (0.0, 0.01, "m"),
     "efficiency": (0.1, 1.0, "share"),
+    "dc_link_voltage": (1.0, 2000.0, "V"),
+    "motor_torque_constant": (1e-6, 4000.0, "Nm/A"),
+    "motor_voltage_constant": (1e-6, 4000.0, "V·s/rad"),
+    "motor_resistance": (0.0, 4000.0, "Ohm"),
+    "motor_inductance": (0.0, 4.0, "H"),
+    "supply_resistance": (0.0, 4000.0, "Ohm"),
     "motor_winding_loss": (0.0, 1e5, "W"),
     "motor_thermal_resistance": (0.0, 1e3, "K/W"),
     "motor_thermal_time": (1.0, 65535.0, "s"),
@@ -44,6 +50,9 @@ RANGES = {
     "inclination": (-90.0, 90.0, "degree"),
     "brake_torque": (0.0, 100.0, "Nm"),
 }
+
+
+SWITCHES = ("load_encoder", "speed_torque_curve")  # True or False
 
 
 @dataclass(frozen=True)
@@ -92,6 +101,14 @@ class LinearAxisParameters:
     switch_scatter: float = 0.0  # m, standard deviation of where a switch answers
     inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
     brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
+    # the motor as a DC motor on the DC link; None: of the drive model
+    speed_torque_curve: bool = False  # what is not given below comes from the rated data (inferred)
+    dc_link_voltage: float | None = None  # V
+    motor_torque_constant: float | None = None  # Nm/A
+    motor_voltage_constant: float | None = None  # V·s/rad; the torque constant in SI
+    motor_resistance: float | None = None  # Ohm; 0: the voltage limits no torque
+    motor_inductance: float | None = None  # H; over the resistance the electrical time constant
+    supply_resistance: float | None = None  # Ohm, before the DC link, which sags by it
     # the motor as one thermal mass; None: of the drive model
     motor_winding_loss: float | None = None  # W, copper loss at rated torque
     motor_thermal_resistance: float | None = None  # K/W, winding to ambient
@@ -233,7 +250,7 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
     if mechanics not in FAMILY:
         raise ValueError(f"mechanics = {mechanics!r} is unknown: {near(str(mechanics), FAMILY)}")
     for name in values:
-        if name not in RANGES and name != "load_encoder":
+        if name not in RANGES and name not in SWITCHES:
             raise ValueError(f"a linear axis has no parameter {name!r}: {near(name, RANGES)}")
     return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
 

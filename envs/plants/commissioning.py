@@ -15,7 +15,8 @@ from ...drive.model.model import load
 from ...drive.model.near import near
 from ..engine.machine import Machine
 from . import tuning
-from .linear_axis import MOTOR, factor_group
+from .linear_axis import factor_group
+from .motor import MOTOR
 from .sizing import Profile, asked
 from .tuning import gains
 
@@ -106,6 +107,8 @@ def commission_joint(
             )  # fmt: skip
         else:
             drive.commission(gains(drive, inertia))
+    except tuning.Unmovable:
+        raise
     except (ValueError, OverflowError) as error:
         raise ValueError(
             f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "

@@ -3,10 +3,10 @@
 import copy
 import functools
 import math
+from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
@@ -16,19 +16,13 @@ from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units, tuning
 from .axis_parameters import LinearAxisParameters, chosen, family
+from .motor import MOTOR, motor_and_encoder
 from .sizing import Profile, largest
-from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough, spring
+from .transmission import MOTOR_SIDE_MASS, TooFast, drive_elastically, slow_enough, spring
 from .tuning import Unmovable, gains, inertia_at_shaft, inertia_of_motor_side
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
-# a 400 W servo motor: mA, mNm, per mille
-MOTOR = {
-    "motor_rated_current": 2500,
-    "motor_rated_torque": 1270,
-    "max_current": 3000,
-    "max_torque": 3000,
-}
 GRAVITY = 9.81  # m/s²
 FINER = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # feeds that a refusal tries
 
@@ -53,7 +47,8 @@ def linear_axis(
         mechanics: preset of the family: ``rigid``, ``toothed_belt``, ``ball_screw``,
             ``linear_motor``, ``vertical``, ``rack_pinion`` or ``ball_screw_scale``, see
             `axis_parameters`.
-        timestep: physics step (s); the velocity cycle of the drive if not given.
+        timestep: physics step (s); if not given the velocity cycle of the drive, or a fraction of
+            it where the mechanics vibrate too fast for that.
         parameters: `LinearAxisParameters`, or its fields as keywords instead of the preset's.
         parameter_file: where 1010h stores the drive's parameters; what it holds goes before what
             commissions the axis.
@@ -74,7 +69,7 @@ def linear_axis(
     parameters = chosen(parameters, 0.0)
     drive_model = load(drive)
     if timestep is None:
-        timestep = drive_model.cycle_time["velocity"]
+        timestep = _timestep(parameters, drive_model)
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
     plant = copy.copy(_plant(parameters, drive_model.rotor_inertia, timestep))
@@ -88,6 +83,16 @@ def linear_axis(
         machine.drives["x"].use_parameter_file(parameter_file)
     machine.reset()
     return machine
+
+
+def _timestep(p: LinearAxisParameters, drive: DriveModel) -> float:
+    """The velocity cycle (s), or a fraction of it in which the axis can vibrate."""
+    cycle = drive.cycle_time["velocity"]
+    for part in (1, 2, 4):
+        with suppress(TooFast):
+            _plant(p, drive.rotor_inertia, cycle / part)
+            return cycle / part
+    return cycle  # which says what is too fast
 
 
 @functools.lru_cache(maxsize=16)  # of a vector, a benchmark, a sweep all are the same
@@ -178,7 +183,8 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
         "homing_acceleration": 1.0 * micro,
         "home_offset": 5_000,
     }
-    own_units.commission(x, parameters | motor_and_encoder(p), per_unit)
+    own_units.commission(x, parameters, per_unit)
+    own_units.commission(x, motor_and_encoder(p, x), per_unit)
     place = machine.model, machine.data, coupling.dof, coupling.gear
     inertia, motor_side = inertia_at_shaft(*place), inertia_of_motor_side(*place)
     if not tuned:
@@ -201,7 +207,7 @@ def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:
 
     def moves(**changed: float) -> bool:
         other = replace(p, **changed)  # type: ignore[arg-type]
-        plant = copy.copy(_plant(other, model.rotor_inertia, model.cycle_time["velocity"]))
+        plant = copy.copy(_plant(other, model.rotor_inertia, _timestep(other, model)))
         machine = Machine(plant, {"x": model})
         try:
             commission(machine, "x", other)
@@ -214,17 +220,6 @@ def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:
     feed = next((feed for feed in feeds if moves(feed_constant=feed)), None)
     said = f"it takes {mass:.3g} kg" if mass > 0.0 else "it takes no payload"
     return said + (f"; with a feed_constant of {feed:.2g} m it takes this one" if feed else "")
-
-
-def motor_and_encoder(p: Any) -> dict[str, float]:
-    """Thermal model of the motor and source of the position, where they are given."""
-    scales = {
-        "motor_winding_loss": 1e3, "motor_thermal_resistance": 1e3, "motor_thermal_time": 1,
-        "motor_temperature_limit": 10,
-    }  # fmt: skip
-    given = {name: getattr(p, name) for name in scales}
-    values = {name: scales[name] * value for name, value in given.items() if value is not None}
-    return values | ({"position_source": 1} if p.load_encoder else {})
 
 
 def factor_group(drive: Drive, units: float, turns: int = 1) -> dict[str, float]:

@@ -16,10 +16,13 @@ from ...drive.model.near import near
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.physics import compiled
+from .axis_parameters import RANGES as RANGES_OF_AXES
 from .commissioning import commission_joint
-from .linear_axis import motor_and_encoder, tune
+from .linear_axis import tune
+from .motor import ELECTRICAL, motor_and_encoder
+from .sizing import largest
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough
-from .tuning import inertia_at_shaft, inertia_of_motor_side
+from .tuning import Unmovable, inertia_at_shaft, inertia_of_motor_side
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "rotary_axis.xml"
 TABLE_MASS = 10.0  # kg; only its inertia counts
@@ -41,6 +44,7 @@ RANGES = {
     "backlash": (0.0, 0.1, "rad"),
     "max_velocity": (1e-3, 1e3, "rad/s"),
     "max_acceleration": (1e-2, 1e5, "rad/s²"),
+    **{name: RANGES_OF_AXES[name] for name in ELECTRICAL},
     "motor_winding_loss": (0.0, 1e5, "W"),
     "motor_thermal_resistance": (0.0, 1e3, "K/W"),
     "motor_thermal_time": (1.0, 65535.0, "s"),
@@ -69,6 +73,14 @@ class RotaryParameters:
     load_encoder: bool = False  # the position is measured at the table: dual-loop control
     max_velocity: float = 3.0  # rad/s, profile velocity
     max_acceleration: float = 20.0  # rad/s², profile acceleration and deceleration
+    # the motor as a DC motor on the DC link, as `LinearAxisParameters` has it
+    speed_torque_curve: bool = False
+    dc_link_voltage: float | None = None  # V; None: of the drive model
+    motor_torque_constant: float | None = None  # Nm/A
+    motor_voltage_constant: float | None = None  # V·s/rad
+    motor_resistance: float | None = None  # Ohm
+    motor_inductance: float | None = None  # H
+    supply_resistance: float | None = None  # Ohm
     motor_winding_loss: float | None = None  # W at rated torque; None: of the drive model
     motor_thermal_resistance: float | None = None  # K/W
     motor_thermal_time: float | None = None  # s
@@ -175,9 +187,26 @@ def rotary_axis(
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
     machine = Machine(_plant(parameters, model, timestep), {"x": model})
-    _commission(machine, parameters, tuned)
+    try:
+        _commission(machine, parameters, tuned)
+    except Unmovable as error:
+        carried = largest(lambda i: _takes(model, parameters, i), parameters.inertia)
+        raise ValueError(
+            f"inertia = {parameters.inertia:g} kg·m²: {error}; it takes {carried:.3g} kg·m²"
+        ) from None
     machine.reset()
     return machine
+
+
+def _takes(drive: DriveModel, p: RotaryParameters, inertia: float) -> bool:
+    """Whether motor and drive move a table or roller with this inertia (kg·m²)."""
+    machine = Machine(_plant(replace(p, inertia=inertia), drive, drive.cycle_time["velocity"]),
+                      {"x": drive})  # fmt: skip
+    try:
+        _commission(machine, replace(p, inertia=inertia), True)
+    except Unmovable:
+        return False
+    return True
 
 
 def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.MjModel:
@@ -208,7 +237,7 @@ def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
     x = machine.drives["x"]
     if x.model.quirk("inverter"):
         return  # its motor and its ramps are parameters of its own
-    x.commission(motor_and_encoder(p))
+    x.commission(motor_and_encoder(p, x))
     commission_joint(
         machine, "x", max_velocity=p.max_velocity, max_acceleration=p.max_acceleration,
         position_unit=p.unit, tuned=tuned,

@@ -35,9 +35,9 @@ class Sizing:
 
     @property
     def peak_share(self) -> float:
-        """Of the highest torque, while the profile accelerates."""
+        """Of the highest torque at that speed, while the profile accelerates."""
         speed, rate = self.velocity * self.gear, self.acceleration * self.gear
-        return self.load.peak(rate, speed) / self.motor.highest
+        return self.load.peak(rate, speed) / self.motor.torque(speed)
 
     @property
     def continuous_share(self) -> float:
@@ -109,7 +109,7 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
         inertia_ratio=(plant.inertia - own) / own if own > 0.0 else np.inf,
         velocity=speed / gear, acceleration=rate / gear,
         highest_velocity=FAST * motor.speed / gear,
-        highest_acceleration=load.acceleration(PEAK * motor.highest, speed) / gear,
+        highest_acceleration=load.acceleration(PEAK * motor.torque(speed), speed) / gear,
         resonances=plant.resonances, gains=gains, crossover=plant.crossover(gains),
         velocity_margins=velocity, position_margins=position,
     )  # fmt: skip

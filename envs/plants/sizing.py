@@ -104,7 +104,21 @@ class Motor:
 
     rated: float  # Nm
     highest: float  # Nm
-    speed: float  # rad/s
+    limit: float  # rad/s, 6080h
+    stall: float = math.inf  # Nm that the voltage drives at standstill
+    no_load: float = math.inf  # rad/s at which the voltage drives none
+
+    @property
+    def speed(self) -> float:
+        """Highest speed (rad/s) that has rated torque."""
+        share = max(1.0 - self.rated / self.stall, 0.0)
+        return self.limit if math.isinf(self.no_load) else min(self.limit, share * self.no_load)
+
+    def torque(self, speed: float) -> float:
+        """Highest torque (Nm) at a speed (rad/s)."""
+        if math.isinf(self.no_load):
+            return self.highest
+        return min(self.highest, max(self.stall * (1 - speed / self.no_load), 0.0))
 
     def __str__(self) -> str:
         speed = self.speed * 30 / math.pi
@@ -117,7 +131,15 @@ def motor_of(drive: Drive) -> Motor:
     rated = max(int(od.motor_rated_torque), 1) * 1e-3
     ceiling = min(int(od.max_torque), int(od.max_current),
                   int(od.positive_torque_limit), int(od.negative_torque_limit))  # fmt: skip
-    return Motor(rated, rated * ceiling * 1e-3, float(od.max_motor_speed) * 2 * math.pi / 60)
+    limit = float(od.max_motor_speed) * 2 * math.pi / 60
+    constant = float(od.motor_torque_constant) * 1e-6
+    back = float(od.motor_voltage_constant) * 1e-6 or constant
+    resistance, voltage = float(od.motor_resistance) * 1e-6, float(od.supply_voltage) * 1e-3
+    if not (constant > 0.0 and resistance > 0.0):
+        return Motor(rated, rated * ceiling * 1e-3, limit)
+    # what the supply loses in its own resistance counts as one of the winding
+    stall = constant * voltage / (resistance + float(od.supply_resistance) * 1e-6)
+    return Motor(rated, rated * ceiling * 1e-3, limit, stall, voltage / back)
 
 
 @dataclass(frozen=True)
@@ -132,7 +154,7 @@ class Profile:
 
 
 def largest(takes: Callable[[float], bool], refused: float) -> float:
-    """The largest payload (kg) below a refused one that is taken, to two digits; 0: none."""
+    """The largest payload (or inertia) below a refused one that is taken; 0: none."""
     low, high = 0.0, refused
     while high - low > 0.02 * high:
         middle = 0.5 * (low + high)
@@ -143,9 +165,9 @@ def largest(takes: Callable[[float], bool], refused: float) -> float:
 def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:
     """A profile as far as the motor follows it; homing stops behind a switch as soon as wanted."""
     velocity = min(wanted.velocity, FAST * motor.speed)
-    highest = load.acceleration(PEAK * motor.highest, velocity)
+    highest = load.acceleration(PEAK * motor.torque(velocity), velocity)
     acceleration = min(wanted.acceleration, highest)
-    stop = load.acceleration(0.5 * (1 + PEAK) * motor.highest, 0.0)
+    stop = load.acceleration(0.5 * (1 + PEAK) * motor.torque(velocity), 0.0)
     homing = min(wanted.homing_acceleration, 0.5 * highest)
     slower = math.sqrt(homing / wanted.homing_acceleration)
     return Profile(

@@ -41,6 +41,10 @@ def drive_elastically(spec: mujoco.MjSpec, body: str, stiffness: float, damping:
     motor.frictionloss = 0.0
 
 
+class TooFast(ValueError):
+    """A vibration is too fast for the physics step."""
+
+
 def slow_enough(
     name: str, stiffness: float, a: float, b: float, timestep: float,
     units: tuple[str, str] = ("N/m", "kg"),
@@ -56,12 +60,12 @@ def slow_enough(
         units: of stiffness and of what it connects.
 
     Raises:
-        ValueError: naming the parameter, the resonance and the timestep it needs.
+        TooFast: naming the parameter, the resonance and the timestep it needs.
     """
     rate = math.sqrt(stiffness * (1.0 / a + 1.0 / b))
     if rate * timestep > FASTEST:
         of_spring, of_mass = units
-        raise ValueError(
+        raise TooFast(
             f"{name} = {stiffness:g} {of_spring} between {a:.3g} {of_mass} and {b:.3g} {of_mass} "
             f"resonates at {rate / (2 * math.pi):.0f} Hz, too fast for a timestep of "
             f"{timestep * 1e6:g} µs: at most {FASTEST / rate * 1e6:.0f} µs, as a whole fraction of "

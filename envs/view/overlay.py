@@ -37,6 +37,7 @@ LIMIT_NAME = {
     Limit.POSITIVE_LIMIT_SWITCH: "switch +",
     Limit.I2T: "I²t",
     Limit.VELOCITY_AMOUNT: "velocity amount",
+    Limit.VOLTAGE: "voltage",
 }
 PANEL, TRACK, WINDOW = "#14181e", "#2b313a", "#3c4a5c"
 TEXT, DIM, INSIDE, OUTSIDE, LIMITED = "#f2f4f7", "#a9b1bb", "#6fc3df", "#ff5a4f", "#ffb454"

@@ -55,6 +55,9 @@ def moves(machine, goals):
         assert farthest[0] <= float(drive.axis.following_error_window) / gear
         machine.step(round(REST / machine.cycle_time))
         away = abs(float(drive.axis.position) / gear - goal)
+        if drive.axis.range > 0.0:  # the same place a turn farther
+            turn = float(drive.axis.range) / gear
+            away = min(away % turn, turn - away % turn)
         assert away <= float(drive.axis.position_window) / gear
     assert not drive.fault
 
@@ -110,7 +113,17 @@ def test_the_whole_matrix(model, mechanics):
 @pytest.mark.parametrize("mechanics", ROTARY_FAMILY)
 def test_rotary_axes_of_every_inertia(model, mechanics):
     for inertia in TURNS[mechanics]:
-        machine = rotary_axis(model, mechanics=mechanics, inertia=inertia)
+        try:
+            machine = rotary_axis(model, mechanics=mechanics, inertia=inertia)
+        except ValueError as error:
+            said = str(error)
+        else:
+            said = ""
+        if said:
+            assert inertia == max(TURNS[mechanics])
+            takes = float(re.search(r"it takes ([0-9.]+) kg", said)[1])
+            assert 0.0 < takes < inertia
+            machine = rotary_axis(model, mechanics=mechanics, inertia=takes)
         machine.reset(positions={"x": 0.5})
         keeps_margins(machine, "x")
         moves(machine, (0.5, 2.0))

@@ -8,7 +8,7 @@ halves upwards; an INTEGER32 position wraps as a counter does, every other value
 
 import math
 
-from .. import encoder, probe, statusword, sync
+from .. import cascade, encoder, probe, statusword, sync
 from ..jit import block, entry
 from ..ramps import SINE
 from ..record import Axis
@@ -138,6 +138,7 @@ def receive(axis: Axis):
     axis.torque_filter = _share(axis, axis.torque_time_constant)
     axis.velocity_feed_forward = od.velocity_feed_forward * 1e-3
     axis.inertia_feed_forward = od.acceleration_feed_forward * 1e-9
+    cascade.receive(axis)
 
 
 @block

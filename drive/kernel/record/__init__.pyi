@@ -284,6 +284,40 @@ class Objects:
     """mJ; 2018h:06, turned into heat since power-on"""
     supply_voltage: int
     """mV; 2018h:07, rectified"""
+    motor_torque_constant: int
+    """µNm/A; 201Bh:01"""
+    motor_voltage_constant: int
+    """µV·s/rad; 201Bh:02; 0 = as the torque constant"""
+    motor_resistance: int
+    """µOhm; 201Bh:03; 0 = the voltage limits no torque"""
+    motor_inductance: int
+    """nH; 201Bh:04; 0 = the current follows the voltage at once"""
+    supply_resistance: int
+    """µOhm; 201Bh:05, before the DC link; 0 = it does not sag"""
+    control_structure: int
+    """201Ch:01, `cascade.Structure`"""
+    pid_gain: int
+    """µNm/rad; 201Ch:02, of the PID position controller"""
+    pid_integral_gain: int
+    """mNm/(rad·s); 201Ch:03"""
+    pid_derivative_gain: int
+    """µNm·s/rad; 201Ch:04"""
+    velocity_torque_feed_forward: int
+    """µNm·s/rad; 201Ch:05, of the PID controller"""
+    feed_forward_filter_time: int
+    """µs; 201Ch:06, of the velocity feed-forward"""
+    torque_command_filter_time: int
+    """µs; 201Dh:01, low-pass of the torque command"""
+    notch_frequency: np.ndarray
+    """2 values; 0.1 Hz; 201Dh:02, :05; 0 = off"""
+    notch_damping: np.ndarray
+    """2 values; 1/1000; 201Dh:03, :06, of its poles: half its width"""
+    notch_depth: np.ndarray
+    """2 values; 1/1000; 201Dh:04, :07, gain at its frequency"""
+    observer_bandwidth: int
+    """0.1 Hz; 201Eh:01; 0 = the speed is the filtered difference"""
+    observer_inertia: int
+    """1e-12 kg·m²; 201Eh:02; 0 = as the acceleration feed-forward"""
     reaction_code: np.ndarray
     """256 values; by row of the model's faults: reaction code + 1, 0 = as listed"""
     fault_reaction: np.ndarray
@@ -664,6 +698,34 @@ class Axis:
     """Nm"""
     torque_limit_negative: float
     """Nm; a magnitude"""
+    shaped: int
+    """more than P over PI acts: the fields from here to the observer's"""
+    structure: int
+    """`cascade.Structure`"""
+    pid: np.ndarray
+    """3 values; Nm/rad, Nm/(rad·s), Nm·s/rad; gains P, I, D"""
+    pid_filter: float
+    """share of a new difference in the D part, per velocity cycle"""
+    pid_velocity: float
+    """Nm·s/rad; velocity feed-forward"""
+    feed_forward_filter: float
+    """share of the new demand, per position cycle"""
+    command_filter: float
+    """share of the new torque command, per velocity cycle"""
+    notch: np.ndarray
+    """2 values; b0, b1, b2, a1, a2 of both notch filters"""
+    torque_constant: float
+    """Nm/A"""
+    voltage_constant: float
+    """V·s/rad"""
+    resistance: float
+    """Ohm; 0 = the voltage limits no torque"""
+    current_decay: float
+    """share of the current that is left after a velocity cycle"""
+    observer_gain: np.ndarray
+    """3 values; of position, speed and load in the observer; 0 = off"""
+    observer_inertia: float
+    """kg·m²"""
     shaft_angle: float
     """rad; true angle of the motor shaft"""
     load_angle: float
@@ -897,6 +959,24 @@ class Axis:
     """rad/s; of the position controller"""
     velocity_integral: float
     """Nm"""
+    feed_forward: float
+    """rad/s; filtered velocity demand"""
+    special: int
+    """`shaped`, or a torque mode: not P over PI alone"""
+    pid_error: float
+    """rad; of the last velocity cycle"""
+    pid_difference: float
+    """rad/s; filtered, of the error"""
+    command_filtered: float
+    """Nm; low-pass of the torque command"""
+    notch_state: np.ndarray
+    """2 values; Nm; of both notch filters"""
+    angle_known: int
+    """`last_angle` is of the velocity cycle before"""
+    last_angle: float
+    """rad; of the shaft"""
+    observed: np.ndarray
+    """3 values; rad, rad/s, rad/s²; position, speed, and what the load adds"""
     torque_command: float
     """Nm; after limits"""
     torque: float

@@ -1,0 +1,71 @@
+"""The motor of an axis: its rated data, and the winding and heat that follow from them."""
+
+from typing import Any
+
+from ...drive.drive import Drive
+
+# a 400 W servo motor: mA, mNm, per mille
+MOTOR = {
+    "motor_rated_current": 2500,
+    "motor_rated_torque": 1270,
+    "max_current": 3000,
+    "max_torque": 3000,
+}
+WINDING_LOSS = 45.0  # W, copper loss of it at rated torque (inferred)
+ELECTRICAL_TIME = 4e-3  # s, inductance over resistance, usual of servo motors (inferred)
+# parameter of a plant: field of the drive, and how many of its units make one of SI
+ELECTRICAL = {
+    "dc_link_voltage": ("supply_voltage", 1e3),
+    "motor_torque_constant": ("motor_torque_constant", 1e6),
+    "motor_voltage_constant": ("motor_voltage_constant", 1e6),
+    "motor_resistance": ("motor_resistance", 1e6),
+    "motor_inductance": ("motor_inductance", 1e9),
+    "supply_resistance": ("supply_resistance", 1e6),
+}
+THERMAL = {
+    "motor_winding_loss": 1e3, "motor_thermal_resistance": 1e3, "motor_thermal_time": 1,
+    "motor_temperature_limit": 10,
+}  # fmt: skip
+LINK = {"undervoltage": 200, "chopper_voltage": 390, "overvoltage": 430}  # V, of one of 325 V
+
+
+def rated_winding(rated_torque: float, rated_current: float, loss: float) -> dict[str, float]:
+    """Torque constant (Nm/A), resistance (Ohm) and inductance (H) from rated data (inferred).
+
+    Args:
+        rated_torque: Nm.
+        rated_current: A, of the equivalent DC motor.
+        loss: W, copper loss at rated torque.
+    """
+    resistance = loss / rated_current**2
+    return {
+        "motor_torque_constant": rated_torque / rated_current,
+        "motor_resistance": resistance,
+        "motor_inductance": ELECTRICAL_TIME * resistance,
+    }
+
+
+def motor_and_encoder(p: Any, drive: Drive) -> dict[str, float]:
+    """Winding and thermal model of the motor and source of the position, where they are given."""
+    given = {name: getattr(p, name) for name in (*ELECTRICAL, *THERMAL)}
+    if p.speed_torque_curve:
+        od = drive.axis.od
+        loss = given["motor_winding_loss"]
+        inferred = rated_winding(
+            float(od.motor_rated_torque) * 1e-3, float(od.motor_rated_current) * 1e-3,
+            loss or float(od.motor_winding_loss) * 1e-3 or WINDING_LOSS,
+        )  # fmt: skip
+        given |= {name: value for name, value in inferred.items() if given[name] is None}
+    values: dict[str, float] = {}
+    for name, value in given.items():
+        if value is not None:
+            field, scale = ELECTRICAL.get(name, (name, 0.0))
+            values[field] = value * (scale or THERMAL[name])
+    if (voltage := given["dc_link_voltage"]) is not None:
+        values |= _link(voltage)
+    return values | ({"position_source": 1} if p.load_encoder else {})
+
+
+def _link(voltage: float) -> dict[str, float]:
+    """Limits of a DC link of another voltage (mV), in the proportions of the one at 325 V."""
+    return {name: limit * voltage / 325.0 * 1e3 for name, limit in LINK.items()}
