@@ -15,8 +15,8 @@ SET_POINTS: int
 STORED: int
 ANALOG_INPUTS: int
 FAULT_CAUSES: int
-HISTORY: int
 FAULT_ROWS: int
+HISTORY: int
 VENDOR_BYTES: int
 
 class Objects:
