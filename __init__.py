@@ -1,12 +1,18 @@
 """servogym: a laboratory for motion control. Its rooms: drive, envs, assets, training."""
 
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+import os
 
-if not Path(__file__).parent.is_dir():
+if not os.path.isdir(os.path.dirname(__file__)):
     raise ImportError(f"{__file__}: servogym has files beside its modules, unpack or install it")
 
-try:
-    __version__ = version("servogym")
-except PackageNotFoundError:  # a checkout on the path that is not installed
-    __version__ = "unknown"
+
+def __getattr__(name: str) -> str:
+    """``__version__``, looked up when it is asked for: that takes longer than all else here."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("servogym")
+    except PackageNotFoundError:  # a checkout on the path that is not installed
+        return "unknown"

@@ -139,10 +139,7 @@ class Master(Drives):
         Raises:
             Refused: a drive model without the mode.
         """
-        try:
-            mode = BY_NAME[mode.lower()] if isinstance(mode, str) else Mode(mode)
-        except (KeyError, ValueError):
-            raise Refused(f"mode {mode!r}", "there is none", near(str(mode), [*BY_NAME])) from None
+        mode = self._named(mode)
         without = [axis for axis in self.axes if mode and mode not in self.port.models[axis].modes]
         if without:
             raise Refused(f"mode {mode.name}", f"drive {self.port.models[without[0]].name!r} of "
@@ -151,6 +148,30 @@ class Master(Drives):
         self._put("modes_of_operation", mode)
         self._until(lambda axis, word: self._mode(axis) == mode, timeout, f"mode {mode.name}",
                     "6502h tells the modes the drive has")  # fmt: skip
+
+    def follow(self, mode: Mode | str) -> None:
+        """Be ready for set-points of a mode, at rest: they are written to its object of `AT_REST`.
+
+        The first set-point is the rest itself, so that nothing that was written before acts; halt
+        is taken back. Drives that follow set-points of this mode already go on.
+
+        Raises:
+            NoPower, DriveFault: a drive is not enabled.
+            Refused: no such mode, or one that is not moved by set-points.
+        """
+        mode = self._named(mode)
+        name = AT_REST.get(mode)
+        if name is None:
+            raise Refused(f"mode {mode.name}", "it is not moved by set-points",
+                          f"choose one of {', '.join(each.name for each in AT_REST)}")  # fmt: skip
+        self._power("set-points")
+        if all(self._mode(a) == mode and not self._told(a) & C.HALT for a in self.axes):
+            return
+        for axis in self.axes:
+            here = mode == Mode.CYCLIC_SYNC_POSITION
+            self._tell(axis, name, self.port.read(axis, "position_actual_value") if here else 0)
+        self.set_mode(mode)
+        self.control(ENABLED)
 
     def move_to(
         self,
@@ -393,6 +414,13 @@ class Master(Drives):
             raise
         self.control(ENABLED)
         self.wait(self.port.latency)
+
+    @staticmethod
+    def _named(mode: Mode | str) -> Mode:
+        try:
+            return BY_NAME[mode.lower()] if isinstance(mode, str) else Mode(mode)
+        except (KeyError, ValueError):
+            raise Refused(f"mode {mode!r}", "there is none", near(str(mode), [*BY_NAME])) from None
 
     def _units_of(
         self, what: str, value: float | Mapping[str, float], unit: str

@@ -20,6 +20,7 @@ from ...drive.objects.abort import SdoAbort
 from .control import Control
 from .log import Event, Log
 from .recorder import Recorder
+from .set_points import SetPoints
 
 CHANNELS = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
@@ -81,6 +82,7 @@ class Bench:
         self.port, self.title = port, title
         self.control = Control()
         self.axes = tuple(port.models)
+        self.set_points = SetPoints(self)
         self.masters = {name: Master(port, name) for name in self.axes}
         self.time = 0.0  # s that have passed, over resets and snapshots
         self.pace: Callable[[], None] = lambda: None
@@ -274,7 +276,7 @@ class Bench:
             if isinstance(error, NoPower | DriveFault | Refused):  # it does not move
                 self.underway.discard(axis)
             return self._failed(what, *words(error), axis)
-        except SdoAbort as error:
+        except (SdoAbort, ValueError) as error:
             return self._failed(what, str(error), "", axis)
         finally:
             self.doing, self.carried_through = "", False

@@ -150,11 +150,10 @@ def test_a_commander_that_is_lost_ends_what_it_has_set_in_motion(
     room, mode, connection, monkeypatch
 ):
     """Closed and cut off are the same to a server: silence. Slow and reloaded are shorter."""
-    monkeypatch.setattr(control, "LOST", 0.4)
     here = room.desks["here"]
-    here.beat()
     room.run_in(mode)
     here.beat()
+    monkeypatch.setattr(control, "LOST", 1.0)
 
     def events():
         return [e for e in room.session.log.events if "what it had set in motion" in e.text]
@@ -164,7 +163,7 @@ def test_a_commander_that_is_lost_ends_what_it_has_set_in_motion(
 
         asyncio.run(here.stop(lambda s: leave(s, "here")))
     elif connection != "closed":
-        gaps = [0.1] * 6 if connection == "slow" else [0.25, 0.02]
+        gaps = [0.25] * 5 if connection == "slow" else [0.5, 0.02]
         for gap in gaps:
             time.sleep(gap)
             here.beat()

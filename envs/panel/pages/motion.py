@@ -8,6 +8,7 @@ from ....drive.diagrams import MODE_ABBREVIATION
 from ....drive.model.rows import Object, quantity
 from .desk import Desk, over, refuse
 from .homing_diagram import homing_svg
+from .set_points import SetPointCard
 from .widgets import Entry, Readout, Tag, button, card, live, told
 
 # what shapes a motion, by kind; objects a model does not have are left out
@@ -50,6 +51,7 @@ class MotionPage:
                 self._power()
                 self._move()
                 self._jog()
+                SetPointCard(desk)
             with ui.element("div").classes("stack"):
                 self._readouts()
                 self._homing()

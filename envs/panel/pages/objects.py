@@ -3,8 +3,9 @@
 from nicegui import events, ui
 
 from ....drive.model.rows import Object
+from .comparing import CompareCard
 from .desk import Desk, refuse
-from .widgets import Entry, button, card
+from .widgets import Entry, button, card, hexadecimal
 
 EVERY = 12  # pictures between two readings of all values
 COLUMNS = (
@@ -60,10 +61,13 @@ class ObjectsPage:
                     self.head = ui.label("Choose an object.").classes("verdict")
                     self.about = ui.label("").classes("prose quiet")
                     self.live = ui.label("").classes("readout-value").props("data-test=live")
+                    self.hexadecimal = ui.label("").classes("mono quiet").props("data-test=hex")
                     self.entry = Entry("New value", send=self._write, test="object-value")
                     self.write = button("Write", lambda: self.entry.apply(), "write", "main")
                     self.entry.field.set_visibility(False)
                     self.write.set_visibility(False)
+                if desk.bench.commands:
+                    CompareCard(desk)
                 with card("Parameter set"):
                     self.loaded = ui.label("").classes("prose").props("data-test=loaded")
                     if why := desk.bench.absent.get("parameters"):
@@ -164,5 +168,7 @@ class ObjectsPage:
             (self._values[self.chosen],) = await self.desk.ask(lambda s: s.texts(axis, [chosen]))
         self._count += 1
         if self.chosen:
-            unit = self.rows[self.chosen].unit
-            self.live.set_text(f"{self._values.get(self.chosen, '')} {unit}".strip())
+            row = self.rows[self.chosen]
+            value = self._values.get(self.chosen, "")
+            self.live.set_text(f"{value} {row.unit}".strip())
+            self.hexadecimal.set_text(hexadecimal(value, row))

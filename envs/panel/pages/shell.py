@@ -14,6 +14,7 @@ from ..log import Event
 from .desk import Desk, in_words, refuse
 from .experiments import ExperimentsPage
 from .lesson import LessonPage
+from .log import LogPage
 from .loops import LoopsPage
 from .machine import MachinePage
 from .motion import MotionPage
@@ -44,7 +45,7 @@ SLOWEST = 20.0  # s that a browser may take for a picture
 GONE = 2.0  # s, while an axis is jogged
 PAGES: Sequence[type[Any]] = (
     StatePage, MotionPage, ScopePage, MachinePage, LoopsPage, ExperimentsPage, ObjectsPage,
-    LessonPage,
+    LessonPage, LogPage,
 )  # fmt: skip
 
 

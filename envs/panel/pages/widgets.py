@@ -8,6 +8,7 @@ from nicegui import ui
 from nicegui.element import Element
 
 from ....drive.diagrams import Bit
+from ....drive.model.rows import Object
 from .. import entry
 
 _PENDING: dict[str, dict[str, str]] = {}
@@ -89,6 +90,17 @@ def told(value: float, digits: int = 3) -> str:
         return "–"
     text = f"{value:.{digits}f}"
     return text.replace("-", "−") if float(text) else text.lstrip("-")
+
+
+def hexadecimal(value: object, row: Object) -> str:
+    """A whole number of an object as drive engineers write it, ``0B54h``; nothing for others."""
+    try:
+        number = int(str(value))
+    except ValueError:
+        return ""
+    if row.format in ("", "f", "d") or not row.size:
+        return ""
+    return f"{number & (1 << 8 * row.size) - 1:0{2 * row.size}X}h"
 
 
 class Entry:

@@ -1,0 +1,111 @@
+"""Function generator: what a set-point does over time, within the limits of an axis.
+
+A wave begins and ends where the set-point is 0; it is refused in words where its peak speed or
+acceleration is more than the axis may have.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ...drive.diagrams import Mode
+
+Wave = Callable[[float], float]  # of the time (s)
+
+
+class Kind(NamedTuple):
+    """What is set."""
+
+    name: str  # of the object
+    modes: tuple[Mode, ...]  # the first that a drive has
+    shapes: tuple[str, ...]
+
+
+KINDS = {
+    "position": Kind("target_position", (Mode.CYCLIC_SYNC_POSITION,), ("sine", "to and fro")),
+    "velocity": Kind("target_velocity", (Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY),
+                     ("sine", "square")),
+    "torque": Kind("target_torque", (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE),
+                   ("sine", "square")),
+}  # fmt: skip
+
+
+class Most(NamedTuple):
+    """Limits of an axis (SI at the load)."""
+
+    velocity: float
+    acceleration: float
+
+
+def travel(way: float, most: Most) -> tuple[Wave, float]:
+    """From 0 to `way` as fast as it may, at rest at both ends; -> the wave and how long it takes.
+
+    The trapezoid of velocity, in closed form.
+    """
+    distance, sign = abs(way), math.copysign(1.0, way)
+    speed = min(most.velocity, math.sqrt(distance * most.acceleration))
+    ramp = speed / most.acceleration
+    total = distance / speed + ramp if distance else 0.0
+
+    def wave(time: float) -> float:
+        if time >= total:
+            return way
+        if time < ramp:
+            return sign * most.acceleration * time * time / 2
+        if time > total - ramp:
+            return sign * (distance - most.acceleration * (total - time) ** 2 / 2)
+        return sign * speed * (time - ramp / 2)
+
+    return wave, total
+
+
+def position(shape: str, way: float, frequency: float, most: Most) -> Wave:
+    """To 0 + `way` and back, so many times a second. Raises ValueError beyond the limits."""
+    half = 0.5 / frequency
+    if shape == "sine":
+        rate = 2 * math.pi * frequency
+        _within("speed", abs(way) / 2 * rate, most.velocity)
+        _within("acceleration", abs(way) / 2 * rate * rate, most.acceleration)
+        return lambda time: way / 2 * (1 - math.cos(rate * time))
+    out, needed = travel(way, most)
+    if needed > half:
+        raise ValueError(f"there and back takes {2 * needed:.3g} s with 6081h and 6083h: "
+                         f"choose at most {0.5 / needed:.3g} Hz, or a shorter way")  # fmt: skip
+
+    def wave(time: float) -> float:
+        turn = time % (2 * half)
+        return out(turn) if turn < half else way - out(turn - half)
+
+    return wave
+
+
+def velocity(shape: str, size: float, frequency: float, most: Most) -> Wave:
+    """Speeds up to `size` in both directions. Raises ValueError beyond the limits."""
+    _within("speed", abs(size), most.velocity)
+    if shape == "sine":
+        rate = 2 * math.pi * frequency
+        _within("acceleration", abs(size) * rate, most.acceleration)
+        return lambda time: size * math.sin(rate * time)
+    return _square(size, frequency)
+
+
+def torque(shape: str, size: float, frequency: float, _: Most) -> Wave:
+    """Torques up to `size` in both directions."""
+    if shape == "sine":
+        return lambda time: size * math.sin(2 * math.pi * frequency * time)
+    return _square(size, frequency)
+
+
+WAVES = {"position": position, "velocity": velocity, "torque": torque}
+
+
+def _square(size: float, frequency: float) -> Wave:
+    return lambda time: size if time * frequency % 1.0 < 0.5 else -size
+
+
+def _within(what: str, peak: float, most: float) -> None:
+    if peak > most * (1 + 1e-9):
+        raise ValueError(
+            f"its peak {what} is {peak:.4g}, more than the {most:.4g} that the axis may have (SI): "
+            "choose less, or a lower frequency"
+        )

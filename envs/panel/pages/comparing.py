@@ -1,0 +1,96 @@
+"""Parameters of the drive, the factory and a file; the difference is written back after a yes."""
+
+from nicegui import events, ui
+
+from ....drive.model.rows import Object
+from ..comparison import Difference, compare, of_file, write_back
+from .desk import Desk, Refusal, refuse
+from .widgets import button, card, hexadecimal
+
+FACTORY, FILE = "factory", "file"
+COLUMNS = ("object", "name", "drive", FACTORY, FILE)
+
+
+class CompareCard:
+    """A part of the objects page."""
+
+    def __init__(self, desk: Desk):
+        self.desk = desk
+        self.file: dict[str, float] | None = None
+        self.found: list[Difference] = []
+        with card("Compare parameters", "compare-parameters"):
+            self.said = ui.label("The drive, the factory and a file.").classes("prose quiet")
+            self.said.props("data-test=compared")
+            loader = ui.upload(label="Compare with a file", auto_upload=True, on_upload=self._load,
+                               max_file_size=1_000_000,
+                               on_rejected=lambda: refuse("it is too large"))  # fmt: skip
+            loader.props("flat bordered data-test=compare-file").classes("upload")
+            with ui.element("div").classes("cluster"):
+                button("Compare", self._compare, "compare", "main")
+                button("Write the factory's …", lambda: self._ask(FACTORY), "write-factory")
+                button("Write the file's …", lambda: self._ask(FILE), "write-file")
+            self.table = ui.table(
+                columns=[{"name": n, "label": n, "field": n, "align": "left"} for n in COLUMNS],
+                rows=[], row_key="object", pagination=0,
+            )  # fmt: skip
+            self.table.props("dense flat wrap-cells hide-bottom data-test=differences")
+            self.table.set_visibility(False)
+
+    async def _load(self, event: events.UploadEventArguments) -> None:
+        try:
+            model = self.desk.bench.model(self.desk.axis).name
+            self.file = of_file(await event.file.read(), model)
+        except ValueError as error:
+            self.file = None
+            refuse(f"{event.file.name}: {error}")
+            return
+        await self._compare()
+
+    async def _compare(self) -> None:
+        axis, file = self.desk.axis, self.file
+        found = await self.desk.tried(self.desk.clock.ask(lambda s: compare(s, axis, file)))
+        if isinstance(found, Refusal):
+            refuse(found)
+            return
+        self.found = found
+        self.said.set_text(
+            f"{len(found)} parameters differ." if found else "All parameters are the same."
+        )
+        self.table.rows = [_row(each) for each in found]
+        self.table.set_visibility(bool(found))
+
+    async def _ask(self, source: str) -> None:
+        """Say what would be written; write it after a yes."""
+        await self._compare()
+        wanted: dict[Object, float] = {
+            each.row: value for each in self.found
+            if (value := getattr(each, source)) is not None and value != each.node
+        }  # fmt: skip
+        if not wanted:
+            refuse(f"nothing differs from the {source}" if source == FACTORY or self.file
+                   else "load a file first")  # fmt: skip
+            return
+        with ui.dialog() as dialog, ui.card():
+            ui.label(f"Write {len(wanted)} values of the {source} to the drive?")
+            ui.label(", ".join(row.name for row in list(wanted)[:8]) + " …" * (len(wanted) > 8))
+            with ui.element("div").classes("cluster"):
+                button("Write", lambda: dialog.submit(True), "write-yes", "main")
+                button("Leave it", lambda: dialog.submit(False), "write-no")
+        agreed = await dialog
+        dialog.delete()
+        if not agreed:
+            return
+        axis = self.desk.axis
+        wrong = await self.desk.command(lambda session: write_back(session, axis, wanted))
+        refuse(wrong if isinstance(wrong, str) else "; ".join(wrong))
+        await self._compare()
+
+
+def _row(each: Difference) -> dict[str, str]:
+    def told(value: float | None) -> str:
+        return "–" if value is None else f"{value:.10g} {hexadecimal(value, each.row)}".strip()
+
+    return {
+        "object": each.address, "name": each.row.name.replace("_", " "), "drive": told(each.node),
+        FACTORY: told(each.factory), FILE: told(each.file),
+    }  # fmt: skip

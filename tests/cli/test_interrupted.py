@@ -1,0 +1,35 @@
+"""Ctrl-C while the command is loaded, whatever is being imported: a word and 130, no traceback."""
+
+import subprocess
+import sys
+
+import pytest
+
+# sends itself SIGINT when a module is looked for, as if it came there
+PROGRAM = """
+import os, sys
+
+class There:
+    def find_spec(self, name, *_):
+        if name == {module!r} and sys.meta_path.pop(0) is self:
+            os.kill(os.getpid(), 2)
+
+sys.meta_path.insert(0, There())
+sys.argv = ["servogym", "drives"]
+from servogym.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["servogym.training", "servogym.training.cli", "argparse", "rich", "rich.console",
+     "servogym.training.cli.drives", "numpy", "servogym.drive.model"],
+)  # fmt: skip
+def test_ctrl_c_while_a_module_is_loaded(module):
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(module=module)], capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.stderr == "interrupted\n"
+    assert done.returncode == 130
