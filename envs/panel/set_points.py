@@ -138,8 +138,8 @@ class SetPoints:
         """Follow a wave, a set-point each exchange."""
         master, name = self.bench.masters[axis], KINDS[kind].name
         master.follow(self._mode_of(axis, kind))
-        unit = {"position": self.bench.units(axis).position, "velocity": self.bench.units(axis).velocity,
-                "torque": 0.1}[kind]  # fmt: skip
+        units = self.bench.units(axis)
+        unit = {"position": units.position, "velocity": units.velocity, "torque": 0.1}[kind]
         begin = master.port.now()
         while (now := master.port.now() - begin) < time:
             master.write(name, round(wave(now) / unit))

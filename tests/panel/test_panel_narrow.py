@@ -7,7 +7,7 @@ pytestmark = needs_chromium
 PAGES = ("state", "motion", "scope", "machine", "loops", "experiments", "objects", "lessons")
 # text that is drawn over other text: leaves of the page that share more than an edge
 OVERLAPPING = """() => {
-  const leaves = [...document.querySelectorAll("main .page.open *")].filter(
+  const leaves = [...document.querySelectorAll(".page.open *")].filter(
     e => !e.children.length && e.textContent.trim() && !e.closest("svg, canvas, .uplot, .plot, i"));
   const boxes = leaves.map(e => {
     const range = document.createRange();

@@ -5,7 +5,7 @@ from nicegui import events, ui
 from ....drive.model.rows import Object
 from ..comparison import Difference, compare, of_file, write_back
 from .desk import Desk, Refusal, refuse
-from .widgets import button, card, hexadecimal
+from .widgets import button, card, file_button, hexadecimal
 
 FACTORY, FILE = "factory", "file"
 COLUMNS = ("object", "name", "drive", FACTORY, FILE)
@@ -21,12 +21,9 @@ class CompareCard:
         with card("Compare parameters", "compare-parameters"):
             self.said = ui.label("The drive, the factory and a file.").classes("prose quiet")
             self.said.props("data-test=compared")
-            loader = ui.upload(label="Compare with a file", auto_upload=True, on_upload=self._load,
-                               max_file_size=1_000_000,
-                               on_rejected=lambda: refuse("it is too large"))  # fmt: skip
-            loader.props("flat bordered data-test=compare-file").classes("upload")
             with ui.element("div").classes("cluster"):
                 button("Compare", self._compare, "compare", "main")
+                file_button("With a file …", self._load, "compare-file")
                 button("Write the factory's …", lambda: self._ask(FACTORY), "write-factory")
                 button("Write the file's …", lambda: self._ask(FILE), "write-file")
             self.table = ui.table(

@@ -66,7 +66,8 @@ class ExperimentsPage:
                 with ui.element("div").classes("parameter"):
                     ui.label(f"{row.name}, {unit}")
                     value = ui.label("").classes("parameter-value")
-                    entry = Entry("", "", 0.0, row.most, test=f"disturb-{row.name.split()[0]}")
+                    entry = Entry("", "", 0.0, row.most, test=f"disturb-{row.name.split()[0]}",
+                                  spoken=f"{row.name}, {unit}")  # fmt: skip
                     entry.unit = unit
                     entry.send_to(self._sender(row, entry))
                 self.rows.append((row, value, place))

@@ -17,7 +17,7 @@ from ...autotune.tune import Tuned, tune
 from ...engine.machine import Machine
 from .charts import SMALL, bode_chart, move_chart, step_chart
 from .desk import Desk, Refusal, refuse
-from .widgets import Entry, Tag, button, card, two_sided
+from .widgets import TOGGLE, Entry, Tag, button, card, two_sided
 
 TAKE_OVER, PUT_BACK = "Take over", "Put back"
 VIEWS = {"bode": "Bode", "step": "Step", "move": "Move"}
@@ -37,7 +37,7 @@ class LoopsPage:
         with ui.element("div").classes("columns loop-columns"):
             with card("Open loops, measured", "bode"):
                 self.view = ui.toggle(VIEWS, value="bode", on_change=self._draw)
-                self.view.props("no-caps unelevated data-test=loop-view")
+                self.view.props(f"{TOGGLE} data-test=loop-view")
                 self.view.set_visibility(False)
                 self.hint = ui.label("Measure the loops, or tune a copy.").classes("prose quiet")
                 self.chart = ui.echart(bode_chart([])).classes("chart tall")

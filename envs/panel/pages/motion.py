@@ -271,7 +271,7 @@ class _Parameter:
             )
             self.entry = Entry(
                 "", "", row.minimum, row.maximum, send=self._send, whole=row.format != "f",
-                test=f"set-{row.name}",
+                test=f"set-{row.name}", spoken=f"{row.name.replace('_', ' ')} {self.address}",
             )  # fmt: skip
 
     async def _send(self, value: float) -> str:

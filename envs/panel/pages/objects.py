@@ -4,8 +4,8 @@ from nicegui import events, ui
 
 from ....drive.model.rows import Object
 from .comparing import CompareCard
-from .desk import Desk, refuse
-from .widgets import Entry, button, card, hexadecimal
+from .desk import Desk
+from .widgets import Entry, button, card, file_button, hexadecimal
 
 EVERY = 12  # pictures between two readings of all values
 COLUMNS = (
@@ -79,11 +79,7 @@ class ObjectsPage:
                         "All storable objects as one file, with the model and a checksum."
                     ).classes("prose quiet")
                     button("Save to a file", self._save, "save-parameters")
-                    loader = ui.upload(
-                        label="Load a file", auto_upload=True, max_file_size=1_000_000,
-                        on_upload=self._load, on_rejected=lambda: refuse("it is too large"),
-                    )  # fmt: skip
-                    loader.props("flat bordered data-test=load-parameters").classes("upload")
+                    file_button("Load a file …", self._load, "load-parameters")
                     self.loaded.move(target_index=-1)
         self._filter()
 

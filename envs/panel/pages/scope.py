@@ -12,7 +12,7 @@ from ....drive.trace import Edge
 from ..bench import Bench
 from ..recorder import MOST_CHANNELS, Run, Window
 from .desk import Desk, refuse
-from .widgets import Entry, button, card
+from .widgets import TOGGLE, Entry, button, card
 
 STATIC = Path(__file__).parents[1] / "static"
 COLOURS = (
@@ -85,7 +85,7 @@ class ScopePage:
                     )
                 with card("Trigger"):
                     self.run = ui.toggle(RUNS, value=int(scope.run), on_change=self._trigger)
-                    self.run.props("no-caps unelevated spread data-test=trigger-run")
+                    self.run.props(f"{TOGGLE} spread data-test=trigger-run")
                     trigger = scope.trigger
                     self.channel = ui.select(
                         offered, label="Channel", with_input=True, on_change=self._trigger,

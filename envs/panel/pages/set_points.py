@@ -5,7 +5,7 @@ from nicegui import ui
 from ..bench import Bench
 from ..generator import KINDS
 from .desk import Desk, refuse
-from .widgets import Entry, button, card
+from .widgets import TOGGLE, Entry, button, card
 
 TIME = 5.0  # s of a wave
 
@@ -25,7 +25,7 @@ class SetPointCard:
                 ui.label("This drive has no mode for set-points.").classes("prose quiet")
                 return
             self.kind = ui.toggle(known, value=known[0], on_change=self._choose)
-            self.kind.props("no-caps unelevated spread data-test=set-point-kind")
+            self.kind.props(f"{TOGGLE} spread data-test=set-point-kind")
             with ui.element("div").classes("cluster"):
                 self.value = Entry("Value", "", test="set-point", send=self._set)
                 button("Set", lambda: self.value.apply(), "set-point-go", "main")

@@ -21,7 +21,7 @@ from .motion import MotionPage
 from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
-from .widgets import Readout, Tag, button, card, live, pending, told, two_sided
+from .widgets import TOGGLE, Readout, Tag, button, card, live, pending, told, two_sided
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 MODES = {int(mode): name for mode, name in MODE_ABBREVIATION.items()} | {0: "no mode"}
@@ -33,7 +33,8 @@ for (const id in texts) {
 }
 return 1"""
 # Esc closes what is open; where nothing is, it is the quick stop
-LISTEN = """window.addEventListener("blur", () => emitEvent("left"));
+LISTEN = """document.documentElement.lang = "en";
+window.addEventListener("blur", () => emitEvent("left"));
 window.addEventListener("keydown", (event) => {
   if (event.key !== "Escape" || event.repeat || event.isComposing) return;
   if (document.querySelector(".q-menu, .q-dialog__inner")) return;
@@ -71,7 +72,7 @@ class Shell:
         ui.add_css(STYLE.read_text(encoding="utf-8"))
         self.dark = ui.dark_mode(kept.get("dark", False))
         self._header()
-        with ui.element("main").classes("frame"):
+        with ui.element("div").classes("frame"):
             self._rail(pages)
             self.places = {}
             self.pages: dict[str, Any] = {}
@@ -93,7 +94,7 @@ class Shell:
         session = self.clock.session
         with ui.element("header").classes("top"):
             with ui.element("div").classes("brand"):
-                Tag("b", "servogym")
+                Tag("h1", "servogym")
                 models = {session.model(axis).name for axis in session.axes}
                 title = f"{session.title} · {', '.join(sorted(models))}"
                 Tag("span", title, title=title)
@@ -101,7 +102,7 @@ class Shell:
                 ui.toggle(
                     list(session.axes), value=self.desk.axis,
                     on_change=lambda event: self._axis(event.value),
-                ).props("no-caps unelevated dense data-test=axis")  # fmt: skip
+                ).props(f"{TOGGLE} dense data-test=axis")  # fmt: skip
             self.state = ui.label("").classes("state-chip").props("data-test=state")
             self.mode = ui.label("").classes("chip").props("data-test=mode-shown")
             self.position = Readout("Position", test="header-position")
@@ -142,7 +143,7 @@ class Shell:
 
     def _rail(self, pages: Sequence[type[Any]]) -> None:
         self.links = {}
-        with ui.element("nav").classes("rail"):
+        with ui.element("nav").classes("rail").props("aria-label=Pages"):
             for number, page in enumerate(pages, 1):
                 link = Tag(
                     "button", type="button", title=f"key {number}", data_test=f"go-{page.name}"

@@ -49,7 +49,9 @@ class StateDiagram:
                           if row.controlword is not None}  # fmt: skip
         self._boxes: dict[State, Tag] = {}
         self._arrows: dict[int, Tag] = {}
-        with Tag("svg", viewBox="0 0 560 492", role="img").classes("diagram"):
+        with Tag(
+            "svg", viewBox="0 0 560 492", role="img", aria_label="States of the device control"
+        ).classes("diagram"):
             with Tag("defs"):
                 for name in ("quiet", "ready"):
                     with Tag(

@@ -11,6 +11,8 @@ from ....drive.diagrams import Bit
 from ....drive.model.rows import Object
 from .. import entry
 
+# white text on the accent is not to be read in the dark theme; the text has the colour of ours
+TOGGLE = "no-caps unelevated toggle-text-color=ours"
 _PENDING: dict[str, dict[str, str]] = {}
 
 
@@ -114,6 +116,7 @@ class Entry:
         send: called with the number on Enter; gives words where it is refused.
         whole: whether it has to be a whole number.
         test: its name in tests.
+        spoken: what a screen reader says where no name is shown.
     """
 
     def __init__(
@@ -127,6 +130,7 @@ class Entry:
         *,
         whole: bool = False,
         test: str = "",
+        spoken: str = "",
     ):
         self.unit, self.low, self.high, self.whole = unit, low, high, whole
         self._send = send
@@ -138,6 +142,8 @@ class Entry:
         self.field.without_auto_validation()
         if unit:
             self.field.props(f'suffix="{unit}"')
+        if spoken:
+            self.field.props(f'aria-label="{spoken}"')
         if test:
             self.field.props(f"data-test={test}")
         self.field.on("keydown.enter", self.apply)
@@ -225,6 +231,14 @@ def button(
     if test:
         made._props["data-test"] = test  # it may be what somebody has typed
     return made
+
+
+def file_button(text: str, load: Callable[..., Any], test: str) -> ui.button:
+    """A button that asks for a file; `load` gets the upload. Quasar's own box is out of sight."""
+    loader = ui.upload(auto_upload=True, max_file_size=1_000_000, on_upload=load,
+                       on_rejected=lambda: ui.notify(f"{text}: the file is too large"))  # fmt: skip
+    loader.props(f"data-test={test}").classes("out-of-sight")
+    return button(text, lambda: loader.run_method("pickFiles"), f"{test}-pick")
 
 
 def two_sided(text: str, press: Callable[[str], Any], test: str = "", kind: str = "") -> ui.button:
