@@ -109,6 +109,7 @@ class _Import:
         self.cells: Cells = read_cells(self.base.folder / "objects.csv")
         self.rows: dict[tuple[int, int], dict[str, Any]] = {}
         self.names: set[str] = set()
+        self.pdos: list[tuple[Any, ...]] = []
         title = line(sheet.text("DeviceInfo", "ProductName") or sheet.path.stem) or "drive"
         self.result = Made(title, sheet.path.name, "servogym drives --from-eds")
         self.result.repairs = sheet.repairs
@@ -132,6 +133,7 @@ class _Import:
         self._pdos()
         self._place()
         made.objects = [self.rows[address] for address in sorted(self.rows)]
+        made.pdos = self.pdos
         indices = sorted({f"{index:04X}h" for index, _ in self.base.objects})
         made.toml = {"buses": ["can"], "without": indices} | made.toml
         self._capabilities()
@@ -391,7 +393,7 @@ class _Import:
                 except ValueError:
                     count = 0
                 for n, identifier in enumerate(PREDEFINED[direction][:count]):
-                    self.result.pdos.append((direction, n + 1, f"0x{identifier:X}+node_id", 255, 0,
+                    self.pdos.append((direction, n + 1, f"0x{identifier:X}+node_id", 255, 0,
                                              "", "", "", "", "empty", "inferred"))  # fmt: skip
 
     def _pdo(self, direction: str, first: int, n: int) -> None:
@@ -407,10 +409,10 @@ class _Import:
         common = (direction, n + 1, self._identifier(direction, first + n, n),
                   value(2, 255), value(3, 0))  # fmt: skip
         for position, (index, subindex, bits) in enumerate(entries, 1):
-            self.result.pdos.append((*common, position, f"0x{index:04X}", f"0x{subindex:02X}", bits,
+            self.pdos.append((*common, position, f"0x{index:04X}", f"0x{subindex:02X}", bits,
                                      "", SOURCE))  # fmt: skip
         if not entries:
-            self.result.pdos.append((*common, "", "", "", "", "empty", SOURCE))
+            self.pdos.append((*common, "", "", "", "", "empty", SOURCE))
         given = {0: len(entries)} | {
             s: i << 16 | sub << 8 | b for s, (i, sub, b) in enumerate(entries, 1)
         }
@@ -464,7 +466,7 @@ class _Import:
     def _place(self) -> None:
         """What no PDO carries by default loses its mapping where the record has no place for it."""
         used = {
-            (int(row[6], 0), int(row[7], 0)) for row in self.result.pdos if row[6] != ""
+            (int(row[6], 0), int(row[7], 0)) for row in self.pdos if row[6] != ""
         }  # fmt: skip
         room, lost = VENDOR_BYTES, 0
         order = sorted(self.rows, key=lambda address: (address not in used, address))

@@ -45,7 +45,7 @@ class Made:
     base: str = "generic"
     toml: dict[str, Any] = field(default_factory=dict)  # more of drive.toml, tables as dicts
     objects: list[dict[str, Any]] = field(default_factory=list)  # rows of objects.csv
-    pdos: list[tuple[Any, ...]] = field(default_factory=list)  # rows of pdo.csv
+    pdos: list[tuple[Any, ...]] | None = field(default_factory=list)  # rows of pdo.csv; the base's
     more: dict[str, str] = field(default_factory=dict)  # further files, as ethercat.toml
     notes: list[str] = field(default_factory=list)  # where the rest comes from, a line each
     repairs: list[Repair] = field(default_factory=list)
@@ -84,8 +84,9 @@ def write(made: Made, folder: Path, check: Callable[[Path], object]) -> None:
     place = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         _table(place / "objects.csv", OBJECT_COLUMNS, made.objects)
-        rows = [dict(zip(PDO_COLUMNS, row, strict=True)) for row in made.pdos]
-        _table(place / "pdo.csv", PDO_COLUMNS, rows)
+        if made.pdos is not None:
+            rows = [dict(zip(PDO_COLUMNS, row, strict=True)) for row in made.pdos]
+            _table(place / "pdo.csv", PDO_COLUMNS, rows)
         for name, text in made.more.items():
             (place / name).write_text(text, encoding="utf-8")
         (place / "drive.toml").write_text(_toml(made), encoding="utf-8")

@@ -74,6 +74,11 @@ COMMANDS = {
         "sheets", "write the EtherCAT device description (ESI) or EEPROM image of a drive model",
         "esi kollmorgen_akd -o akd.xml",
     ),
+    "observe": Command(
+        "observe", "ask a drive on CAN what it is, and compare it with a drive model",
+        "observe --node-id 5 -i socketcan -c can0 -o drive.json",
+        "Then: servogym observe --compare drive.json --drive generic. The power stage stays off.",
+    ),
     "decode": Command(
         "decode", "explain a log of a CAN or EtherCAT bus, frame by frame",
         "decode run.log --drive festo_cmmp_as",

@@ -1,0 +1,204 @@
+"""What is observed of a drive, and what a comparison with a model finds: planted differences."""
+
+import csv
+import json
+import threading
+
+import can
+import pytest
+
+from servogym.drive.canopen.node import Node
+from servogym.drive.canopen.observe import Observer, _Cycling, compare, of_model, opened, sealed
+from servogym.drive.canopen.port import NodePort
+from servogym.drive.drive import Drive
+from servogym.drive.model.model import load, model_names
+from servogym.drive.wire.server import Server
+from servogym.envs.plants.catalogue import axis_for
+from servogym.training.cli import main
+
+MODELS = [name for name in model_names() if "can" in load(name).buses]
+HEADER = (load("generic").folder / "objects.csv").read_text(encoding="utf-8").split("\n")[0]
+
+# planted in a drive, and where it shows; each stands in a file of its folder
+PLANTS = {
+    "vendor": ("0x1018,0x01,,,,,,,,,0x1A3,,,,,,", {"1018h:01h"}),
+    "product": ("0x1018,0x02,,,,,,,,,7,,,,,,", {"1018h:02h"}),
+    "revision": ("0x1018,0x03,,,,,,,,,8,,,,,,", {"1018h:03h"}),
+    "name": ("0x1008,0x00,,,,,,,,,somebody's drive,,,,,,", {"1008h:00h"}),
+    "device type": (
+        "0x1000,0x00,,,,,,,,,0x00060192,,,,,,",
+        {"1000h:00h", "1000h:00h sub-index FEh"},
+    ),
+    "motor type": ("0x6402,0x00,,,,,,,,,3,,,,,,", {"6402h:00h"}),
+    "following error window": ("0x6065,0x00,,,,,,,,,5000,,,,,,", {"6065h:00h"}),
+    "position window": ("0x6067,0x00,,,,,,,,,77,,,,,,", {"6067h:00h"}),
+    "chopper": ("0x2018,0x01,,,,,,,,,380000,,,,,,", {"2018h:01h"}),
+    "an object more": ("0x5000,0x00,extra,VAR,UNSIGNED16,ro,,,,,5,,,,,,", {"5000h:00h"}),
+    "a string more": ("0x4F00,0x00,text,VAR,VISIBLE_STRING,const,,,,,abc,,,,,,", {"4F00h:00h"}),
+    "a sub-index more": ("0x2015,0x04,brake_more,RECORD,UNSIGNED8,rw,,,,,1,,,,,,", {"2015h:04h"}),
+    "quick stop range": ("0x605A,0x00,,,,,,,,6,,,,,,,", {"605Ah:00h"}),
+    "halt range": ("0x605D,0x00,,,,,,,,2,,,,,,,", {"605Dh:00h"}),
+    "velocity range": ("0x6081,0x00,,,,,,,,90000000,,,,,,,", {"6081h:00h"}),
+    "acceleration range": ("0x6083,0x00,,,,,,,10,,,,,,,,", {"6083h:00h"}),
+    "limit range": ("0x607F,0x00,,,,,,,,2000000000,,,,,,,", {"607Fh:00h"}),
+    "time-out range": ("0x6066,0x00,,,,,,,,1000,,,,,,,", {"6066h:00h"}),
+    "window time range": ("0x606E,0x00,,,,,,,1,,,,,,,,", {"606Eh:00h"}),
+    "quick stop access": ("0x6085,0x00,,,,ro,,,,,,,,,,,", {"6085h:00h"}),
+    "homing access": ("0x609A,0x00,,,,ro,,,,,,,,,,,", {"609Ah:00h"}),
+    "option access": ("0x605C,0x00,,,,ro,,,,,,,,,,,", {"605Ch:00h"}),
+}
+WITHOUT = {"60F2h": {"60F2h:00h"}, "6404h": {"6404h:00h"}, "60D8h": {"60D8h:00h"}}
+
+
+def planted(tmp_path):
+    """A folder with all of it -> the folder, and by plant where it shows."""
+    folder = tmp_path / "real"
+    folder.mkdir()
+    shows = {name: where for name, (_, where) in PLANTS.items()}
+    (folder / "objects.csv").write_text(
+        "\n".join([HEADER, *(row for row, _ in PLANTS.values())]) + "\n", encoding="utf-8"
+    )
+    rows = [*csv.reader((load("generic").folder / "pdo.csv").read_text("utf-8").splitlines())]
+    column = {name: n for n, name in enumerate(rows[0])}
+    for row in rows[1:]:
+        number = row[column["number"]]
+        if row[0] == "rx" and number == "2":
+            row[column["cob_id"]] = "0x310+node_id"
+        if row[0] == "tx" and number == "1":
+            row[column["transmission_type"]] = "1"
+    with (folder / "pdo.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
+    modes = ["pp", "vl", "pv", "hm", "ip", "csp", "csv", "cst"]
+    methods = [m for m in load("generic").homing_methods if m != 33]
+    without = json.dumps([*WITHOUT])
+    (folder / "drive.toml").write_text(
+        f'based_on = "generic"\nwithout = {without}\n[capabilities]\nmodes = {json.dumps(modes)}\n'
+        f"homing_methods = {json.dumps(methods)}\n"
+        '[abort_codes]\n"06070012h" = { value = 0x06070010, source = "planted" }\n'
+        '[quirks]\nremote_bit = { value = 1, source = "planted" }\n',
+        encoding="utf-8",
+    )
+    for name, where in WITHOUT.items():
+        shows[f"without {name}"] = where
+    shows["identifier of an RPDO"] = {"1401h:01h"}
+    shows["type of a TPDO"] = {"1800h:02h"}
+    shows["mode tq"] = {"mode 4", "6502h:00h"}
+    shows["homing method 33"] = {"6098h:00h"} | {f"60E3h:{n:02X}h" for n in range(40)}
+    words = ("0000h", "0006h", "0006h 0000h", "0080h", "0006h 0080h", "0006h 0006h", "0000h 0006h")
+    shows["remote bit"] = {"6041h:00h"} | {f"controlword {word}" for word in words}
+    lengths = ("5 bytes", "6 bytes", "8 bytes")
+    codes = {
+        f"{i:04X}h:{s:02X}h {n}" for i in range(0x1000, 0x6600) for s in range(3) for n in lengths
+    }
+    shows["abort code"] = codes
+    return folder, shows
+
+
+def test_planted_differences_are_found_and_none_is_invented(tmp_path):
+    folder, shows = planted(tmp_path)
+    assert len(shows) >= 30
+    differences = compare(of_model(folder), of_model("generic"))
+    where = {difference.where for difference in differences}
+    missed = [name for name, places in shows.items() if not where & places]
+    assert len(missed) <= len(shows) - 29, missed
+    assert missed == []
+    assert where <= set().union(*shows.values()), "invented"
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_an_observed_model_gives_back_that_model(name):
+    found = of_model(name, node_id=9)
+    assert found["read_only"] == ""
+    assert compare(found, of_model(name, node_id=9)) == []
+    assert not any("not_restored" in one for one in found["objects"].values())
+    assert len(found["dialogues"]) >= 60
+
+
+def test_two_models_are_told_apart():
+    assert len(compare(of_model("festo_cmmp_as"), of_model("generic"))) > 100
+
+
+@pytest.fixture
+def served():
+    """A drive on a bus of python-can, moved by an axis."""
+    bus = can.Bus(interface="virtual", channel="servogym-observe")
+    server = Server(bus, [axis_for("generic", 5)])
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    yield server.nodes[0].drive
+    server.stop()
+    thread.join(10)
+    bus.shutdown()
+
+
+COMMAND = ["observe", "--node-id", "5", "-i", "virtual", "-c", "servogym-observe"]
+
+
+@pytest.mark.slow
+def test_a_served_drive_is_observed_and_left_as_it_was(served, tmp_path, capsys):
+    before = {(i, s): served.objects.read(i, s) for i, s in served.objects.slots}
+    out = tmp_path / "drive.json"
+    assert main([*COMMAND, "-o", str(out)]) == 0
+    assert "is put back" in capsys.readouterr().out
+    after = {(i, s): served.objects.read(i, s) for i, s in served.objects.slots}
+    live = (0x6041, 0x6063, 0x6064, 0x6040, 0x6061)
+    changed = [a for a in before if before[a] != after[a] and a[0] not in live]
+    assert changed == []
+    assert main(["observe", "--compare", str(out), "--drive", "generic"]) == 1
+    told = capsys.readouterr().out
+    assert "6091h" not in told
+    assert "6081h:00h: value" in told  # commissioned for its axis
+
+
+def test_nothing_is_written_to_a_drive_that_is_enabled():
+    drive = Drive("generic", node_id=3)
+    bench = _Cycling({"x": drive}, drive.model.cycle_time["position"])
+    port = NodePort(bench, Node(drive))
+    for word in (0x06, 0x07, 0x0F):
+        drive.write("controlword", word)
+        bench.step(200)
+    before = {(i, s): drive.objects.read(i, s) for i, s in drive.objects.slots}
+    found = Observer(port, 3).observe()
+    assert found["read_only"] == "node 3 is in OPERATION_ENABLED"
+    assert not any("write" in one for one in found["objects"].values())
+    assert not any(name.startswith(("controlword", "mode")) for name in found["dialogues"])
+    after = {(i, s): drive.objects.read(i, s) for i, s in drive.objects.slots}
+    assert before == after
+
+
+def test_nothing_is_written_while_another_drive_on_the_bus_is_enabled():
+    drives = [Drive("generic", node_id=n) for n in (3, 4)]
+    bench = _Cycling({str(d.node_id): d for d in drives}, drives[0].model.cycle_time["position"])
+    nodes = [Node(drive) for drive in drives]
+    drives[1].write(0x1017, 0, 50)  # its heartbeat is heard
+    for word in (0x06, 0x07, 0x0F):
+        drives[1].write("controlword", word)
+        bench.step(200)
+    assert Observer(NodePort(bench, *nodes), 3).observe()["read_only"].startswith("node 4 is in")
+
+
+def test_an_observation_that_was_altered_is_refused(tmp_path, capsys):
+    found = sealed({"format": "servogym observation", "version": 1, "bus": "can", "node_id": 1,
+                    "read_only": "", "objects": {}, "dialogues": {}})  # fmt: skip
+    assert opened(json.dumps(found), "x") == found
+    for spoilt in (json.dumps(found | {"node_id": 2}), "[]", "{}", "hello", json.dumps({})):
+        with pytest.raises(ValueError, match=r"x (was altered|is no)"):
+            opened(spoilt, "x")
+        file = tmp_path / "x.json"
+        file.write_text(spoilt)
+        assert main(["observe", "--compare", str(file), "--drive", "generic"]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_comparison_proposes_a_model_that_says_the_same(tmp_path, capsys):
+    folder, _ = planted(tmp_path)
+    file, out = tmp_path / "real.json", tmp_path / "mine"
+    file.write_text(json.dumps(of_model(folder)))
+    assert main(["observe", "--compare", str(file), "--drive", "generic", "-o", str(out)]) == 1
+    assert "marked observed" in capsys.readouterr().out
+    rest = compare(of_model(folder), of_model(out))
+    before = compare(of_model(folder), of_model("generic"))
+    assert len({d.where for d in rest if "h:" in d.where[:6]}) < len(before) / 2
+    assert Drive(out).read("following_error_window") == 5000
+    assert load(out).objects[0x6065, 0].section == "observed"
+    assert "`observed`" in (out / "README.md").read_text(encoding="utf-8")
