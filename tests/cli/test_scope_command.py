@@ -101,7 +101,7 @@ def test_a_capture_of_ethercat_is_shown_by_the_names_of_the_mapped_objects(tmp_p
     assert main(["scope", str(capture), "--channels", channels, "--out", str(tmp_path)]) == 0
     names, rows = columns(tmp_path)
     assert {"position_actual_internal_value", "statusword"} <= {*names}
-    assert len(rows) >= 2
+    assert rows  # one: the recording has each exchange of process data once
 
 
 @pytest.fixture

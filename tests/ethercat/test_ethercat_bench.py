@@ -12,6 +12,7 @@ def test_42_the_rows_of_the_bench_come_as_json(capsys, monkeypatch):
     monkeypatch.setattr(bench, "SLAVES", (1, 8))
     monkeypatch.setattr(bench, "ON_THE_WIRE", ((1, "none"),))
     monkeypatch.setattr(bench, "CYCLES", 400)
+    monkeypatch.setattr(bench, "CLOCK_FRAMES", 400)
     for _ in range(5):  # SOEM gives up after 2 ms; where the machine has other things to do, again
         assert bench.run(1, True, Console()) == 0  # raises where a working counter is wrong
         results = json.loads(capsys.readouterr().out)
@@ -19,6 +20,9 @@ def test_42_the_rows_of_the_bench_come_as_json(capsys, monkeypatch):
             break
     assert [*results["controller_us"]] == ["1", "8"]
     assert 0.0 < results["controller_us"]["8"]["best"] <= results["controller_us"]["8"]["median"]
+    assert [*results["clocks"]] == ["frame", "frame, SYNC0", "dc, SYNC0", "real"]
+    assert all(row["wrong"] == 0 and row["in_op"] for row in results["clocks"].values())
+    assert results["clocks"]["frame"]["ratio"] == 1.0
     row = results["pysoem"]["1 none"]
     assert "left_out" in row or (row["best"] > 0.0 and row["in_op"])
 

@@ -21,7 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ...drive.ethercat.bus import Bus
+from ...drive.ethercat.al import AlState
+from ...drive.ethercat.bus import Bus, Clock
 from ...drive.ethercat.frame import Command as C
 from ...drive.ethercat.frame import logical, pack
 from ...drive.ethercat.master import EtherCatMaster
@@ -32,6 +33,8 @@ SLAVES = (1, 2, 8, 32)
 ON_THE_WIRE = ((1, "none"), (8, "none"), (1, "linear"), (8, "linear"))
 FRAMES = 100  # in a row: short, so that some row has a core for itself
 CYCLES, ROWS = 20_000, 20
+CLOCK_FRAMES = 100_000
+PERIOD = 2_000_000  # ns
 
 
 def controllers(slaves: int, repeat: int) -> dict[str, float]:
@@ -59,6 +62,71 @@ def controllers(slaves: int, repeat: int) -> dict[str, float]:
     if counter != 3 * slaves:
         raise RuntimeError(f"working counter {counter} of {slaves} slaves")
     return {"best": min(times), "median": statistics.median(times)}
+
+
+def clocks(frames: int, rows: int) -> dict[str, Any]:
+    """Frames of process data with one linear axis, on each clock in turns, 2 ms of drive time each.
+
+    Time is handed in, so the clocks of the wall run as fast as they can, as ``frame`` does.
+
+    Args:
+        frames: of each clock, in all.
+        rows: in how many turns.
+
+    Returns: by clock the time of a frame (µs) and its ratio to that of ``frame`` in the same turn
+        (median), and working counters that were wrong.
+    """
+    names = {"frame": (Clock.FRAME, False), "frame, SYNC0": (Clock.FRAME, True),
+             "dc, SYNC0": (Clock.DC, True), "real": (Clock.REAL, False)}  # fmt: skip
+    buses = {name: _Clocked(clock, sync0) for name, (clock, sync0) in names.items()}
+    spent: dict[str, list[float]] = {name: [] for name in names}
+    for _ in range(rows):
+        for name, bus in buses.items():
+            spent[name].append(bus.run(frames // rows))
+    ratios = {
+        name: [own / first for own, first in zip(times, spent["frame"], strict=True)]
+        for name, times in spent.items()
+    }
+    return {
+        name: {
+            "us": statistics.median(spent[name]), "ratio": statistics.median(ratios[name]),
+            "frames": frames // rows * rows, "wrong": bus.master.wrong,
+            "in_op": bus.master.slaves[0].state == AlState.OPERATIONAL,
+        }
+        for name, bus in buses.items()
+    }  # fmt: skip
+
+
+class _Clocked:
+    """A master and a slave with a linear axis in OPERATIONAL, to which the time is handed in."""
+
+    def __init__(self, clock: Clock, sync0: bool):
+        segment, machines = ethercat_line([MODEL], "linear")
+        self._bus, self._now = Bus(segment, machines, clock), 0
+        self.master = EtherCatMaster(self)
+        self.master.scan()
+        self.master.to_preop()
+        (slave,) = self.master.slaves
+        slave.mailbox.download(0x60C2, 1, bytes([PERIOD // 1_000_000]))
+        if sync0:
+            self.master.synchronise()
+            self.master.sync0(PERIOD)
+        self.master.map()
+        self.master.to(AlState.SAFE_OPERATIONAL)
+        self.run(20)
+        self.master.to(AlState.OPERATIONAL)
+
+    def exchange(self, frame: bytes, now: int = 0) -> bytes | None:
+        """A frame at the time it is now."""
+        return self._bus.exchange(frame, self._now)
+
+    def run(self, frames: int) -> float:
+        """Frames of process data; -> time of one (µs)."""
+        begin = time.perf_counter()
+        for _ in range(frames):
+            self._now += PERIOD
+            self.master.cycle()
+        return (time.perf_counter() - begin) / frames * 1e6
 
 
 def on_the_wire(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
@@ -127,6 +195,7 @@ def run(repeat: int, as_json: bool, console: Console) -> int:
         results: dict[str, Any] = {
             "python": platform.python_version(),
             "controller_us": {n: controllers(n, 10 * repeat) for n in SLAVES},
+            "clocks": clocks(CLOCK_FRAMES, ROWS),
             "pysoem": {
                 f"{n} {axis}": on_the_wire(n, axis, CYCLES if axis == "none" else CYCLES // 10)
                 for n, axis in ON_THE_WIRE
@@ -140,6 +209,14 @@ def run(repeat: int, as_json: bool, console: Console) -> int:
         table.add_column(column, justify="right")
     for n, row in results["controller_us"].items():
         table.add_row(str(n), f"{row['best']:.2f}", f"{row['median']:.2f}")
+    console.print(table)
+    table = Table(title="a frame of process data and 2 ms of a linear axis, in memory")
+    for column in ("clock", "µs", "to that of frame", "frames", "wrong"):
+        table.add_column(column, justify="right")
+    for name, row in results["clocks"].items():
+        table.add_row(
+            name, f"{row['us']:.1f}", f"{row['ratio']:.2f}", str(row["frames"]), str(row["wrong"])
+        )
     console.print(table)
     for name, row in results["pysoem"].items():
         slaves, axis = name.split()
