@@ -93,7 +93,7 @@ class Bench:
         self.underway: set[str] = set()  # axes that somebody here has set in motion
         self.agent: Agent | None = None
         self.pupil: Any = None  # `lessons.Pupil`: the lesson that is being done
-        self.lessons: tuple[Any, ...] = ()  # `lessons.Lesson`: that are offered
+        self.lessons: tuple[Any, ...] = ()  # `course.exercise.Exercise`: that are offered
         self.laboratory: Any = None  # `session.Laboratory`, given by who serves
         self.no_policies = ""  # why there is none
         self.delay = 0.0  # s by which commands come late

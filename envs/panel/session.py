@@ -57,6 +57,7 @@ class Session(Bench):
         self._cycle = 0
         super().__init__(self._port, title or type(machine).__name__)
         self.scope = self._scope(machine.cycle_time)
+        self.fresh = machine.snapshot()  # what an exercise begins with
 
     def exchange(self) -> None:
         """One position cycle: paced, stepped, recorded, watched."""

@@ -10,10 +10,11 @@ from servogym.drive.diagrams import HOME, NEGATIVE, POSITIVE, homing_path, trans
 from servogym.drive.kernel.homing import HERE, NUMBERS
 from servogym.drive.kernel.words import State
 from servogym.envs import Machine, commission_joint, gantry, rotary_axis
+from servogym.envs.course.exercise import named
 from servogym.envs.panel.bench import Interrupted
 from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
 from servogym.envs.panel.geometry import Poses, scene
-from servogym.envs.panel.lessons import SHIPPED, Pupil, load, load_all
+from servogym.envs.panel.lessons import Pupil
 from servogym.envs.panel.pages.homing_diagram import homing_svg
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import AXES
@@ -39,79 +40,33 @@ def homed(session):
     return session
 
 
-def words(session, *given):
-    for word in given:
-        assert session.control_word("x", word) == ""
-        session.advance(0.02)
+def test_an_exercise_begins_with_a_fresh_machine_and_is_judged_as_it_runs(session):
+    session.write("x", "max_torque", 100)
+    disturb(session, "x", DISTURBANCES[1], 300.0)
+    pupil = session.pupil = Pupil(session, "x", named("13_overvoltage"))
+    assert session.machine.drives["x"].read("max_torque") == 3000
+    assert DISTURBANCES[1].read(session, 0) == 0.0
+    assert pupil.present.text == "Enable the drive."
+    assert session.enable("x") == ""
+    session.advance(0.1)
+    assert (pupil.present.step, pupil.present.asks) == (1, True)
+    assert pupil.attempt.predict(1)
+    session.reset_fault("x")
+    session.advance(0.1)
+    assert pupil.present.step == 2
+    session.machine.drives["x"].clear_injected()
+    session.reset_fault("x")
+    assert session.enable("x") == ""
+    session.advance(0.1)
+    assert pupil.attempt.done
+    assert pupil.present.text == ""
 
 
-# what a pupil does, by the file of the lesson: one entry a step
-SOLUTIONS = {
-    "1_power": [
-        lambda s: words(s, 0x08, 0x09, 0x0B, 0x0F),
-        lambda s: words(s, 0x06),
-        lambda s: words(s, 0x07, 0x0F),
-        lambda s: s.quick_stop("x"),
-        lambda s: s.enable("x"),
-    ],
-    "2_home_and_trip": [
-        lambda s: (s.enable("x"), s.home("x", 17)),
-        lambda s: s.move("x", 0.4),
-        lambda s: (s.write("x", "max_torque", 3000), s.reset_fault("x"), s.enable("x"),
-                   s.move("x", 0.4)),
-    ],
-    "3_overvoltage": [
-        lambda s: s.enable("x"),
-        lambda s: s.reset_fault("x"),
-        lambda s: (s.machine.drives["x"].clear_injected(), s.reset_fault("x"), s.enable("x")),
-    ],
-    "4_gentle": [
-        lambda s: (s.enable("x"), s.home("x", 35)),
-        lambda s: (s.write("x", "profile_acceleration", 2_000_000),
-                   s.write("x", "profile_deceleration", 2_000_000)),
-        lambda s: (s.write("x", "motion_profile_type", 3), s.move("x", 0.42)),
-        lambda s: (s.jog("x", -0.1), s.advance(2.98), s.jog("x", 0.0)),
-    ],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", SOLUTIONS)
-def test_a_lesson_is_done_step_by_step_and_not_before(session, name):
-    lesson = load(SHIPPED / f"{name}.toml")
-    pupil = session.pupil = Pupil(session, "x", lesson)
-    session.advance(0.05)
-    for number, solve in enumerate(SOLUTIONS[name]):
-        assert pupil.step == number
-        solve(session)
-        session.advance(0.2)
-    assert pupil.done
-    assert len(pupil.times) == len(lesson.steps)
-
-
-def test_all_lessons_have_a_solution_here():
-    assert [path.stem for path in sorted(SHIPPED.glob("*.toml"))] == [*SOLUTIONS]
-    assert len(load_all()) == 4
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "'title' is missing|'step' is missing"),
-        ("title=1\nstep=[]", "no step"),
-        ("title='a'\n[[step]]\ntext='b'", "'check' is missing"),
-        ("title='a'\n[[step]]\ntext='b'\ncheck={}", "checks nothing"),
-        ("title='a'\n[[step]]\ntext='b'\ncheck={state='ON'}", "OPERATION_ENABLED"),
-        ("title='a'\n[[step]]\ntext='b'\ncheck={speed=1}", "speed is unknown, use state"),
-        ("title='a'\n[[step]]\ntext='b'\ncheck={position=[2,1]}", "no range"),
-        ("title = ", "lesson"),
-    ],
-)
-def test_a_lesson_that_cannot_be_right_is_refused_with_its_file(tmp_path, text, said):
-    file = tmp_path / "wrong.toml"
-    file.write_text(text)
-    with pytest.raises(ValueError, match=said) as error:
-        load(file)
-    assert str(file) in str(error.value)
+def test_a_wrong_way_is_named_and_the_exercise_lost(session):
+    pupil = session.pupil = Pupil(session, "x", named("11_power"))
+    assert session.enable("x") == ""
+    assert "has left Switch on disabled" in pupil.present.wrong
+    assert any("Begin the exercise again" in text for _, _, text in session.messages)
 
 
 # ------------------------------------------------------- disturbances, policies

@@ -112,6 +112,11 @@ COMMANDS = {
         "panel", "commission a drive in the browser: state, motion, scope, Bode, lessons",
         "panel --axis vertical --drive festo_cmmp_as",
     ),
+    "course": Command(
+        "course", "list the exercises of the course, show one, or check solutions in Python",
+        "course check solution.py",
+        "`check` runs the file: check only solutions whose author you trust.",
+    ),
     "train": Command(
         "train", "train a policy with stable-baselines3",
         "train LinearAxis-v0 --steps 200000 --seed 1 --out out/axis",

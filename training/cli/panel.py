@@ -56,7 +56,7 @@ def add(panel: argparse.ArgumentParser) -> None:
 
 def _machine(options: argparse.Namespace):
     from ...envs import Machine, commission_joint
-    from ...envs.plants.catalogue import AXES
+    from ...envs.plants.catalogue import AXES, power_on
 
     if options.mjcf is None:
         if options.joint:
@@ -66,6 +66,7 @@ def _machine(options: argparse.Namespace):
             raise ValueError(f"--axis = {options.axis!r}: use one of {', '.join(AXES)}")
         make, places = AXES[options.axis]
         machine = make(options.drive)
+        power_on(machine, places)
     else:
         if options.axis:
             raise ValueError(f"--axis {options.axis} and --mjcf are two machines: give one of them")
@@ -119,8 +120,8 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
 
 def _panel(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
+    from ...envs.course.exercise import load_all
     from ...envs.panel import server
-    from ...envs.panel.lessons import load_all
     from ...envs.panel.session import Session
     from ...envs.tasks import fitting
     from ..policies.takeover import Laboratory

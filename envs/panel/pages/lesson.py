@@ -1,10 +1,11 @@
-"""Lessons: a task, its present step, and what is done already."""
+"""Exercises: what is to be done, what is done already, and what went wrong."""
 
 from collections.abc import Sequence
 
 from nicegui import ui
 
-from ..lessons import Lesson, Pupil
+from ...course.exercise import Exercise
+from ..lessons import Progress, Pupil
 from ..session import Session
 from .desk import Desk, refuse
 from .widgets import Tag, button, card
@@ -15,11 +16,10 @@ class LessonPage:
 
     name, title, icon = "lessons", "Lessons", "school"
 
-    def __init__(self, desk: Desk, lessons: Sequence[Lesson] | None = None):
+    def __init__(self, desk: Desk, lessons: Sequence[Exercise] | None = None):
         self.desk = desk
         self.lessons = list(lessons if lessons is not None else desk.clock.session.lessons)
-        self._drawn: tuple[str, int, str] | None = None
-        self._hinted = -1
+        self._drawn: Progress | None = None
         with ui.element("div").classes("columns lesson-columns"):
             with card("Exercises"):
                 for number, lesson in enumerate(self.lessons):
@@ -30,6 +30,7 @@ class LessonPage:
                         Tag("span", lesson.about)
             with card("Exercise", "exercise"):
                 self.head = ui.label("Choose an exercise.").classes("verdict")
+                self.lost = ui.label().classes("lost").props("data-test=lesson-lost role=alert")
                 self.steps = ui.element("ol").classes("steps")
                 with ui.element("div").classes("cluster"):
                     self.hint = button("Hint", self._hint, "hint")
@@ -43,13 +44,12 @@ class LessonPage:
             session.pupil = None
             session.pupil = Pupil(session, axis, lesson)
 
-        self._hinted = -1
         refuse(await self.desk.motion(begin))
 
     async def _again(self) -> None:
         pupil = self.desk.clock.session.pupil
-        if pupil is not None and pupil.lesson in self.lessons:
-            await self._start(self.lessons.index(pupil.lesson))
+        if pupil is not None and pupil.exercise in self.lessons:
+            await self._start(self.lessons.index(pupil.exercise))
 
     async def _leave(self) -> None:
         def leave(session: Session) -> None:
@@ -57,37 +57,55 @@ class LessonPage:
 
         refuse(await self.desk.command(leave))
 
-    def _hint(self) -> None:
-        lesson = self.desk.shown["lesson"]
-        self._hinted = lesson[1] if lesson else -1
-        self._drawn = None
+    async def _hint(self) -> None:
+        def hint(session: Session) -> None:
+            if session.pupil is not None:
+                session.pupil.attempt.hint()
+
+        refuse(await self.desk.command(hint))
+
+    async def _predict(self, option: int) -> None:
+        def predict(session: Session) -> None:
+            if session.pupil is not None and session.pupil.attempt.asks:
+                session.pupil.attempt.predict(option)
+
+        refuse(await self.desk.command(predict))
 
     def show(self) -> None:
         """The present step."""
         at = self.desk.shown["lesson"]
         if at == self._drawn and at is not None:
             return
+        for made in (self.hint, self.again, self.leave, self.lost):
+            made.set_visibility(at is not None)
         if at is None and self._drawn is None:
-            for made in (self.hint, self.again, self.leave):
-                made.set_visibility(False)
             return
         self._drawn = at
         self.steps.clear()
-        for made in (self.hint, self.again, self.leave):
-            made.set_visibility(at is not None)
         pupil = self.desk.clock.session.pupil
         if at is None or pupil is None:
             self.head.set_text("Choose an exercise.")
             return
-        steps = pupil.lesson.steps
-        self.head.set_text(at[0] + (" · done" if at[1] >= len(steps) else ""))
-        self.hint.set_visibility(at[1] < len(steps) and bool(steps[at[1]].hint))
+        attempt = pupil.attempt
+        steps = pupil.exercise.steps
+        self.head.set_text(at.title + (" · done" if at.step >= len(steps) else ""))
+        self.lost.set_visibility(bool(at.wrong))
+        self.lost.set_text(f"{at.wrong} Begin again with a fresh machine.")
+        more = at.step < len(steps) and at.hints < len(steps[at.step].hints)
+        self.hint.set_visibility(more and not at.wrong)
         with self.steps:
-            for number, step in enumerate(steps[: at[1] + 1]):
-                done = number < at[1]
+            for number, step in enumerate(steps[: at.step + 1]):
+                done = number < at.step
                 with Tag("li", data_test=f"step-{number}").classes("done" if done else "due"):
                     Tag("span", step.text)
                     if done:
-                        Tag("small", f"done after {pupil.times[number]:.1f} s")
-                    elif self._hinted == number:
-                        Tag("small", step.hint)
+                        Tag("small", f"done after {attempt.times[number]:.1f} s")
+                        if step.predict is not None:
+                            Tag("small", step.predict.why)
+                        continue
+                    for hint in attempt.hinted:
+                        Tag("small", hint)
+                    if step.predict is not None:
+                        Tag("small", f"First say: {step.predict.question}")
+                        for option, text in enumerate(step.predict.options if at.asks else ()):
+                            button(text, lambda n=option: self._predict(n), f"option-{option}")

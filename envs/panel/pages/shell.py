@@ -279,8 +279,8 @@ class Shell:
         lesson = shown["lesson"]
         self.task.set_visibility(lesson is not None)
         if lesson is not None:
-            title, number, text = lesson
-            self.task_text.set_text(f"{title} · {f'{number + 1}. {text}' if text else 'done'}")
+            now = f"{lesson.step + 1}. {lesson.text}" if lesson.text else "done"
+            self.task_text.set_text(f"{lesson.title} · {lesson.wrong or now}")
         self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)

@@ -1,0 +1,237 @@
+"""An attempt at an exercise: a fresh machine, and a judge that sees every cycle of it."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...drive.advice import cause_of, refused
+from ...drive.kernel.words import Mode, command_of
+from ..engine.machine import Machine
+from ..masters.port import MachinePort
+from .condition import Look, holds
+from .exercise import Exercise, Step
+
+START_HOMING = 0x10  # bit 4 of the controlword in mode hm
+
+
+class Observer:
+    """Looks at a drive: what it shows, and which of its parameters have changed.
+
+    It compares the bytes of the parameters, so it sees a change whoever made it: a page, an SDO or
+    a PDO.
+
+    Args:
+        machine: the machine.
+        axis: name of the drive in it.
+    """
+
+    def __init__(self, machine: Machine, axis: str):
+        self.machine, self.drive = machine, machine.drives[axis]
+        units = MachinePort(machine).units(axis)
+        scale = 1e3 if units.name == "m" else math.degrees(1.0)
+        self._position, self._velocity = units.position * scale, units.velocity * scale
+        slots = [
+            slot
+            for slot in self.drive.objects.slots.within("axis")
+            if slot.row.format and slot.row.access == "rw" and slot.row.index >= 0x2000
+            and not slot.row.name.startswith(("controlword", "target_", "modes_of_operation"))
+        ]  # fmt: skip
+        self._slots = {slot.row.name: slot for slot in slots}
+        sizes = [(slot.row.name, slot.offset, slot.code.size) for slot in slots]
+        self._places = np.concatenate([np.arange(at, at + size) for _, at, size in sizes])
+        self._owner = np.repeat(np.arange(len(sizes)), [size for *_, size in sizes])
+        self._names = [name for name, *_ in sizes]
+        self._bytes = np.frombuffer(slots[0].view, np.uint8)
+        self.begin()
+
+    def begin(self) -> None:
+        """From here on counts what is refused, written and how large the torque gets."""
+        self.drive.axis.refused_command = 0
+        self._before = self._bytes[self._places]
+        self._values = {name: float(slot.get()) for name, slot in self._slots.items()}
+        self._peak = 0.0
+
+    def look(self) -> Look:
+        """The drive as it is now."""
+        drive, axis = self.drive, self.drive.axis
+        od, written = axis.od, frozenset[str]()
+        now = self._bytes[self._places]
+        if not np.array_equal(now, self._before):
+            changed = np.unique(self._owner[now != self._before])
+            written = frozenset(self._names[i] for i in changed)
+            self._values = self._values | {n: float(self._slots[n].get()) for n in written}
+            self._before = now
+        torque = float(od.torque_actual_value)
+        self._peak = max(self._peak, abs(torque))
+        mode, controlword = drive.mode, int(od.controlword)
+        homing = mode == Mode.HOMING and controlword & START_HOMING and drive.energised
+        return Look(
+            self.machine.time, drive.state.name, command_of(controlword).name, mode.name,
+            cause_of(axis), refused(axis), bool(axis.homed),
+            int(od.homing_method) if homing else 0, not axis.standstill,
+            float(od.position_actual_value) * self._position,
+            float(od.velocity_actual_value) * self._velocity,
+            torque, self._peak, float(od.following_error_actual_value) * self._position,
+            written, self._values,
+        )  # fmt: skip
+
+
+@dataclass
+class Report:
+    """What became of an attempt.
+
+    Args:
+        exercise: its name.
+        done: whether all steps are done.
+        step: number of steps that are done.
+        wrong: what was said of a wrong way, empty without one.
+        times: of the steps that are done (s since the exercise began).
+        hints: hints used.
+        predictions: for each question, whether it was answered rightly.
+    """
+
+    exercise: str
+    done: bool
+    step: int
+    wrong: str
+    times: list[float]
+    hints: int
+    predictions: list[bool]
+
+
+class Attempt:
+    """An exercise that is being done on an axis of a machine.
+
+    Args:
+        exercise: to be done.
+        machine: fresh, as `servogym.envs.plants.catalogue.power_on` leaves it.
+        axis: name of the drive.
+        tell: called with a line when a step is done or lost.
+
+    Raises:
+        ValueError: the machine cannot begin as the exercise says.
+    """
+
+    def __init__(
+        self,
+        exercise: Exercise,
+        machine: Machine,
+        axis: str = "x",
+        tell: Callable[[str], None] = lambda text: None,
+    ):
+        self.exercise, self.machine, self.axis = exercise, machine, axis
+        self.wrong = ""
+        self.step = 0
+        self.times: list[float] = []
+        self.hints = 0
+        self.predictions: list[bool] = []
+        self._tell = tell
+        self._time = 0.0  # s that the looks before counted
+        exercise.begin.act(machine, axis)
+        machine.step(2)
+        self._observer = Observer(machine, axis)
+        self._last = machine.time
+        self._enter()
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are done."""
+        return self.step >= len(self.exercise.steps)
+
+    @property
+    def present(self) -> Step | None:
+        """The step to be done, None when all are done."""
+        return None if self.done else self.exercise.steps[self.step]
+
+    @property
+    def asks(self) -> bool:
+        """Whether the step waits for a prediction."""
+        present = self.present
+        return present is not None and present.predict is not None and not self._predicted
+
+    @property
+    def report(self) -> Report:
+        """What became of it until now."""
+        return Report(
+            self.exercise.name, self.done, self.step, self.wrong, [*self.times], self.hints,
+            [*self.predictions],
+        )  # fmt: skip
+
+    def predict(self, option: int) -> bool:
+        """Answer the question of the step, once; returns whether the answer is right.
+
+        Raises ValueError: there is no question now, or no such option.
+        """
+        present = self.present
+        if present is None or present.predict is None or self._predicted:
+            raise ValueError("there is no question now: look at `asks`")
+        if not 0 <= option < len(present.predict.options):
+            raise ValueError(f"option = {option!r} is out of 0..{len(present.predict.options) - 1}")
+        self._predicted = True
+        self.predictions.append(option == present.predict.answer)
+        return self.predictions[-1]
+
+    def hint(self) -> str:
+        """The next hint of the step, the last one again when there are no more; it is counted."""
+        hints = self.present.hints if self.present else ()
+        if not hints:
+            return ""
+        if self._hinted < len(hints):
+            self._hinted += 1
+            self.hints += 1
+        return hints[self._hinted - 1]
+
+    @property
+    def hinted(self) -> tuple[str, ...]:
+        """The hints of the step that were given."""
+        return self.present.hints[: self._hinted] if self.present else ()
+
+    def look(self) -> None:
+        """Judge the cycle that has passed; call it after each position cycle."""
+        now = self.machine.time
+        restarted, self._last = now < self._last, now
+        self._time += self.machine.cycle_time
+        present = self.present
+        if present is None or self.wrong:
+            return
+        if restarted:
+            self._lose("The machine was switched off and on: what had happened is lost.")
+            return
+        look = self._observer.look()
+        for when, say in present.wrong:
+            if holds(look, when):
+                self._lose(say)
+                return
+        if present.throughout and not holds(look, present.throughout):
+            self._lose(f"This has to hold all the time: {_words(present.throughout)}.")
+            return
+        if holds(look, present.goal[self._reached]):
+            self._reached += 1
+        if self._reached < len(present.goal):
+            return
+        if self.asks:
+            self._lose("Answer the question before you do the step.")
+            return
+        self.times.append(self._time)
+        self.step += 1
+        self._tell(f"step {self.step} of {self.exercise.title!r} is done")
+        self._enter()
+
+    def _lose(self, why: str) -> None:
+        self.wrong = why
+        self._tell(f"{why} Begin the exercise again.")
+
+    def _enter(self) -> None:
+        """Begin the step."""
+        self._reached, self._hinted, self._predicted = 0, 0, False
+        present = self.present
+        if present is not None:
+            present.begin.act(self.machine, self.axis)
+            self._observer.begin()
+
+
+def _words(condition: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in condition.items())

@@ -1,0 +1,263 @@
+"""Exercises: TOML files that say what has to happen, in which order, and which ways are wrong.
+
+An exercise is a file::
+
+    title = "Stop it the right way"
+    about = "What it is about."
+    unit = 1                            # of the course
+    axis = "linear"                     # kind of machine it is made for
+
+    [begin]                             # what is done to a fresh machine, all optional
+    positions = { x = 0.12 }            # m or rad
+    write = { profile_velocity = 200000 }
+    disturb = { cable_drag = 130 }      # N
+    inject = ["overvoltage"]
+
+    [[step]]
+    text = "Enable the drive."
+    hints = ["The transitions 2, 3 and 4.", "0006h, 0007h, 000Fh."]
+    begin = { write = { max_torque = 1200 } }          # done when the step begins
+    goal = [{ command = "QUICK_STOP" }, { state = "SWITCH_ON_DISABLED" }]
+    throughout = { mode = "PROFILE_POSITION" }         # broken: the step is lost
+
+    [step.predict]                                     # asked before the step can be done
+    question = "Where does it come to rest?"
+    options = ["At once", "After its ramp"]
+    answer = 1
+    why = "605Ah = 2 slows down on the quick stop ramp."
+
+    [[step.wrong]]                                     # a way that is not meant
+    when = { command = "DISABLE_VOLTAGE" }
+    say = "0000h takes the power away: the axis coasts."
+
+``goal`` is a list of conditions (`condition`) that have to hold one after the other; the step is
+done when the last one holds. A wrong way ends the exercise, which then begins anew with a fresh
+machine.
+"""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...drive.model.files import content
+from ...drive.model.near import near
+from ..engine.machine import Machine
+from .condition import check
+
+SHIPPED = Path(__file__).parent / "exercises"
+
+
+def _set_drag(machine: Machine, axis: int, value: float) -> None:
+    machine.mechanics["chain_drag"][axis] = value
+
+
+def _set_friction(machine: Machine, axis: int, value: float) -> None:
+    machine.couplings["friction"][axis] = value
+
+
+# what an exercise may put in an axis' way (N or Nm)
+DISTURBANCES: dict[str, Callable[[Machine, int, float], None]] = {
+    "cable_drag": _set_drag,
+    "friction": _set_friction,
+}
+
+
+@dataclass(frozen=True)
+class Begin:
+    """What is done to a machine when an exercise or a step begins.
+
+    Args:
+        positions: of joints (m or rad), by drive; power off and on again there.
+        write: objects by name (drive units).
+        inject: causes of faults.
+        disturb: sizes of `DISTURBANCES` by name.
+    """
+
+    positions: Mapping[str, float] = field(default_factory=dict)
+    write: Mapping[str, float] = field(default_factory=dict)
+    inject: tuple[str, ...] = ()
+    disturb: Mapping[str, float] = field(default_factory=dict)
+
+    def act(self, machine: Machine, axis: str) -> None:
+        """Do it. Raises ValueError for what the machine cannot do."""
+        if self.positions:
+            machine.reset(positions=self.positions)
+        drive, number = machine.drives[axis], [*machine.drives].index(axis)
+        for name, value in self.write.items():
+            drive.commission({name: value})
+        for cause in self.inject:
+            drive.inject(cause)
+        for name, value in self.disturb.items():
+            DISTURBANCES[name](machine, number, value)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A question that is answered before the run shows it.
+
+    Args:
+        question: what will happen.
+        options: to choose from.
+        answer: number of the right one, from 0.
+        why: told afterwards.
+    """
+
+    question: str
+    options: tuple[str, ...]
+    answer: int
+    why: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do.
+
+    Args:
+        text: what.
+        goal: conditions that have to hold one after the other.
+        hints: the first one least telling.
+        throughout: a condition that has to hold all the time, or nothing.
+        wrong: conditions that must never hold, and what is said then.
+        predict: a question before.
+        begin: what is done to the machine first.
+    """
+
+    text: str
+    goal: tuple[dict[str, Any], ...]
+    hints: tuple[str, ...] = ()
+    throughout: Mapping[str, Any] = field(default_factory=dict)
+    wrong: tuple[tuple[dict[str, Any], str], ...] = ()
+    predict: Prediction | None = None
+    begin: Begin = Begin()
+
+
+@dataclass(frozen=True)
+class Exercise:
+    """A task of several steps.
+
+    Args:
+        name: of its file.
+        title, about: for people.
+        unit: of the course, 0 for none.
+        axis: kind of machine it is made for, key of `servogym.envs.plants.catalogue.AXES`.
+        begin: what is done to a fresh machine.
+        steps: in order.
+    """
+
+    name: str
+    title: str
+    about: str
+    unit: int
+    axis: str
+    begin: Begin
+    steps: tuple[Step, ...]
+
+
+def load(path: str | Path) -> Exercise:
+    """An exercise of a file.
+
+    Raises:
+        ValueError: names file, step, and what is wrong.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(content(path, "an exercise").decode())
+        _known(data, ("title", "about", "unit", "axis", "begin", "step"), "")
+        rows = _required(data, "step")
+        if not isinstance(rows, list) or not rows:
+            raise ValueError("it has no step: add [[step]]")
+        return Exercise(
+            path.stem, _text(data, "title"), str(data.get("about", "")), int(data.get("unit", 0)),
+            str(data.get("axis", "linear")), _begin(data.get("begin", {})),
+            tuple(_step(number, row) for number, row in enumerate(rows, 1)),
+        )  # fmt: skip
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, TypeError, ValueError) as error:
+        raise ValueError(f"exercise {path}: {error}") from None
+
+
+def load_all(folder: str | Path = SHIPPED) -> list[Exercise]:
+    """The exercises of a folder in the order of their files' names. Raises ValueError: none."""
+    files = sorted(Path(folder).glob("*.toml"))
+    if not files:
+        raise ValueError(f"--lessons {folder}: there is no .toml file in it")
+    return [load(file) for file in files]
+
+
+def named(name: str, folder: str | Path = SHIPPED) -> Exercise:
+    """An exercise by its name or the path of its file. Raises ValueError: there is none."""
+    if name.endswith(".toml"):
+        return load(name)
+    known = {path.stem: path for path in sorted(Path(folder).glob("*.toml"))}
+    if name not in known:
+        raise ValueError(f"there is no exercise {name!r}: {near(name, known)}")
+    return load(known[name])
+
+
+def _step(number: int, row: Any) -> Step:
+    try:
+        known = ("text", "goal", "hints", "throughout", "wrong", "predict", "begin")
+        _known(row, known, "step: ")
+        goal = _required(row, "goal")
+        if not isinstance(goal, list) or not goal:
+            raise ValueError("goal: give at least one condition")
+        wrong = []
+        for each in row.get("wrong", []):
+            _known(each, ("when", "say"), "wrong: ")
+            wrong.append((check(_required(each, "when")), _text(each, "say")))
+        hints = row.get("hints", [])
+        if not isinstance(hints, list) or not all(isinstance(hint, str) for hint in hints):
+            raise ValueError(f"hints = {hints!r}: give a list of sentences")
+        return Step(
+            _text(row, "text"), tuple(check(each) for each in goal), tuple(hints),
+            check(row["throughout"]) if "throughout" in row else {}, tuple(wrong),
+            _prediction(row["predict"]) if "predict" in row else None,
+            _begin(row.get("begin", {})),
+        )  # fmt: skip
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"step {number}: {error}") from None
+
+
+def _prediction(row: Any) -> Prediction:
+    _known(row, ("question", "options", "answer", "why"), "predict: ")
+    options, answer = _required(row, "options"), _required(row, "answer")
+    if not isinstance(options, list) or len(options) < 2:
+        raise ValueError("predict: give at least two options")
+    if not isinstance(answer, int) or not 0 <= answer < len(options):
+        raise ValueError(f"predict: answer = {answer!r} is out of range 0..{len(options) - 1}")
+    return Prediction(
+        _text(row, "question"), tuple(map(str, options)), answer, _text(row, "why")
+    )  # fmt: skip
+
+
+def _begin(row: Any) -> Begin:
+    _known(row, ("positions", "write", "inject", "disturb"), "begin: ")
+    for name in row.get("disturb", {}):
+        if name not in DISTURBANCES:
+            raise ValueError(f"disturb {name!r}: {near(str(name), DISTURBANCES)}")
+    return Begin(
+        dict(row.get("positions", {})), dict(row.get("write", {})), tuple(row.get("inject", ())),
+        dict(row.get("disturb", {})),
+    )  # fmt: skip
+
+
+def _known(row: Any, names: tuple[str, ...], where: str) -> None:
+    if not isinstance(row, Mapping):
+        raise ValueError(f"{where}{row!r} is no table")
+    for name in row:
+        if name not in names:
+            raise ValueError(f"{where}{name} is unknown: {near(str(name), names)}")
+
+
+def _required(row: Mapping[str, Any], name: str) -> Any:
+    if name not in row:
+        raise ValueError(f"{name!r} is missing")
+    return row[name]
+
+
+def _text(row: Mapping[str, Any], name: str) -> str:
+    text = _required(row, name)
+    if not isinstance(text, str) or not text.strip():
+        raise ValueError(f"{name} = {text!r}: write a sentence")
+    return text

@@ -1,0 +1,62 @@
+"""`servogym course`."""
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+
+def add(command: argparse.ArgumentParser) -> None:
+    """Options of `course`."""
+    command.add_argument("action", choices=("list", "show", "check"), nargs="?", default="list")
+    command.add_argument("what", nargs="*", help="exercise to show, or solutions to check")
+    command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
+    command.add_argument("--json", action="store_true", help="a line of JSON for each solution")
+    command.set_defaults(run=_course)
+
+
+def _course(options: argparse.Namespace, console: Console) -> int:
+    """List, show or check."""
+    from ...envs.course import exercise
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    if options.action == "list":
+        table = Table("unit", "exercise", "title", "steps")
+        for each in exercise.load_all():
+            table.add_row(str(each.unit), each.name, each.title, str(len(each.steps)))
+        console.print(table)
+        return 0
+    if not options.what:
+        raise ValueError(f"{options.action}: name an exercise or a solution, see `servogym course`")
+    if options.action == "show":
+        for name in options.what:
+            each = exercise.named(name)
+            tell(f"{each.title}\n{each.about}")
+            for number, step in enumerate(each.steps, 1):
+                tell(f"{number}. {step.text}")
+                if step.predict is not None:
+                    tell(f"   First say: {step.predict.question}")
+                    for n, text in enumerate(step.predict.options):
+                        tell(f"   {n}: {text}")
+        return 0
+    from ...envs.course.laboratory import check
+
+    passed = True
+    for file in options.what:
+        report = check(Path(file), options.drive)
+        passed &= report.done
+        if options.json:
+            print(json.dumps({"file": file} | asdict(report)))
+        elif report.done:
+            right = f", {sum(report.predictions)} of {len(report.predictions)} predictions right"
+            tell(f"{file}: {report.exercise} passed after {report.times[-1]:.2f} s"
+                 f"{right if report.predictions else ''}")  # fmt: skip
+        else:
+            why = report.wrong or "its goal was not reached"
+            tell(f"{file}: {report.exercise} failed at step {report.step + 1}: {why}")
+    return 0 if passed else 1
