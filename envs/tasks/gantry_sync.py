@@ -191,7 +191,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     datasheet: GantryParameters
 
     STROKE = (STROKE, STROKE)
-    POLICIES = ("squaring_slow", "squaring", "oracle", "bound")
+    POLICIES = ("squaring_slow", "squaring", "informed_squaring", "bound")
     REFERENCE = "squaring"
     METRIC = "settling_time"
     METRICS = {  # noqa: RUF012

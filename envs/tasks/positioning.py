@@ -166,7 +166,7 @@ class LinearAxisEnv(ServoEnv):
 
     POLICIES = (
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "proportional", "pd",
-        "oracle", "bound",
+        "informed_ruckig", "bound",
     )  # fmt: skip
     REFERENCE = "ruckig"
     METRIC = "settling_time"

@@ -128,7 +128,7 @@ def another_seed_than_its_folder(head, files):
 
 
 def a_limit_corrected_by_nothing(head, files):
-    about(files, residual="oracle", bounds=[0.0])
+    about(files, residual="informed_ruckig", bounds=[0.0])
 
 
 def a_program_as_base(head, files):
@@ -210,7 +210,7 @@ FORGERIES = {
     seed_of_a_suite: "meets the episodes of evaluations and suites",
     seed_of_a_suite_in_a_vector: "meets the episodes of evaluations and suites",
     another_seed_than_its_folder: "states the seed 2, its folder another one",
-    a_limit_corrected_by_nothing: "corrects 'oracle' by nothing",
+    a_limit_corrected_by_nothing: "corrects 'informed_ruckig' by nothing",
     a_program_as_base: "a program is one file",
     a_program_beside: "a program is one file",
     a_program: "brings evil.py, which is a program: read it, and say --run-code",
@@ -244,12 +244,12 @@ def test_the_same_policy_under_two_names_is_one_entry(honest, forge, capsys):
 
 
 def test_a_correction_of_what_is_told_has_no_rank(honest):
-    """A folder whose base is the oracle was rank 1 of version 1 of this page."""
+    """A folder whose base is told what was drawn was rank 1 of version 1 of this page."""
     head, files = copy.deepcopy(honest[0]), dict(honest[1])
-    about(files, residual="oracle", bounds=[0.01])
+    about(files, residual="informed_ruckig", bounds=[0.01])
     made = format_of.Submission(**head, files=files)
     assert made.told(TASK)
-    assert made.plays == "PPO on oracle"
+    assert made.plays == "PPO on informed_ruckig"
     assert not format_of.Submission(**head, files=dict(honest[1])).told(TASK)
 
 

@@ -107,11 +107,11 @@ def test_the_worst_training_and_the_worst_episodes_are_on_the_bad_side():
     assert np.isnan(summarise(values, "").tail)
 
 
-def test_the_best_baseline_moves_and_is_no_learned_policy_nor_an_oracle():
+def test_the_best_baseline_moves_and_is_no_learned_policy_nor_an_informed_one():
     def row(*values):
         return [None if v is None else Summary(v, v, v, v) for v in values]
 
-    names = ["hold", "ruckig", "lqr", "learned", "built_in:17", "oracle"]
+    names = ["hold", "ruckig", "lqr", "learned", "built_in:17", "informed_ruckig"]
     table = {
         "settling_time": row(0.1, 2.0, 1.0, 0.5, 3.0, 0.3),
         "energy": row(None, None, 1.0, 1, None, 0.9),

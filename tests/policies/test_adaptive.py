@@ -51,9 +51,9 @@ def test_a_late_set_point_is_led_by_the_delay(cycles):
     assert led < 0.3 * followed if cycles else led == followed
 
 
-def test_the_oracle_of_tracking_begins_with_what_was_drawn():
+def test_the_informed_law_of_tracking_begins_with_what_was_drawn():
     env = LinearAxisTrackingEnv(randomise={"payload": 9.0, "friction": 0.6})
-    policy = make("oracle", env)
+    policy = make("informed_adaptive_feed_forward", env)
     play(env, policy, steps=5)
     assert policy.found.tolist() == pytest.approx([datasheet(env).axis.mass(9.0), 0.6])
 
@@ -68,7 +68,7 @@ def test_tracking_errors_fall_from_hold_to_feed_forward_to_the_one_that_adapts()
 
 
 @pytest.mark.parametrize("skew", [-3e-3, 0.0, 3e-3])
-@pytest.mark.parametrize("name", ["squaring", "oracle"])
+@pytest.mark.parametrize("name", ["squaring", "informed_squaring"])
 def test_a_bridge_comes_square_to_its_goal(skew, name):
     env = GantrySyncEnv(randomise={})
     info = play(env, make(name, env), skew=skew)
@@ -99,7 +99,7 @@ def test_the_circle_of_a_first_order_follower_is_smaller_by_half_its_lag_squared
     assert play(env, make("full_feed", env))["mean_error"] < 0.15 * shrunk
 
 
-def test_an_oracle_is_told_the_resonance_and_the_data_sheet_is_not():
+def test_an_informed_law_is_told_the_resonance_and_the_data_sheet_is_not():
     env = CompliantAxisEnv(randomise={"payload": 2.0, "stiffness": 2.0})
     env.reset(seed=1)
     told = datasheet(env, env.parameters).axis
@@ -109,18 +109,18 @@ def test_an_oracle_is_told_the_resonance_and_the_data_sheet_is_not():
     assert (told.payload, known.payload) == (2.0, 5.0)
 
 
-def test_the_oracle_of_a_heavy_load_is_slower_than_that_of_a_light_one():
+def test_the_informed_law_of_a_heavy_load_is_slower_than_that_of_a_light_one():
     """Time-optimal with what the torque leaves: the mass is known, so it decides."""
     actions = []
     for payload in (1.0, 10.0):
         env = LinearAxisEnv(randomise={"payload": payload})
-        policy = make("oracle", env)
+        policy = make("informed_ruckig", env)
         observation, info = env.reset(seed=1, options={"start": 0.1, "goal": 0.3})
         policy.reset(observation, info)
         actions.append([float(policy.act(observation)[0]) for _ in range(5)])
     assert sum(actions[0]) > sum(actions[1])
 
 
-def test_a_task_without_a_law_that_could_be_told_anything_says_so():
-    with pytest.raises(ValueError, match="oracle"):
-        make("oracle", RotaryAxisEnv())
+def test_a_task_with_nothing_to_be_told_says_so():
+    with pytest.raises(ValueError, match="informed_ruckig"):
+        make("informed_ruckig", RotaryAxisEnv())

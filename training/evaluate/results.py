@@ -14,7 +14,7 @@ from rich.console import Console
 
 from ...envs.environment.registry import task
 from ...envs.view.about import Metric
-from ..policies import LEARNED, SHIPPED
+from ..policies import LEARNED, POLICIES, SHIPPED
 from ..report import markdown, number
 from . import repeat
 from .metrics import METRICS, Difference, Summary, metrics
@@ -41,12 +41,13 @@ episodes of the learned policy. Shares are means over the episodes, of the learn
 that baseline. One episode is drawn under each policy, of several trainings under the first.
 
 """
-ROOM = """What there is to gain: the same metric of who does nothing, of chance, of the best
-baseline, of one that is told what was drawn at random (`oracle`), and the least that is possible
-at all (`bound`), interquartile means.
+ROOM = """What there is to gain: the same metric of doing nothing, of chance, of the best baseline,
+of the best law that is told what was drawn at random or rehearses, which is no limit (learned
+policies and baselines are ahead of some), and of a bound below which nothing can be (`bound`),
+interquartile means.
 
 """
-ENDS, LIMITS = ("hold", "random"), ("oracle", "bound")  # beside the best baseline
+ENDS, LIMIT, TOLD = ("hold", "random"), "bound", "informed"  # beside the best baseline
 AGAIN = """## All trainings once more
 
 `servogym results --train out/again --workers 2` trains all of them anew, and goes on where it was
@@ -71,15 +72,20 @@ def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
         kind = task(data["env"])
         known = metrics(kind)
         own, baseline = _chosen(path, data, kind.METRIC, known)
+        sign = -1.0 if known[kind.METRIC].better == "high" else 1.0
         rows.append(_row(path.name, own, baseline, known, kind.METRIC))
-        room.append([path.name, known[kind.METRIC].heading, *_room(data, baseline, kind.METRIC)])
+        room.append(
+            [path.name, known[kind.METRIC].heading, *_room(data, baseline, kind.METRIC, sign)]
+        )
         sections.append(
             _section(
                 path, path.name if at == "." else f"{at}/{path.name}", data, own, baseline, known
             )
         )
     tables = markdown(HEADING, rows) + "\n" + ROOM
-    tables += markdown(("task", "metric", *ENDS, "best baseline", *LIMITS, LEARNED), room) + "\n"
+    tables += (
+        markdown(("task", "metric", *ENDS, "best baseline", TOLD, LIMIT, LEARNED), room) + "\n"
+    )
     return HEAD + tables + "".join(sections) + _again(folder) + FOOT
 
 
@@ -167,14 +173,22 @@ def _row(
     ]
 
 
-def _room(data: Mapping[str, Any], baseline: _Policy, metric: str) -> list[str]:
+def _room(data: Mapping[str, Any], baseline: _Policy, metric: str, sign: float) -> list[str]:
     """The metric of each, from nothing to the limit; a dash where it was not compared."""
-    found = []
-    for name in (*ENDS, baseline.name, *LIMITS, LEARNED):
-        summary = data["policies"].get(name, {}).get("summary", {})
-        text = number(summary[metric]["iqm"]) if metric in summary else "–"
-        found.append(f"{name}: {text}" if name == baseline.name else text)
-    return found
+    known = {
+        name: row["summary"][metric]["iqm"]
+        for name, row in data["policies"].items() if metric in row["summary"]
+    }  # fmt: skip
+    informed = [
+        name for name in known
+        if name != LIMIT and (own := POLICIES.get(name.partition(":")[0])) and own.told
+    ]  # fmt: skip
+    best = min(informed, key=lambda name: known[name] * sign, default=TOLD)
+    return [
+        (f"{name}: " if name in (baseline.name, best) and name in known else "")
+        + (number(known[name]) if name in known else "–")
+        for name in (*ENDS, baseline.name, best, LIMIT, LEARNED)
+    ]
 
 
 def _share(policy: _Policy, share: str) -> str:

@@ -30,8 +30,8 @@ from .file import SUFFIX, from_file, policy_of
 from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring
 from .homing import BuiltIn, search_policy
 from .idle import Chance, Hold
+from .informed import INFORMED, PREFIX
 from .lqr import Lqr
-from .oracle import oracle
 from .pd import Proportional, ProportionalDifferential
 from .plc import plc_policy, timed_policy
 from .predictive import Predictive
@@ -110,7 +110,10 @@ POLICIES: dict[str, Baseline] = {
     "squaring_slow": Baseline(SlowSquaring, "the same as gently as it is commissioned"),
     "constant_feed": Baseline(ConstantFeed, "the path at full feed, no correction"),
     "full_feed": Baseline(FullFeed, "the path ahead of the drives' lag, slower at corners"),
-    "oracle": Baseline(oracle, "the best law, told what was drawn: an upper limit", told=True),
+    **{
+        PREFIX + law: Baseline(make, f"{law}, told what was drawn", told=True)
+        for law, make in INFORMED.items()
+    },
     "bound": Baseline(
         Bound, "least time with all parameters known: a limit, nothing that could act", told=True
     ),

@@ -146,7 +146,7 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = UNTOLD) -> Datasheet:
 
     Args:
         env: the environment.
-        truth: what was drawn of the machine, for an oracle; a policy is not told.
+        truth: what was drawn of the machine, for an informed law; a policy is not told.
     """
     task = vars(env)
     parameters, reference = env.datasheet, task.get("reference")

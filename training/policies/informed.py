@@ -1,8 +1,7 @@
-"""Upper limits: the best law of a task, told what was drawn at random. No controller knows that.
+"""Laws that are told what was drawn at random, which no controller knows.
 
-On `GantryContour-v0`, where nothing is drawn, it is the best law after rehearsals of the motion.
-What lies between an oracle and the best baseline is what identifying, adapting or learning can
-gain with the same law; a law of another kind may still be better.
+What lies between such a law and the same law uninformed is what identifying can gain with it. It is
+no limit of what is possible: a law of another kind may be better, and some that know less are.
 """
 
 from collections.abc import Callable
@@ -16,8 +15,13 @@ from .datasheet import Datasheet, datasheet
 from .gantry import Squaring
 from .lqr import Lqr
 from .plc import chain
-from .profiles import of_the_drive, ruckig_policy, time_optimal
-from .repeated import repeated
+from .profiles import (
+    of_the_drive,
+    ruckig_policy,
+    ruckig_zv_policy,
+    ruckig_zvd_policy,
+    time_optimal,
+)
 from .script import Script
 
 SPARE = 0.95  # of the top speed of a homing, the rest holds the path
@@ -117,20 +121,14 @@ def known_outage(env: ServoEnv, seed: int) -> Script:
     return Script(lambda: chain(datasheet(env), gone=int(env.episode.outage) - 1))
 
 
-ORACLES: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is told
+INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is told
     "adaptive_feed_forward": KnownMass,
     "squaring": KnownSkew,
     "lqr": lambda env, seed: Told(Lqr, env, seed),
     "ruckig": lambda env, seed: Told(ruckig_policy, env, seed),
-    "full_feed": repeated,
+    "ruckig+zv": lambda env, seed: Told(ruckig_zv_policy, env, seed),
+    "ruckig+zvd": lambda env, seed: Told(ruckig_zvd_policy, env, seed),
     "search": KnownHome,
     "plc": known_outage,
 }
-
-
-def oracle(env: ServoEnv, seed: int) -> Any:
-    """That of the task. Raises ValueError where no law of it can be told anything."""
-    for name, make in ORACLES.items():
-        if name in env.POLICIES:
-            return make(env, seed)
-    raise ValueError(f"policy 'oracle': no law of {env.ID} has unknowns; of {', '.join(ORACLES)}")
+PREFIX = "informed_"  # of their names
