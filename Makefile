@@ -47,8 +47,9 @@ docs: $(VENV)/test # with the pictures of the lessons
 coverage: $(VENV)/test
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term-missing:skip-covered $(addprefix --ignore=tests/,$(NOT_THE_DRIVE))
 
-slow: $(VENV)/test
-	$(BIN)/python -m pytest -m slow
+SHARE ?= 1/1
+slow: $(VENV)/test # SHARE=3/40: every 40th of them, from the third on
+	$(BIN)/python -m pytest -m slow --share $(SHARE)
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

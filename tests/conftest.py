@@ -117,8 +117,15 @@ def group(nodeid):
     return next((name for name, parts in TOGETHER.items() if any(p in file for p in parts)), file)
 
 
-def pytest_collection_modifyitems(items):
-    """Mark each test with its group, and sort the groups as workers are to get them."""
+def pytest_addoption(parser):
+    """``--share 3/40``: every 40th test, from the third on."""
+    parser.addoption("--share", default="1/1", help="N/M: every M-th test, from the N-th on")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Keep a share, mark each test with its group, sort the groups as workers are to get them."""
+    number, _, of = config.getoption("share").partition("/")
+    items[:] = items[(int(number) - 1) % int(of) :: int(of)]
     known = {item: group(item.nodeid) for item in items}
     for item, name in known.items():
         item.add_marker(pytest.mark.xdist_group(name))

@@ -129,6 +129,7 @@ class Attempt:
         self.hints = 0
         self.predictions: list[bool] = []
         self._tell = tell
+        self._predicted = False
         self._time = 0.0  # s that the looks before counted
         exercise.begin.act(machine, axis)
         machine.step(2)
@@ -226,7 +227,8 @@ class Attempt:
 
     def _enter(self) -> None:
         """Begin the step."""
-        self._reached, self._hinted, self._predicted = 0, 0, False
+        self._reached, self._hinted = 0, 0
+        self._predicted = False
         present = self.present
         if present is not None:
             present.begin.act(self.machine, self.axis)

@@ -13,8 +13,8 @@ from servogym.drive.model.model import load
 from servogym.drive.wire import pcapng
 from servogym.drive.wire.log import messages
 from servogym.drive.wire.recording import _columns
+from servogym.envs.course.exercise import load as load_lesson
 from servogym.envs.engine import mjcf
-from servogym.envs.panel.lessons import load as load_lesson
 from servogym.training.evaluate.suite import read as load_suite
 
 INCLUDES = '<mujoco><include file="{}"/><worldbody/></mujoco>'
