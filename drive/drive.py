@@ -493,7 +493,12 @@ class Drive:
     def take(self, opened: tuple[dict[str, Any], list[bytes]]) -> None:
         """Become what was `opened`."""
         state, parts = opened
-        views = self._record, process_data.raw(self.rpdos), process_data.raw(self.tpdos), self._more
+        views: Any = (
+            self._record,
+            process_data.raw(self.rpdos),
+            process_data.raw(self.tpdos),
+            self._more,
+        )
         for view, part in zip(views, parts, strict=True):
             view[:] = part
         self.operational = state["operational"]

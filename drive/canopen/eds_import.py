@@ -14,7 +14,6 @@ from typing import Any
 
 from canopen.objectdictionary import datatypes
 
-from ..drive import Drive
 from ..kernel.factors.units import FRACTION_LIMIT
 from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS, parameter_place
 from ..kernel.record import VENDOR_BYTES
@@ -24,6 +23,7 @@ from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
 from ..model.rows import FORMATS, LENGTHS, SIZES, Cells, Object, read_cells
 from ..objects.abort import SdoAbort
+from ..statements import data_sheet
 from .sheet import Entry, Sheet, number, read_sheet
 
 MOST = 1 << 16  # objects
@@ -89,7 +89,7 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
         told = "\n".join(f"{eds}, {repair}" for repair in made.repairs)
         raise ValueError(f"{told}\n{eds}: {len(made.repairs)} departures from CiA 306 (--strict)")
     try:
-        write(made, folder, Drive)
+        write(made, folder, data_sheet)
     except SdoAbort as error:
         raise ValueError(f"{eds}: {error}") from None
     except ValueError as error:

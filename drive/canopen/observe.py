@@ -172,7 +172,8 @@ class Observer:
         return ""
 
     def _wait(self, time: float) -> list[Frame]:
-        end, heard = self._bus.now() + time, []
+        end = self._bus.now() + time
+        heard: list[Frame] = []
         while self._bus.now() < end:
             heard += self._bus.exchange([])
         return heard

@@ -69,13 +69,14 @@ def check_place(folder: Path) -> None:
         raise ValueError(f"{folder}: there is no folder {folder.parent}; make it first")
 
 
-def write(made: Made, folder: Path, check: Callable[[Path], object]) -> None:
+def write(made: Made, folder: Path, check: Callable[[Path], str]) -> None:
     """Write the folder of a model.
 
     Args:
         made: the model.
         folder: must not exist, or be empty.
-        check: makes a drive of the folder; what it raises leaves nothing behind.
+        check: makes a drive of the folder, -> a section for its README; what it raises leaves
+            nothing behind.
 
     Raises:
         ValueError: the folder cannot be made, or `check` refuses it.
@@ -90,9 +91,9 @@ def write(made: Made, folder: Path, check: Callable[[Path], object]) -> None:
         for name, text in made.more.items():
             (place / name).write_text(text, encoding="utf-8")
         (place / "drive.toml").write_text(_toml(made), encoding="utf-8")
-        (place / "README.md").write_text(readme(made), encoding="utf-8")
         try:
-            check(place)
+            section = check(place)
+            (place / "README.md").write_text(f"{readme(made)}\n{section}", encoding="utf-8")
         except ValueError as error:
             raise ValueError(str(error).replace(str(place), str(folder))) from None
         if folder.exists():

@@ -6,6 +6,7 @@ units, as near as its objects allow.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +78,7 @@ def fitted(drive: Drive, values: Mapping[str, float], per_unit: float) -> dict[s
 
 def _in_field(name: str, value: float) -> float:
     """The nearest value that a field of the record holds, of which the drive has no object."""
-    kind = OD[name].base if name in (OD.names or ()) else np.dtype(float)
+    kind: Any = OD[name].base if name in (OD.names or ()) else np.dtype(float)
     if kind.kind == "f":
         return value
     return min(max(value, float(np.iinfo(kind).min)), float(np.iinfo(kind).max))

@@ -18,6 +18,10 @@ def add(drives: argparse.ArgumentParser) -> None:
         "--strict", action="store_true",
         help="with --from-eds: refuse a file that departs from CiA 306, and list where",
     )  # fmt: skip
+    drives.add_argument(
+        "--check", action="store_true",
+        help="try what the model states (objects, ranges, modes, faults) and print its data sheet",
+    )  # fmt: skip
     drives.add_argument("-o", "--out", type=Path, help="folder of the model made, new or empty")
     drives.set_defaults(run=_drives)
 
@@ -91,7 +95,20 @@ def _import(options: argparse.Namespace) -> int:
     return 0
 
 
+def _check(options: argparse.Namespace) -> int:
+    """Print the data sheet of a model; 1 where a statement does not hold."""
+    from ...drive.statements import data_sheet
+
+    if options.model is None:
+        raise ValueError("--check needs a model: its name or its folder")
+    sheet = data_sheet(options.model)
+    print(sheet, end="")
+    return int("\n- " in sheet)
+
+
 def _drives(options: argparse.Namespace, console: Console) -> int:
+    if options.check:
+        return _check(options)
     if options.from_eds is not None or options.out is not None or options.strict:
         return _import(options)
     from ...drive.drive import Drive

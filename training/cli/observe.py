@@ -66,10 +66,10 @@ def _observe(options: argparse.Namespace, console: Console) -> int:
 def _compare(options: argparse.Namespace, console: Console) -> int:
     """Print the differences; 1 where there are some."""
     from ...drive.canopen.observe import compare, of_model, opened, proposed
-    from ...drive.drive import Drive
     from ...drive.model.files import content
     from ...drive.model.made import check_place, write
     from ...drive.model.model import load
+    from ...drive.statements import data_sheet
 
     file = options.compare
     if not file.exists():
@@ -86,6 +86,6 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
     print(f"{file}: {count} of {len(found['objects']) + len(found['dialogues'])} objects and "
           f"dialogues differ from {model.name}")  # fmt: skip
     if options.out is not None:
-        write(proposed(differences, model, file.name), options.out, Drive)
+        write(proposed(differences, model, file.name), options.out, data_sheet)
         print(f"{options.out}: a model on top of {model.name}, its rows are marked observed")
     return int(bool(differences))
