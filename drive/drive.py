@@ -30,7 +30,7 @@ from .objects.abort import Abort, SdoAbort
 from .objects.dictionary import ObjectDictionary
 from .objects.hooks import HOOKS
 from .objects.hooks.ethercat import ASSIGNMENTS, assign
-from .objects.kept import FIELDS, factors, keep, kept, written
+from .objects.kept import factors, keep, kept, written
 from .objects.map_by_name import map_by_name
 from .objects.mapping import compile_default
 from .objects.parameters import Parameters, kept_bytes
@@ -209,8 +209,8 @@ class Drive:
             elif name in record.OD.names:  # type: ignore[operator]
                 self._commissioned[name] = int(round(value))
                 setattr(self.axis.od, name, round(value))
-                if self.model.quirk("values_keep_meaning") and name in FIELDS:
-                    written(self, FIELDS[name])
+                if self.model.quirk("values_keep_meaning") and name in record.PLACES:
+                    written(self, record.PLACES[name])
                 self._powered_on = (0, b""), np.empty(0)
             else:
                 refuse_unknown(name, [*self.objects.names, *(record.OD.names or ())])

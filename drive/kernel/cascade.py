@@ -213,19 +213,16 @@ def receive(axis: Axis):
     axis.pid[0] = od.pid_gain * 1e-6
     axis.pid[1] = od.pid_integral_gain * 1e-3
     axis.pid[2] = od.pid_derivative_gain * 1e-6
-    axis.pid_velocity = od.velocity_torque_feed_forward * 1e-6
     axis.pid_filter = 1.0
     if axis.pid[0] > 0.0 and axis.pid[2] > 0.0:
         rate = PID_FILTER * axis.pid[0] / axis.pid[2]
         axis.pid_filter = 1.0 - math.exp(-axis.velocity_period * rate)
-    time = od.feed_forward_filter_time * 1e-6
-    axis.feed_forward_filter = 1.0 - math.exp(-axis.position_period / time) if time > 0.0 else 1.0
     filtered, observed, limited = (
         filters.receive(axis),
         observer.receive(axis),
         winding.receive(axis),
     )
-    other = axis.structure != Structure.CASCADE or time > 0.0
+    other = axis.structure != Structure.CASCADE or od.feed_forward_filter_time > 0
     axis.shaped = other or filtered or observed or limited
 
 

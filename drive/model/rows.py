@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..kernel.factors.units import Kind
 from ..kernel.faults import Cause, Reaction
 from ..kernel.process_data import parameter_place
-from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES
+from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES, Kind
 from . import foreign
 
 # data type of CiA 301 -> struct format; those that are kept as bytes have none

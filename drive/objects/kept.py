@@ -7,9 +7,9 @@ that has not been written since the units changed is stored as it was written, w
 import functools
 from typing import NamedTuple
 
-from ..kernel.factors.stored import WRITTEN, Stored
+from ..kernel.factors.stored import WRITTEN
 from ..kernel.factors.units import FACTORS
-from ..kernel.record import AXIS, OD
+from ..kernel.record import AXIS, OD, OWN, PLACES
 from ..model.model import DriveModel
 from ..model.rows import Object
 from .device import Device
@@ -24,12 +24,8 @@ def _span(field: str) -> list[int]:
     return [offset + i * kind.base.itemsize for i in range(kind.shape[0] if kind.shape else 1)]
 
 
-FIELDS = {s.name.lower(): int(s) for s in Stored if s is not Stored.OWN}  # field -> (first) place
 FIELD_PLACES = {  # place by offset in `od`
-    offset: stored + i
-    for stored in Stored
-    if stored is not Stored.OWN
-    for i, offset in enumerate(_span(stored.name.lower()))
+    offset: place + i for field, place in PLACES.items() for i, offset in enumerate(_span(field))
 }
 FACTOR_OFFSETS = {offset for field in FACTORS for offset in _span(field)}
 
@@ -40,7 +36,7 @@ def place(model: DriveModel, row: Object) -> int | None:
         return None
     if row.offset in FACTOR_OFFSETS:
         return FACTOR
-    own = {offset: Stored.OWN + j for j, (offset, *_) in enumerate(model.own_stored)}
+    own = {offset: OWN + j for j, (offset, *_) in enumerate(model.own_stored)}
     return FIELD_PLACES.get(row.offset, own.get(row.offset))
 
 

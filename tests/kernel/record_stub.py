@@ -17,11 +17,16 @@ from typing import Any
 
 import numpy as np
 
+from .quantity import Kind as Kind, Quantity as Quantity
+
 '''
 TAIL = """
 Row = tuple[str, str | tuple[str, tuple[int, ...]], str, str]
-OBJECTS: tuple[Row, ...]
+OBJECTS: tuple[Quantity, ...]
 FIELDS: tuple[Row, ...]
+PLACES: dict[str, int]
+RAD_S_PER_MINUTE: float
+SIZES: dict[str, float | str]
 OD: np.dtype
 AXIS: np.dtype
 UNITS: dict[str, str]
@@ -41,7 +46,7 @@ def _class(name, doc, rows, before=""):
     lines = [f"\nclass {name}:", f'    """{doc}"""\n']
     if before:
         lines.append(before)
-    for field, kind, unit, meaning in rows:
+    for field, kind, unit, meaning, *_ in rows:
         shape = f"{kind[1][0]} values" if isinstance(kind, tuple) else ""
         about = "; ".join(part for part in (shape, unit, meaning) if part)
         lines.append(f"    {field}: {_kind(kind)}")

@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 
 from conftest import Shaft
 from servogym.drive.drive import Drive
-from servogym.drive.kernel.factors.stored import OFF, Stored
-from servogym.drive.kernel.factors.units import Kind
-from servogym.drive.kernel.record import OBJECTS
+from servogym.drive.kernel.factors.stored import OFF
+from servogym.drive.kernel.record import AXIS, OBJECTS, OWN, OWN_STORED, PLACES, Kind
 from servogym.drive.model.model import load, model_names
 from servogym.drive.objects.abort import SdoAbort
 from servogym.drive.objects.kept import FIELD_PLACES, place
@@ -141,22 +140,20 @@ def write_factor(drive, field, numerator, divisor):
 
 
 def test_every_field_in_units_of_the_factor_group_is_kept_or_published():
-    names = {
-        name for name, _, unit, _ in OBJECTS
-        if unit in ("position unit", "velocity unit", "acceleration unit", "jerk unit")
-    }  # fmt: skip
-    assert {s.name.lower() for s in Stored} - {"own"} == names - set(PUBLISHED)
+    units = {f"{of} unit" for of in UNITS}
+    names = {row.field for row in OBJECTS if row.unit in units}
+    assert set(PLACES) == names - set(PUBLISHED)
     places = sorted(FIELD_PLACES.values())
-    assert places == [*range(len(places))], "without gaps and overlaps"
-    assert len(places) <= Stored.OWN
+    assert places == [*range(OWN)], "without gaps and overlaps"
+    assert AXIS["kept_raw"].shape == (OWN + OWN_STORED,), "no value is kept behind the array"
 
 
 @pytest.mark.parametrize("name", KEEPING)
 def test_ramps_by_direction_and_the_limit_of_speed_are_kept_too(name):
     model = load(name)
     places = [place(model, model.objects[0x2090, n]) for n in range(2, 6)]
-    assert places == [Stored.VELOCITY_RAMPS + n for n in range(4)]
-    assert place(model, model.objects[0x2416, 2]) == Stored.LIMIT_SPEED
+    assert places == [PLACES["velocity_ramps"] + n for n in range(4)]
+    assert place(model, model.objects[0x2416, 2]) == PLACES["limit_speed"]
 
 
 part = st.one_of(st.integers(1, 60), st.integers(1, 100_000), st.integers(1, 2**24))

@@ -6,27 +6,13 @@ integers, reduced to one exact fraction.
 """
 
 import math
-from enum import IntEnum
 
 from ..jit import block
-from ..record import Axis, Objects
+from ..record import OBJECTS, Axis, Objects
 
-FACTORS = (  # fields of `od` that make the units
-    "polarity", "position_encoder_resolution", "gear_ratio", "feed_constant", "velocity_factor",
-    "acceleration_factor", "position_factor", "velocity_encoder_factor",
-)  # fmt: skip
+FACTORS = tuple(row.field for row in OBJECTS if row.how == "factor")  # fields of `od`
 FRACTION_LIMIT = 1 << 31  # of both parts of the fraction: keeps every product inside 63 bits
 EXACT = 1 << 60  # of both parts of a fraction of revolutions and s
-
-
-class Kind(IntEnum):
-    """Units of the factor group; the first two change their sign with the polarity 607Eh."""
-
-    POSITION = 0
-    VELOCITY = 1
-    WIDTH = 2  # a distance without direction
-    SPEED = 3
-    ACCELERATION = 4
 
 
 @block

@@ -13,15 +13,29 @@ everything else
 `__init__.pyi` says all fields as types, for editors and mypy: `axis: Axis` completes `axis.od.`;
 ``make stub`` writes it from the tables here.
 
-`factors` is the only place that converts between the halves. Reset is an assignment, a snapshot
-is a copy of the bytes, many drives are an array, and two drives cannot share hidden state.
+A quantity is one row: its object, its unit and what it is in SI (`variables.OBJECTS`, see
+`quantity`). From the rows are made the fields, the conversions of `factors`, which is the only
+place that converts, what keeps its meaning when units change, and the stub. Reset is an assignment,
+a snapshot is a copy of the bytes, many drives are an array, and two drives cannot share hidden
+state.
 """
 
 import functools
 
 import numpy as np
 
-from .fields import FIELDS, IP_RECORDS, KINDS, OWN_STORED, SEGMENTS, SET_POINTS, STORED
+from .fields import (
+    FIELDS,
+    IP_RECORDS,
+    KINDS,
+    OWN,
+    OWN_STORED,
+    PLACES,
+    SEGMENTS,
+    SET_POINTS,
+    STORED,
+)  # fmt: skip
+from .quantity import RAD_S_PER_MINUTE, SIZES, Kind, Quantity
 from .variables import (
     ANALOG_INPUTS,
     FAULT_CAUSES,
@@ -33,20 +47,21 @@ from .variables import (
 
 __all__ = [
     "ANALOG_INPUTS", "AXIS", "FAULT_CAUSES", "FAULT_ROWS", "FIELDS", "HISTORY", "IP_RECORDS",
-    "KINDS", "OBJECTS", "OD", "OWN_STORED", "SEGMENTS", "SET_POINTS", "STORED", "UNITS",
-    "VENDOR_BYTES", "Axis", "Objects", "accessible", "make",
+    "KINDS", "OBJECTS", "OD", "OWN", "OWN_STORED", "PLACES", "RAD_S_PER_MINUTE", "SEGMENTS",
+    "SET_POINTS", "SIZES", "STORED", "UNITS", "VENDOR_BYTES", "Axis", "Kind", "Objects", "Quantity",
+    "accessible", "make",
 ]  # fmt: skip
 
 Axis = Objects = np.record  # types of a record and of its `od`: see __init__.pyi
 
 
 def _dtype(rows):
-    return [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind, _, _ in rows]
+    return [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind, *_ in rows]
 
 
 OD = np.dtype(_dtype(OBJECTS), align=True)
 AXIS = np.dtype([("od", OD), *_dtype(FIELDS)], align=True)
-UNITS = {f"od.{name}": unit for name, _, unit, _ in OBJECTS} | {
+UNITS = {f"od.{row.field}": row.unit for row in OBJECTS} | {
     name: unit for name, _, unit, _ in FIELDS
 }
 

@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from .quantity import Kind as Kind, Quantity as Quantity
+
 IP_RECORDS: int
 KINDS: int
+OWN: int
 OWN_STORED: int
 SEGMENTS: int
 SET_POINTS: int
@@ -217,17 +220,17 @@ class Objects:
     following_error_actual_value: int
     """position unit; 60F4h, demand minus actual"""
     max_slippage: int
-    """velocity unit; 60F8h; 0 switches it off"""
+    """speed unit; 60F8h; 0 switches it off"""
     control_effort: int
     """velocity unit; 60FAh, output of the position controller"""
     velocity_control_gain: int
-    """µNm·s/rad; 60F9h:01"""
+    """velocity gain unit; 60F9h:01"""
     velocity_control_time: int
     """µs; 60F9h:02, integral action time; 0 = none"""
     velocity_filter_time: int
     """µs; 60F9h:04, filter of the measured velocity"""
     position_control_gain: int
-    """0.001/s; 60FBh:01"""
+    """position gain unit; 60FBh:01"""
     velocity_feed_forward: int
     """1/1000; 2010h:01, share of the demand velocity"""
     acceleration_feed_forward: int
@@ -385,7 +388,7 @@ class Objects:
     speed_limit_channel: int
     """2416h:01, 1-3 an analog input, 4: limit_speed acts"""
     limit_speed: int
-    """velocity unit; 2416h:02"""
+    """speed unit; 2416h:02"""
     analog_input_offset: np.ndarray
     """3 values; mV; 2401h, taken away"""
     velocity_ramps_enable: int
@@ -517,6 +520,118 @@ class Axis:
     """32 values; manufacturer's number: main << 4 | sub"""
     fault_register: np.ndarray
     """32 values; error register bits of each cause"""
+    following_error_window: float
+    """rad; following_error_window, 6065h; FFFFFFFFh switches it off; inf = off"""
+    following_error_cycles: int
+    """position cycle; following_error_time_out, 6066h"""
+    position_window: float
+    """rad; position_window, 6067h; FFFFFFFFh switches it off; inf = off"""
+    position_window_cycles: int
+    """position cycle; position_window_time, 6068h"""
+    velocity_window: float
+    """rad/s; velocity_window, 606Dh"""
+    velocity_window_cycles: int
+    """position cycle; velocity_window_time, 606Eh"""
+    velocity_threshold: float
+    """rad/s; velocity_threshold, 606Fh, below it the axis stands still"""
+    velocity_threshold_cycles: int
+    """position cycle; velocity_threshold_time, 6070h"""
+    target_torque: float
+    """Nm; target_torque, 6071h"""
+    target_position: float
+    """rad; target_position, 607Ah"""
+    range_min: float
+    """rad; position_range_limit, 607Bh, min and max are one place"""
+    range_max: float
+    """rad; position_range_limit, 607Bh, min and max are one place"""
+    home_offset: float
+    """rad; home_offset, 607Ch"""
+    position_limit_min: float
+    """rad; software_position_limit, 607Dh, min and max"""
+    position_limit_max: float
+    """rad; software_position_limit, 607Dh, min and max"""
+    max_profile_speed: float
+    """rad/s; max_profile_velocity, 607Fh"""
+    max_speed: float
+    """rad/s; max_motor_speed, 6080h"""
+    profile_speed: float
+    """rad/s; profile_velocity, 6081h"""
+    end_speed: float
+    """rad/s; end_velocity, 6082h"""
+    acceleration: float
+    """rad/s²; profile_acceleration, 6083h"""
+    deceleration: float
+    """rad/s²; profile_deceleration, 6084h"""
+    quick_stop_deceleration: float
+    """rad/s²; quick_stop_deceleration, 6085h"""
+    torque_slope: float
+    """Nm/s; torque_slope, 6087h"""
+    homing_speed_switch: float
+    """rad/s; homing_speeds, 6099h, search for switch, for zero"""
+    homing_speed_zero: float
+    """rad/s; homing_speeds, 6099h, search for switch, for zero"""
+    homing_acceleration: float
+    """rad/s²; homing_acceleration, 609Ah"""
+    jerk: np.ndarray
+    """4 values; rad/s³; profile_jerk, 60A4h"""
+    position_offset: float
+    """rad; position_offset, 60B0h"""
+    velocity_offset: float
+    """rad/s; velocity_offset, 60B1h"""
+    torque_offset: float
+    """Nm; torque_offset, 60B2h"""
+    ip_data: float
+    """rad; interpolation_data_record, 60C1h:01"""
+    max_acceleration: float
+    """rad/s²; max_acceleration, 60C5h"""
+    max_deceleration: float
+    """rad/s²; max_deceleration, 60C6h"""
+    max_slippage: float
+    """rad/s; max_slippage, 60F8h; 0 switches it off"""
+    velocity_gain: float
+    """Nm·s/rad; velocity_control_gain, 60F9h:01"""
+    velocity_filter: float
+    """velocity_filter_time, 60F9h:04, filter of the measured velocity"""
+    position_gain: float
+    """1/s; position_control_gain, 60FBh:01"""
+    velocity_feed_forward: float
+    """velocity_feed_forward, 2010h:01, share of the demand velocity"""
+    inertia_feed_forward: float
+    """kg·m²; acceleration_feed_forward, 2010h:02, inertia fed forward"""
+    homing_torque: float
+    """Nm; homing_stop_torque, 2012h:01, limit on the way to a stop"""
+    homing_stop_cycles: int
+    """position cycle; homing_stop_time, 2012h:02, standing against it"""
+    homing_timeout_cycles: int
+    """position cycle; homing_timeout, 2012h:03; 0 switches it off"""
+    brake_release_cycles: int
+    """position cycle; brake_release_time, 2015h:02, set-points wait for it"""
+    pid_velocity: float
+    """Nm·s/rad; velocity_torque_feed_forward, 201Ch:05, of the PID controller"""
+    feed_forward_filter: float
+    """feed_forward_filter_time, 201Ch:06, of the velocity feed-forward"""
+    display_filter: float
+    """velocity_display_filter_time, filter of velocity_actual_value_filtered"""
+    position_error_limit: float
+    """rad; position_error_limit, following error that is a fault; 0 = off; inf = off"""
+    correction_limit: float
+    """rad/s; position_control_v_max, 60FBh:04, limit of 60FAh; 0 = off; inf = off"""
+    dead_band: float
+    """rad; position_error_tolerance, 60FBh:05, dead band of the controller"""
+    limit_deceleration: float
+    """rad/s²; limit_switch_deceleration, 0 = the stop of 2017h"""
+    dc_brake_time: float
+    """s; dc_brake_time, braking at the current limit ends after it (stop_by_demand)"""
+    stop_velocity: float
+    """rad/s; stop_velocity, below it a ramp has ended (stop_by_demand)"""
+    stop_hold_time: float
+    """s; stop_hold_time, for which it has to be below"""
+    vl_window: float
+    """rad/s; vl_window, around the target of vl (vl_window_bit)"""
+    limit_speed: float
+    """rad/s; limit_speed, 2416h:02"""
+    target_velocity: float
+    """rad/s; target_velocity, 60FFh"""
     rad_per_increment: float
     """rad; encoder resolution"""
     rad_per_position_unit: float
@@ -546,7 +661,7 @@ class Axis:
     own_size: np.ndarray
     """12 values; byte; negative: signed; 0 = none"""
     own_kind: np.ndarray
-    """12 values; `factors.Kind`"""
+    """12 values; `Kind`"""
     unit: np.ndarray
     """5 values; rad, rad/s, rad/s²"""
     unit_numerator: np.ndarray
@@ -555,42 +670,6 @@ class Axis:
     """5 values"""
     rated_torque: float
     """Nm"""
-    target_position: float
-    """rad"""
-    target_velocity: float
-    """rad/s"""
-    target_torque: float
-    """Nm"""
-    position_offset: float
-    """rad"""
-    velocity_offset: float
-    """rad/s"""
-    torque_offset: float
-    """Nm"""
-    home_offset: float
-    """rad"""
-    position_limit_min: float
-    """rad; software limit"""
-    position_limit_max: float
-    """rad; software limit"""
-    max_speed: float
-    """rad/s; motor"""
-    profile_speed: float
-    """rad/s; 6081h limited by 607Fh and the motor"""
-    max_profile_speed: float
-    """rad/s; 607Fh limited by the motor"""
-    end_speed: float
-    """rad/s"""
-    acceleration: float
-    """rad/s²; 6083h limited by 60C5h"""
-    deceleration: float
-    """rad/s²; 6084h limited by 60C6h"""
-    quick_stop_deceleration: float
-    """rad/s²"""
-    jerk: np.ndarray
-    """4 values; rad/s³; in the order of 60A4h; 0 = trapezoid, `ramps.SINE` = sin²"""
-    range_min: float
-    """rad; 607Bh"""
     range: float
     """rad; 607Bh, max minus min; 0 = a linear axis"""
     vl_rad_s: float
@@ -613,87 +692,22 @@ class Axis:
     """Nm; the same with its source at full scale"""
     torque_speed: float
     """rad/s; highest in a torque mode: of 2416h, or max_speed"""
-    limit_speed: float
-    """rad/s; of 2416h, with its source at full scale"""
     velocity_ramps: np.ndarray
     """4 values; rad/s²; 2090h: up, down, up and down in negative direction"""
     ramps_seen: np.ndarray
     """2 values; rad/s²; 6083h and 6084h when they were copied there; 0 = never"""
-    max_slippage: float
-    """rad/s; 0 = off"""
-    ip_data: float
-    """rad; 60C1h:01"""
-    stop_velocity: float
-    """rad/s; below it the run-down counts as ended"""
-    stop_hold_time: float
-    """s"""
-    dc_brake_time: float
-    """s"""
-    vl_window: float
-    """rad/s; around the target"""
-    torque_slope: float
-    """Nm/s"""
-    homing_speed_switch: float
-    """rad/s"""
-    homing_speed_zero: float
-    """rad/s"""
-    homing_acceleration: float
-    """rad/s²"""
-    homing_torque: float
-    """Nm"""
-    homing_stop_cycles: int
-    """position cycle"""
-    homing_timeout_cycles: int
-    """position cycle; 0 = off"""
-    brake_release_cycles: int
-    """position cycle"""
     brake_engage_cycles: int
     """position cycle"""
     interpolation_cycles: int
     """position cycle; 60C2h"""
-    following_error_window: float
-    """rad; inf = off"""
-    following_error_cycles: int
-    """position cycle"""
-    position_window: float
-    """rad; inf = off"""
-    position_window_cycles: int
-    """position cycle"""
-    velocity_window: float
-    """rad/s"""
-    velocity_window_cycles: int
-    """position cycle"""
-    velocity_threshold: float
-    """rad/s"""
-    velocity_threshold_cycles: int
-    """position cycle"""
-    position_error_limit: float
-    """rad; inf = off"""
-    limit_deceleration: float
-    """rad/s²; 0 = the stop of 2017h"""
     turn_option: int
     """`limits.nearest_turn`"""
     switch_inversion: int
     """`encoder.Switch` bits of normally closed switches"""
-    position_gain: float
-    """1/s"""
-    correction_limit: float
-    """rad/s; of the position controller"""
-    dead_band: float
-    """rad; of the position controller"""
-    display_filter: float
-    """share of the new sample, per position cycle"""
-    velocity_gain: float
-    """Nm·s/rad"""
     velocity_integral_gain: float
     """Nm/rad; gain / integral action time"""
-    velocity_filter: float
-    """share of the new sample, per velocity cycle"""
     torque_filter: float
     """share of the new command, per velocity cycle"""
-    velocity_feed_forward: float
-    inertia_feed_forward: float
-    """kg·m²"""
     torque_limit_positive: float
     """Nm"""
     torque_limit_negative: float
@@ -706,10 +720,6 @@ class Axis:
     """3 values; Nm/rad, Nm/(rad·s), Nm·s/rad; gains P, I, D"""
     pid_filter: float
     """share of a new difference in the D part, per velocity cycle"""
-    pid_velocity: float
-    """Nm·s/rad; velocity feed-forward"""
-    feed_forward_filter: float
-    """share of the new demand, per position cycle"""
     command_filter: float
     """share of the new torque command, per velocity cycle"""
     notch: np.ndarray
@@ -1042,8 +1052,11 @@ class Axis:
     def __setitem__(self, field: str, value: Any) -> None: ...
 
 Row = tuple[str, str | tuple[str, tuple[int, ...]], str, str]
-OBJECTS: tuple[Row, ...]
+OBJECTS: tuple[Quantity, ...]
 FIELDS: tuple[Row, ...]
+PLACES: dict[str, int]
+RAD_S_PER_MINUTE: float
+SIZES: dict[str, float | str]
 OD: np.dtype
 AXIS: np.dtype
 UNITS: dict[str, str]

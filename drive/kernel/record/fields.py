@@ -1,16 +1,25 @@
 """What the control cycle works on, as a table: the fields of the record beside `od`.
 
-In SI units at the motor shaft (rad, rad/s, Nm, s); counters are whole cycles.
+In SI units at the motor shaft (rad, rad/s, Nm, s); counters are whole cycles. What an object is in
+SI stands in the row of the object, see `quantity`.
 """
 
-from .variables import ANALOG_INPUTS, FAULT_CAUSES, HISTORY
+from .quantity import Kind
+from .variables import ANALOG_INPUTS, FAULT_CAUSES, HISTORY, OBJECTS
 
 SEGMENTS = 16  # constant-jerk segments one motion profile may need (`ramps.plan_position`)
 SET_POINTS = 4  # buffered profile-position set-points
 IP_RECORDS = 64  # interpolation data records
-KINDS = 5  # of units (`factors.Kind`)
+KINDS = len(Kind)  # of units
 OWN_STORED = 12  # objects of a model in such units, without kernel behaviour
-STORED = 40 + OWN_STORED  # values in such units (`factors.Stored`)
+# values in such units: field of `od` -> its place in `kept_raw`, of an array the first one's
+PLACES: dict[str, int] = {}
+OWN = 0  # place of the first one without kernel behaviour
+for _quantity in OBJECTS:
+    if _quantity.kept:
+        PLACES[_quantity.field] = OWN
+        OWN += max(_quantity.elements, 1)
+STORED = OWN + OWN_STORED
 
 # field, type, unit, meaning
 FIELDS = (
@@ -69,14 +78,15 @@ FIELDS = (
     ("fault_code", ("<u2", (FAULT_CAUSES,)), "", "emergency error code of each cause"),
     ("fault_number", ("<u2", (FAULT_CAUSES,)), "", "manufacturer's number: main << 4 | sub"),
     ("fault_register", ("u1", (FAULT_CAUSES,)), "", "error register bits of each cause"),
-    # parameters in SI, made by factors.receive
+    # parameters in SI, made by factors.receive: those of the objects, then those of several of them
+    *(row for quantity in OBJECTS for row in quantity.fields),
     ("rad_per_increment", "f8", "rad", "encoder resolution"),
     ("rad_per_position_unit", "f8", "rad", "signed by polarity"),
     ("rad_s_per_velocity_unit", "f8", "rad/s", "signed by polarity"),
     ("rad_s2_per_acceleration_unit", "f8", "rad/s²", ""),
     ("position_numerator", "i8", "", "position units per increment, reduced fraction"),
     ("position_denominator", "i8", "", "position units per increment, reduced fraction"),
-    # values that keep their meaning, by `factors.Stored`, then those of the model's own bytes
+    # values that keep their meaning, by `PLACES`, then those of the model's own bytes
     ("converted", "u1", "", "units have changed since power-on: the following counts"),
     ("kept_shown", ("i8", (STORED,)), "drive unit", "the number shown; another one was written"),
     ("kept_raw", ("i8", (STORED,)), "drive unit", "the number as it was written"),
@@ -85,30 +95,12 @@ FIELDS = (
     ("kept_denominator", ("i8", (STORED,)), "", ""),
     ("own_place", ("<u2", (OWN_STORED,)), "byte", "in `od.vendor`"),
     ("own_size", ("i1", (OWN_STORED,)), "byte", "negative: signed; 0 = none"),
-    ("own_kind", ("u1", (OWN_STORED,)), "", "`factors.Kind`"),
-    # units in which the numbers stand, by `factors.Kind`; 0 = not yet known
+    ("own_kind", ("u1", (OWN_STORED,)), "", "`Kind`"),
+    # units in which the numbers stand, by `Kind`; 0 = not yet known
     ("unit", ("f8", (KINDS,)), "rad, rad/s, rad/s²", ""),
     ("unit_numerator", ("i8", (KINDS,)), "", "in revolutions and s, exact; 0 = too long"),
     ("unit_denominator", ("i8", (KINDS,)), "", ""),
     ("rated_torque", "f8", "Nm", ""),
-    ("target_position", "f8", "rad", ""),
-    ("target_velocity", "f8", "rad/s", ""),
-    ("target_torque", "f8", "Nm", ""),
-    ("position_offset", "f8", "rad", ""),
-    ("velocity_offset", "f8", "rad/s", ""),
-    ("torque_offset", "f8", "Nm", ""),
-    ("home_offset", "f8", "rad", ""),
-    ("position_limit_min", "f8", "rad", "software limit"),
-    ("position_limit_max", "f8", "rad", "software limit"),
-    ("max_speed", "f8", "rad/s", "motor"),
-    ("profile_speed", "f8", "rad/s", "6081h limited by 607Fh and the motor"),
-    ("max_profile_speed", "f8", "rad/s", "607Fh limited by the motor"),
-    ("end_speed", "f8", "rad/s", ""),
-    ("acceleration", "f8", "rad/s²", "6083h limited by 60C5h"),
-    ("deceleration", "f8", "rad/s²", "6084h limited by 60C6h"),
-    ("quick_stop_deceleration", "f8", "rad/s²", ""),
-    ("jerk", ("f8", (4,)), "rad/s³", "in the order of 60A4h; 0 = trapezoid, `ramps.SINE` = sin²"),
-    ("range_min", "f8", "rad", "607Bh"),
     ("range", "f8", "rad", "607Bh, max minus min; 0 = a linear axis"),
     ("vl_rad_s", "f8", "rad/s", "per vl unit"),
     ("vl_target", "f8", "rad/s", "with set-point factor and amounts applied"),
@@ -120,7 +112,6 @@ FIELDS = (
     ("current_limit", "f8", "Nm", "of 2415h; inf = off"),
     ("limit_torque", "f8", "Nm", "the same with its source at full scale"),
     ("torque_speed", "f8", "rad/s", "highest in a torque mode: of 2416h, or max_speed"),
-    ("limit_speed", "f8", "rad/s", "of 2416h, with its source at full scale"),
     (
         "velocity_ramps",
         ("f8", (4,)),
@@ -133,52 +124,18 @@ FIELDS = (
         "rad/s²",
         "6083h and 6084h when they were copied there; 0 = never",
     ),
-    ("max_slippage", "f8", "rad/s", "0 = off"),
-    ("ip_data", "f8", "rad", "60C1h:01"),
-    ("stop_velocity", "f8", "rad/s", "below it the run-down counts as ended"),
-    ("stop_hold_time", "f8", "s", ""),
-    ("dc_brake_time", "f8", "s", ""),
-    ("vl_window", "f8", "rad/s", "around the target"),
-    ("torque_slope", "f8", "Nm/s", ""),
-    ("homing_speed_switch", "f8", "rad/s", ""),
-    ("homing_speed_zero", "f8", "rad/s", ""),
-    ("homing_acceleration", "f8", "rad/s²", ""),
-    ("homing_torque", "f8", "Nm", ""),
-    ("homing_stop_cycles", "i8", "position cycle", ""),
-    ("homing_timeout_cycles", "i8", "position cycle", "0 = off"),
-    ("brake_release_cycles", "i8", "position cycle", ""),
     ("brake_engage_cycles", "i8", "position cycle", ""),
     ("interpolation_cycles", "i8", "position cycle", "60C2h"),
-    ("following_error_window", "f8", "rad", "inf = off"),
-    ("following_error_cycles", "i8", "position cycle", ""),
-    ("position_window", "f8", "rad", "inf = off"),
-    ("position_window_cycles", "i8", "position cycle", ""),
-    ("velocity_window", "f8", "rad/s", ""),
-    ("velocity_window_cycles", "i8", "position cycle", ""),
-    ("velocity_threshold", "f8", "rad/s", ""),
-    ("velocity_threshold_cycles", "i8", "position cycle", ""),
-    ("position_error_limit", "f8", "rad", "inf = off"),
-    ("limit_deceleration", "f8", "rad/s²", "0 = the stop of 2017h"),
     ("turn_option", "i8", "", "`limits.nearest_turn`"),
     ("switch_inversion", "i8", "", "`encoder.Switch` bits of normally closed switches"),
-    ("position_gain", "f8", "1/s", ""),
-    ("correction_limit", "f8", "rad/s", "of the position controller"),
-    ("dead_band", "f8", "rad", "of the position controller"),
-    ("display_filter", "f8", "", "share of the new sample, per position cycle"),
-    ("velocity_gain", "f8", "Nm·s/rad", ""),
     ("velocity_integral_gain", "f8", "Nm/rad", "gain / integral action time"),
-    ("velocity_filter", "f8", "", "share of the new sample, per velocity cycle"),
     ("torque_filter", "f8", "", "share of the new command, per velocity cycle"),
-    ("velocity_feed_forward", "f8", "", ""),
-    ("inertia_feed_forward", "f8", "kg·m²", ""),
     ("torque_limit_positive", "f8", "Nm", ""),
     ("torque_limit_negative", "f8", "Nm", "a magnitude"),
     ("shaped", "u1", "", "more than P over PI acts: the fields from here to the observer's"),
     ("structure", "u1", "", "`cascade.Structure`"),
     ("pid", ("f8", (3,)), "Nm/rad, Nm/(rad·s), Nm·s/rad", "gains P, I, D"),
     ("pid_filter", "f8", "", "share of a new difference in the D part, per velocity cycle"),
-    ("pid_velocity", "f8", "Nm·s/rad", "velocity feed-forward"),
-    ("feed_forward_filter", "f8", "", "share of the new demand, per position cycle"),
     ("command_filter", "f8", "", "share of the new torque command, per velocity cycle"),
     ("notch", ("f8", (2, 5)), "", "b0, b1, b2, a1, a2 of both notch filters"),
     ("torque_constant", "f8", "Nm/A", ""),
