@@ -7,16 +7,20 @@ It has what `drive.ethercat.port.EtherCatPort` needs of `drive.ethercat.master.E
 program that moves an emulated drive in memory moves a real one with the same calls.
 """
 
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from ..ethercat.al import AlState
+from ..ethercat.esi_reader import EsiObject
 from ..objects.abort import SdoAbort
 
 TIMEOUT = 100_000  # µs, for the reply to process data
 STATE_TIMEOUT = 5_000_000  # µs
 TRIES = 200  # cycles until all are in OPERATIONAL
 ASSIGNMENTS = (0x1C12, 0x1C13)
+VISIBLE_STRING = 0x09
+FLOATS = {0x08: "<f", 0x11: "<d"}  # data types of CiA 301
 
 
 class SoemMailbox:
@@ -44,12 +48,17 @@ class SoemMailbox:
                 f"{index:04X}h:{subindex:02X}h: no answer ({type(error).__name__}); "
                 "is the slave in PRE_OP or higher?"
             ) from None
+        except Exception as error:  # one of SOEM's list, of a telegram before this one
+            if not str(error).startswith("unexpected error"):
+                raise
+            raise TimeoutError(f"{index:04X}h:{subindex:02X}h: {error}") from None
 
 
 class SoemSlave:
     """One slave as SOEM found it."""
 
     def __init__(self, soem: Any, slave: Any):
+        self._soem = soem
         self._slave = slave
         self.mailbox = SoemMailbox(soem, slave)
         self.outputs = bytearray()
@@ -86,6 +95,59 @@ class SoemSlave:
         """Buffers as long as SOEM has mapped."""
         self.outputs = bytearray(bytes(self._slave.output))
         self.inputs = bytes(self._slave.input)
+
+    def read(self, address: int, size: int) -> bytes:
+        """Registers of the slave controller. Raises TimeoutError where it does not answer."""
+        try:
+            return bytes(self._slave._fprd(address, size))
+        except self._soem.WkcError:
+            raise TimeoutError(f"the slave does not answer at {address:04X}h") from None
+
+    def read_sii(self) -> bytes:
+        """The whole EEPROM, as long as its size word says."""
+        image, size = b"", 128
+        while len(image) < size:
+            image += self._slave.eeprom_read(len(image) // 2)[:4]
+            if len(image) == 128:
+                size = min((int.from_bytes(image[124:126], "little") + 1) * 128, 1 << 16)
+        return image[:size]
+
+    def objects(self) -> "Iterator[EsiObject]":
+        """Its dictionary by SDO information with the values it has; none where it has no such."""
+        try:
+            dictionary = self._slave.od
+        except (self._soem.SdoInfoError, self._soem.WkcError, self._soem.PacketError):
+            return
+        for item in dictionary:
+            name = _text(item.name)
+            entries = [(n, entry) for n, entry in enumerate(item.entries) if entry.bit_length]
+            kind = {7: "VAR", 8: "ARRAY", 9: "RECORD"}.get(item.object_code, "VAR")
+            for subindex, entry in entries or [(0, item)]:
+                bits = entry.bit_length
+                data_type, access = entry.data_type, entry.obj_access
+                readable, writable = access & 0x07, access & 0x38
+                value = self._value(item.index, subindex, data_type) if readable else ""
+                yield EsiObject(
+                    item.index, subindex, _text(entry.name) or name, name, kind, data_type,
+                    "rw" if readable and writable else "wo" if writable else "ro",
+                    "R" * bool(access & 0x40) + "T" * bool(access & 0x80), value, "", "", bits,
+                )  # fmt: skip
+
+    def _value(self, index: int, subindex: int, data_type: int) -> str:
+        try:
+            data = self.mailbox.upload(index, subindex)
+        except (SdoAbort, TimeoutError):
+            return ""
+        if data_type == VISIBLE_STRING:
+            return _text(data)
+        if data_type in FLOATS:
+            return str(struct.unpack(FLOATS[data_type], data)[0])
+        return str(int.from_bytes(data, "little")) if 0 < len(data) <= 8 else ""
+
+
+def _text(data: bytes | str) -> str:
+    text = data.decode("latin-1") if isinstance(data, bytes) else data
+    return text.rstrip("\0")
 
 
 class SoemMaster:

@@ -498,3 +498,22 @@ def with_sync0(clock, when, period=10, cycles=100):
     master.write_state()
     master.close()
     return result
+
+
+# ------------------------------------------------------------- a model of a slave that answers
+
+
+def imported(folder):
+    """A model made from the slave; -> what became of it."""
+    from servogym.drive.wire.ethercat_import import import_slave
+
+    for _ in range(SCANS):
+        try:
+            made = import_slave(PORT, __import__("pathlib").Path(folder))
+            break
+        except (TimeoutError, ValueError) as error:
+            if "slaves answer" not in str(error) and not isinstance(error, TimeoutError):
+                raise
+            time.sleep(0.02)
+    return {"name": made.name, "objects": made.objects, "pdos": made.pdos,
+            "repairs": [str(repair) for repair in made.repairs]}  # fmt: skip

@@ -206,3 +206,28 @@ def test_clocks_of_the_wall_with_sync0(clock, when):
 @pytest.mark.parametrize("clock", ["dc", "real"])
 def test_clocks_of_the_wall_without_sync0_or_late(clock, when):
     check_clock(clock, when)
+
+
+# ------------------------------------------------------------- a model of a slave that answers
+
+
+@pytest.mark.parametrize("model", ["generic", "kollmorgen_akd"])
+def test_a_model_made_from_a_live_slave_is_the_drive_that_answered(tmp_path, model):
+    """`generic` tells its dictionary by SDO information, the AKD does not (its CoE details)."""
+    folder = tmp_path / "mine"
+    made = on_the_wire(
+        "pysoem_master", "imported", "--drive", model, "--axis", "none", folder=str(folder)
+    )
+    own, of = load(folder, "ethercat"), load(model, "ethercat")
+    assert bool(made["objects"]) == (model == "generic")
+    assert made["pdos"] == [len(of.rpdos), len(of.tpdos)]
+    assert own.ethercat.mailbox == of.ethercat.mailbox
+    assert own.ethercat.start == of.ethercat.start
+    assert own.ethercat.modes == of.ethercat.modes
+    for number in (1, 2, 3):
+        assert own.objects[0x1018, number].default == of.objects[0x1018, number].default
+    assert own.ethercat.registers[0x0140] == b"\x08\x0c"
+    assert bool(own.ethercat.registers[0x0502][0] & 0x20) == (model == "kollmorgen_akd")
+    if model == "generic":
+        told = {a: row.data_type for a, row in own.objects.items() if a[0] >= 0x2000}
+        assert told == {a: row.data_type for a, row in of.objects.items() if a[0] >= 0x2000}

@@ -15,6 +15,24 @@ def add(drives: argparse.ArgumentParser) -> None:
         "--from-eds", type=Path, metavar="FILE", help="make a model from an EDS or a DCF"
     )
     drives.add_argument(
+        "--from-esi", type=Path, metavar="FILE", help="make an EtherCAT model from an ESI file"
+    )
+    drives.add_argument(
+        "--from-sii", type=Path, metavar="FILE", help="make one from an image of an EEPROM"
+    )
+    drives.add_argument(
+        "--from-slave", metavar="IFACE",
+        help="make one from a slave that answers, by SDO information; needs servogym[soem]",
+    )  # fmt: skip
+    drives.add_argument("--device", help="with --from-esi: one of several, by type or name")
+    drives.add_argument(
+        "--position", type=int, default=0, help="with --from-slave: which one, from 0 on (0)"
+    )
+    drives.add_argument(
+        "--chip", choices=("et1100", "lan9252", "emulated"), default="et1100",
+        help="with --from-esi and --from-sii: slave controller; emulated: its EEPROM is (et1100)",
+    )  # fmt: skip
+    drives.add_argument(
         "--strict", action="store_true",
         help="with --from-eds: refuse a file that departs from CiA 306, and list where",
     )  # fmt: skip
@@ -106,9 +124,35 @@ def _check(options: argparse.Namespace) -> int:
     return int("\n- " in sheet)
 
 
+def _of_ethercat(options: argparse.Namespace) -> int:
+    from ...drive.wire.ethercat_import import import_esi, import_sii, import_slave
+
+    if options.out is None or options.model is not None:
+        raise ValueError("--from-esi, --from-sii or --from-slave and -o FOLDER belong together, "
+                         "without a model")  # fmt: skip
+    if options.from_esi:
+        made = import_esi(options.from_esi, options.out, device=options.device, chip=options.chip)
+    elif options.from_sii:
+        made = import_sii(options.from_sii, options.out, chip=options.chip)
+    else:
+        made = import_slave(options.from_slave, options.out, position=options.position)
+    objects = f"{made.objects} objects" if made.objects else "the objects of generic"
+    print(
+        f"{made.folder}: {made.name}, {objects}, {made.pdos[0]} receive and {made.pdos[1]} "
+        f"transmit PDOs, {len(made.repairs)} repairs; {made.folder / 'README.md'} says what was "
+        "repaired and what is inferred"
+    )
+    return 0
+
+
 def _drives(options: argparse.Namespace, console: Console) -> int:
     if options.check:
         return _check(options)
+    sources = [options.from_eds, options.from_esi, options.from_sii, options.from_slave]
+    if sum(source is not None for source in sources) > 1:
+        raise ValueError("--from-eds, --from-esi, --from-sii and --from-slave: choose one")
+    if any(source is not None for source in sources[1:]):
+        return _of_ethercat(options)
     if options.from_eds is not None or options.out is not None or options.strict:
         return _import(options)
     from ...drive.drive import Drive

@@ -1,0 +1,303 @@
+"""A model made from an ESI file or an EEPROM image is the drive that the file describes."""
+
+import dataclasses
+import re
+
+import pytest
+
+from servogym.drive.drive import Drive
+from servogym.drive.ethercat import esi, sii
+from servogym.drive.ethercat.bus import Bus
+from servogym.drive.ethercat.description import describe
+from servogym.drive.ethercat.master import EtherCatMaster
+from servogym.drive.ethercat.segment import Segment
+from servogym.drive.ethercat.slave import Slave
+from servogym.drive.model.model import load
+from servogym.drive.wire.ethercat_import import CHIPS, import_esi, import_sii
+from servogym.envs import linear_axis
+from servogym.training import cli
+
+MODELS = ("generic", "kollmorgen_akd", "festo_cmmp_as")
+COMMANDS = {0x40: 6, 0x21: 7, 0x23: 15, 0x27: 15}
+
+
+def pdos(rows):
+    """Content of PDOs, without the names."""
+    return {
+        p.index: (p.sync_manager, [(e.index, e.subindex, e.bits) for e in p.entries]) for p in rows
+    }
+
+
+def same(device, of):
+    """Whether two descriptions agree in what a master sees, names and EEPROM's size apart."""
+    for field in dataclasses.fields(of):
+        if field.name in ("rpdos", "tpdos"):
+            assert pdos(getattr(device, field.name)) == pdos(getattr(of, field.name))
+        elif field.name not in ("vendor_strings", "serial_number", "ds402_channels", "size",
+                                "eoe_details", "fmmus", "flags", "version"):  # fmt: skip
+            assert getattr(device, field.name) == getattr(of, field.name), field.name
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_what_is_made_from_our_esi_describes_itself_as_the_model_does(tmp_path, model):
+    file = tmp_path / "drive.xml"
+    file.write_text(esi.write(esi.of_model(load(model, "ethercat"))), "utf-8")
+    made = import_esi(file, tmp_path / "mine")
+    own, of = load(tmp_path / "mine", "ethercat"), load(model, "ethercat")
+    same(describe(own), describe(of))
+    told = {address: (row.data_type, row.access) for address, row in own.objects.items()}
+    for address, row in of.objects.items():
+        if address[0] in (0x10F1, 0x1C32, 0x1C33) or 0x1400 <= address[0] < 0x1C14:
+            continue
+        assert address in told, f"{address[0]:04X}h:{address[1]:02X}h"
+        assert told[address][0] == row.data_type
+    assert made.pdos == (len(of.rpdos), len(of.tpdos))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_what_is_made_from_our_eeprom_describes_itself_as_the_model_does(tmp_path, model):
+    file = tmp_path / "drive.bin"
+    file.write_bytes(sii.of_model(load(model, "ethercat")))
+    import_sii(file, tmp_path / "mine")
+    same(describe(load(tmp_path / "mine", "ethercat")), describe(load(model, "ethercat")))
+    readme = (tmp_path / "mine" / "README.md").read_text()
+    assert "servogym drives --from-sii" in readme
+    assert "those of the model `generic`" in readme
+
+
+@pytest.mark.parametrize("chip", CHIPS)
+def test_the_chip_that_is_named_is_the_one_a_master_sees(tmp_path, chip):
+    file = tmp_path / "drive.bin"
+    file.write_bytes(sii.of_model(load("generic", "ethercat")))
+    import_sii(file, tmp_path / "mine", chip=chip)
+    master = EtherCatMaster(Bus(Segment([Slave(Drive(tmp_path / "mine"))])))
+    master.to_op()
+    for address, value in CHIPS[chip].items():
+        if address != 0x0502:
+            assert master.slaves[0].read(address, len(value)) == value
+    assert bool(master.slaves[0].number(0x0502, 1) & 0x20) == (chip == "emulated")
+
+
+# a file as makers write them: Latin-1, CDATA, arrays, DefaultData, gaps, bits, two devices
+FOREIGN = """<?xml version="1.0" encoding="iso-8859-1"?>
+<EtherCATInfo xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" Version="1.2">
+ <Vendor><Id>#x00000ABC</Id><Name LcId="1033">M\xfcller Antriebe</Name></Vendor>
+ <Descriptions><Groups><Group><Type>Drives</Type><Name>Drives</Name></Group></Groups>
+ <Devices>
+  <Device Physics="YY"><Type ProductCode="#x1" RevisionNo="#x1">Gateway</Type></Device>
+  <Device Physics="YY ">
+   <Type ProductCode="#x00020001" RevisionNo="#x00000007"><![CDATA[SD-1]]></Type>
+   <Name LcId="1031"><![CDATA[Servo SD-1 <400 W>]]></Name>
+   <GroupType>Drives</GroupType>
+   <Profile><ProfileNo>402</ProfileNo><Dictionary>
+    <DataTypes>
+     <DataType><Name>UDINT</Name><BitSize>32</BitSize></DataType>
+     <DataType><Name>DT2100ARR</Name><BaseType>INT</BaseType><BitSize>48</BitSize>
+      <ArrayInfo><LBound>1</LBound><Elements>3</Elements></ArrayInfo></DataType>
+     <DataType><Name>DT2100</Name><BitSize>64</BitSize>
+      <SubItem><SubIdx>0</SubIdx><Name>SubIndex 000</Name><Type>USINT</Type><BitSize>8</BitSize>
+       <BitOffs>0</BitOffs></SubItem>
+      <SubItem><Name>Elements</Name><Type>DT2100ARR</Type><BitSize>48</BitSize>
+       <BitOffs>16</BitOffs></SubItem></DataType>
+     <DataType><Name>ENUM_MODE</Name><BaseType>SINT</BaseType><BitSize>8</BitSize></DataType>
+    </DataTypes>
+    <Objects>
+     <Object><Index>#x1000</Index><Name>Device type</Name><Type>UDINT</Type><BitSize>32</BitSize>
+      <Info><DefaultData>92010200</DefaultData></Info><Flags><Access>ro</Access></Flags></Object>
+     <Object><Index>#x2100</Index><Name>Gains</Name><Type>DT2100</Type><BitSize>64</BitSize>
+      <Info><SubItem><Name>SubIndex 000</Name><Info><DefaultData>03</DefaultData></Info></SubItem>
+       <SubItem><Name>P</Name><Info><DefaultData>9cff</DefaultData></Info></SubItem>
+       <SubItem><Name>I</Name><Info><DefaultValue>#x0010</DefaultValue></Info></SubItem></Info>
+      <Flags><Access>rw</Access></Flags></Object>
+     <Object><Index>#x6040</Index><Name>Controlword</Name><Type>UINT</Type><BitSize>16</BitSize>
+      <Flags><Access>rw</Access><PdoMapping>r</PdoMapping></Flags></Object>
+     <Object><Index>#x6041</Index><Name>Statusword</Name><Type>UINT</Type><BitSize>16</BitSize>
+      <Flags><Access>ro</Access><PdoMapping>T</PdoMapping></Flags></Object>
+     <Object><Index>#x6060</Index><Name>Modes of operation</Name><Type>ENUM_MODE</Type>
+      <BitSize>8</BitSize><Info><DefaultData>08</DefaultData></Info>
+      <Flags><Access>rw</Access><PdoMapping>R</PdoMapping></Flags></Object>
+     <Object><Index>#x6061</Index><Name>Mode display</Name><Type>SINT</Type><BitSize>8</BitSize>
+      <Flags><Access>ro</Access><PdoMapping>T</PdoMapping></Flags></Object>
+     <Object><Index>#x6064</Index><Name>Position</Name><Type>DINT</Type><BitSize>32</BitSize>
+      <Flags><Access>ro</Access><PdoMapping>T</PdoMapping></Flags></Object>
+     <Object><Index>#x607A</Index><Name>Target</Name><Type>DINT</Type><BitSize>32</BitSize>
+      <Flags><Access>rw</Access><PdoMapping>R</PdoMapping></Flags></Object>
+     <Object><Index>#x60C2</Index><Name>Period</Name><Type>USINT</Type><BitSize>8</BitSize>
+      <Flags><Access>readwrite</Access></Flags></Object>
+    </Objects></Dictionary></Profile>
+   <Fmmu>Outputs</Fmmu><Fmmu>Inputs</Fmmu><Fmmu>DynamicOutputs</Fmmu>
+   <Sm MinSize="34" MaxSize="256" DefaultSize="256" StartAddress="#x1000" ControlByte="#x26"
+    Enable="1">MBoxOut</Sm>
+   <Sm DefaultSize="256" StartAddress="#x1400" ControlByte="#x22" Enable="1">MBoxIn</Sm>
+   <Sm StartAddress="#x1800" ControlByte="#x64" Enable="1"/>
+   <Sm StartAddress="#x1c00" ControlByte="#x20" Enable="1"/>
+   <RxPdo Sm="2"><Index>#x1600</Index><Name>Out</Name><Exclude>#x1601</Exclude>
+    <Entry><Index>#x6040</Index><SubIndex>0</SubIndex><BitLen>16</BitLen><Name>CW</Name>
+     <DataType>UINT</DataType></Entry>
+    <Entry><Index>#x607A</Index><SubIndex>0</SubIndex><BitLen>32</BitLen><DataType>DINT</DataType></Entry>
+    <Entry><Index>#x6060</Index><SubIndex>0</SubIndex><BitLen>8</BitLen><DataType>SINT</DataType></Entry>
+    <Entry><Index>#x0</Index><BitLen>8</BitLen></Entry></RxPdo>
+   <RxPdo Fixed="1"><Index>#x1700</Index><Name>Much</Name>
+    %s</RxPdo>
+   <TxPdo Sm="3"><Index>#x1A00</Index><Name>In</Name>
+    <Entry><Index>#x6041</Index><SubIndex>0</SubIndex><BitLen>16</BitLen><DataType>UINT</DataType></Entry>
+    <Entry><Index>#x6064</Index><SubIndex>0</SubIndex><BitLen>32</BitLen><DataType>DINT</DataType></Entry>
+    <Entry><Index>#x6061</Index><SubIndex>0</SubIndex><BitLen>8</BitLen><DataType>SINT</DataType></Entry>
+    <Entry><Index>#x60FD</Index><SubIndex>1</SubIndex><BitLen>1</BitLen><DataType>BIT</DataType></Entry>
+    <Entry><Index>0</Index><BitLen>7</BitLen></Entry></TxPdo>
+   <Mailbox DataLinkLayer="true">
+    <CoE SdoInfo="true" PdoAssign="1" CompleteAccess="false"/></Mailbox>
+   <Dc><OpMode><Name>DC</Name><AssignActivate>#x300</AssignActivate>
+    <CycleTimeSync0 Factor="1">0</CycleTimeSync0></OpMode></Dc>
+   <Eeprom><ByteSize>1024</ByteSize><ConfigData>080E</ConfigData></Eeprom>
+  </Device></Devices></Descriptions></EtherCATInfo>
+""" % ("<Entry><Index>#x6040</Index><BitLen>16</BitLen></Entry>" * 17)
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    file = tmp_path / "maker.xml"
+    file.write_bytes(FOREIGN.encode("latin-1"))
+    return file
+
+
+def test_a_makers_file_becomes_a_drive_that_an_unmodified_master_enables_and_moves(
+    foreign, tmp_path
+):
+    import_esi(foreign, tmp_path / "sd1")
+    machine = linear_axis(load(tmp_path / "sd1", "ethercat"))
+    bus = Bus(Segment([Slave(machine.drives["x"])]), [machine])
+    master = EtherCatMaster(bus)
+    (slave,) = master.scan()
+    device = slave.description
+    assert (device.vendor_id, device.product_code, device.revision_number) == (0xABC, 0x20001, 7)
+    assert device.name == "Servo SD-1 <400 W>"
+    master.to_op()
+    assert (len(slave.outputs), len(slave.inputs)) == (8, 8)
+    drive = machine.drives["x"]
+    begin = drive.read("position_actual_value")
+    target = begin
+    for n in range(1500):
+        word = COMMANDS.get(drive.read("statusword") & 0x6F, 6)
+        target += 20 if n > 500 else 0
+        slave.outputs[:] = (
+            word.to_bytes(2, "little") + target.to_bytes(4, "little", signed=True) + b"\x08\0"
+        )
+        assert master.cycle()
+    assert drive.read("statusword") & 0x6F == 0x27
+    assert drive.read("position_actual_value") - begin > 15_000
+    assert int.from_bytes(slave.inputs[2:6], "little", signed=True) - begin > 15_000
+
+
+def test_each_departure_of_a_makers_file_is_a_row_of_its_readme(foreign, tmp_path):
+    made = import_esi(foreign, tmp_path / "sd1")
+    told = {(repair.where, repair.says) for repair in made.repairs}
+    for expected in (
+        ("Device", "2 devices"), ("Fmmu", "DynamicOutputs"), ("Sm 2", "no name"),
+        ("60C2h:00h", "access readwrite"), ("1600h", "8 bits: gaps or parts of bytes"),
+        ("1A00h", "8 bits: gaps or parts of bytes"), ("1700h", "17 entries"),
+    ):  # fmt: skip
+        assert expected in told
+    readme = (tmp_path / "sd1" / "README.md").read_text("utf-8")
+    for repair in made.repairs:
+        assert repair.says[:40] in readme
+    assert "1600h excludes 1601h" in readme
+    rows = dict(re.findall(r"^\| (\d+) \| (\S+)", readme, re.M))
+    assert all(FOREIGN.splitlines()[int(line) - 1] for line in rows), "lines of the file"
+
+
+def test_defaults_and_arrays_of_a_makers_file_are_read_by_sdo(foreign, tmp_path):
+    import_esi(foreign, tmp_path / "sd1")
+    master = EtherCatMaster(Bus(Segment([Slave(Drive(tmp_path / "sd1"))])))
+    (slave,) = master.scan()
+    master.to_preop()
+    assert [slave.upload(0x2100, n) for n in range(4)] == [3, 0xFF9C, 16, 0]
+    assert slave.upload(0x1000) == 0x00020192
+    assert slave.upload(0x1018, 1) == 0xABC
+
+
+def test_another_device_of_the_file_is_named(foreign, tmp_path):
+    with pytest.raises(ValueError, match=r"no device 'SD-2' in it, choose one of Gateway"):
+        import_esi(foreign, tmp_path / "a", device="SD-2")
+    assert import_esi(foreign, tmp_path / "b", device="sd-1").name == "Servo SD-1 <400 W>"
+
+
+BOMB = (
+    '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+    "<EtherCATInfo>&b;</EtherCATInfo>"
+)
+EXTERNAL = (
+    '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]>'
+    "<EtherCATInfo>&a;</EtherCATInfo>"
+)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "line 1: no XML"),
+        (b"\x7fELF\0\0\0", "line 1: no XML"),
+        (b"hello", "line 1: no XML"),
+        (FOREIGN.encode("latin-1")[:3000], "no XML: unclosed token"),
+        (FOREIGN.encode("latin-1").replace(b"</Profile>", b"</Profil>"), "no XML: mismatched tag"),
+        (BOMB.encode(), "line 1: a document type or entities of its own"),
+        (EXTERNAL.encode(), "line 1: a document type or entities of its own"),
+        (b"<html/>", "line 1: the root of an ESI file is EtherCATInfo, not html"),
+        (b"<EtherCATInfo/>", "line 1: there is no Device in it"),
+        (b"<EtherCATInfo>\n<Descriptions><Devices>\n<Device/></Devices></Descriptions>"
+         b"</EtherCATInfo>", "line 3: no device with a controlword"),
+        (b"<a>" * 200, "more than 100 elements in one another"),
+        (FOREIGN.encode("utf-16"), "no XML"),
+    ],
+)  # fmt: skip
+def test_what_is_no_esi_is_one_line_with_file_and_line(tmp_path, capsys, content, says):
+    file = tmp_path / "drive.xml"
+    file.write_bytes(content)
+    assert cli.main(["drives", "--from-esi", str(file), "-o", str(tmp_path / "mine")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert str(file) in error
+    assert says in error
+    assert not (tmp_path / "mine").exists()
+
+
+def test_latin_1_without_a_declaration_is_taken_and_told(tmp_path):
+    file = tmp_path / "drive.xml"
+    file.write_bytes(FOREIGN.split("\n", 1)[1].encode("latin-1"))
+    made = import_esi(file, tmp_path / "mine")
+    assert any(repair.where == "encoding" for repair in made.repairs)
+
+
+def test_a_hundred_megabytes_are_refused_and_not_held(tmp_path, capsys):
+    file = tmp_path / "large.xml"
+    with file.open("wb") as stream:
+        stream.truncate(100_000_000)
+    assert cli.main(["drives", "--from-esi", str(file), "-o", str(tmp_path / "mine")]) == 2
+    assert "more than 33554432 bytes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("cut", [0, 1, 64, 130, 500, 900])
+def test_a_part_of_an_eeprom_is_one_line(tmp_path, capsys, cut):
+    file = tmp_path / "drive.bin"
+    file.write_bytes(sii.of_model(load("kollmorgen_akd", "ethercat"))[:cut])
+    assert cli.main(["drives", "--from-sii", str(file), "-o", str(tmp_path / "mine")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert str(file) in error
+    assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--from-esi", "a.xml"], "-o FOLDER belong together"),
+        (["--from-esi", "a.xml", "--from-sii", "b.bin", "-o", "c"], "choose one"),
+        (["--from-esi", "nowhere.xml", "-o", "c"], "nowhere.xml: No such file"),
+    ],
+)
+def test_a_mistake_is_one_line(tmp_path, monkeypatch, capsys, arguments, says):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["drives", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert says in error
