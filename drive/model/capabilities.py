@@ -48,7 +48,8 @@ def with_capabilities(
                     one = objects.get((index, n)) or replace(
                         row, subindex=n, name=named, area="constant", offset=0
                     )
-                    told[index, n] = replace(one, default=method)
+                    bits = method & 0xFF if one.format.isupper() else method  # some have UNSIGNED8
+                    told[index, n] = replace(one, default=bits)
             continue
         elif row.hook in possible:
             row = replace(row, possible=possible[row.hook])

@@ -297,6 +297,14 @@ def test_a_dcf_gives_the_drive_its_values(made):
     assert "--node-id 6" in (model.folder / "README.md").read_text(encoding="utf-8")
 
 
+def test_homing_methods_in_a_list_of_unsigned_numbers(made):
+    """60E3h is of INTEGER8 in the profile, some drives have UNSIGNED8: -1 reads as FFh."""
+    rows = ["60E3 0 5 ro 0 DefaultValue=2", "60E3 1 5 ro 0", "60E3 2 5 ro 0"]
+    drive = Drive(made(sheet(SMALL, *rows)).folder)
+    shown = {drive.read(0x60E3, n) for n in range(1, drive.read(0x60E3, 0) + 1)}
+    assert shown == {method & 0xFF for method in drive.model.homing_methods}
+
+
 def test_a_manufacturers_object_is_not_taken_for_one_of_ours(made):
     """2010h:01 is a gain of `generic` and something else in every other drive."""
     model = made(sheet(SMALL, "2010 0 5 const 0 DefaultValue=1", "2010 1 6 rw 0 DefaultValue=3"))

@@ -202,3 +202,30 @@ def test_a_comparison_proposes_a_model_that_says_the_same(tmp_path, capsys):
     assert Drive(out).read("following_error_window") == 5000
     assert load(out).objects[0x6065, 0].section == "observed"
     assert "`observed`" in (out / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_slave_of_another_stack_is_observed():
+    """`canopen.LocalNode`: it keeps what is written and knows no states."""
+    import canopen
+
+    from servogym.drive.canopen.eds import object_dictionary
+    from servogym.drive.wire.bus import CanPort
+
+    network = canopen.Network()
+    network.connect(interface="virtual", channel="servogym-observe-foreign")
+    network.add_node(canopen.LocalNode(5, object_dictionary("generic", 5)))
+    bus = can.Bus(interface="virtual", channel="servogym-observe-foreign")
+    try:
+        found = Observer(CanPort(bus, wait=0.001), 5).observe()
+    finally:
+        bus.shutdown()
+        network.disconnect()
+    assert found["read_only"] == ""
+    assert found["objects"]["1018h:02h"]["value"] == "02040000"
+    assert not any("not_restored" in one for one in found["objects"].values())
+    differences = compare(found, of_model("generic", node_id=5))
+    assert any(d.where.startswith("controlword 0006h") for d in differences), "it has no states"
+    assert any(d.where == "605Ah:00h" and d.what == "values" for d in differences), "nor ranges"
+    identity = {f"1018h:{n:02X}h" for n in range(5)}
+    assert not identity & {d.where for d in differences}

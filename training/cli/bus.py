@@ -41,6 +41,8 @@ def opened(options: argparse.Namespace):
         told = where(options)
         kind = "" if isinstance(reason, (can.CanError, OSError)) else f"{type(reason).__name__}: "
         said = re.sub(r"^.Errno -?[0-9]+. ", "", " ".join(str(reason).split()))
+        if "serial module" in said:
+            said += ': pip install "servogym[slcan]"'
         if missing := re.search(r"missing 1 required .*'(\w+)'", said):
             kind, said = "", f"give --{missing[1].replace('_', '-')}"
         raise ValueError(
