@@ -37,6 +37,7 @@ from ..variation.injection import Faults, injections, sort
 from ..variation.randomisation import Randomisation
 from ..view import channels
 from ..view.picture import Picture
+from . import of_twin
 from .needed import NEEDED, built, check
 from .task import METRE as METRE
 from .task import Task
@@ -68,7 +69,9 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         previous_action: whether the action taken last is shown, after the observations.
         prices: of torque and jerk in the reward, see `servogym.envs.exchange.batch.PRICES`; none if
             not given.
-        randomise: ranges by name, drawn for each episode: `servogym.envs.variation.randomisation`.
+        randomise: ranges by name, drawn for each episode: `servogym.envs.variation.randomisation`;
+            ``"twin"`` draws from the intervals of a twin.
+        twin: folder of `servogym twin`, whose plant and drive take the place of the task's.
         faults: probability per step of causes of faults to be injected: ``{"encoder_loss": 1e-4}``
             into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one; and
             per frame of faults of an EtherCAT bus: ``{"drop": 0.01}``, ``{"retreat at=op:50": 1}``.
@@ -97,13 +100,15 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         history: int = 1,
         previous_action: bool = False,
         prices: Mapping[str, float] | None = None,
-        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
+        randomise: Mapping[str, float | tuple[float, ...]] | str | None = None,
+        twin: str | Path | None = None,
         faults: Faults = None,
         tuned: bool = False,
         render_mode: str | None = None,
     ):
         check(self, ServoEnv)
         causes, bus_faults = sort(faults)
+        known, drive = of_twin.found(self, twin, drive)
         model = load(drive, "ethercat" if bus_faults else None)
         for mode in self.MODES:
             if mode not in model.modes:
@@ -118,6 +123,8 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         self.face = action
         self.tuned = flag("tuned", tuned)
         self.machine = built(self, self._make(model))
+        if known is not None:
+            known.give(self.machine)
         self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
         self.drive = self.drives[0]
         self.cycles_per_step = step_cycles(step_time, self.STEP_TIME, self.machine.cycle_time)
@@ -126,7 +133,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         self._faults = injections(causes, self.machine.drives, self.drives)
         self.randomisation = Randomisation(
             self.machine,
-            named("randomise", randomise, '{"payload": (1.0, 10.0)}'),
+            named("randomise", of_twin.ranges(randomise, known), '{"payload": (1.0, 10.0)}'),
             self.cycles_per_step,
         )
         self._history = whole("history", history, 1, MAX_HISTORY)

@@ -35,6 +35,7 @@ def linear_axis(
     parameters: LinearAxisParameters | None = None,
     parameter_file: str | Path | None = None,
     tuned: bool = True,
+    twin: str | Path | None = None,
     **values: float | None,
 ) -> Machine:
     """A `Machine` with one linear axis, its drive called ``x``, stroke 0..0.5 m.
@@ -55,12 +56,21 @@ def linear_axis(
         tuned: gains, profile and window of the following error are what this plant and motor can
             do; if not, the profile asked for and the gains of the rule in `tuning`, whatever comes
             of them: the axes of the environments of version 0.
+        twin: folder of `servogym twin` that was found from the log of such an axis; its plant,
+            drive and gains, and nothing else beside.
 
     Raises:
         ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
             do not allow or that is too long for the elastic mechanics, a payload that this motor
             or drive cannot move.
     """
+    if twin is not None:
+        from . import twins  # which makes such axes
+
+        found = twins.read(twin)
+        if found.builder != "linear_axis":
+            raise ValueError(f"twin = {str(twin)!r} is a {found.builder}, no linear_axis")
+        return found.machine(None if drive == "generic" else drive)
     if parameters is None:
         parameters = family(mechanics, **values)
     elif values or mechanics != "rigid":

@@ -155,6 +155,7 @@ def rotary_axis(
     timestep: float | None = None,
     parameters: RotaryParameters | None = None,
     tuned: bool = True,
+    twin: str | Path | None = None,
     **values: float | None,
 ) -> Machine:
     """A `Machine` with one axis without ends, its drive called ``x``.
@@ -169,11 +170,20 @@ def rotary_axis(
         timestep: physics step (s); the velocity cycle of the drive if not given.
         parameters: `RotaryParameters`, or its fields as keywords instead of the preset's.
         tuned: as `linear_axis` has it.
+        twin: folder of `servogym twin` that was found from the log of such an axis; its plant,
+            drive and gains, and nothing else beside.
 
     Raises:
         ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
             do not allow or that is too long for the elastic mechanics.
     """
+    if twin is not None:
+        from . import twins  # which makes such axes
+
+        found = twins.read(twin)
+        if found.builder != "rotary_axis":
+            raise ValueError(f"twin = {str(twin)!r} is a {found.builder}, no rotary_axis")
+        return found.machine(None if drive == "generic" else drive)
     if mechanics not in ROTARY_FAMILY:
         raise ValueError(
             f"mechanics = {mechanics!r} is unknown: {near(str(mechanics), ROTARY_FAMILY)}"

@@ -11,6 +11,8 @@ from ..engine.replay import Replay
 from .experiment import Experiment
 
 LAG = "lag"  # s, from a set-point on the bus to a sample on it: of no machine, found beside it
+SEED = "seed"  # of the encoder's noise: of no machine either
+BESIDE = (LAG, SEED)
 READ = ("od.position_actual_internal_value", "torque", "position_demand")
 MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
 
@@ -35,6 +37,8 @@ class Candidates:
     def __init__(self, make: Callable[[], Machine], drive: str | None = None, count: int = 12):
         self.machines = [make() for _ in range(count)]
         self.drive = next(iter(self.machines[0].drives)) if drive is None else drive
+        for machine in self.machines:  # what was commissioned counts from the first cycle on
+            machine.step()
         self.joints = [parameters.Joint(m, self.drive) for m in self.machines]
         self.runs = 0
         self._starts: dict[int, tuple[Experiment, list[bytes], np.ndarray]] = {}
@@ -106,8 +110,10 @@ class Candidates:
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
-    """Set parameters of one machine, `LAG` left out."""
-    joint.set({name: value for name, value in values.items() if name != LAG})
+    """Set parameters of one machine, what is `BESIDE` them left out."""
+    joint.set({name: value for name, value in values.items() if name not in BESIDE})
+    if SEED in values:
+        joint.coupling.noise_state = int(values[SEED])
 
 
 def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -> bytes:

@@ -39,7 +39,7 @@ SETTLING = 0.25  # s that a machine stands enabled before the log begins
 SHORTEST = 0.3  # s of a log
 REST = 0.02  # s without motion, from which an experiment in profile position may begin
 MOTION = 1e-3  # m/s or rad/s
-AFTER_MOTION = 0.01  # s, that belong to it
+UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrator brought along
 
 
 class Unusable(ValueError):
@@ -74,9 +74,9 @@ class Experiment:
         integrator with it: nothing is to be learned of the machine, and no two runs are alike.
         """
         speed = np.abs(np.gradient(_smooth(self.position, self.time), self.time))
-        on = speed > max(MOTION, 0.01 * float(np.percentile(speed, 98)))
-        reach = max(round(AFTER_MOTION / max(float(np.median(np.diff(self.time))), 1e-9)), 1)
-        return np.convolve(on, np.ones(2 * reach + 1), "same") > 0.5
+        on = speed > max(MOTION, 0.02 * float(np.percentile(speed, 98)))
+        on[self.time < min(UNSETTLED, 0.2 * self.duration)] = False
+        return on
 
     @property
     def duration(self) -> float:
@@ -160,6 +160,7 @@ def experiment(
         if cycle is not None and places.period > 1.5 * cycle:
             raw = _filled(raw, places, cycle)
             places = _regular(raw.time, log)
+        places, samples = _one_clock(places, samples)
         period = _whole_period(places.period, step, log)
     else:
         places, period = samples, _whole_period(samples.period, step, log)
@@ -200,7 +201,7 @@ def experiment(
             f"{log}: the axis does not move in it ({moving:.2g} of travel): record point-to-point "
             "moves to both sides at two accelerations"
         )
-    if np.ptp(torques) < 3 * quantum_t:
+    if np.ptp(torques) <= 3 * quantum_t:
         raise Unusable(
             f"{log}: the torque does not change in it: map torque_actual_value (6077h), or "
             "current_actual_value (6078h), into a TPDO and record again"
@@ -244,6 +245,20 @@ def _regular(time: np.ndarray, log: str) -> Cadence:
     number = np.round((time - first) / period)
     slope, first = np.polyfit(number, time, 1)
     return Cadence(float(slope), float(first), first + slope * number)
+
+
+def _one_clock(places: Cadence, samples: Cadence) -> tuple[Cadence, Cadence]:
+    """Give what is cyclic by the same clock the same rate; only its phase is then to be found."""
+    ratio = round(samples.period / places.period)
+    if ratio < 1 or abs(samples.period / places.period / ratio - 1) > 1e-3:
+        return places, samples
+    rate = 0.5 * (places.period + samples.period / ratio)
+    found = []
+    for each, period in ((places, rate), (samples, ratio * rate)):
+        number = np.round((each.even - each.phase) / each.period)
+        phase = float(np.mean(each.even - number * period))
+        found.append(Cadence(period, phase, phase + number * period))
+    return found[0], found[1]
 
 
 def _whole_period(period: float, step: float, log: str) -> float:

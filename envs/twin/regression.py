@@ -69,11 +69,10 @@ def regress(experiments: list[Experiment], gear: float) -> Rough:
 
 
 def _derivatives(values: np.ndarray, half: int, period: float) -> tuple[np.ndarray, ...]:
-    """Values, slope and curvature by local polynomials (Savitzky and Golay 1964)."""
+    """Values, slope and curvature by local polynomials (Savitzky and Golay 1964), ends left out."""
     at = np.arange(-half, half + 1)
     powers = np.vander(at, min(ORDER, 2 * half) + 1, increasing=True)
     weights = np.linalg.pinv(powers)
-    padded = np.pad(values, half, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
     smooth, slope, curve = (windows @ weights[k] for k in range(3))
     return smooth, slope / period, 2 * curve / period**2

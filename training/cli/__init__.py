@@ -96,6 +96,17 @@ COMMANDS = {
         "tune", "measure an axis, fit the gains of its drive to margins, and store them",
         "tune toothed_belt --detuned 3",
     ),
+    "twin": Command(
+        "twin", "turn the bus log of a machine into that machine, with intervals and a verdict",
+        "twin moves.log --drive generic --mechanics auto -o out/twin",
+        "The log holds what the master sent and what the drive answered (607Ah, 6041h, 6064h, "
+        "6077h). --plan writes the experiment to record.",
+    ),
+    "replay": Command(
+        "twin", "run the set-points of a log into a machine and compare",
+        "replay moves.log rigid --set payload=7 --out out",
+        "Measured and simulated position and torque go to a CSV.",
+    ),
     "scope": Command(
         "scope", "record channels of a move, a running node or a log, with a trigger",
         "scope rigid --channels 6064h,axis.torque --trigger 6064h:rising:20000",

@@ -1,0 +1,44 @@
+"""A task on a machine that was found from a log: `servogym twin`."""
+
+from pathlib import Path
+from typing import Any
+
+from ...drive.model.model import DriveModel
+from ..plants.twins import Twin, read
+from ..variation.randomisation import KNOBS
+
+FROM = "twin"  # in place of ranges: the intervals of what was found
+
+
+def found(task: Any, twin: str | Path | None, drive: str | Path | DriveModel) -> tuple[Any, Any]:
+    """Take the plant of a twin for that of the task; -> the twin, None without, and the drive.
+
+    Raises ValueError for a folder without one, another kind of machine, another drive.
+    """
+    if twin is None:
+        return None, drive
+    known = read(twin)
+    plant = known.datasheet()
+    if plant is None or type(task.datasheet) is not type(plant):
+        raise ValueError(
+            f"twin = {str(twin)!r} is a {known.builder}, which is not the machine of "
+            f"{type(task).__name__}"
+        )
+    name = getattr(drive, "name", drive)
+    if name not in ("generic", known.drive):
+        raise ValueError(f"drive = {name!r}: the twin's is {known.drive!r}, leave it out")
+    task.datasheet = plant
+    return known, known.drive if name == "generic" else drive
+
+
+def ranges(given: Any, twin: Twin | None) -> Any:
+    """What is drawn from. Raises ValueError for ``"twin"`` without one."""
+    if given != FROM:
+        return given
+    if twin is None:
+        raise ValueError('randomise = "twin" needs a twin: give its folder too, twin=FOLDER')
+    inside = {
+        name: (max(low, KNOBS[name].low), min(high, KNOBS[name].high))
+        for name, (low, high) in twin.ranges.items()
+    }
+    return {name: (low, high) for name, (low, high) in inside.items() if low <= high}

@@ -1,0 +1,171 @@
+"""A twin: a machine found from a log, kept in a folder. Read here; `servogym.envs.twin` makes them.
+
+A folder holds ``twin.json``, a report and pictures. What is read is JSON with a schema, a checksum
+and names and ranges that are checked one by one; nothing in it runs as code.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ...drive.model.model import DriveModel, load
+from ...drive.model.near import near
+from ..engine import parameters
+from ..engine.machine import Machine
+from .axis_parameters import RANGES as LINEAR_RANGES
+from .axis_parameters import LinearAxisParameters, family
+from .rotary import ROTARY_FAMILY, RotaryParameters
+
+FILE = "twin.json"
+SCHEMA = "servogym.twin/1"
+LARGEST = 1 << 20  # bytes of the file
+VERDICTS = ("good", "fair", "refused", "interrupted")
+BUILT = {
+    "load_stiffness": "stiffness",
+    "load_damping": "structural_damping",
+}  # names it is built by
+DRAWN_ALONE = ("encoder_noise",)  # no interval is known of it
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter as it was found."""
+
+    value: float
+    low: float  # of the 95 % interval
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Twin:
+    """What a folder says. `read` makes one; raises ValueError for a folder that is none."""
+
+    folder: Path
+    drive: str
+    builder: str
+    arguments: Mapping[str, Any]
+    axis: str
+    parameters: Mapping[str, Value]
+    objects: Mapping[str, float]
+    held_out: Mapping[str, float]
+    verdict: str
+    cycle: float  # s, of the bus
+    lag: float  # s, from a set-point to a sample
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Of the parameters."""
+        return {name: each.value for name, each in self.parameters.items()}
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """For ``randomise``: the intervals of what was found."""
+        return {
+            name: (each.low, each.high)
+            for name, each in self.parameters.items()
+            if name not in DRAWN_ALONE and each.low < each.high
+        }
+
+    def datasheet(self) -> LinearAxisParameters | RotaryParameters | None:
+        """Parameters of the plant as found, of a linear or a rotary axis."""
+        values = {BUILT.get(name, name): value for name, value in self.values.items()}
+        given = {name: value for name, value in self.arguments.items() if name != "mechanics"}
+        if self.builder == "rotary_axis":
+            plain = ROTARY_FAMILY[self.arguments["mechanics"]]
+            known = {n: v for n, v in values.items() if hasattr(plain, n)}
+            return replace(plain, **given, **known)  # type: ignore[arg-type]
+        if self.builder != "linear_axis":
+            return None
+        preset = family(self.arguments["mechanics"], **given)
+        known = {n: v for n, v in values.items() if n in LINEAR_RANGES}
+        if preset.static_friction and "static_friction" not in known:
+            ratio = preset.static_friction / preset.coulomb_friction
+            known["static_friction"] = ratio * known.get("coulomb_friction", 0.0)
+        return replace(preset, **known)  # type: ignore[arg-type]
+
+    def give(self, machine: Machine) -> None:
+        """Set what was found in a machine of its structure: parameters and objects."""
+        machine.drives[self.axis].commission(dict(self.objects))
+        parameters.put(machine, self.values, self.axis)
+        machine.reset()
+
+    def machine(self, drive: str | Path | DriveModel | None = None) -> Machine:
+        """A machine of its own, commissioned and at rest."""
+        from .gantry import gantry
+        from .linear_axis import linear_axis
+        from .rotary import rotary_axis
+
+        model = load(self.drive if drive is None else drive)
+        makers: dict[str, Callable[..., Machine]] = {
+            "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
+        }  # fmt: skip
+        plant = self.datasheet()
+        # its gains are those of the log, not what this plant and motor could do
+        given = dict(self.arguments) if plant is None else {"parameters": plant, "tuned": False}
+        machine = makers[self.builder](model, **given)
+        self.give(machine)
+        return machine
+
+
+def read(folder: str | Path) -> Twin:
+    """The twin in a folder that `servogym twin` has written.
+
+    Raises:
+        ValueError: there is none, it is damaged, of another version, or names what is no parameter.
+    """
+    file = Path(folder) / FILE if Path(folder).suffix != ".json" else Path(folder)
+    if not file.is_file():
+        raise ValueError(
+            f"twin = {str(folder)!r}: there is no {FILE} in it; servogym twin makes one"
+        )
+    if file.stat().st_size > LARGEST:
+        raise ValueError(f"{file}: larger than {LARGEST} bytes, this is no twin")
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        schema = content["schema"]
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(f"{file}: damaged, or no twin; make it again from the log") from None
+    if schema != SCHEMA:
+        raise ValueError(f"{file}: schema {schema!r}, this version reads {SCHEMA!r}")
+    if content.get("checksum") != checksum(content):
+        raise ValueError(f"{file}: the checksum does not fit: it was changed by hand or cut off")
+    try:
+        return _checked(file, content)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{file}: lacks {error}, or it is of the wrong kind") from None
+
+
+def _checked(file: Path, content: Mapping[str, Any]) -> Twin:
+    if content["verdict"] not in VERDICTS:
+        raise ValueError(f"{file}: verdict {content['verdict']!r}, not one of {VERDICTS}")
+    machine = content["machine"]
+    if machine["builder"] not in ("linear_axis", "rotary_axis", "gantry"):
+        raise ValueError(f"{file}: no machine is called {machine['builder']!r}")
+    found = {}
+    for name, row in content["parameters"].items():
+        if name not in parameters.PARAMETERS:
+            raise ValueError(
+                f"{file}: no parameter is called {name!r}: {near(name, parameters.PARAMETERS)}"
+            )
+        value = Value(float(row["value"]), float(row["low"]), float(row["high"]), str(row["unit"]))
+        if not all(map(math.isfinite, (value.value, value.low, value.high))):
+            raise ValueError(f"{file}: {name} is no number")
+        found[name] = value
+    return Twin(
+        file.parent, str(content["drive"]), machine["builder"], dict(machine["arguments"]),
+        str(machine["axis"]), found, {k: float(v) for k, v in content["objects"].items()},
+        {k: float(v) for k, v in content["held_out"].items()}, content["verdict"],
+        float(content["cycle"]), float(content["lag"]),
+    )  # fmt: skip
+
+
+def checksum(content: Mapping[str, Any]) -> str:
+    """SHA-256 of everything but itself, as sorted JSON."""
+    plain = {name: value for name, value in content.items() if name != "checksum"}
+    text = json.dumps(plain, sort_keys=True, ensure_ascii=True)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,95 @@
+"""Families of mechanics a log may come from, and what is unknown of each."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from ...drive.model.model import DriveModel
+from ...drive.model.near import near
+from ..engine.machine import Machine
+from ..plants.gantry import gantry
+from ..plants.linear_axis import linear_axis
+from ..plants.rotary import rotary_axis
+
+BUILDERS: Mapping[str, Callable[..., Machine]] = {
+    "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
+}  # fmt: skip
+GAINS = ("velocity_gain", "integral_time", "position_gain")
+COMMON = ("coulomb_friction", "viscous_friction", "load_force")
+
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of machine.
+
+    Args:
+        name: of it.
+        builder: key of `BUILDERS`.
+        arguments: of the builder.
+        axis: drive that the log is of.
+        mass: parameter that the regression's inertia goes into.
+        spring: its stiffness and damping, where there is one to be found.
+        extra: further unknown parameters.
+    """
+
+    name: str
+    builder: str
+    arguments: Mapping[str, Any]
+    axis: str = "x"
+    mass: str = "payload"
+    spring: tuple[str, str] | None = None
+    extra: tuple[str, ...] = ()
+    built: Mapping[str, Any] = field(default_factory=dict)  # by the user: --set
+    objects: Mapping[str, float] = field(default_factory=dict)  # of the drive, as was read from it
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Names of all that is looked for, beside gains and lag."""
+        return (self.mass, *COMMON, *(self.spring or ()), *self.extra)
+
+    def make(self, drive: str | DriveModel) -> Machine:
+        """A machine of the family, commissioned."""
+        machine = BUILDERS[self.builder](drive, **{**self.arguments, **self.built})
+        if self.objects:
+            machine.drives[self.axis].commission(dict(self.objects))
+        machine.step()  # what was commissioned counts from the first cycle on
+        return machine
+
+    def given(
+        self, built: Mapping[str, Any] | None = None, objects: Mapping[str, float] | None = None
+    ) -> "Family":
+        """The same, built with values of the user's and commissioned with objects of the drive."""
+        return replace(
+            self, built={**self.built, **(built or {})}, objects={**self.objects, **(objects or {})}
+        )
+
+
+def _linear(name: str, **more: Any) -> Family:
+    return Family(name, "linear_axis", {"mechanics": name}, **more)
+
+
+FAMILIES: Mapping[str, Family] = {
+    family.name: family
+    for family in (
+        _linear("rigid"),
+        Family(
+            "spring", "linear_axis",
+            {"mechanics": "rigid", "stiffness": 4e4, "structural_damping": 20.0},
+            spring=("load_stiffness", "load_damping"),
+        ),
+        _linear("toothed_belt", spring=("transmission_stiffness", "transmission_damping")),
+        _linear("ball_screw"), _linear("linear_motor"), _linear("vertical"),
+        _linear("rack_pinion"), _linear("ball_screw_scale"),
+        Family("rotary_table", "rotary_axis", {"mechanics": "rotary_table"}, mass="inertia"),
+        Family("conveyor", "rotary_axis", {"mechanics": "conveyor"}, mass="inertia"),
+        *(Family(f"gantry.{axis}", "gantry", {}, axis=axis) for axis in ("x", "y", "z")),
+    )
+}  # fmt: skip
+AUTO = ("rigid", "spring", "toothed_belt")  # that ``auto`` tries, one after the other
+
+
+def family(name: str) -> Family:
+    """By name. Raises ValueError for an unknown one."""
+    if name not in FAMILIES:
+        raise ValueError(f"--mechanics = {name!r}: {near(name, ['auto', *FAMILIES])}")
+    return FAMILIES[name]

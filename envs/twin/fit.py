@@ -1,0 +1,341 @@
+"""From experiments to a twin: regression, search, choice of the family, intervals, verdict."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...drive.model.model import DriveModel
+from ..engine import parameters
+from ..plants.tuning import inertia_at_shaft
+from .candidates import LAG, Candidates, Simulated
+from .estimate import Estimate, Free, Noise, Search, colour
+from .experiment import Experiment, Unusable
+from .families import AUTO, GAINS, Family, family
+from .regression import Rough, regress
+
+HELD_OUT = 0.35  # of one log, its end; of several logs the last one
+GOOD, FAIR = 1.3, 2.0  # held-out position error over the noise floor
+SATURATED = 0.25  # share of the motion at the torque limit, above which a log tells too little
+STIFFNESS, PER_DECADE = (2e3, 4e6), 11  # N/m where springs are sought, and how densely
+TURNING = (1 / 30, 30)  # the same of a rotary axis, times the nominal
+DAMPINGS = (0.03, 0.1)  # ratios a spring begins with
+BEST = 3  # starts that are followed
+GAIN_GRID = [(v, p) for v in (0.45, 0.7, 1.0, 1.5, 2.4) for p in (0.5, 0.75, 1.0, 1.4)]
+UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One family, as far as it explains the logs."""
+
+    family: Family
+    values: dict[str, float]  # parameters, and `LAG`
+    estimate: Estimate  # on all that was given
+    rough: Rough
+    held_position: float  # rms, m or rad
+    held_torque: float  # rms, Nm
+    floor_position: float  # what the encoder's noise alone leaves
+    floor_torque: float
+    share: float  # of the motion that is explained, 0..1
+    noise: float  # standard deviation of the encoder, m or rad
+    unit: str
+    runs: int
+    complete: bool = True  # False: interrupted
+    candidates: Candidates | None = field(default=None, compare=False, repr=False)
+    simulated: list[Simulated] = field(default_factory=list, compare=False, repr=False)
+    whole: list[Experiment] = field(default_factory=list, compare=False, repr=False)
+    cuts: list[float] = field(default_factory=list)  # s, from where each log was held out
+
+    @property
+    def ratio(self) -> float:
+        """Held-out position error over the noise floor."""
+        return self.held_position / max(self.floor_position, 1e-12)
+
+    @property
+    def verdict(self) -> str:
+        """``good``, ``fair`` or ``refused``."""
+        if not self.complete:
+            return "interrupted"
+        return "good" if self.ratio <= GOOD else "fair" if self.ratio <= FAIR else "refused"
+
+
+def fit(
+    experiments: Sequence[Experiment], drive: str | DriveModel, chosen: Family,
+    *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
+) -> Fitted:  # fmt: skip
+    """Fit one family.
+
+    Args:
+        experiments: of one axis; the last of several is held out, the end of a single one.
+        drive: model.
+        chosen: the family.
+        gains_known: the machine is commissioned with the gains of the log.
+        told: takes a line about the progress.
+
+    Raises:
+        Unusable: the logs cannot tell what is asked of them.
+    """
+    candidates = Candidates(lambda: chosen.make(drive), chosen.axis)
+    joint = candidates.joint
+    rough = regress(list(experiments), joint.gear)
+    _usable(experiments, rough, joint)
+    training, cuts = _split(experiments)
+    search = Search(candidates, training)
+    start = _start(chosen, joint, rough)
+    lag = best_lag(candidates, training[0], start)
+    start[LAG] = lag
+    free = _free(chosen, joint, start, gains_known)
+    search.told = lambda values, cost: told(
+        f"{chosen.name}: {_shown(values, chosen)}, misfit {math.sqrt(cost):.3g}"
+    )
+    best: dict[str, float] = dict(start)
+    estimate, complete = None, True
+    try:
+        noise = search.start_noise()
+        starts = _starts(search, chosen, joint, start, noise, gains_known)
+        trials = [search.descend(free, each, noise, 5 if len(starts) > 1 else 8)
+                  for each in starts]  # fmt: skip
+        estimate = min(trials, key=lambda each: each.cost)
+        best = estimate.values
+        noise = colour([each[0] for each in search.residuals([best])])
+        estimate = search.descend(free, best, noise, 6)
+        best = estimate.values
+        noise = colour([each[0] for each in search.residuals([best])])
+        estimate = search.descend(free, best, noise, 3)
+        best = estimate.values
+    except KeyboardInterrupt:
+        complete = False
+        if estimate is None:
+            raise
+    held = _judge(candidates, experiments, cuts, best)
+    if complete:
+        try:
+            all_of_it = Search(candidates, experiments, told=search.told)
+            noise = colour([each[0] for each in all_of_it.residuals([best])])
+            estimate = all_of_it.descend(free, best, noise, 3)
+            estimate = all_of_it.replicate(estimate, held[-1])
+        except KeyboardInterrupt:
+            complete = False
+    simulated = [candidates.simulate(each, [estimate.values]) for each in experiments]
+    return Fitted(
+        chosen, estimate.values, estimate, rough, *held, joint.unit, candidates.runs, complete,
+        candidates, simulated, list(experiments), cuts,
+    )  # fmt: skip
+
+
+def choose(
+    experiments: Sequence[Experiment], drive: str | DriveModel, names: Sequence[str] = AUTO,
+    built: Mapping[str, Any] | None = None, objects: Mapping[str, float] | None = None,
+    *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
+) -> tuple[Fitted, list[Fitted]]:  # fmt: skip
+    """Fit families until one explains the logs; -> the best by held-out error, and all."""
+    tried: list[Fitted] = []
+    for name in names:
+        try:
+            tried.append(
+                fit(experiments, drive, family(name).given(built, objects),
+                    gains_known=gains_known, told=told)
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            if not tried:
+                raise
+            break
+        if tried[-1].ratio <= GOOD or not tried[-1].complete:
+            break
+    return min(tried, key=lambda each: each.ratio), tried
+
+
+def _usable(experiments: Sequence[Experiment], rough: Rough, joint: parameters.Joint) -> None:
+    name = experiments[0].name
+    axis = joint.drive.axis
+    limit = 0.995 * min(float(axis.torque_limit_positive), float(axis.torque_limit_negative))
+    for each in experiments:
+        at_limit = float(np.mean(np.abs(each.torque[each.moving]) >= limit))
+        if at_limit > SATURATED:
+            raise Unusable(
+                f"{each.name}: the torque is at its limit in {100 * at_limit:.0f} % of the motion, "
+                "so the loops are open there: record moves with less acceleration"
+            )
+    if rough.one_way:
+        raise Unusable(
+            f"{name}: the axis moves in one direction only, so friction and a constant load look "
+            "alike: record moves there and back"
+        )
+    if not rough.accelerates and rough.inertia <= 0.0:
+        raise Unusable(
+            f"{name}: there is hardly an acceleration in it, so the mass cannot be told: record "
+            "moves with at least half the usual acceleration"
+        )
+    if rough.explained < UNEXPLAINED and rough.inertia <= 0.0:
+        raise Unusable(
+            f"{name}: torque and motion do not belong together (inertia and friction explain "
+            f"{100 * max(rough.explained, 0):.0f} % of the torque): is it the torque of this "
+            "axis, are --drive and the units right, and are the signs those of the drive?"
+        )
+    if rough.inertia <= 0.0:
+        raise Unusable(
+            f"{name}: more torque goes with less acceleration: the sign of torque or position is "
+            "turned (polarity 607Eh), or they are of two axes"
+        )
+
+
+def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[float]]:
+    """What is fitted, and from which time on each log is held out (s)."""
+    if len(experiments) > 1:
+        return list(experiments[:-1]), [math.inf] * (len(experiments) - 1) + [0.0]
+    only = experiments[0]
+    cut = (1 - HELD_OUT) * only.duration
+    return [only.until(cut)], [cut]
+
+
+def _start(chosen: Family, joint: parameters.Joint, rough: Rough) -> dict[str, float]:
+    """Where the search begins: of the regression, at the joint."""
+    gear = joint.gear
+    row = parameters.PARAMETERS[chosen.mass]
+    nominal = row.get(joint)
+    inertia = inertia_at_shaft(
+        joint.model, joint.machine.data, int(joint.coupling.dof), gear
+    )  # fmt: skip
+    mass = nominal + (rough.inertia - inertia) * gear**2
+    values = {
+        chosen.mass: max(mass, 0.05 * nominal),
+        "coulomb_friction": max(rough.coulomb * abs(gear), 0.05),
+        "viscous_friction": max(rough.viscous * gear**2, 0.01),
+        "load_force": 0.0,
+    }
+    for name in (*(chosen.spring or ()), *chosen.extra, *GAINS):
+        values[name] = parameters.PARAMETERS[name].get(joint)
+    return values
+
+
+def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str, float]) -> float:
+    """Of all whole cycles the one at which simulated and measured positions agree best (s)."""
+    cycle, period = experiment.cycle, experiment.period
+    first, last = -round(period / cycle) - 2, 6 * round(period / cycle) + 6
+    shifts = np.arange(first, last + 1) * cycle
+    run = candidates.simulate(experiment, [start])
+    inside = (experiment.time > 2 * abs(shifts).max()) & experiment.moving
+    times = experiment.time[inside]
+    errors = [
+        float(np.mean((np.interp(times - s, experiment.time, run.position[0])
+                       - experiment.position[inside]) ** 2))
+        for s in shifts
+    ]  # fmt: skip
+    return float(shifts[int(np.argmin(errors))])
+
+
+def _free(
+    chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool
+) -> list[Free]:
+    names = [*chosen.unknown, LAG]
+    if not gains_known:
+        names += [*GAINS]
+    found = []
+    friction = max(start["coulomb_friction"], 1e-9)
+    for name in names:
+        if name == LAG:
+            found.append(Free(LAG, start[LAG], -0.02, 0.2, 2e-5))
+            continue
+        row = parameters.PARAMETERS[name]
+        low, high = row.low, row.high
+        if name in ("coulomb_friction", "load_force"):
+            found.append(Free(name, start[name], low, high, 0.05 * friction))
+        elif name == "viscous_friction":
+            found.append(Free(name, start[name], low, high, max(0.1 * start[name], 1e-3)))
+        else:
+            found.append(Free(name, start[name], max(low, 1e-9), high, 0.02, True))
+    return found
+
+
+def _starts(
+    search: Search, chosen: Family, joint: parameters.Joint, start: dict[str, float],
+    noise: Noise, gains_known: bool,
+) -> list[dict[str, float]]:  # fmt: skip
+    """Several places to begin, where there are local minima."""
+    starts = [start]
+    if not gains_known:
+        grid = [
+            start | {"velocity_gain": start["velocity_gain"] * v,
+                     "position_gain": start["position_gain"] * p}
+            for v, p in GAIN_GRID
+        ]  # fmt: skip
+        starts = [grid[int(np.argmin(search.cost(grid, noise)))]]
+    if chosen.spring:
+        stiffness, damping = chosen.spring
+        nominal = parameters.PARAMETERS[stiffness].get(joint)
+        low, high = STIFFNESS if joint.unit == "m" else [nominal * share for share in TURNING]
+        mass = max(start[chosen.mass], 1e-6)
+        fastest = mass * (0.7 / joint.model.opt.timestep) ** 2
+        count = round(PER_DECADE * math.log10(high / low)) + 1
+        grid = [
+            starts[0] | {stiffness: float(k), damping: 2 * ratio * math.sqrt(k * mass)}
+            for k in np.geomspace(low, min(high, fastest), count)
+            for ratio in DAMPINGS
+        ]
+        costs = search.cost(grid, noise)
+        starts = []
+        for n in np.argsort(costs):  # one of each valley
+            if all(not 0.6 < grid[n][stiffness] / each[stiffness] < 1.6 for each in starts):
+                starts.append(grid[n])
+            if len(starts) == BEST:
+                break
+    return starts
+
+
+def _judge(
+    candidates: Candidates, experiments: Sequence[Experiment], cuts: Sequence[float],
+    values: Mapping[str, float],
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    """Errors held out, what noise of the encoder would leave, share explained, the noise."""
+    left_p, left_t, quiet_p, quiet_t, wave, sizes = [], [], [], [], [], []
+    trial = max(experiments[0].quanta[0], 0.2 * float(candidates.joint.drive.axis.rad_per_increment)
+                / abs(candidates.joint.gear))  # fmt: skip
+    for experiment, cut in zip(experiments, cuts, strict=True):
+        held = experiment.time >= cut
+        if not held.any():
+            continue
+        run = candidates.simulate(experiment, [values])
+        noisy = candidates.simulate(experiment, [dict(values) | {"encoder_noise": trial}])
+        p, t = experiment.position - run.position[0], experiment.torque - run.torque[0]
+        dp, dt = noisy.position[0] - run.position[0], noisy.torque[0] - run.torque[0]
+        size = _noise(p, dp, experiment.quanta[0]) * trial
+        share = size / trial
+        sizes.append(size)
+        left_p.append(p[held])
+        left_t.append(t[held])
+        quiet_p.append(share * dp[held])
+        quiet_t.append(share * dt[held])
+        wave.append(experiment.position[held] - experiment.position[held].mean())
+    quantum = [q**2 / 12 for q in experiments[0].quanta]
+
+    def rms(parts: list[np.ndarray]) -> float:
+        return math.sqrt(float(np.mean(np.concatenate(parts) ** 2)))
+
+    position, torque = rms(left_p), rms(left_t)
+    return (
+        position, torque, math.hypot(rms(quiet_p), math.sqrt(quantum[0])),
+        math.hypot(rms(quiet_t), math.sqrt(quantum[1])),
+        1.0 - position / max(rms(wave), 1e-12), float(np.mean(sizes)),
+    )  # fmt: skip
+
+
+def _noise(left: np.ndarray, simulated: np.ndarray, quantum: float) -> float:
+    """How much noise there is, in shares of the simulated one, by the highest differences."""
+    order = 3
+    rough = math.comb(2 * order, order) * quantum**2 / 12
+    seen = max(float(np.mean(np.diff(left, order) ** 2)) - rough, 0.0)
+    made = float(np.mean(np.diff(simulated, order) ** 2))
+    return math.sqrt(seen / made) if made > 0.0 else 0.0
+
+
+def _shown(values: Mapping[str, float], chosen: Family) -> str:
+    names = [chosen.mass, "coulomb_friction", *((chosen.spring or ())[:1])]
+    return ", ".join(f"{name} {values[name]:.4g}" for name in names if name in values)
+
+
+def after(fitted: Fitted, **changes: Any) -> Fitted:
+    """The same with other fields."""
+    return replace(fitted, **changes)

@@ -1,0 +1,71 @@
+"""What has changed in a machine since its twin was made, from a new log of its moves."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ..plants.twins import Twin
+from .fit import Fitted
+
+WATCHED = (  # in the order they are told
+    "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "load_stiffness",
+    "transmission_stiffness", "load_damping", "transmission_damping", "backlash",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Change:
+    """Of one parameter: in percent of its old value, or in its unit where that was about zero."""
+
+    name: str
+    before: float
+    now: float
+    change: float
+    low: float
+    high: float
+    unit: str  # "%" or that of the parameter
+
+    @property
+    def certain(self) -> bool:
+        """Whether the interval leaves zero out."""
+        return not self.low <= 0.0 <= self.high
+
+    def __str__(self) -> str:
+        name = self.name.replace("_", " ")
+        numbers = f"{self.change:+.3g} {self.unit} [{self.low:+.3g}, {self.high:+.3g}]"
+        return f"{name} {numbers}" + ("" if self.certain else ": no change is certain")
+
+
+def changes(twin: Twin, now: Fitted) -> list[Change]:
+    """Of the parameters both have, the certain ones first.
+
+    Raises:
+        ValueError: the new log is of another family.
+    """
+    found = []
+    friction = twin.values.get("coulomb_friction", 1.0)
+    for name in WATCHED:
+        old = twin.parameters.get(name)
+        if old is None or name not in {free.name for free in now.estimate.free}:
+            continue
+        low, high = now.estimate.interval(name)
+        value = now.values[name]
+        half = math.hypot((old.high - old.low) / 2, (high - low) / 2)
+        relative = abs(old.value) > 2 * (old.high - old.low) and name != "load_force"
+        per = 100.0 / old.value if relative else 1.0
+        change = (value - old.value) * per
+        half *= abs(per)
+        unit = "%" if relative else old.unit
+        found.append(Change(name, old.value, value, change, change - half, change + half, unit))
+    if friction and not found:
+        raise ValueError("the new log was fitted as another family: nothing can be compared")
+    return sorted(found, key=lambda each: not each.certain)
+
+
+def table(found: list[Change]) -> list[dict[str, Any]]:
+    """As rows of numbers, for JSON."""
+    return [
+        {"name": c.name, "before": c.before, "now": c.now, "change": c.change, "low": c.low,
+         "high": c.high, "unit": c.unit, "certain": c.certain}
+        for c in found
+    ]  # fmt: skip

@@ -1,0 +1,64 @@
+"""Logs of one axis, read and brought into experiments."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...drive.model.model import DriveModel
+from ...drive.wire.recording import Source
+from ..engine.machine import Machine
+from .experiment import Experiment, Unusable, experiment
+
+NEEDED = ("position_actual_value",)
+
+
+def read(
+    logs: Sequence[str | Path], machine: Machine, drive: str | DriveModel, name: str, *,
+    who: str | None = None, columns: str | None = None, mode: int | None = None,
+    torque_constant: float | None = None, cycle: float | None = None,
+) -> list[Experiment]:  # fmt: skip
+    """Experiments of the logs, in their order.
+
+    Args:
+        logs: candump, asc, blf, pcapng, CSV.
+        machine: commissioned as the one of the logs.
+        drive: its model, by which the objects of a CAN log are known.
+        name: of the drive in the machine.
+        who: node or slave of the log; the only one that has a position, if not given.
+        columns: of a CSV, see `Source`.
+        mode: of operation, where the log does not say it.
+        torque_constant: Nm/A, where a table has the current in A.
+        cycle: of the master (s), where a table was sampled more seldom.
+
+    Raises:
+        Unusable: what is missing, and how to record it. ValueError: a file that is damaged.
+    """
+    found = []
+    for log in map(Path, logs):
+        source = Source(log, drive, columns)
+        having = [each for each, units in source.units.items() if NEEDED[0] in units]
+        if not having:
+            raise Unusable(
+                f"{log}: no position in it: map position_actual_value (6064h) into a TPDO and "
+                "record again, with the SDOs that map it, or --columns of a CSV"
+            )
+        if who is None and len(having) > 1:
+            raise Unusable(
+                f"{log}: {len(having)} axes are in it ({', '.join(having)}): say which one is "
+                "meant with --axis"
+            )
+        signals = source.signals(source.drive(who, NEEDED))
+        found.append(
+            experiment(
+                signals,
+                machine,
+                name,
+                log=log.name,
+                mode=mode,
+                torque_constant=torque_constant,
+                cycle=cycle,
+            )
+        )
+    cycles = {each.period for each in found}
+    if len(cycles) > 1:
+        raise Unusable(f"logs of different bus cycles ({cycles} s): make a twin of each")
+    return found

@@ -1,0 +1,104 @@
+"""The experiment a log should hold: moves that tell the parameters of an axis apart."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import ruckig
+
+from ..engine.checks import in_range
+
+REST = 0.08  # s, behind each move
+SHARES = (  # of speed and acceleration, and how far: there and back each
+    (1.0, 1.0, 0.6), (1.0, 0.5, 0.6), (0.33, 1.0, 0.2), (0.33, 0.5, 0.2), (0.1, 0.5, 0.03),
+    (0.6, 1.0, 0.25),
+)  # fmt: skip
+SWEEP = (5.0, 100.0, 3.0)  # Hz from, to, and how long (s)
+SHARE_OF_SWEEP = 0.3  # of the highest acceleration
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Within which a plan stays, at the joint (m or rad). Raises ValueError for others."""
+
+    low: float
+    high: float
+    velocity: float
+    acceleration: float
+    jerk: float
+
+    def __post_init__(self) -> None:
+        in_range("velocity", self.velocity, 1e-6, 1e3, "m/s or rad/s")
+        in_range("acceleration", self.acceleration, 1e-6, 1e5, "m/s² or rad/s²")
+        in_range("jerk", self.jerk, 1e-6, 1e8, "m/s³ or rad/s³")
+        if not self.high - self.low > 0.0:
+            raise ValueError(
+                f"range {self.low:g}..{self.high:g}: its end has to be above its begin"
+            )
+
+
+def plan(limits: Limits, period: float, *, sweep: bool = False) -> np.ndarray:
+    """Set-points of the experiment, one a bus cycle, shape ``(n,)``; it begins in the middle.
+
+    Args:
+        limits: of place, speed, acceleration and jerk.
+        period: of the bus (s).
+        sweep: a sine of rising frequency joins, for springs.
+    """
+    middle, half = 0.5 * (limits.low + limits.high), 0.5 * (limits.high - limits.low)
+    here, parts = middle, [np.full(round(REST / period), middle)]
+    for speed, acceleration, far in SHARES:
+        for goal in (middle + far * half, middle - far * half, middle):
+            parts.append(
+                _move(here, goal, speed * limits.velocity, acceleration * limits.acceleration,
+                      limits.jerk, period)
+            )  # fmt: skip
+            parts.append(np.full(round(REST / period), goal))
+            here = goal
+    if sweep:
+        parts += [middle + _sweep(limits, period), np.full(round(REST / period), middle)]
+    return np.concatenate(parts)
+
+
+def _move(
+    start: float, goal: float, velocity: float, acceleration: float, jerk: float, period: float
+) -> np.ndarray:
+    wanted, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    wanted.current_position, wanted.target_position = [start], [goal]
+    wanted.max_velocity, wanted.max_acceleration = [velocity], [acceleration]
+    wanted.max_jerk = [jerk]
+    ruckig.Ruckig(1).calculate(wanted, trajectory)
+    times = np.arange(period, trajectory.duration, period)
+    return np.array([trajectory.at_time(t)[0][0] for t in times] + [goal])
+
+
+def _sweep(limits: Limits, period: float) -> np.ndarray:
+    """A sine whose amplitude falls so that its acceleration stays, frequency exponential."""
+    first, last, duration = SWEEP
+    last = min(last, 0.2 / period)
+    time = np.arange(0.0, duration, period)
+    rate = np.log(last / first) / duration
+    frequency = first * np.exp(rate * time)
+    phase = 2 * np.pi * first * (np.exp(rate * time) - 1) / rate
+    peak = SHARE_OF_SWEEP * limits.acceleration
+    amplitude = np.minimum(peak / (2 * np.pi * frequency) ** 2, 0.2 * (limits.high - limits.low))
+    fade = np.minimum(1.0, np.minimum(time, time[-1] - time) / 0.2)
+    return amplitude * fade * np.sin(phase)
+
+
+def write(path: Path, set_points: np.ndarray, period: float, unit: float) -> None:
+    """As a table for a master: time (s) and target_position (drive units).
+
+    Args:
+        path: of the CSV.
+        set_points: m or rad.
+        period: of the bus (s).
+        unit: one position unit of the drive (m or rad).
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["time (s)", "target_position (position unit)"])
+        for n, value in enumerate(set_points):
+            writer.writerow([f"{n * period:.6f}", round(float(value) / unit)])

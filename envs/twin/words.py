@@ -1,0 +1,92 @@
+"""What a fit cannot tell, in words, and the move that would."""
+
+from .candidates import LAG
+from .fit import FAIR, GOOD, Fitted
+
+WIDE = 0.15  # half an interval over the value, above which a parameter is poorly known
+TIED = 0.97  # correlation of two estimates that are told apart no more
+MOVES = {  # what tells two parameters apart
+    frozenset(("payload", "coulomb_friction")): "two accelerations tell them apart; add a move at "
+    "half the acceleration",
+    frozenset(("payload", "velocity_gain")): "read the gains from the drive (--read-gains), or add "
+    "a move at the torque limit",
+    frozenset(("coulomb_friction", "viscous_friction")): "two speeds tell them apart; add moves at "
+    "a third of the speed",
+    frozenset(("coulomb_friction", "load_force")): "both directions tell them apart; add the same "
+    "moves back",
+    frozenset(("payload", "load_stiffness")): "a sweep over the resonance tells them apart; add a "
+    "sine of the set-point that rises from 5 to 100 Hz",
+    frozenset(("load_stiffness", "load_damping")): "let it ring out: add a short, sharp move and "
+    "a rest of half a second",
+    frozenset(("transmission_stiffness", "transmission_damping")): "let it ring out: add a short, "
+    "sharp move and a rest of half a second",
+    frozenset(("velocity_gain", "position_gain")): "read the gains from the drive (--read-gains)",
+    frozenset(("velocity_gain", "integral_time")): "read the gains from the drive (--read-gains)",
+}  # fmt: skip
+ALONE = {
+    "payload": "add moves with more acceleration",
+    "inertia": "add moves with more acceleration",
+    "coulomb_friction": "add slow moves to both sides",
+    "viscous_friction": "add long moves at the highest speed and at a third of it",
+    "load_force": "add the same moves to both sides",
+    "load_stiffness": "add short, sharp moves, or a sweep over the resonance",
+    "load_damping": "add short, sharp moves with a rest behind each",
+    "transmission_stiffness": "add short, sharp moves, or a sweep over the resonance",
+    "transmission_damping": "add short, sharp moves with a rest behind each",
+}
+ALWAYS = (
+    "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "
+    "constant. A second log with a known payload added would tell it."
+)
+
+
+def doubts(fitted: Fitted) -> list[str]:
+    """Sentences about parameters that this log leaves open; none where it tells them all."""
+    said = []
+    estimate = fitted.estimate
+    names = [free.name for free in estimate.free]
+    correlation = estimate.correlation()
+    friction = max(fitted.values.get("coulomb_friction", 0.0), 1e-9)
+    poor = set()
+    for name in names:
+        if name == LAG:
+            continue
+        low, high = estimate.interval(name)
+        scale = friction if name == "load_force" else max(abs(fitted.values[name]), 1e-12)
+        if (high - low) / 2 > WIDE * scale:
+            poor.add(name)
+    paired: set[str] = set()
+    for i, first in enumerate(names):
+        for k in range(i):
+            pair = frozenset((first, names[k]))
+            if abs(correlation[i, k]) > TIED and LAG not in pair and pair & poor:
+                advice = MOVES.get(pair, "record moves that differ more in speed and acceleration")
+                said.append(f"{names[k]} and {first} are hardly told apart by this log: {advice}.")
+                paired |= pair
+    for name in names:
+        if name in poor and name not in paired:
+            low, high = estimate.interval(name)
+            advice = ALONE.get(name, "read it from the drive (--read-gains)")
+            said.append(f"{name} is known poorly ({low:.3g} to {high:.3g}): {advice}.")
+    return said
+
+
+def verdict(fitted: Fitted) -> str:
+    """In a sentence."""
+    scale, unit = (1e6, "µm") if fitted.unit == "m" else (1e6, "µrad")
+    figures = (
+        f"held-out position error {scale * fitted.held_position:.3g} {unit} rms, "
+        f"{fitted.ratio:.2f} times what the encoder's noise alone would leave "
+        f"({scale * fitted.floor_position:.3g} {unit})"
+    )
+    if not fitted.complete:
+        return f"interrupted: the best so far, without intervals; {figures}"
+    if fitted.ratio <= GOOD:
+        return f"good: believe it; {figures}"
+    if fitted.ratio <= FAIR:
+        return f"fair: good for the motion, parameters with care; {figures}"
+    return (
+        f"refused: do not believe it; {figures}. The family {fitted.family.name} lacks what moves "
+        "this axis, or the drive model, its gains or its units are others: try --mechanics auto, "
+        "--read-gains"
+    )

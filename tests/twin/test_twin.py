@@ -1,0 +1,295 @@
+"""A log of a node's bus becomes a machine; the hidden parameters are the oracle."""
+
+import json
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import machines as made
+
+from servogym.drive.wire.recording import Signal, Source
+from servogym.envs import linear_axis
+from servogym.envs.engine import parameters
+from servogym.envs.plants import twins
+from servogym.envs.twin import logs
+from servogym.envs.twin.estimate import Noise, colour
+from servogym.envs.twin.experiment import Unusable, experiment
+from servogym.envs.twin.families import FAMILIES
+from servogym.envs.twin.fit import fit
+from servogym.envs.twin.folder import save
+from servogym.envs.twin.health import changes
+from servogym.envs.twin.plan import Limits, plan
+from servogym.envs.twin.regression import regress
+from servogym.training.cli import main
+
+HIDDEN = ("payload", "coulomb_friction", "viscous_friction")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A machine nobody knows, and the candump log of its moves; 0.5 % of the frames are missing."""
+    rng = np.random.default_rng(3)
+    machine = linear_axis()
+    hidden = made.hide(machine, rng, HIDDEN)
+    file = tmp_path_factory.mktemp("bus") / "moves.log"
+    return made.csp_log(machine, file, rng, dropped=0.005, jitter=2e-4, seconds=3.0), hidden
+
+
+@pytest.fixture(scope="module")
+def fitted(recorded):
+    log, _ = recorded
+    rigid = FAMILIES["rigid"]
+    (found,) = logs.read([log], rigid.make("generic"), "generic", "x")
+    return fit([found], "generic", rigid, gains_known=True)
+
+
+@pytest.fixture(scope="module")
+def folder(fitted, recorded, tmp_path_factory):
+    where = tmp_path_factory.mktemp("twin")
+    save(where, fitted, "generic", [recorded[0]], [fitted])
+    return where
+
+
+def test_hidden_parameters_come_out_of_a_can_log(fitted, recorded):
+    _, hidden = recorded
+    assert fitted.values["payload"] == pytest.approx(hidden["payload"], rel=0.02)
+    assert fitted.values["coulomb_friction"] == pytest.approx(hidden["coulomb_friction"], rel=0.08)
+    assert fitted.values["viscous_friction"] == pytest.approx(hidden["viscous_friction"], rel=0.15)
+
+
+def test_a_right_family_is_believed(fitted):
+    assert fitted.verdict == "good"
+    assert fitted.held_position < 1.3 * fitted.floor_position < 2e-6
+
+
+def test_a_twin_is_that_machine(folder, recorded, fitted):
+    machine = linear_axis(twin=folder)
+    found = parameters.get(machine, HIDDEN)
+    for name in HIDDEN:
+        assert found[name] == pytest.approx(fitted.values[name], rel=1e-4)
+    assert machine.drives["x"].model.name == "generic"
+
+
+def test_an_environment_is_made_of_a_twin_and_draws_from_its_intervals(folder):
+    env = gym.make("servogym.envs:servogym/LinearAxis-v0", twin=folder, randomise="twin").unwrapped
+    env.reset(seed=1)
+    twin = twins.read(folder)
+    row = twin.parameters["coulomb_friction"]
+    assert row.low <= env.parameters["coulomb_friction"] <= row.high
+    assert set(HIDDEN) <= set(env.parameters)
+    assert env.datasheet.payload == pytest.approx(twin.values["payload"])
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "more", "said"),
+    [
+        ("LinearAxis", {"drive": "kollmorgen_akd"}, "leave it out"),
+        ("RotaryAxis", {}, "not the machine"),
+    ],
+)
+def test_a_twin_goes_into_its_own_kind_of_task_alone(folder, task, more, said):
+    with pytest.raises(ValueError, match=said):
+        gym.make(f"servogym.envs:servogym/{task}-v0", twin=folder, **more)
+
+
+def test_drawing_from_a_twin_needs_one():
+    with pytest.raises(ValueError, match="needs a twin"):
+        gym.make("servogym.envs:servogym/LinearAxis-v0", randomise="twin")
+
+
+def test_the_same_log_gives_the_same_bytes(fitted, recorded, folder, tmp_path):
+    rigid = FAMILIES["rigid"]
+    (found,) = logs.read([recorded[0]], rigid.make("generic"), "generic", "x")
+    again = fit([found], "generic", rigid, gains_known=True)
+    save(tmp_path, again, "generic", [recorded[0]], [again])
+    assert (tmp_path / "twin.json").read_bytes() == (folder / "twin.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c["parameters"]["payload"].update(value=99.0), "checksum"),
+        (lambda c: c.update(schema="servogym.twin/9"), "schema"),
+        (lambda c: c.pop("schema"), "damaged"),
+    ],
+)
+def test_a_folder_that_was_changed_is_refused(folder, tmp_path, change, said):
+    content = json.loads((folder / "twin.json").read_text())
+    change(content)
+    (tmp_path / "twin.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=said):
+        twins.read(tmp_path)
+
+
+def test_a_name_that_is_no_parameter_is_refused(folder, tmp_path):
+    content = json.loads((folder / "twin.json").read_text())
+    content["parameters"]["__import__"] = content["parameters"].pop("payload")
+    content["checksum"] = twins.checksum(content)
+    (tmp_path / "twin.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="__import__"):
+        twins.read(tmp_path)
+
+
+def test_a_folder_without_a_twin_says_how_one_is_made(tmp_path):
+    with pytest.raises(ValueError, match="servogym twin"):
+        linear_axis(twin=tmp_path)
+
+
+def test_health_finds_nothing_in_the_same_machine(fitted, folder):
+    found = {change.name: change for change in changes(twins.read(folder), fitted)}
+    assert not any(change.certain for change in found.values())
+    assert abs(found["payload"].change) < 1e-3
+    assert "no change is certain" in str(found["coulomb_friction"])
+
+
+# ------------------------------------------------------------------- bad input
+
+
+def streams(log, **other):
+    source = Source(Path(log), "generic")
+    signals = source.signals("1")
+    for name, change in other.items():
+        signals[name] = change(signals[name]) if change else signals.pop(name) and None
+    return {name: signal for name, signal in signals.items() if signal is not None}
+
+
+def twin_of(signals):
+    found = experiment(signals, linear_axis(), "x")
+    return fit([found], "generic", FAMILIES["rigid"], gains_known=True)
+
+
+def still(s):
+    return Signal(s.time, np.full(len(s.value), s.value[0]), s.unit)
+
+
+BAD = {
+    "motion": ({"position_actual_value": still}, "does not move"),
+    "torque": ({"torque_actual_value": None}, "no torque"),
+    "changing torque": ({"torque_actual_value": still}, "torque does not change"),
+    "position": ({"position_actual_value": None}, "no position"),
+    "set-points": ({"target_position": None}, "no set-points"),
+    "enabled": ({"statusword": lambda s: Signal(s.time, 0 * s.value + 0x21, s.unit)}, "enabled"),
+    "a gap": (
+        {"position_actual_value": lambda s: Signal(
+            s.time[cut], s.value[cut], s.unit) if (cut := abs(s.time - 1.5) > 0.4) is not None
+            else s},
+        "nothing was recorded",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("other", "said"), BAD.values(), ids=BAD)
+def test_a_log_that_lacks_something_says_what_and_how_to_record_it(recorded, other, said):
+    with pytest.raises(Unusable, match=said) as error:
+        experiment(streams(recorded[0], **other), linear_axis(), "x")
+    assert "record" in str(error.value) or "map" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"torque_actual_value": lambda s: Signal(s.time, -s.value, s.unit)}, "turned"),
+        ({"torque_actual_value": lambda s: Signal(s.time, 0 * s.value + 3000 * (
+            np.arange(len(s.value)) % 2 * 2 - 1), s.unit)}, "limit|turned|belong|change"),
+    ],
+)  # fmt: skip
+def test_torque_that_is_not_of_this_motion_is_refused(recorded, change, said):
+    with pytest.raises(Unusable, match=said):
+        twin_of(streams(recorded[0], **change))
+
+
+def test_moves_in_one_direction_are_refused(recorded):
+    found = experiment(streams(recorded[0]), linear_axis(), "x")
+    speed = np.diff(found.position)
+    ends = np.flatnonzero(speed * np.sign(speed[np.argmax(np.abs(speed))]) < -2e-6)
+    first = found.until(float(found.time[ends[0]]) if len(ends) else 0.5)
+    if len(first.time) > 100 and abs(np.ptp(first.position)) > 0.01:
+        with pytest.raises(Unusable, match="one direction"):
+            fit([first], "generic", FAMILIES["rigid"], gains_known=True)
+
+
+def test_a_log_without_a_drive_is_one_line(tmp_path, capsys):
+    log = tmp_path / "other.log"
+    log.write_text("(1.0) can0 123#00\n(1.1) can0 123#01\n")
+    assert main(["twin", str(log), "-o", str(tmp_path / "out")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+# ------------------------------------------------------------------- parts
+
+
+def test_a_plan_stays_within_its_limits():
+    period = 1e-3
+    limits = Limits(0.1, 0.4, 0.5, 5.0, 200.0)
+    found = plan(limits, period, sweep=True)
+    assert 0.1 <= found.min() < found.max() <= 0.4
+    assert abs(np.diff(found)).max() / period <= 0.5 * 1.01
+    assert abs(np.diff(found, 2)).max() / period**2 <= 5.0 * 1.1
+
+
+def test_regression_finds_an_inertia_of_made_up_torques():
+    """Closed form: torque = J a + Tc sign(v) + B v + T0."""
+    from types import SimpleNamespace
+
+    time = np.arange(0, 4, 1e-3)
+    position = 0.5 * np.sin(3 * time) + 0.1 * np.sin(11 * time)
+    speed, acceleration = (
+        np.gradient(position, time),
+        np.gradient(np.gradient(position, time), time),
+    )
+    torque = 0.02 * acceleration + 0.1 * np.sign(speed) + 0.05 * speed + 0.01
+    made_up = SimpleNamespace(time=time, position=position, torque=torque, duration=time[-1])
+    found = regress([made_up], 1.0)
+    np.testing.assert_allclose(
+        [found.inertia, found.coulomb, found.viscous, found.load],
+        [0.02, 0.1, 0.05, 0.01],
+        rtol=0.05,
+    )
+
+
+def test_whitening_takes_the_colour_of_an_autoregression():
+    """Oracle: the process that made it."""
+    rng = np.random.default_rng(1)
+    made_up = np.zeros((20_000, 2))
+    shocks = rng.normal(size=made_up.shape) * [1.0, 0.3]
+    for n in range(1, len(made_up)):
+        made_up[n] = np.array([[0.8, 0.1], [-0.2, 0.5]]) @ made_up[n - 1] + shocks[n]
+    noise = colour([made_up])
+    white = noise.white(made_up)[50:]
+    assert np.cov(white.T) == pytest.approx(np.eye(2), abs=0.05)
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.02
+    assert isinstance(noise, Noise)
+
+
+def test_columns_of_a_table_are_brought_into_si(tmp_path):
+    table = tmp_path / "scope.csv"
+    table.write_text("t,x,i\n0,1.5,250\n10,2.5,-250\n")
+    source = Source(
+        table, "generic", "time=t:ms,position_actual_value=x:mm,current_actual_value=i:mA"
+    )
+    signals = source.signals("scope.csv")
+    assert signals["position_actual_value"].value.tolist() == [1.5e-3, 2.5e-3]
+    assert signals["position_actual_value"].time.tolist() == [0.0, 0.01]
+    assert signals["current_actual_value"].unit == "A"
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ("time=t:ms,position_actual_value=y:mm", "no column 'y'"),
+        ("time=t:ms,position_actual_value=x:inch", "unit 'inch'"),
+        ("position_actual_value=x:mm", "name the time"),
+        ("time", "NAME=HEADING"),
+    ],
+)
+def test_columns_that_are_none_are_refused(tmp_path, columns, said):
+    table = tmp_path / "scope.csv"
+    table.write_text("t,x\n0,1.5\n10,2.5\n")
+    with pytest.raises(ValueError, match=said):
+        Source(table, "generic", columns)

@@ -1,0 +1,381 @@
+"""`servogym twin`."""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from . import bus as buses
+from . import machines
+
+GAIN_OBJECTS = (
+    "velocity_control_gain", "velocity_control_time", "position_control_gain",
+    "velocity_filter_time", "velocity_feed_forward",
+)  # fmt: skip
+LIVE = "bus"
+
+
+def add_twin(twin: argparse.ArgumentParser) -> None:
+    """Its options."""
+    twin.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG",
+        help="of one axis: candump, .asc, .blf, .pcapng, .csv; the last of several is held out, "
+        "the end of a single one",
+    )  # fmt: skip
+    twin.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    twin.add_argument(
+        "--mechanics", default="auto", metavar="FAMILY",
+        help="auto, rigid, spring, toothed_belt, ball_screw, vertical, rotary_table, gantry.x ... "
+        "(auto: rigid, spring, toothed_belt)",
+    )  # fmt: skip
+    twin.add_argument("-o", "--out", type=Path, help="folder of the twin")
+    add_log(twin)
+    twin.add_argument(
+        "--read-gains", metavar="FILE|bus",
+        help="gains of the drive: of its stored parameters, a JSON of objects, or `bus` for a "
+        "running node",
+    )  # fmt: skip
+    twin.add_argument(
+        "--against", type=Path, metavar="FOLDER", help="a twin: what has changed since its log"
+    )
+    twin.add_argument(
+        "--plan", type=Path, metavar="CSV", help="write the experiment a log should hold, and stop"
+    )
+    twin.add_argument(
+        "--range", nargs=2, type=float, metavar=("LOW", "HIGH"), help="of the plan, m or rad"
+    )
+    twin.add_argument("--velocity", type=float, default=0.5, help="of the plan (0.5 m/s)")
+    twin.add_argument("--acceleration", type=float, default=5.0, help="of the plan (5 m/s²)")
+    twin.add_argument("--jerk", type=float, default=200.0, help="of the plan (200 m/s³)")
+    twin.add_argument("--period", type=float, default=1.0, help="of the plan's bus, ms (1)")
+    twin.add_argument(
+        "--sweep", action="store_true", help="the plan ends with a sweep, for springs"
+    )
+    twin.add_argument("--node-id", type=int, default=1, help="of --read-gains bus (1)")
+    buses.add(twin)
+    twin.set_defaults(run=_twin, folders=("out",))
+
+
+def add_replay(replay: argparse.ArgumentParser) -> None:
+    """Its options."""
+    replay.add_argument("log", type=Path, help="candump, .asc, .blf, .pcapng or .csv")
+    machines.add(replay)
+    add_log(replay, axis=False)
+    replay.add_argument("--twin", type=Path, help="a twin's folder instead of a machine")
+    replay.add_argument("--who", help="node or slave of the log, if there are several")
+    replay.add_argument("--out", type=Path, default=Path("out"), help="folder: replay.csv (out)")
+    replay.set_defaults(run=_replay, folders=("out",))
+
+
+def add_log(parser: argparse.ArgumentParser, axis: bool = True) -> None:
+    """What has to be said of a log."""
+    parser.add_argument(
+        "--columns", help="of a CSV: time=HEADING:ms,target_position=HEADING:mm,..."
+    )
+    parser.add_argument("--mode", type=int, help="of operation (6061h), if the log has none")
+    parser.add_argument("--torque-constant", type=float, help="Nm/A, for a current in A")
+    parser.add_argument(
+        "--cycle", type=float, help="of the master, ms, of a log sampled more seldom"
+    )
+    if axis:
+        parser.add_argument("--axis", help="node or slave of the log, if there are several")
+        parser.add_argument(
+            "--set", action="append", metavar="NAME=VALUE", default=[], type=machines._value,
+            help="of the machine, known: feed_constant=0.01, carriage_mass=2; repeatable",
+        )  # fmt: skip
+
+
+def _log_options(options: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "columns": options.columns, "mode": options.mode,
+        "torque_constant": options.torque_constant,
+        "cycle": None if options.cycle is None else 1e-3 * options.cycle,
+    }  # fmt: skip
+
+
+def _twin(options: argparse.Namespace, console: Console) -> int:
+    from ...envs.autotune.needs import scipy
+
+    if options.plan is not None:
+        return _plan(options)
+    if not options.logs:
+        raise ValueError("give at least one log, or --plan to write the experiment for it")
+    for log in options.logs:
+        if not log.is_file():
+            raise ValueError(f"{log}: there is no such file")
+    scipy("interpolate")
+    if options.against is not None:
+        return _against(options, console)
+    if options.out is None:
+        raise ValueError("-o FOLDER is missing: where the twin is to be kept")
+    best, tried, _ = _fitted(options, console, _names(options.mechanics), dict(options.set))
+    from ...envs.twin.folder import content, save
+    from ...envs.twin.report import report
+
+    file = save(options.out, best, options.drive, options.logs, tried)
+    found = content(best, options.drive, options.logs, tried)
+    report(options.out, best, found)
+    _print(found)
+    print(f"{file}, {options.out / 'report.md'}")
+    return 0 if best.verdict in ("good", "fair") else 1
+
+
+def _names(mechanics: str) -> tuple[str, ...]:
+    from ...envs.twin.families import AUTO, family
+
+    return AUTO if mechanics == "auto" else tuple(family(each).name for each in
+                                                  mechanics.split(","))  # fmt: skip
+
+
+def _fitted(
+    options: argparse.Namespace, console: Console, names: tuple[str, ...], built: dict[str, Any]
+) -> tuple[Any, list[Any], Any]:
+    from ...envs.twin import logs
+    from ...envs.twin.families import family
+    from ...envs.twin.fit import choose
+
+    objects = _gains(options)
+    first = family(names[0]).given(built, objects)
+    experiments = logs.read(
+        options.logs, first.make(options.drive), options.drive, first.axis, who=options.axis,
+        **_log_options(options),
+    )  # fmt: skip
+    in_log = any("velocity_control_gain" in each.objects for each in experiments)
+    with _telling(console) as told:
+        best, tried = choose(
+            experiments, options.drive, names, built, objects,
+            gains_known=bool(objects) or in_log, told=told,
+        )  # fmt: skip
+    return best, tried, experiments
+
+
+class _telling:
+    """Progress in a line that replaces itself, at a terminal."""
+
+    def __init__(self, console: Console):
+        self._console = console
+        self._status: Any = None
+
+    def __enter__(self) -> Callable[[str], None]:
+        if self._console.is_terminal:
+            self._status = self._console.status("reading; Ctrl-C keeps the best so far")
+            self._status.start()
+        return self._tell
+
+    def _tell(self, text: str) -> None:
+        if self._status is not None:
+            self._status.update(f"{text}; Ctrl-C keeps the best so far")
+
+    def __exit__(self, *error: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+
+def _gains(options: argparse.Namespace) -> dict[str, float]:
+    """Objects of the drive: of a file, or read from a running node."""
+    where = options.read_gains
+    if where is None:
+        return {}
+    if where != LIVE:
+        file = Path(where)
+        if not file.is_file():
+            raise ValueError(f"--read-gains {where}: there is no such file; `bus` reads a node")
+        try:
+            values = json.loads(file.read_text(encoding="utf-8"))
+            values = values.get("parameters", values)
+            return _known(options.drive, values)
+        except (ValueError, AttributeError, TypeError):
+            raise ValueError(f"--read-gains {where}: no JSON of objects and numbers") from None
+    from ...drive.canopen.remote import CanOpenPort
+    from ...drive.wire.bus import CanPort
+
+    bus = buses.opened(options)
+    try:
+        port = CanOpenPort(CanPort(bus), options.node_id, options.drive)
+        node = next(iter(port.nodes.values()))
+        names = [name for name in GAIN_OBJECTS if name in next(iter(port.models.values())).names]
+        return {name: float(node.upload(name)) for name in names}
+    finally:
+        bus.shutdown()
+
+
+def _known(drive: str, values: dict[str, Any]) -> dict[str, float]:
+    """Gains by name, of names or of addresses as a parameter file has them."""
+    from ...drive.model.model import load
+
+    model = load(drive)
+    found = {}
+    for key, value in values.items():
+        name = key
+        head, _, sub = key.partition(":")
+        try:
+            index = int(head, 16)
+            row = model.objects.get((index, int(sub or "0", 0)))
+            name = row.name if row is not None else key
+        except ValueError:
+            pass
+        if name in GAIN_OBJECTS:
+            found[name] = float(value)
+    if not found:
+        raise ValueError("no gain")
+    return found
+
+
+def _print(found: dict[str, Any]) -> None:
+    for name, row in found["parameters"].items():
+        interval = ""
+        if row["low"] < row["high"]:
+            interval = f" [{row['low']:.4g}, {row['high']:.4g}]"
+        print(f"{name:24s} {row['value']:10.4g}{interval} {row['unit']}")
+    for each in (*found["doubts"], *found["notes"]):
+        print(f"- {each}")
+    print(found["said"])
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from ...envs.twin.experiment import Scale
+    from ...envs.twin.families import family
+    from ...envs.twin.plan import Limits, plan, write
+
+    names = _names(options.mechanics)
+    chosen = family(names[0]).given(dict(options.set))
+    machine = chosen.make(options.drive)
+    low, high = options.range or machine.range(chosen.axis)
+    if not (abs(low) < 1e6 and abs(high) < 1e6):
+        raise ValueError("--range LOW HIGH is missing: this axis has no ends of its own")
+    if options.range is None:  # off the ends
+        low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
+    limits = Limits(low, high, options.velocity, options.acceleration, options.jerk)
+    set_points = plan(limits, 1e-3 * options.period, sweep=options.sweep)
+    unit = Scale.of(machine, chosen.axis).position
+    write(options.plan, set_points, 1e-3 * options.period, unit)
+    print(
+        f"{len(set_points)} set-points, {len(set_points) * 1e-3 * options.period:.1f} s: "
+        f"{options.plan}; send one a bus cycle (607Ah in csp), log 6041h, 6064h and 6077h"
+    )
+    return 0
+
+
+def _against(options: argparse.Namespace, console: Console) -> int:
+    from ...envs.plants import twins
+    from ...envs.twin.families import FAMILIES
+    from ...envs.twin.health import changes, table
+
+    twin = twins.read(options.against)
+    options.drive = twin.drive
+    name = next(
+        (n for n, f in FAMILIES.items()
+         if f.builder == twin.builder and f.axis == twin.axis
+         and all(twin.arguments.get(k) == v for k, v in f.arguments.items())), None,
+    )  # fmt: skip
+    if name is None:
+        raise ValueError(f"--against {options.against}: its machine is of no family known here")
+    built = {
+        k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments
+    } | dict(options.set)  # fmt: skip
+    gains = {
+        n: twin.values[n]
+        for n in ("velocity_gain", "integral_time", "position_gain")
+        if n in twin.values
+    }
+    best, _, _ = _fitted_with(options, console, name, built, gains)
+    found = changes(twin, best)
+    for change in found:
+        print(change)
+    print(f"{best.verdict}: held-out position error {best.ratio:.2f} times the noise floor")
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        rows = {"against": str(options.against), "verdict": best.verdict, "changes": table(found)}
+        file = options.out / "health.json"
+        file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        print(file)
+    return 0 if best.verdict in ("good", "fair") else 1
+
+
+def _fitted_with(
+    options: argparse.Namespace, console: Console, name: str, built: dict[str, Any],
+    gains: dict[str, float],
+) -> tuple[Any, list[Any], Any]:  # fmt: skip
+    """A fit with the gains of a twin, in the drive's own units."""
+    from ...envs.engine import parameters
+    from ...envs.twin import logs
+    from ...envs.twin.families import family
+    from ...envs.twin.fit import choose
+
+    machine = family(name).given(built).make(options.drive)
+    parameters.put(machine, gains, family(name).axis)
+    od = machine.drives[family(name).axis].axis.od
+    objects = {each: float(getattr(od, each)) for each in GAIN_OBJECTS}
+    experiments = logs.read(
+        options.logs, machine, options.drive, family(name).axis, who=options.axis,
+        **_log_options(options),
+    )  # fmt: skip
+    with _telling(console) as told:
+        best, tried = choose(
+            experiments, options.drive, [name], built, objects, gains_known=True, told=told
+        )
+    return best, tried, experiments
+
+
+def _replay(options: argparse.Namespace, console: Console) -> int:
+    import csv
+
+    import numpy as np
+
+    from ...envs.plants import twins
+    from ...envs.twin import logs
+    from ...envs.twin.candidates import Candidates
+    from ...envs.twin.fit import best_lag
+
+    if not options.log.is_file():
+        raise ValueError(f"{options.log}: there is no such file")
+    if options.twin is not None:
+        twin = twins.read(options.twin)
+        options.drive, name = twin.drive, twin.axis
+        make = twin.machine
+    else:
+        _, name = machines.made(options)
+
+        def make():
+            return machines.made(options)[0]
+
+    candidates = Candidates(make, name, 1)
+    (experiment,) = logs.read(
+        [options.log], candidates.machines[0], options.drive, name, who=options.who,
+        **_log_options(options),
+    )  # fmt: skip
+    quiet = {"encoder_noise": 0.0}
+    lag = best_lag(candidates, experiment, quiet)
+    run = candidates.simulate(experiment, [quiet | {"lag": lag}])
+    left_p = experiment.position - run.position[0]
+    left_t = experiment.torque - run.torque[0]
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "replay.csv"
+    unit = candidates.joint.unit
+    with file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(["time (s)", f"measured position ({unit})", f"position ({unit})",
+                         "measured torque (Nm)", "torque (Nm)"])  # fmt: skip
+        for row in zip(experiment.time, experiment.position, run.position[0], experiment.torque,
+                       run.torque[0], strict=True):  # fmt: skip
+            writer.writerow([f"{value:.9g}" for value in row])
+
+    def rms(values):
+        return float(np.sqrt(np.mean(np.square(values))))
+
+    explained = 100 * (1 - rms(left_p) / max(rms(experiment.position - experiment.position.mean()),
+                                             1e-12))  # fmt: skip
+    small = "µm" if unit == "m" else "µrad"
+    print(
+        f"{len(experiment.time)} samples, mode {experiment.mode}, bus cycle "
+        f"{1e3 * experiment.period:g} ms, {100 * experiment.lost:.2f} % of the frames missing, "
+        f"lag {1e3 * lag:.3g} ms"
+    )
+    print(
+        f"position {1e6 * rms(left_p):.4g} {small} rms ({explained:.4g} % of the motion), torque "
+        f"{rms(left_t):.3g} Nm rms: {file}"
+    )
+    return 0
