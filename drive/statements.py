@@ -18,6 +18,7 @@ from .model.rows import Object
 from .objects.abort import Abort, SdoAbort
 
 KINDS = ("manual or standard", "file", "observed", "inferred", "without a source")
+FILES = ("EDS", "EtherCAT")  # sections of rows that were made from a file
 METHODS = range(-36, 41)
 NUMBERS = range(-10, 12)
 BEYOND = (Abort.VALUE_TOO_LOW, Abort.VALUE_TOO_HIGH, Abort.INVALID_VALUE, Abort.DEVICE_STATE)
@@ -40,7 +41,7 @@ def kind_of(section: str, note: str = "") -> str:
         return "inferred"
     if section.startswith("observed"):
         return "observed"
-    if section == "EDS":
+    if section in FILES:
         return "file"
     return "manual or standard" if section else "without a source"
 

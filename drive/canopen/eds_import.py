@@ -45,6 +45,7 @@ PDO_TYPES = {1: "UNSIGNED32", 2: "UNSIGNED8", 3: "UNSIGNED16", 5: "UNSIGNED16", 
 PREDEFINED = {"rx": (0x200, 0x300, 0x400, 0x500), "tx": (0x180, 0x280, 0x380, 0x480)}
 SECOND = 0x6090  # shares its bytes with 608Fh in the profile, and says something else in a file
 RESOLUTION, GEAR, FEED = 0x608F, 0x6091, 0x6092
+VELOCITY_UNIT, VELOCITY_FACTOR, REVOLUTIONS_PER_MINUTE = 0x60A9, 0x6096, 0xB447
 # where 0 says that the maker's tool has not set it yet, and nothing moves with it
 UNSET = (0x6072, 0x6073, 0x6075, 0x6076, RESOLUTION, GEAR, FEED, 0x6096, 0x6097, 0x60C2)
 # modes by what a master needs for them, where 6502h does not say (inferred)
@@ -110,6 +111,7 @@ class _Import:
         self.rows: dict[tuple[int, int], dict[str, Any]] = {}
         self.names: set[str] = set()
         self.pdos: list[tuple[Any, ...]] = []
+        self.rpm = False  # velocities are in 1/min
         title = line(sheet.text("DeviceInfo", "ProductName") or sheet.path.stem) or "drive"
         self.result = Made(title, sheet.path.name, "servogym drives --from-eds")
         self.result.repairs = sheet.repairs
@@ -360,9 +362,10 @@ class _Import:
             self._set(RESOLUTION, 1, usual, "no encoder has one increment")
             increments = usual
         increments, turns = increments or usual, turns or 1
+        self._velocity_unit(increments)
         feed, per = self._default(FEED, 1), self._default(FEED, 2)
         if feed is None:
-            self.result.toml["fixed"] = {"feed_constant": [increments, turns]}
+            self.result.toml.setdefault("fixed", {})["feed_constant"] = [increments, turns]
             feed, per = increments, turns
         elif feed <= 1 and (per or 1) == 1:
             self._set(FEED, 1, increments, "a position unit is then an increment")
@@ -375,6 +378,18 @@ class _Import:
         too_long = max(fraction.numerator, fraction.denominator) > FRACTION_LIMIT
         if too_long and (FEED, 1) in self.rows:
             self._set(FEED, 1, increments, "with the others it makes no exact fraction")
+
+    def _velocity_unit(self, increments: int) -> None:
+        """60A9h says what a velocity unit is; 1/min, with a power of ten, is usual (CiA 303-2)."""
+        unit = self._default(VELOCITY_UNIT, 0) or 0
+        power = (unit >> 24 ^ 0x80) - 0x80  # a signed byte
+        if unit >> 8 & 0xFFFF != REVOLUTIONS_PER_MINUTE or not -6 <= power <= 0:
+            return
+        if (VELOCITY_FACTOR, 1) not in self.rows:
+            # position units are increments here, where the file says nothing else
+            fixed = self.result.toml.setdefault("fixed", {})
+            fixed["velocity_factor"] = [increments, 60 * 10**-power]
+            self.rpm = True
 
     # ------------------------------------------------------------------ PDOs
 
@@ -517,6 +532,7 @@ class _Import:
             if (FEED, 1) in self.rows
             else ("`inferred`: a position unit is an increment of the encoder, 6092h is missing")
         )
+        velocity = " Velocities: in 1/min, as 60A9h says." if self.rpm else ""
         made.notes = [
             "An EDS tells objects, types, ranges, defaults and PDOs. It does not tell what the "
             "drive does: behaviour of the objects that CiA 402 knows is `inferred`, that of the "
@@ -524,7 +540,8 @@ class _Import:
             "Cycle times, motor, faults: `inferred`, those of `generic`. Correct them in "
             "`drive.toml`.",
             f"Modes of operation: {modes}. Homing methods: {methods}.",
-            f"Units: {units}. Gains, what 1010h stores of the drive's own objects: `inferred`.",
+            f"Units: {units}.{velocity} Gains, what 1010h stores of the drive's own objects: "
+            "`inferred`.",
         ]
         if node_id is not None:
             made.notes.append(

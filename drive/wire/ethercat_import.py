@@ -30,6 +30,7 @@ from ..model.made import PDO_COLUMNS, Made, Repair, check_place, line, write
 from ..model.model import load
 from ..model.rows import FORMATS, SIZES
 from ..objects.hooks.ethercat import FLEXIBLE
+from ..statements import data_sheet
 
 SOURCE = "EtherCAT"
 LONGEST = BUSES["ethercat"]  # bits of a PDO
@@ -178,9 +179,10 @@ def _made(source: _Source, folder: Path, path: Path) -> Imported:
     return Imported(folder, title, count, maker.counts, tuple(made.repairs))
 
 
-def _check(place: Path) -> None:
-    """The folder makes a slave that a segment takes."""
+def _check(place: Path) -> str:
+    """The folder makes a slave that a segment takes; -> its data sheet."""
     Segment([Slave(Drive(load(place, "ethercat")))])
+    return data_sheet(place)
 
 
 class _Maker(_Import):

@@ -5,6 +5,7 @@ oracle is a foreign master on a bus, and the library `canopen` where it reads th
 """
 
 import csv
+import math
 import re
 from pathlib import Path
 
@@ -426,6 +427,19 @@ def test_commissioning_works_in_the_drives_own_units_and_ranges(made, kind):
     for _ in range(40):
         machine.step(200)
     assert float(machine.data.qpos[0]) - begin == pytest.approx(0.1, abs=abs(unit) + 2e-4)
+
+
+@pytest.mark.parametrize(("unit", "per_minute"), [("0x00B44700", 1.0), ("0xFDB44700", 1e-3)])
+def test_a_velocity_unit_of_revolutions_per_minute_is_that(made, unit, per_minute):
+    """60A9h of drives whose speeds are in 1/min; the position unit is still an increment."""
+    machine = linear_axis(made(sheet(SMALL, f"60A9 . 7 rw 0 DefaultValue={unit}")).folder)
+    machine.step()
+    drive = machine.drives["x"]
+    assert float(drive.axis.rad_s_per_velocity_unit) == pytest.approx(per_minute * 2 * math.pi / 60)
+    gear = float(machine.couplings[0].gear)
+    shown = drive.read("profile_velocity") * per_minute / 60 * 2 * math.pi / gear
+    assert 0.03 < shown <= 1.01, "m/s"
+    assert shown == pytest.approx(float(drive.axis.profile_speed) / gear, rel=0.01)
 
 
 def test_a_drive_of_many_departures_is_enabled_homed_and_moved_by_a_foreign_master(tmp_path):
