@@ -132,6 +132,11 @@ COMMANDS = {
         "train", "train a policy with stable-baselines3",
         "train LinearAxis-v0 --steps 200000 --seed 1 --out out/axis",
     ),
+    "tune-policy": Command(
+        "tune_policy", "fit the numbers of a baseline, and tell what that takes",
+        "tune-policy basis_feed_forward --out out/tuned.npz",
+        "The budget is told as that of a training: steps, processor time, choices by hand.",
+    ),
     "curves": Command(
         "train", "draw the learning curves of trainings", "curves out/axis",
     ),

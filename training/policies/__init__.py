@@ -22,6 +22,7 @@ from ...envs.environment.servo_env import ServoEnv
 from ...envs.exchange.faces import PDO, SETPOINT
 from .adaptive import AdaptiveLqr
 from .adaptive_feed_forward import AdaptiveFeedForward, LeadingFeedForward
+from .basis_feed_forward import BasisFeedForward
 from .bound import Bound
 from .datasheet import datasheet
 from .disturbance_observer import DisturbanceObserver
@@ -90,6 +91,9 @@ POLICIES: dict[str, Baseline] = {
     ),
     "leading_feed_forward": Baseline(
         LeadingFeedForward, "the same with the lag of late set-points identified, and led by it"
+    ),
+    "basis_feed_forward": Baseline(
+        BasisFeedForward, "the same with corrections fitted to what iterative learning finds"
     ),
     "disturbance_observer": Baseline(
         DisturbanceObserver, "what the nominal model does not explain fed forward, an outer loop"

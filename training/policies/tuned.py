@@ -1,0 +1,67 @@
+"""`servogym tune-policy`: policies whose numbers are fitted, and what that takes.
+
+What a tuning costs is told in the same units as a training: steps of the environment, processor
+time, and the choices that a person made on episodes of their own.
+"""
+
+import io
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from ...drive.model.near import near
+from ...envs.engine.checks import whole
+from ...envs.environment.registry import short, task
+from ..report import write_bytes
+from . import basis_feed_forward
+
+MOST = 1000  # episodes
+
+
+class Tuning(NamedTuple):
+    """How the numbers of a policy are found."""
+
+    task: str
+    fit: Callable[..., tuple[np.ndarray, int]]  # of the task and episodes -> numbers, steps
+    episodes: int
+    choices: str  # of a person, and on what
+
+
+TUNINGS = {
+    "basis_feed_forward": Tuning(
+        "LinearAxisTracking-v0", basis_feed_forward.fit, basis_feed_forward.EPISODES,
+        "basis functions of 6 sets, outer loop of 3 gains, on 20 episodes of evaluation seed 11",
+    ),
+}  # fmt: skip
+
+
+def run(policy: str, episodes: int | None, out: Path, console: Console) -> int:
+    """Fit, write the numbers, and say what it took; -> exit status.
+
+    Raises ValueError for a policy whose numbers are not fitted, with near names.
+    """
+    if policy not in TUNINGS:
+        raise ValueError(f"policy {policy!r} is not tuned by a command: {near(policy, TUNINGS)}")
+    row = TUNINGS[policy]
+    count = whole("--episodes", row.episodes if episodes is None else episodes, 1, MOST)
+    begin = time.process_time()
+    numbers, steps = row.fit(task(row.task), count)
+    seconds = time.process_time() - begin
+    write_bytes(out, _packed(numbers))
+    console.print(
+        f"{policy}: {numbers.size} numbers from {count} episodes of {short(task(row.task).ID)}, "
+        f"{steps:,} steps, {seconds:.0f} CPU-seconds; chosen by hand: {row.choices}",
+        highlight=False,
+    )
+    console.print(f"{out}", soft_wrap=True)
+    return 0
+
+
+def _packed(numbers: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, coefficients=numbers)
+    return file.getvalue()
