@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ...envs.environment.registry import short, task
+from ...envs.view.about import Metric
 from ..pictures.recording import Recording
 from ..policies import needed
 from ..report import (
@@ -30,7 +31,7 @@ from ..report import (
 from ..scale.work import ALONE, Work
 from .comparison import ZERO, Comparison, Early
 from .episodes import Evaluation
-from .metrics import METRICS, RESAMPLES, Difference, Summary
+from .metrics import METRICS, RESAMPLES, SEEN, Difference, Summary, paired
 from .parts import warm
 from .tables import IDLE, SCORE, SHARES, ahead, best, column_of, differences, summaries
 
@@ -178,6 +179,8 @@ def run(
                 if metric in apart
             ],
         )
+    if apart and metrics[by].better:
+        pages += _pairs_page(results, against, by, metrics[by])
     pages += "\n## Worst training, worst 5 % of the episodes\n\n" + markdown(
         heading,
         [
@@ -207,6 +210,25 @@ def run(
     console.print(written)
     work.clear(comparison.jobs, out)
     return 0
+
+
+def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: Metric) -> str:
+    """Of the metric of the task, in pairs of the same episode."""
+    (other,) = (result for result in results if result.policy == against)
+    base, rows = other.by_training(metric), []
+    for result in results:
+        values = result.by_training(metric)
+        if values is None or base is None or result is other:
+            continue
+        found = paired(values, base, row.better)
+        interval = f"{number(found.iqm)} [{number(found.low)}, {number(found.high)}]"
+        shares = (f"{100 * share:.0f} %" for share in (found.improved, found.probability))
+        rows.append([column_of(result.policy), interval, *shares, f"{found.needed:.0f}"])
+    heading = (
+        "policy", "mean of the differences", "episodes improved", "probability of improvement",
+        f"episodes to see {100 * SEEN:.0f} %",
+    )  # fmt: skip
+    return f"\n## {row.heading}, in pairs with {column_of(against)}\n\n" + markdown(heading, rows)
 
 
 def folder_of(env: str) -> str:

@@ -157,6 +157,52 @@ def difference(one: np.ndarray, other: np.ndarray, *, share: bool = False) -> Di
     return Difference(float(value), low, high)
 
 
+class Paired(NamedTuple):
+    """How one policy compares with another, episode by episode."""
+
+    iqm: float  # interquartile mean of the paired differences, the first less the second
+    low: float  # of its 95 % interval
+    high: float
+    improved: float  # share of the pairs in which the first is better
+    probability: float  # that it is better in an episode of its own; ties count half
+    needed: float  # episodes to see a difference of `SEEN` of the second, 4 times of 5
+
+
+SEEN, POWER = 0.10, 0.80
+
+
+def paired(one: np.ndarray, other: np.ndarray, better: str) -> Paired:
+    """The interquartile mean of the differences, which is not the difference of those means.
+
+    The difference of two interquartile means tells how the middle halves of two distributions lie;
+    in each a quarter of other episodes may be left out. The interquartile mean of the differences
+    leaves out episodes in which the two differ most, so where hard episodes gain most it is the
+    smaller one. Both are told. The probability of improvement is that of Mann and Whitney, as
+    rliable has it (Agarwal et al. 2021): of episodes that are not paired. The episodes needed
+    follow from the width of the interval, which falls with their square root.
+
+    Args:
+        one: values, shape ``(trainings, episodes)``.
+        other: of the same episodes.
+        better: "high" or "low".
+    """
+    sign = 1.0 if better == "high" else -1.0
+    apart = one - mean(other.T)[None, :]
+    low, high = _interval(_estimates(apart, 0, False))
+    finite = apart[np.isfinite(apart)]
+    a, b = one[np.isfinite(one)], other[np.isfinite(other)]
+    order = np.sign(sign * (a[:, None] - b[None, :]))
+    middle = abs(float(iqm(other.reshape(1, -1))[0]))
+    quantile = NormalDist().inv_cdf
+    spread = (high - low) / 2.0 / quantile(0.5 + 0.5 * CONFIDENCE) * math.sqrt(one.shape[1])
+    factor = quantile(0.5 + 0.5 * CONFIDENCE) + quantile(POWER)
+    return Paired(
+        float(iqm(apart.reshape(1, -1))[0]), low, high, float((sign * finite > 0.0).mean()),
+        float(0.5 + 0.5 * order.mean()),
+        (factor * spread / (SEEN * middle)) ** 2 if middle > 0.0 else math.nan,
+    )  # fmt: skip
+
+
 def _estimates(values: np.ndarray, stream: int, share: bool) -> np.ndarray:
     """Of each resample, shape ``(RESAMPLES,)``; each stream draws other trainings.
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 
 from ...envs.environment.registry import task
@@ -17,7 +18,7 @@ from ...envs.view.about import Metric
 from ..policies import LEARNED, POLICIES, SHIPPED
 from ..report import markdown, number
 from . import repeat
-from .metrics import METRICS, Difference, Summary, metrics
+from .metrics import METRICS, Difference, Summary, metrics, paired
 from .repeat import folders, table_of, text
 from .tables import SHARES, ahead
 
@@ -28,15 +29,18 @@ PICTURES = {  # as far as they are there
     "curves.png": "learning curves",
 }
 HEADING = (
-    "task", "metric", "learned", "best baseline", "difference", "worst training", "worst 5 %",
+    "task", "metric", "learned", "best baseline", "difference", "of pairs", "episodes improved",
+    "worst training", "worst 5 %",
     *(METRICS[share].heading for share in SHARES)
 )  # fmt: skip
 HEAD = """# What was learned
 
 The policy `learned` of each task, and the baseline that is best by the metric of that task, on the
 same fixed episodes and the same drive: interquartile means with their 95 % intervals, of which
-trainings and episodes are resampled, and the difference on the same episodes, in bold where its
-interval is on the better side of 0. Beside them the worst training and the worst 5 % of the
+trainings and episodes are resampled; the difference of these means on the same episodes, and the
+mean of the differences of pairs, which leaves out the episodes in which the two differ most, each
+in bold where its interval is on the better side of 0; and the share of episodes in which the
+learned policy is the better one. Beside them the worst training and the worst 5 % of the
 episodes of the learned policy. Shares are means over the episodes, of the learned policy and of
 that baseline. One episode is drawn under each policy, of several trainings under the first.
 
@@ -125,6 +129,15 @@ class _Policy(NamedTuple):
     summary: dict[str, Summary]  # by metric
     differences: dict[str, Difference]  # from the best baseline, by metric
     trainings: int
+    values: np.ndarray  # of the metric of the task, shape (trainings, episodes)
+
+
+def _pairs(own: _Policy, baseline: _Policy, better: str) -> list[str]:
+    """The interquartile mean of the paired differences, and the share of episodes improved."""
+    found = paired(own.values, baseline.values, better)
+    text = f"{number(found.iqm)} [{number(found.low)}, {number(found.high)}]"
+    sure = ahead(Difference(found.iqm, found.low, found.high), better)
+    return [f"**{text}**" if sure else text, f"{100 * found.improved:.0f} %"]
 
 
 def _chosen(
@@ -146,9 +159,12 @@ def _chosen(
     own, baseline = (
         _Policy(
             name,
-            {metric: Summary(**row) for metric, row in policies[name]["summary"].items()},
+            {m: Summary(**row) for m, row in policies[name]["summary"].items()},
             {m: Difference(**row) for m, row in policies[name]["differences"].items()},
             policies[name]["trainings"],
+            np.array(policies[name]["episodes"][metric], float).reshape(
+                policies[name]["trainings"], -1
+            ),
         )
         for name in (LEARNED, against)
     )
@@ -167,6 +183,7 @@ def _row(
         _interval(learned),
         f"{baseline.name}: {_interval(baseline.summary[metric])}",
         f"**{apart}**" if ahead(found, known[metric].better) else apart,
+        *_pairs(own, baseline, known[metric].better),
         number(learned.worst_training),
         number(learned.tail),
         *(f"{_share(own, share)}, {_share(baseline, share)}" for share in SHARES),
