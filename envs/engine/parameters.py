@@ -34,6 +34,8 @@ machine whose axis is not vertical by itself.
 | velocity_filter_time | s | of the measured velocity |
 | velocity_feed_forward | share | of the demand |
 | acceleration_feed_forward | kg·m² | of the demand |
+| pid_gain, pid_integral_gain, pid_derivative_gain | Nm/rad, by s | of a PID for the position |
+| motor_resistance, supply_voltage | Ohm, V | what the voltage leaves at speed |
 | torque_time_constant | s | of the closed current loop |
 | delay | position cycles | of an RPDO on its way to the drives, all of them |
 | encoder_noise | m | standard deviation of the measured position |
@@ -365,6 +367,15 @@ PARAMETERS: dict[str, Parameter] = {
     "acceleration_feed_forward": Parameter(
         "kg·m²", 0.0, 4.0, *_object("acceleration_feed_forward", lambda axis: 1e-9)
     ),
+    "pid_gain": Parameter("Nm/rad", 0.0, 4e3, *_object("pid_gain", lambda axis: 1e-6)),
+    "pid_integral_gain": Parameter(
+        "Nm/(rad·s)", 0.0, 4e6, *_object("pid_integral_gain", lambda axis: 1e-3)
+    ),
+    "pid_derivative_gain": Parameter(
+        "Nm·s/rad", 0.0, 4e3, *_object("pid_derivative_gain", lambda axis: 1e-6)
+    ),
+    "motor_resistance": Parameter("Ohm", 0.0, 4e3, *_object("motor_resistance", lambda axis: 1e-6)),
+    "supply_voltage": Parameter("V", 1.0, 2e3, *_object("supply_voltage", lambda axis: 1e-3)),
     "torque_time_constant": Parameter("s", 0.0, 0.1, _lag, _set_lag, _always),
     "delay": Parameter("position cycles", 0.0, 1000.0, _delay, _set_delay, _always),
     "encoder_noise": Parameter("m", 0.0, 1e-2, _of_coupling("noise")[0], _set_noise, _always),

@@ -12,7 +12,7 @@ from ..engine.checks import in_range
 RANGES = {
     "payload": (0.0, 100.0, "kg"),
     "carriage_mass": (1e-3, 100.0, "kg"),
-    "feed_constant": (1e-3, 1.0, "m per motor revolution"),
+    "feed_constant": (1e-5, 1.0, "m per motor revolution"),
     "rotor_inertia": (0.0, 1.0, "kg·m²"),
     "transmission_inertia": (0.0, 1.0, "kg·m² at the shaft"),
     "coulomb_friction": (0.0, 200.0, "N"),

@@ -13,7 +13,9 @@ from .experiment import Experiment
 LAG = "lag"  # s, from a set-point on the bus to a sample on it: of no machine, found beside it
 SEED = "seed"  # of the encoder's noise: of no machine either
 BESIDE = (LAG, SEED)
-READ = ("od.position_actual_internal_value", "torque", "position_demand")
+READ = ("od.position_actual_internal_value", "torque", "position_demand", "shaft_angle",
+        "zero_counts")  # fmt: skip
+COARSE = 2000  # increments a motor revolution, below which a place within one is looked at
 MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
 
 
@@ -106,7 +108,15 @@ class Candidates:
         demand = found["position_demand"] / gear
         at = np.array([experiment.time - given.get(LAG, 0.0) for given in values])
         at = at / experiment.cycle + begins - 1.0
-        return Simulated(*(_at(column, at) for column in (position, torque, demand)))
+        place = _at(position, at)
+        if 2 * np.pi / float(axis.rad_per_increment) < COARSE:
+            # between increments, as far as the last sample of the row is behind its first
+            fine = found["shaft_angle"] / gear - (found["zero_counts"] + 0.5) * (
+                float(axis.rad_per_increment) / gear
+            )
+            behind = 1.0 - float(axis.velocity_period) / experiment.cycle
+            place = _at(fine, at - behind)
+        return Simulated(place, *(_at(column, at) for column in (torque, demand)))
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
@@ -125,7 +135,9 @@ def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -
     if not (low + MARGIN <= least and most <= high - MARGIN):
         shift = 0.5 * (low + high) - 0.5 * (least + most) if np.isfinite(low + high) else 0.0
     x = machine.drives[drive]
-    if shift:
+    limits = x.axis.position_limit_min, x.axis.position_limit_max
+    first, last = sorted(float(limit) / machine.joint(drive)[0] for limit in limits)
+    if shift or least < first or most > last:  # the log has been there
         x.commission({"min_position_limit": 0, "max_position_limit": 0})
     x.commission({"following_error_window": 2**31 - 1})
     units = round(experiment.period * 1e6)

@@ -118,6 +118,7 @@ class Scale:
 def experiment(
     signals: Mapping[str, Signal], machine: Machine, name: str, *, log: str = "log",
     mode: int | None = None, torque_constant: float | None = None, cycle: float | None = None,
+    hold: bool = False,
 ) -> Experiment:  # fmt: skip
     """Make an experiment of what a log has of one drive.
 
@@ -129,6 +130,7 @@ def experiment(
         mode: of operation; that of the log if not given.
         torque_constant: Nm/A, for a log that has the current in A instead of a torque.
         cycle: of the master (s), where the log was sampled more seldom than set-points came.
+        hold: set-points are steps, from sample to sample, not points on a curve.
 
     Raises:
         Unusable: what is missing, and how to record it.
@@ -158,7 +160,7 @@ def experiment(
     if cyclic:
         places = _regular(raw.time, log)
         if cycle is not None and places.period > 1.5 * cycle:
-            raw = _filled(raw, places, cycle)
+            raw = _filled(raw, places, cycle, hold)
             places = _regular(raw.time, log)
         places, samples = _one_clock(places, samples)
         period = _whole_period(places.period, step, log)
@@ -399,9 +401,12 @@ def _held(signal: Signal, at: np.ndarray, period: float) -> np.ndarray:
     return np.where(near, signal.value[place], np.interp(at, signal.time, signal.value))
 
 
-def _filled(signal: Signal, places: Cadence, cycle: float) -> Signal:
-    """A cyclic set-point that was sampled too seldom, on a curve through the samples."""
+def _filled(signal: Signal, places: Cadence, cycle: float, hold: bool) -> Signal:
+    """A cyclic set-point that was sampled too seldom: steps, or a curve through the samples."""
     at = np.arange(places.even[0], places.even[-1] + 0.5 * cycle, cycle)
+    if hold:
+        last = np.clip(np.searchsorted(places.even, at + 1e-9, "right") - 1, 0, None)
+        return Signal(at, signal.value[last], signal.unit)
     return Signal(at, _curve(places.even, signal.value, at), signal.unit)
 
 

@@ -72,6 +72,8 @@ FAMILIES: Mapping[str, Family] = {
     family.name: family
     for family in (
         _linear("rigid"),
+        # a screw behind a gear: the motor's own inertia is nearly all there is
+        Family("spindle", "linear_axis", {"mechanics": "rigid"}, mass="rotor_inertia"),
         Family(
             "spring", "linear_axis",
             {"mechanics": "rigid", "stiffness": 4e4, "structural_damping": 20.0},

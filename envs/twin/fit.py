@@ -130,13 +130,14 @@ def choose(
     experiments: Sequence[Experiment], drive: str | DriveModel, names: Sequence[str] = AUTO,
     built: Mapping[str, Any] | None = None, objects: Mapping[str, float] | None = None,
     *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
+    free: Sequence[str] = (),
 ) -> tuple[Fitted, list[Fitted]]:  # fmt: skip
     """Fit families until one explains the logs; -> the best by held-out error, and all."""
     tried: list[Fitted] = []
     for name in names:
         try:
             tried.append(
-                fit(experiments, drive, family(name).given(built, objects),
+                fit(experiments, drive, replace(family(name).given(built, objects), extra=tuple(free)),
                     gains_known=gains_known, told=told)
             )  # fmt: skip
         except KeyboardInterrupt:
@@ -199,7 +200,7 @@ def _start(chosen: Family, joint: parameters.Joint, rough: Rough) -> dict[str, f
     inertia = inertia_at_shaft(
         joint.model, joint.machine.data, int(joint.coupling.dof), gear
     )  # fmt: skip
-    mass = nominal + (rough.inertia - inertia) * gear**2
+    mass = nominal + (rough.inertia - inertia) * (1 if chosen.mass == "rotor_inertia" else gear**2)
     values = {
         chosen.mass: max(mass, 0.05 * nominal),
         "coulomb_friction": max(rough.coulomb * abs(gear), 0.05),

@@ -14,7 +14,7 @@ NEEDED = ("position_actual_value",)
 def read(
     logs: Sequence[str | Path], machine: Machine, drive: str | DriveModel, name: str, *,
     who: str | None = None, columns: str | None = None, mode: int | None = None,
-    torque_constant: float | None = None, cycle: float | None = None,
+    torque_constant: float | None = None, cycle: float | None = None, hold: bool = False,
 ) -> list[Experiment]:  # fmt: skip
     """Experiments of the logs, in their order.
 
@@ -28,6 +28,7 @@ def read(
         mode: of operation, where the log does not say it.
         torque_constant: Nm/A, where a table has the current in A.
         cycle: of the master (s), where a table was sampled more seldom.
+        hold: its set-points are steps.
 
     Raises:
         Unusable: what is missing, and how to record it. ValueError: a file that is damaged.
@@ -56,6 +57,7 @@ def read(
                 mode=mode,
                 torque_constant=torque_constant,
                 cycle=cycle,
+                hold=hold,
             )
         )
     cycles = {each.period for each in found}

@@ -35,9 +35,12 @@ def add_twin(twin: argparse.ArgumentParser) -> None:
     add_log(twin)
     twin.add_argument(
         "--read-gains", metavar="FILE|bus",
-        help="gains of the drive: of its stored parameters, a JSON of objects, or `bus` for a "
+        help="gains and other objects of the drive: of its stored parameters, a JSON of objects, or `bus` for a "
         "running node",
     )  # fmt: skip
+    twin.add_argument(
+        "--free", default="", metavar="NAME,...", help="further unknown parameters, as pid_gain"
+    )
     twin.add_argument(
         "--against", type=Path, metavar="FOLDER", help="a twin: what has changed since its log"
     )
@@ -80,6 +83,9 @@ def add_log(parser: argparse.ArgumentParser, axis: bool = True) -> None:
     parser.add_argument(
         "--cycle", type=float, help="of the master, ms, of a log sampled more seldom"
     )
+    parser.add_argument(
+        "--hold", action="store_true", help="set-points of such a log are steps, not on a curve"
+    )
     if axis:
         parser.add_argument("--axis", help="node or slave of the log, if there are several")
         parser.add_argument(
@@ -92,6 +98,7 @@ def _log_options(options: argparse.Namespace) -> dict[str, Any]:
     return {
         "columns": options.columns, "mode": options.mode,
         "torque_constant": options.torque_constant,
+        "hold": options.hold,
         "cycle": None if options.cycle is None else 1e-3 * options.cycle,
     }  # fmt: skip
 
@@ -138,6 +145,7 @@ def _fitted(
     from ...envs.twin.fit import choose
 
     objects = _gains(options)
+    free = tuple(name.strip() for name in options.free.split(",") if name.strip())
     first = family(names[0]).given(built, objects)
     experiments = logs.read(
         options.logs, first.make(options.drive), options.drive, first.axis, who=options.axis,
@@ -147,7 +155,7 @@ def _fitted(
     with _telling(console) as told:
         best, tried = choose(
             experiments, options.drive, names, built, objects,
-            gains_known=bool(objects) or in_log, told=told,
+            gains_known=bool(objects) or in_log, told=told, free=free,
         )  # fmt: skip
     return best, tried, experiments
 
@@ -203,7 +211,8 @@ def _gains(options: argparse.Namespace) -> dict[str, float]:
 
 
 def _known(drive: str, values: dict[str, Any]) -> dict[str, float]:
-    """Gains by name, of names or of addresses as a parameter file has them."""
+    """Objects by name, of names or of addresses as a parameter file has them."""
+    from ...drive.kernel.record import OD
     from ...drive.model.model import load
 
     model = load(drive)
@@ -217,10 +226,10 @@ def _known(drive: str, values: dict[str, Any]) -> dict[str, float]:
             name = row.name if row is not None else key
         except ValueError:
             pass
-        if name in GAIN_OBJECTS:
+        if name in OD.names or name in model.names:
             found[name] = float(value)
     if not found:
-        raise ValueError("no gain")
+        raise ValueError("no object")
     return found
 
 
