@@ -136,10 +136,8 @@ def choose(
     tried: list[Fitted] = []
     for name in names:
         try:
-            tried.append(
-                fit(experiments, drive, replace(family(name).given(built, objects), extra=tuple(free)),
-                    gains_known=gains_known, told=told)
-            )  # fmt: skip
+            chosen = replace(family(name).given(built, objects), extra=tuple(free))
+            tried.append(fit(experiments, drive, chosen, gains_known=gains_known, told=told))
         except KeyboardInterrupt:
             if not tried:
                 raise
