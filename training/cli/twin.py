@@ -35,7 +35,7 @@ def add_twin(twin: argparse.ArgumentParser) -> None:
     add_log(twin)
     twin.add_argument(
         "--read-gains", metavar="FILE|bus",
-        help="gains and other objects of the drive: of its stored parameters, a JSON of objects, or `bus` for a "
+        help="gains and other objects of the drive: its stored parameters, a JSON, or `bus` for a "
         "running node",
     )  # fmt: skip
     twin.add_argument(
