@@ -204,6 +204,10 @@ class Bench:
             return axis, name
         return self.axes[0], channel
 
+    def found(self, channel: str) -> tuple[str, str]:
+        """Axis and name of a channel."""
+        return self._found(channel)
+
     def reader(self, channel: str) -> Callable[[], float]:
         """What gives the value of a channel. Raises ValueError for an unknown one."""
         return self.channel_reader(*self._found(channel))

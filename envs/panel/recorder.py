@@ -6,9 +6,9 @@ points: of each stretch the smallest and the largest value, so that no peak is l
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ...drive.trace import Edge, Trigger, Watch
 
 MOST_CHANNELS = 8
 DEPTH = 120_000  # samples: two minutes at 1 kHz, 7.7 MB with all channels
+SET_UP = {"channels", "run", "span", "before", "trigger"}
 POINTS = 900  # in a picture
 
 
@@ -216,8 +217,42 @@ class Recorder:
                 times = np.stack((firsts, halfs), axis=1).ravel()
         return Window(end, times - zero, values, self.state)
 
-    def csv(self) -> str:
-        """The samples of the picture, all of them, as a table."""
+    def set_up(self) -> dict[str, Any]:
+        """Channels, trigger and window, as `use` takes them."""
+        trigger = None
+        if self.trigger:
+            known = self.trigger
+            trigger = {"channel": known.channel, "edge": int(known.edge), "level": known.level}
+        return {"channels": list(self.channels), "run": int(self.run), "span": self.span,
+                "before": self.before, "trigger": trigger}  # fmt: skip
+
+    def use(self, set_up: Mapping[str, Any]) -> None:
+        """Be as a set-up says. Raises ValueError for what is none; nothing has changed then."""
+        before = self.set_up()
+        try:
+            self._use(set_up)
+        except (KeyError, TypeError, AttributeError) as error:
+            self._use(before)
+            raise ValueError(f"this is no set-up of the scope: {error!r}") from None
+        except ValueError:
+            self._use(before)
+            raise
+
+    def _use(self, set_up: Mapping[str, Any]) -> None:
+        if unknown := {*set_up} - SET_UP:
+            raise ValueError(f"a set-up has no {', '.join(sorted(unknown))}")
+        trigger = set_up["trigger"] or {"channel": "", "edge": 0, "level": 0.0}
+        self.choose([str(name) for name in set_up["channels"]])
+        self.set_window(float(set_up["span"]), float(set_up["before"]))
+        self.set_trigger(Run(set_up["run"]), str(trigger["channel"]), Edge(trigger["edge"]),
+                         float(trigger["level"]))  # fmt: skip
+
+    def csv(self, shown: Mapping[str, tuple[float, str]] | None = None) -> str:
+        """The samples of the picture, all of them, as a table.
+
+        Args:
+            shown: by channel, what its values are multiplied by and the unit then.
+        """
         if self._captured is not None:
             times, values = self._captured
         else:
@@ -226,7 +261,9 @@ class Recorder:
             times, values = self._times[places], self._ring[:, places]
         text = io.StringIO()
         writer = csv.writer(text)
-        units = (f"{n} ({u})" if u else n for n, u in self.units.items())
+        kept = {name: (1.0, unit) for name, unit in self.units.items()} | dict(shown or {})
+        units = (f"{n} ({kept[n][1]})" if kept[n][1] else n for n in self.channels)
+        values = values * np.array([[kept[name][0]] for name in self.channels])
         writer.writerow(["time (s)", *units])
         for time, column in zip(times.tolist(), values.T.tolist(), strict=True):
             writer.writerow([f"{time:.6f}", *(f"{value:.9g}" for value in column)])

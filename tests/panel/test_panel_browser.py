@@ -114,7 +114,7 @@ def test_the_scope_waits_for_its_trigger_and_shows_what_came_before(page):
     plot = at(page, "scope-plot")
     at(page, "window").fill("0.5")
     at(page, "window").press("Enter")
-    at(page, "trigger-level").fill("150000")
+    at(page, "trigger-level").fill("150")  # mm
     at(page, "trigger-run").get_by_text("Single").click()
     shows(page, "scope-state", "waiting")
     open_page(page, "motion")
@@ -123,7 +123,7 @@ def test_the_scope_waits_for_its_trigger_and_shows_what_came_before(page):
     open_page(page, "scope")
     shows(page, "scope-state", "stopped")
     expect(plot).to_have_attribute("data-state", "stopped")
-    over = plot.locator(".plot-over")
+    over = plot.locator(".u-over")
     over.click(position={"x": 5, "y": 5})
     box = over.bounding_box()
     for share, key in ((0.3, "a"), (0.7, "b")):
@@ -137,7 +137,7 @@ def test_the_scope_waits_for_its_trigger_and_shows_what_came_before(page):
     with page.expect_download() as download:
         at(page, "csv").click()
     rows = Path(download.value.path()).read_text().splitlines()
-    assert rows[0].startswith("time (s),position_actual_value (position unit)")
+    assert rows[0].startswith("time (s),position_actual_value (mm)")
     assert len(rows) == 1 + 0.5 * 2000
 
 
@@ -179,6 +179,90 @@ def test_esc_is_the_quick_stop_on_a_button_and_in_a_field(page):
         at(page, name).focus()
         page.keyboard.press("Escape")
         shows(page, "state", "switch on disabled")
+
+
+def test_esc_closes_an_open_list_and_only_then_is_the_quick_stop(page):
+    ready(page)
+    at(page, "mode").click()
+    option = page.get_by_role("option", name="pv · profile velocity")
+    expect(option).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(option).not_to_be_visible()
+    shows(page, "state", "operation enabled")
+    page.keyboard.press("Escape")
+    shows(page, "state", "switch on disabled")
+
+
+def test_each_mode_that_is_chosen_is_reached(page):
+    ready(page)
+    for number in range(12):
+        name, short = (("pv · profile velocity", "pv"), ("pp · profile position", "pp"))[number % 2]
+        at(page, "mode").click()
+        page.get_by_role("option", name=name).click()
+        shows(page, "mode-shown", short)
+
+
+def test_a_watcher_stops_by_esc_and_a_window_that_is_closed_ends_its_motion(browser, server, page):
+    commander = tab(browser, server)
+    ready(commander)
+    move(commander, "100")
+    expect(at(commander, "position")).to_have_text(near(100))
+    at(commander, "set-profile_velocity").fill("10000")
+    at(commander, "set-profile_velocity").press("Enter")
+    shows(commander, "value-profile_velocity", "10000")
+    move(commander, "400")
+    expect(at(commander, "doing")).to_contain_text("move to")
+    expect(at(page, "watching")).to_be_visible()
+    at(page, "theme").focus()
+    page.keyboard.press("Escape")
+    shows(commander, "state", "switch on disabled")
+    ready(commander)
+    move(commander, "400")
+    expect(at(page, "doing")).to_contain_text("move to")
+    commander.context.close()
+    expect(at(page, "doing")).to_have_text("")
+    expect(page.locator(".q-notification").get_by_text("set in motion")).to_be_visible()
+    at(page, "control").click()
+    open_page(page, "motion")
+    expect(at(page, "velocity")).to_have_text(re.compile(r"^−?0\.\d+$"))
+    shows(page, "state", "operation enabled")
+    assert float(at(page, "position").inner_text()) < 390
+    at(page, "set-profile_velocity").fill("1000000")
+    at(page, "set-profile_velocity").press("Enter")
+    open_page(page, "log")
+    expect(at(page, "events")).to_contain_text("quick stop")
+    expect(at(page, "events")).to_contain_text("window 1")
+
+
+def test_loops_of_a_drive_in_fault_are_refused_with_the_fault_and_its_remedy(page):
+    ready(page)
+    open_page(page, "experiments")
+    at(page, "inject-overvoltage").click()
+    shows(page, "state", "fault")
+    open_page(page, "loops")
+    for press in ("measure", "tune"):
+        at(page, press).click()
+        expect(at(page, "bode-wrong")).to_contain_text("FAULT, 3210h DC link over-voltage; brake")
+    open_page(page, "experiments")
+    at(page, "clear-injected").click()
+    shows(page, "injected", "Nothing is injected.")
+
+
+def test_a_set_point_is_followed_and_a_stop_ends_it(page):
+    ready(page)
+    move(page, "100")
+    expect(at(page, "position")).to_have_text(near(100))
+    at(page, "set-point-kind").get_by_text("velocity").click()
+    at(page, "set-point").fill("20")
+    at(page, "set-point-go").click()
+    expect(at(page, "velocity")).to_have_text(re.compile(r"^(19|20)\.\d+$"))
+    at(page, "stop").click()
+    expect(at(page, "velocity")).to_have_text(re.compile(r"^−?0\.\d+$"))
+    at(page, "set-point-kind").get_by_text("position").click()
+    at(page, "set-point").fill("150")
+    at(page, "set-point").press("Enter")
+    shows(page, "mode-shown", "csp")
+    expect(at(page, "position")).to_have_text(near(150))
 
 
 def test_a_snapshot_brings_the_axis_back(page):

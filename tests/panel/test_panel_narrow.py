@@ -8,7 +8,7 @@ PAGES = ("state", "motion", "scope", "machine", "loops", "experiments", "objects
 # text that is drawn over other text: leaves of the page that share more than an edge
 OVERLAPPING = """() => {
   const leaves = [...document.querySelectorAll(".page.open *")].filter(
-    e => !e.children.length && e.textContent.trim() && !e.closest("svg, canvas, .uplot, .plot, i"));
+    e => !e.children.length && e.textContent.trim() && !e.closest("svg, canvas, .uplot, i"));
   const boxes = leaves.map(e => {
     const range = document.createRange();
     range.selectNodeContents(e);

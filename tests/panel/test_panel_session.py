@@ -1,5 +1,6 @@
 """The panel without a browser: what is commanded, what is shown, what is refused."""
 
+import json
 import time
 
 import numpy as np
@@ -161,6 +162,32 @@ def test_unknown_channels_leave_the_scope_as_it_is(session, names):
     with pytest.raises(ValueError, match="channel"):
         session.scope.choose(names)
     assert session.scope.channels == channels
+
+
+def test_a_set_up_is_kept_and_brought_back_and_what_is_none_changes_nothing(session):
+    scope = session.scope
+    scope.choose(["statusword", "position_actual_value"])
+    scope.set_window(0.5, 0.1)
+    scope.set_trigger(Run.SINGLE, "statusword", Edge.RISING, 5)
+    kept = json.loads(json.dumps(scope.set_up()))
+    scope.choose(["controlword"])
+    scope.set_trigger(Run.ROLL)
+    scope.use(kept)
+    assert scope.set_up() == kept
+    for wrong in ({}, [], {"channels": []}, kept | {"channels": ["nonsense"]}, kept | {"run": 9},
+                  kept | {"span": "long"}, kept | {"more": 1}, kept | {"trigger": 3}):  # fmt: skip
+        with pytest.raises(ValueError, match=r"set-up|channel|Run|convert"):
+            scope.use(wrong)
+        assert scope.set_up() == kept
+
+
+def test_a_table_of_the_scope_is_in_the_units_that_are_shown(session):
+    session.advance(0.2)
+    rows = session.scope.csv({"position_actual_value": (1e-3, "mm")}).splitlines()
+    drive = session.scope.csv().splitlines()
+    assert rows[0].startswith("time (s),position_actual_value (mm),velocity")
+    shown, raw = (float(line.split(",")[1]) for line in (rows[-1], drive[-1]))
+    assert shown == pytest.approx(raw * 1e-3)
 
 
 # --------------------------------------------------------- time, control

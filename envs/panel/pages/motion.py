@@ -5,10 +5,11 @@ from typing import Any
 from nicegui import ui
 
 from ....drive.diagrams import MODE_ABBREVIATION
-from ....drive.model.rows import Object, quantity
+from ....drive.model.rows import Object
 from .desk import Desk, over, refuse
 from .homing_diagram import homing_svg
 from .set_points import SetPointCard
+from .units import physical
 from .widgets import Entry, Readout, Tag, button, card, live, told
 
 # what shapes a motion, by kind; objects a model does not have are left out
@@ -260,7 +261,7 @@ class _Parameter:
 
     def __init__(self, desk: Desk, row: Object):
         self.desk, self.name, self.row = desk, row.name, row
-        self.factor, self.unit = physical(desk, row)
+        self.factor, self.unit = physical(desk.bench, desk.axis, row)
         self.address = f"{row.index:04X}h:{row.subindex:02X}"
         with ui.element("div").classes("parameter"):
             with ui.element("div").classes("parameter-name"):
@@ -289,21 +290,6 @@ class _Parameter:
         if value is not None and self.factor:
             told = f"{float(value) * self.factor:.6g} {self.unit}"
             live(self.plain, f"{self.address} = {told}")
-
-
-def physical(desk: Desk, row: Object) -> tuple[float, str]:
-    """What makes a drive unit one that people read, and that one; 0 where it is not known."""
-    unit, scale = desk.bench.unit(desk.axis)
-    units = desk.bench.units(desk.axis)
-    if unit == "units":
-        return 0.0, ""
-    known = {
-        "position": (units.position * scale, unit),
-        "velocity": (units.velocity * scale, f"{unit}/s"),
-        "acceleration": (desk.bench.acceleration(desk.axis) * scale, f"{unit}/s²"),
-        "torque": (0.1, "% rated"),
-    }
-    return known.get(quantity(row.unit), (0.0, ""))
 
 
 class _Stroke:

@@ -1,18 +1,20 @@
 """Scope: channels by name, a trigger that sees every sample, zoom, cursors, export."""
 
 import base64
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import events, ui
 from nicegui.element import Element
 
 from ....drive.trace import Edge
 from ..bench import Bench
 from ..recorder import MOST_CHANNELS, Run, Window
 from .desk import Desk, refuse
-from .widgets import TOGGLE, Entry, button, card
+from .units import physical
+from .widgets import TOGGLE, Entry, button, card, file_button
 
 STATIC = Path(__file__).parents[1] / "static"
 COLOURS = (
@@ -28,7 +30,7 @@ RUNS = {int(Run.ROLL): "Roll", int(Run.NORMAL): "Normal", int(Run.SINGLE): "Sing
 class Plot(
     Element,
     component=STATIC / "scope.js",
-    esm={"servogym-plot": str(STATIC / "plot")},
+    esm={"uplot": str(STATIC / "uplot")},
 ):
     """The picture of the scope."""
 
@@ -52,7 +54,9 @@ class ScopePage:
         self.desk = desk
         self.channels: tuple[str, ...] = ()
         self._last: tuple[int, str] = (-1, "")
+        self._factors = np.ones((1, 1))
         self._plotted = False
+        ui.add_css((STATIC / "uplot" / "uPlot.css").read_text(encoding="utf-8"))
         bench = desk.bench
         offered, scope = bench.channels(), bench.scope
         with ui.element("div").classes("columns scope-columns"):
@@ -65,6 +69,9 @@ class ScopePage:
                     button("Cursor B", lambda: self.plot.run_method("mark", "b"))
                     button("No cursors", lambda: self.plot.run_method("unmark"))
                     ui.space()
+                    self.physical = ui.switch("mm, mm/s, %", value=True, on_change=self._units)
+                    self.physical.props("dense data-test=physical")
+                    self.physical.props('title="physical units, or those of the drive"')
                     button("CSV", self._csv, "csv")
                     button("PNG", lambda: self.plot.run_method("png", self._headline()), "png")
                 self.plot = Plot()
@@ -105,6 +112,9 @@ class ScopePage:
                             self._level, test="trigger-level",
                         )  # fmt: skip
                     button("Arm", self._trigger, "arm", "main")
+                with card("Set-up"), ui.element("div").classes("cluster"):
+                    button("Save …", self._save, "save-set-up")
+                    file_button("Load …", self._load, "load-set-up")
                 with card("Time"), ui.element("div").classes("cluster"):
                     longest = scope.depth * scope.period
                     self.span = Entry("Window", "s", 10 * scope.period, longest, scope.span,
@@ -116,6 +126,41 @@ class ScopePage:
         self.about.set_text(
             f"{bench.sampling.format(rate=rate)} The trigger looks at each. {longest:g} s are kept."
         )
+
+    def _shown(self, channel: str) -> tuple[float, str]:
+        """What the values of a channel are multiplied by, and the unit then."""
+        bench = self.desk.bench
+        axis, name = bench.found(channel)
+        row = next((row for row in bench.rows(axis) if row.name == name), None)
+        factor, unit = physical(bench, axis, row) if self.physical.value and row else (0.0, "")
+        return (factor, unit) if factor else (1.0, bench.unit_of(channel))
+
+    def _units(self) -> None:
+        """Other units: the level of the trigger stays where it is in the picture."""
+        trigger = self.desk.bench.scope.trigger
+        if trigger:
+            factor, _ = self._shown(trigger.channel)
+            self.level.field.value = f"{trigger.level * factor:.6g}"
+        self.channels = ()
+
+    async def _save(self) -> None:
+        set_up = await self.desk.ask(lambda session: session.scope.set_up())
+        ui.download.content(json.dumps(set_up, indent=1).encode(), "scope.json", "application/json")
+
+    async def _load(self, event: events.UploadEventArguments) -> None:
+        content = await event.file.read()
+
+        def use(session: Bench) -> None:
+            session.scope.use(json.loads(content))
+
+        refuse(await self.desk.command(use))
+        scope = self.desk.bench.scope
+        self.run.value, self.channels = int(scope.run), ()
+        self.span.field.value = f"{scope.span:g}"
+        self.before.field.value = f"{scope.before * 100:g}"
+        if scope.trigger:
+            self.channel.value, self.edge.value = scope.trigger.channel, int(scope.trigger.edge)
+        self._units()
 
     def _ready(self) -> None:
         self._plotted, self.channels = True, ()
@@ -139,8 +184,10 @@ class ScopePage:
     async def _level(self, level: float) -> str:
         run, channel, edge = Run(self.run.value), str(self.channel.value), Edge(self.edge.value)
 
+        factor, _ = self._shown(channel)
+
         def set_trigger(session: Bench) -> None:
-            session.scope.set_trigger(run, channel, edge, level)
+            session.scope.set_trigger(run, channel, edge, level / factor)
 
         return str(await self.desk.command(set_trigger) or "")
 
@@ -158,7 +205,8 @@ class ScopePage:
         refuse(await self.desk.command(lambda s: s.scope.freeze(not s.scope.frozen)))
 
     async def _csv(self) -> None:
-        text = await self.desk.ask(lambda session: session.scope.csv())
+        shown = {name: self._shown(name) for name in self.channels}
+        text = await self.desk.ask(lambda session: session.scope.csv(shown))
         ui.download.content(text.encode(), "scope.csv", "text/csv")
 
     def _headline(self) -> str:
@@ -174,16 +222,20 @@ class ScopePage:
         if self.channels != scope.channels:
             self.channels = scope.channels
             self._last = (-1, "")
+            shown = [self._shown(name) for name in self.channels]
+            self._factors = np.array([[factor] for factor, _ in shown])
             self.plot.configure(
                 [
                     {
                         "name": name,
-                        "unit": scope.units[name],
-                        "axis": name if "following_error" in name else scope.units[name],
+                        "unit": unit,
+                        "axis": name if "following_error" in name else unit,
                         "colour": COLOURS[i],
-                        "grain": 1e-3 if "axis." in name else 1,
+                        "grain": 1e-3 if "axis." in name else factor,
                     }
-                    for i, name in enumerate(self.channels)
+                    for i, (name, (factor, unit)) in enumerate(
+                        zip(self.channels, shown, strict=True)
+                    )
                 ]
             )
             if list(self.chosen.value or []) != list(self.channels):
@@ -198,11 +250,13 @@ class ScopePage:
                 "from": -ahead * scope.span, "to": (1 - ahead) * scope.span, "trigger": None
             }  # fmt: skip
             if scope.trigger:
-                info["trigger"] = {"channel": scope.trigger.channel, "level": scope.trigger.level}
+                trigger = scope.trigger
+                level = trigger.level * self._shown(trigger.channel)[0]
+                info["trigger"] = {"channel": trigger.channel, "level": level}
             return scope.view(), info
 
         window, info = await self.desk.ask(look)
         if (window.number, window.state) == self._last or len(window.values) != len(self.channels):
             return
         self._last = window.number, window.state
-        self.plot.draw(window, info)
+        self.plot.draw(window._replace(values=window.values * self._factors), info)

@@ -1,5 +1,5 @@
 // The oscilloscope: one scale a unit, zoom by dragging, two cursors, trigger lines.
-import Plot from "servogym-plot";
+import Plot from "uplot"; // MIT, its licence lies beside it
 
 const numbers = (text) => {
   const raw = atob(text);
@@ -66,7 +66,7 @@ export default {
       const rem = parseFloat(getComputedStyle(document.documentElement).fontSize), small = Math.round(0.84 * rem);
       const font = `${small}px Roboto, system-ui, sans-serif`, minus = (text) => text.replace("-", "−");
       const axes = [{ stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid },
-        values: (u, vs) => vs.map((v) => (Math.abs(v) < 1e-9 ? "0" : minus(+v.toPrecision(4) + ""))), label: "time (s)" }];
+        size: 2.1 * small + 8, labelSize: 1.5 * small, labelFont: font, values: (u, vs) => vs.map((v) => (Math.abs(v) < 1e-9 ? "0" : minus(+v.toPrecision(4) + ""))), label: "time (s)" }];
       units.forEach((unit, i) => {
         const grain = Math.min(...this.channels_.filter((c) => c.axis === unit).map((c) => c.grain));
         scales["u" + i] = { auto: true, range: (u, lo, hi) => {
@@ -77,7 +77,7 @@ export default {
         if (i < 4) {
           const first = this.channels_.find((c) => c.axis === unit);
           const alone = this.channels_.filter((c) => c.axis === unit).length === 1;
-          axes.push({ scale: "u" + i, side: i % 2 ? 1 : 3, stroke: alone ? first.colour : ink, font, label: (alone ? first.name.replaceAll("_", " ") + ", " : "") + first.unit, 
+          axes.push({ scale: "u" + i, side: i % 2 ? 1 : 3, stroke: alone ? first.colour : ink, font, size: 5.2 * small, labelSize: 1.6 * small, labelFont: font, label: (alone ? first.name.replaceAll("_", " ") + ", " : "") + first.unit, 
             grid: { show: i === 0, stroke: grid, width: 1 }, ticks: { stroke: grid },
             values: (u, vs) => vs.map((v) => minus(Math.abs(v) >= 1e5 ? +(v / 1e3).toPrecision(6) + "k" : +v.toPrecision(6) + "")) });
         }
@@ -85,12 +85,13 @@ export default {
       const series = [{ label: "t (s)", value: (u, v) => nice(v) }].concat(this.channels_.map((c) => ({
         label: c.name, scale: "u" + units.indexOf(c.axis), stroke: c.colour, width: 1.6, points: { show: false },
         value: (u, v) => nice(v) })));
-      this.plot_ = new Plot({ ...this.size(), text: small, scales, axes, series, legend: { live: true },
+      this.plot_ = new Plot({ ...this.size(), padding: [8, 8, 0, 0], scales, axes, series, legend: { live: true },
         cursor: { drag: { x: true, y: false }, points: { size: 6 } },
         hooks: { draw: [(u) => this.marks(u)],
           setSelect: [(u) => { if (u.select.width > 2) { this.zoomed_ = true; } }],
           ready: [(u) => {
-            u.over.addEventListener("dblclick", () => { this.zoomed_ = false; });
+            u.over.addEventListener("mousedown", () => setTimeout(() => this.$el.focus({ preventScroll: true })));
+            u.over.addEventListener("dblclick", () => setTimeout(() => this.unzoom()));
             u.over.addEventListener("click", (e) => { if (e.shiftKey) this.mark("a"); else if (e.altKey) this.mark("b"); });
           }] } }, this.data_, this.$refs.plot);
     },
@@ -147,7 +148,7 @@ export default {
       const u = this.plot_;
       if (!u) return;
       const { min, max } = u.scales.x, left = u.cursor.left;
-      this.marks_[name] = left >= 0 ? u.posToVal(left) : min + (max - min) * (name === "a" ? 0.35 : 0.65);
+      this.marks_[name] = left >= 0 ? u.posToVal(left, "x") : min + (max - min) * (name === "a" ? 0.35 : 0.65);
       this.held_ = name;
       this.table();
       u.redraw(false);
