@@ -170,7 +170,7 @@ class EtherCatDecoder:
         except ValueError as error:
             return [str(error)]
         key = tuple(row.index << 16 | row.command << 8 | row.ado & 0xFF for row in rows)
-        if not self._returned(frame, rows, key in self._sent):
+        if not self.returned(frame, rows, key in self._sent):
             again = key in self._sent
             self._sent[key] = rows
             return [f"no reply to {rows[0]}"] if again else []
@@ -180,7 +180,7 @@ class EtherCatDecoder:
             lines += self._datagram(out, back)
         return lines
 
-    def _returned(self, frame: bytes, rows: list[Datagram], sent: bool) -> bool:
+    def returned(self, frame: bytes, rows: list[Datagram], sent: bool) -> bool:
         """Whether a frame has passed the slaves: they set a bit of its source address.
 
         Some masters have it set already, as in each address that is administered locally; then a
@@ -191,6 +191,11 @@ class EtherCatDecoder:
             return False
         return self._marked or sent or any(row.wkc for row in rows)
 
+    def named(self, index: int, subindex: int) -> tuple[str, Object | None]:
+        """Address and name of an object of the given model, and its row where it has it."""
+        row = self._given.objects.get((index, subindex)) if self._given else None
+        return f"{index:04X}h:{subindex:02X}h {row.name if row else ''}".rstrip(), row
+
     # -------------------------------------------------------------- datagrams
 
     def _datagram(self, sent: Datagram, back: Datagram) -> list[str]:
@@ -200,17 +205,18 @@ class EtherCatDecoder:
             return [f"unknown command {back.command:02X}h"]
         if back.command == Command.NOP:
             return []
-        name, slave = self._who(sent)
+        name, slave = self.who(sent)
         if slave is None:
             return self._register(name, None, sent, back)
-        manager = self._mailbox(slave, back.ado)
+        manager = self.mailbox_of(slave, back.ado)
         if manager is not None and back.wkc:
             return self._telegram(slave, sent.data if manager == 0 else back.data)
         if manager is not None:  # a master polls it; the data sheet lets it not be touched then
             return [] if manager else [f"{slave.name}: its mailbox is still full"]
         return self._register(name, slave, sent, back)
 
-    def _who(self, row: Datagram) -> tuple[str, _Slave | None]:
+    def who(self, row: Datagram) -> tuple[str, _Slave | None]:
+        """Name and state of the slave a datagram is for; None: of all."""
         if row.command in BROADCAST:
             return "all slaves", None
         if row.command in POSITION:
@@ -220,7 +226,8 @@ class EtherCatDecoder:
             slave = self._stations.setdefault(row.adp, _Slave(f"slave {row.adp:04X}h", self._given))
         return slave.name, slave
 
-    def _mailbox(self, slave: _Slave, address: int) -> int | None:
+    def mailbox_of(self, slave: _Slave, address: int) -> int | None:
+        """0 or 1 where the mailbox out or in of a slave begins at an address."""
         for n in (0, 1):
             if n in slave.managers and slave.managers[n][0] == address:
                 return n

@@ -79,6 +79,12 @@ COMMANDS = {
         "observe --node-id 5 -i socketcan -c can0 -o drive.json",
         "Then: servogym observe --compare drive.json --drive generic. The power stage stays off.",
     ),
+    "replay": Command(
+        "replay", "play a master's recorded frames into a model and score its answers",
+        "replay run.pcapng --drive kollmorgen_akd",
+        "Each answer is equal, explained by time or by physics, or differs: then register or "
+        "object are told with both values.",
+    ),
     "decode": Command(
         "decode", "explain a log of a CAN or EtherCAT bus, frame by frame",
         "decode run.log --drive festo_cmmp_as",
