@@ -79,12 +79,6 @@ COMMANDS = {
         "observe --node-id 5 -i socketcan -c can0 -o drive.json",
         "Then: servogym observe --compare drive.json --drive generic. The power stage stays off.",
     ),
-    "replay": Command(
-        "replay", "play a master's recorded frames into a model and score its answers",
-        "replay run.pcapng --drive kollmorgen_akd",
-        "Each answer is equal, explained by time or by physics, or differs: then register or "
-        "object are told with both values.",
-    ),
     "decode": Command(
         "decode", "explain a log of a CAN or EtherCAT bus, frame by frame",
         "decode run.log --drive festo_cmmp_as",
@@ -109,9 +103,11 @@ COMMANDS = {
         "6077h). --plan writes the experiment to record.",
     ),
     "replay": Command(
-        "twin", "run the set-points of a log into a machine and compare",
-        "replay moves.log rigid --set payload=7 --out out",
-        "Measured and simulated position and torque go to a CSV.",
+        "replay", "play a log into a drive model and score its answers, or into a machine",
+        "replay run.pcapng --drive kollmorgen_akd",
+        "Without a machine each answer is equal, explained by time or by physics, or differs: then "
+        "register or object are told with both values. With a machine or --twin the set-points of "
+        "the log move it, and measured and simulated position and torque go to a CSV.",
     ),
     "scope": Command(
         "scope", "record channels of a move, a running node or a log, with a trigger",

@@ -1,34 +1,34 @@
 """`servogym replay`."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
+
+from . import twin
 
 if TYPE_CHECKING:
     from ...drive.score import Score
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Its options."""
-    command.add_argument("log", type=Path, help=".pcapng or .pcap of EtherCAT, a log of CAN")
-    command.add_argument("--drive", required=True, help="drive model that is to answer")
+    """Its options: those of the comparison with a machine, and what answers alone need."""
+    twin.add_replay(command)
     command.add_argument(
-        "--axis", default="none", help="what it moves: linear, rotary-table, ... or none (none)"
+        "--node-id", type=int, help="without a machine: of the drive in a log of CAN (first heard)"
     )
     command.add_argument(
-        "--node-id", type=int, default=None, help="of the drive in a log of CAN (the first heard)"
-    )
-    command.add_argument(
-        "--most", type=int, default=40, help="differences that are listed, most frequent first (40)"
-    )
-    command.set_defaults(run=_replay)
+        "--most", type=int, default=40,
+        help="without a machine: differences that are listed, most frequent first (40)",
+    )  # fmt: skip
+    command.set_defaults(run=_replay, machine=None)
 
 
 def _replay(options: argparse.Namespace, console: Console) -> int:
-    """Play a log into a model and print how it answered."""
+    """Compare motions where there is a machine or a twin; else score the drive's answers."""
+    if options.machine is not None or options.twin is not None:
+        return twin.compare(options, console)
     if options.log.suffix in (".pcapng", ".pcap"):
         score = _of_ethercat(options)
     else:
@@ -46,7 +46,7 @@ def _of_ethercat(options: argparse.Namespace) -> "Score":
     pairs = [*exchanges((packet.time, packet.frame) for packet in read(options.log))]
     if not pairs:
         raise ValueError(f"{options.log}: no EtherCAT frame with its reply is in it")
-    segment, machines = ethercat_line([options.drive] * slaves_of(pairs), options.axis)
+    segment, machines = ethercat_line([options.drive] * slaves_of(pairs), "none")
     return Replay(Bus(segment, machines, "real"), options.drive).run(pairs)
 
 
@@ -61,8 +61,7 @@ def _of_can(options: argparse.Namespace) -> "Score":
     node_id = options.node_id or node_of(frame for _, frame in rows)
     if node_id is None:
         raise ValueError(f"{options.log}: no node answers in it; name one with --node-id")
-    machine = axis_for(options.drive, node_id, "linear" if options.axis == "none" else options.axis)
-    return replay(machine, node_id, rows)
+    return replay(axis_for(options.drive, node_id), node_id, rows)
 
 
 def _show(score: "Score", most: int, console: Console) -> None:

@@ -70,7 +70,7 @@ def add_replay(replay: argparse.ArgumentParser) -> None:
     replay.add_argument("--twin", type=Path, help="a twin's folder instead of a machine")
     replay.add_argument("--who", help="node or slave of the log, if there are several")
     replay.add_argument("--out", type=Path, default=Path("out"), help="folder: replay.csv (out)")
-    replay.set_defaults(run=_replay, folders=("out",))
+    replay.set_defaults(folders=("out",))
 
 
 def add_log(parser: argparse.ArgumentParser, axis: bool = True) -> None:
@@ -329,7 +329,8 @@ def _fitted_with(
     return best, tried, experiments
 
 
-def _replay(options: argparse.Namespace, console: Console) -> int:
+def compare(options: argparse.Namespace, console: Console) -> int:
+    """Run the set-points of a log into a machine and print how far it is from the log."""
     import csv
 
     import numpy as np
