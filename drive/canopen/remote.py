@@ -75,13 +75,18 @@ class CanOpenPort:
         """Set an object (drive units), by SDO, or by PDO with the next exchange."""
         self.nodes[axis].write(name, value)
 
-    def exchange(self, frames: Iterable[Frame] = ()) -> list[Frame]:
-        """Send frames, changed RPDOs, and a SYNC where a PDO in use needs it; -> what has come."""
+    def exchange(self, frames: Iterable[Frame] = (), *, sync: bool = True) -> list[Frame]:
+        """Send frames, changed RPDOs, and a SYNC where a PDO in use needs it; -> what has come.
+
+        Args:
+            frames: are sent first.
+            sync: whether a SYNC may go out.
+        """
         out = [*frames, *(frame for node in self.nodes.values() for frame in node.changed())]
         for frame in out:
             for node in self.nodes.values():
                 node.answers.sent(frame)
-        if any(node.synchronous for node in self.nodes.values()):
+        if sync and any(node.synchronous for node in self.nodes.values()):
             out.append(SYNC)
         received = list(self._bus.exchange(out))
         for frame in received:
@@ -163,6 +168,11 @@ class RemoteObjects:
         self._rpdos: list[Pdo] = []
         self._tpdos: list[Pdo] = []
         self._pending: dict[int, Pdo] = {}
+
+    @property
+    def tpdos(self) -> tuple[Pdo, ...]:
+        """The TPDOs in use."""
+        return (*self._tpdos,)
 
     def nmt(self, command: NmtCommand) -> None:
         """Send an NMT command to the node."""

@@ -14,6 +14,7 @@ OUTPUTS = ("controlword", "target_position", "modes_of_operation")
 INPUTS = ("statusword", "position_actual_value", "modes_of_operation_display")
 FLEXIBLE = (0x1600, 0x1A00)  # the first PDOs that can be mapped
 ASSIGNMENTS = (0x1C12, 0x1C13)
+PDO_BYTES = 8
 
 
 class SlaveSide(Protocol):
@@ -64,8 +65,8 @@ class EtherCatPort:
         master: of the segment: in memory, or SOEM's.
         models: the drive model of each slave by the name it goes by, in the order of the slaves;
             one model alone is ``slave``.
-        outputs: names of the objects in 1600h, 8 bytes at most.
-        inputs: of those in 1A00h.
+        outputs: names of the objects in 1600h, and in the next ones where 8 bytes are full.
+        inputs: of those in 1A00h and the next ones.
         now: time (s); that of the bus in memory if not given.
         units: of the drives, where their factors are known.
 
@@ -143,18 +144,33 @@ class RemoteObjects:
         self._inputs: dict[str, int] = {}
 
     def map(self, outputs: Sequence[str], inputs: Sequence[str]) -> None:
-        """Map objects to the first flexible PDOs and assign these."""
+        """Map objects to the first flexible PDOs, as many as they fill, and assign these."""
         download = self.slave.mailbox.download
         for index in ASSIGNMENTS:
             download(index, 0, b"\0")
-        for pdo, names in zip(FLEXIBLE, (outputs, inputs), strict=True):
-            download(pdo, 0, b"\0")
-            for n, name in enumerate(names, 1):
-                row = self._model.number(name)
-                word = row.index << 16 | row.subindex << 8 | row.size * 8
-                download(pdo, n, word.to_bytes(4, "little"))
-            download(pdo, 0, bytes([len(names)]))
-        self.slave.assign([FLEXIBLE[0]], [FLEXIBLE[1]])
+        assigned: list[list[int]] = []
+        for first, names in zip(FLEXIBLE, (outputs, inputs), strict=True):
+            shares = self._shared_out(names)
+            assigned.append([*range(first, first + len(shares))])
+            for pdo, words in zip(assigned[-1], shares, strict=True):
+                download(pdo, 0, b"\0")
+                for n, word in enumerate(words, 1):
+                    download(pdo, n, word.to_bytes(4, "little"))
+                download(pdo, 0, bytes([len(words)]))
+        self.slave.assign(*assigned)
+
+    def _shared_out(self, names: Sequence[str]) -> list[list[int]]:
+        """Mapping entries of objects, in PDOs of 8 bytes."""
+        shares: list[list[int]] = [[]]
+        free = PDO_BYTES
+        for name in names:
+            row = self._model.number(name)
+            if row.size > free:
+                shares.append([])
+                free = PDO_BYTES
+            shares[-1].append(row.index << 16 | row.subindex << 8 | row.size * 8)
+            free -= row.size
+        return shares
 
     def find_places(self) -> None:
         """Read what the process data carry; outputs begin with what the drive has."""

@@ -44,6 +44,7 @@ from .task import Task
 
 if TYPE_CHECKING:
     from ..exchange.over_ethercat import EtherCatLine
+    from ..exchange.over_port import DriveSide, PortLine
 
 STATE_MASK = 0x6F
 STATE_NAME = {  # by statusword & STATE_MASK
@@ -79,6 +80,9 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             bus the drives are on EtherCAT: `servogym.envs.exchange.over_ethercat`.
         tuned: commission the axes as `linear_axis` does by default, to what plant and motor can do;
             if not, with the gains of the rule, as version 0 has them.
+        port: drives on a bus instead of those of a machine in this process, as
+            `servogym.envs.exchange.over_port.CanDrives`; steps then take their time, and what
+            `randomise` draws is not what the machine on the bus has.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
@@ -104,6 +108,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         twin: str | Path | None = None,
         faults: Faults = None,
         tuned: bool = False,
+        port: "DriveSide | None" = None,
         render_mode: str | None = None,
     ):
         check(self, ServoEnv)
@@ -140,7 +145,9 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         self._previous_action = flag("previous_action", previous_action)
         self.prices = priced(prices)
         self._configure()
-        self.line: EtherCatLine | None = None
+        self.line: EtherCatLine | PortLine | None = None
+        if port is not None:
+            self.line = self._on_a_bus(port, alone=not (faults or action == PDO))
         if bus_faults:
             from ..exchange import over_ethercat
 
@@ -189,6 +196,18 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         for drive in self.machine.drives.values():
             if drive not in self.drives:  # its PDOs would be part of the images
                 drive.map_pdos([], [])
+
+    def _on_a_bus(self, port: "DriveSide", alone: bool) -> "PortLine":
+        from ..exchange.over_port import PortLine
+
+        if not alone:
+            raise ValueError(
+                "port: faults and action='pdo' are for drives in this process; those on a bus are "
+                "commanded by set-points, behind a guard"
+            )
+        pdos = [mapping(image) for image in self._images]
+        names = [*(self.DRIVES or self.machine.drives)]
+        return PortLine(self.machine, names, self._images, pdos, self.step_time, self.units, port)
 
     def batch(self, n: int) -> Batch:
         """Empty arrays for `n` environments like this one."""
@@ -247,6 +266,11 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         A drive named in `believed` is made to take its place for that position instead.
         With ``action="pdo"`` the drives are left disabled, else enabled in the mode of the task.
         """
+        place = getattr(self.line, "place", None)
+        if place is not None:
+            if believed:
+                raise ValueError("port: this task begins with an axis that is not referenced")
+            positions = place(positions, self.MODES[0])
         self.machine.reset(positions=positions)
         master = Master(MachinePort(self.machine), *positions)
         for name, position in (dict(positions) | dict(believed or {})).items():
@@ -420,7 +444,10 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         return self._picture
 
     def close(self) -> None:
-        """Close window and renderer; may be called more than once."""
+        """Close window and renderer, let go of drives on a bus; may be called more than once."""
+        close = getattr(self.line, "close", None)
+        if close is not None:
+            close()
         if self._picture is not None:
             self._picture.close()
             self._picture = None

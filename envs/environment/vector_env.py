@@ -61,6 +61,10 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             "max_episode_steps": max_episode_steps, **arguments,
         }  # fmt: skip
         self.num_envs = whole("num_envs", num_envs, 1, MOST)
+        if arguments.get("port") is not None:
+            raise ValueError(
+                "port: drives on a bus are those of one environment, use gymnasium.make"
+            )
         if threads is not None:
             threads = whole("threads", threads, 1, MOST)
         if max_episode_steps is not None:

@@ -6,7 +6,7 @@ the loop latches them, runs and collects TPDO images, and the task judges what c
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from ..engine.machine import Machine
 from . import fields
 from .faces import CONTROL, STATUS, control, report
 from .loops import acting, judging
-
-if TYPE_CHECKING:
-    from .over_ethercat import EtherCatLine
 
 PDO_BYTES = 8
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
@@ -89,6 +86,16 @@ def mapping(image: np.dtype) -> list[list[str]]:
     return pdos
 
 
+class Line(Protocol):
+    """A way of process images to the drives of a world, other than by memory."""
+
+    def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """As `loop.run`, for one world and its images as bytes."""
+
+    def look(self, world: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """The same without a step."""
+
+
 class Part(NamedTuple):
     """Views of some rows of a `Batch`."""
 
@@ -134,7 +141,7 @@ class Batch:
         self.prices = prices
         if any(prices) and TORQUE not in (tpdo.names or ()):
             raise ValueError(f"prices: the task does not see {TORQUE}, take it into its TPDO")
-        self.lines: dict[int, EtherCatLine] = {}  # by world, where images go in frames
+        self.lines: dict[int, Line] = {}  # by world, where images go in frames
         self.stopped = False  # set by another thread: a step ends as soon as it can
         self.modes = np.array(modes, np.int8)
         self.action, self.observation = task.ACTION, task.OBSERVATION
@@ -227,7 +234,12 @@ class Batch:
     def look(self, part: Part) -> None:
         """Latch the RPDO images as they are and judge the present, without a step."""
         with part.turn:
-            loop.run(part.worlds, 0, part.received, part.transmitted)
+            if self.lines:
+                for i in np.flatnonzero(part.worlds).tolist():
+                    line = self.lines[int(part.worlds[i])]
+                    line.look(part.worlds[i : i + 1], part.received[i], part.transmitted[i])
+            else:
+                loop.run(part.worlds, 0, part.received, part.transmitted)
             self._judge(part)
 
     def begin(self, row: int) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...drive.diagrams import Mode, State
 from ...drive.master import Master
+from ...envs.engine import loop
 from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
 from ...envs.panel.bench import Interrupted
@@ -58,6 +59,10 @@ class _Line:
                 raise Interrupted
         for drive, image in zip(drives, tpdos.reshape(len(drives), -1), strict=True):
             image[:] = np.frombuffer(drive.collect(), np.uint8)
+
+    def look(self, worlds: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """The same without a step."""
+        loop.run(worlds, 0, rpdos[None], tpdos[None])
 
 
 class TakeOver:

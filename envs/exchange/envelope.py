@@ -1,0 +1,138 @@
+"""The guard before a drive on a bus: what no policy gets past, whatever it was trained on.
+
+Each command is looked at before it is sent and each answer when it has come. What leaves the
+envelope raises `Stopped` with the name of the limit; the line then sends a quick stop and nothing
+else. It is no safety function: it runs on the computer the policy runs on. What protects people is
+the machine's own, such as STO (IEC 61800-5-2).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+from ..engine.checks import in_range
+
+MARGIN = 1.05  # of a measured value over its limit: commands are held to the limit itself
+FAULT = 0x0008  # statusword
+OPERATION_ENABLED, STATE = 0x0027, 0x006F
+
+
+class Stopped(RuntimeError):
+    """The guard has stopped the drives; `reason` names the limit, `axis` the drive."""
+
+    def __init__(self, axis: str, reason: str):
+        super().__init__(f"{axis}: {reason}" if axis else reason)
+        self.axis, self.reason = axis, reason
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Limits of one drive, at the load: m or rad, s, and shares of the rated torque.
+
+    Args:
+        low, high: positions.
+        velocity: of set-points and of the axis.
+        acceleration: of set-points, from one step to the next.
+        jerk: of set-points, over three steps.
+        torque: of target torque, torque offset and torque limit.
+        following_error: of the axis.
+    """
+
+    low: float
+    high: float
+    velocity: float
+    acceleration: float = math.inf
+    jerk: float = math.inf
+    torque: float = math.inf
+    following_error: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high or not math.isfinite(self.high - self.low):
+            raise ValueError(
+                f"positions {self.low!r}..{self.high!r} limit nothing: set the software position "
+                "limits of the drive (607Dh), or give limits"
+            )
+        for field in fields(self)[2:]:
+            in_range(field.name, getattr(self, field.name), 1e-12, math.inf)
+
+
+class Guard:
+    """Looks at the commands to one drive and at its answers.
+
+    Args:
+        axis: name of the drive.
+        envelope: its limits.
+        period: of the steps (s).
+        position, speed: what a position or a velocity unit is at the load (m or rad, per s).
+    """
+
+    def __init__(self, axis: str, envelope: Envelope, period: float, position: float, speed: float):
+        self.axis, self.envelope, self.period = axis, envelope, period
+        self._position, self._speed = position, speed
+        self.begin(0.0)
+
+    def begin(self, position: float) -> None:
+        """At rest at a position (m or rad), before an episode."""
+        self._at = position
+        self._set_point, self._velocity, self._acceleration = position, 0.0, 0.0
+
+    def command(self, values: Mapping[str, float]) -> None:
+        """A command (drive units by object) that is about to be sent. Raises Stopped."""
+        limits = self.envelope
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise self._stop(f"{name} = {value} is no number")
+        if "target_position" in values and "target_velocity" not in values:
+            set_point = values["target_position"] * self._position
+            self._within("set-point", set_point)
+            velocity = (set_point - self._set_point) / self.period
+            self._moves(velocity, f"the set-point steps by {set_point - self._set_point:.4g}")
+            self._set_point = set_point
+        elif "target_velocity" in values:
+            velocity = values["target_velocity"] * self._speed
+            self._moves(velocity, f"target velocity {velocity:.4g}")
+            if math.isfinite(limits.acceleration):
+                way = velocity * abs(velocity) / (2.0 * limits.acceleration)
+                self._within("the place where it could stop", self._at + way)
+        for name in ("target_torque", "torque_offset", "max_torque"):
+            torque = 1e-3 * values.get(name, 0.0)
+            if abs(torque) > limits.torque:
+                raise self._stop(
+                    f"{name} = {torque:.3g} of the rated torque, limit {limits.torque:.3g}"
+                )
+
+    def answer(self, values: Mapping[str, float]) -> None:
+        """What has come back (drive units by object). Raises Stopped."""
+        limits, word = self.envelope, int(values["statusword"])
+        if word & FAULT:
+            raise self._stop("the drive is in a fault")
+        self._at = values["position_actual_value"] * self._position
+        self._within("position", self._at)
+        velocity = values.get("velocity_actual_value", 0.0) * self._speed
+        if abs(velocity) > MARGIN * limits.velocity:
+            raise self._stop(f"velocity {velocity:.4g}, limit {limits.velocity:.4g}")
+        error = values.get("following_error_actual_value", 0.0) * self._position
+        if abs(error) > limits.following_error:
+            raise self._stop(f"following error {error:.4g}, limit {limits.following_error:.4g}")
+
+    def _within(self, what: str, position: float) -> None:
+        low, high = self.envelope.low, self.envelope.high
+        if not low <= position <= high:
+            raise self._stop(f"{what} {position:.4g} is out of {low:.4g}..{high:.4g}")
+
+    def _moves(self, velocity: float, what: str) -> None:
+        """A velocity of set-points, and its differences."""
+        limits = self.envelope
+        acceleration = (velocity - self._velocity) / self.period
+        jerk = (acceleration - self._acceleration) / self.period
+        for name, value, limit in (
+            ("velocity", velocity, limits.velocity),
+            ("acceleration", acceleration, limits.acceleration),
+            ("jerk", jerk, limits.jerk),
+        ):
+            if abs(value) > limit * (1.0 + 1e-6):
+                raise self._stop(f"{what}: {name} {abs(value):.4g}, limit {limit:.4g}")
+        self._velocity, self._acceleration = velocity, acceleration
+
+    def _stop(self, reason: str) -> Stopped:
+        return Stopped(self.axis, reason)

@@ -1,0 +1,434 @@
+"""The drives of an environment on a bus: the same process images, real time, and a guard between.
+
+>>> bus = can.Bus(interface="socketcan", channel="can0", bitrate=1_000_000)
+>>> env = gymnasium.make("servogym/LinearAxis-v0", port=CanDrives(CanPort(bus), {"x": 1}))
+
+A step sends the set-points, waits until the step is over, asks for the answers and judges them.
+Between answers and set-points lies what the policy takes to think: RPDOs act when they come, not at
+the next SYNC, and TPDOs answer a SYNC, which comes from here. On EtherCAT both are cyclic frames.
+
+What a bus does not tell is taken from what it tells: the load is where the encoder says it is, the
+share of the step at an internal limit is that of its end. The machine of such an environment has
+no time of its own; it keeps what a task reads of its drives.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...drive.canopen.frame import Frame
+from ...drive.canopen.node import NmtCommand
+from ...drive.canopen.port import FramePort
+from ...drive.canopen.remote import CanOpenPort
+from ...drive.ethercat.port import EtherCatPort, SegmentMaster
+from ...drive.kernel.words import ENABLED, Mode
+from ...drive.kernel.words import Statusword as S
+from ...drive.master.errors import ServoError
+from ...drive.master.master import Master
+from ...drive.master.port import Port
+from ...drive.model.model import DriveModel, load
+from ...drive.objects.abort import SdoAbort
+from ..engine.machine import Machine
+from .envelope import Envelope, Guard, Stopped
+
+PDOS = 4  # of each direction with an identifier of their own (CiA 301, default connection set)
+RPDO, TPDO = 0x200, 0x180  # identifiers of the first, for node-id 0; the next are 100h apart
+AT_ONCE, AT_SYNC = 255, 1  # transmission types of RPDOs, of TPDOs
+OFF = 0x8000_0000  # COB-ID of a PDO that does not exist
+MASTER, BEAT, WATCH = 127, 0.02, 0.2  # node-id; s between heartbeats, s until drives miss one
+HEARTBEAT = Frame(0x700 + MASTER, b"\x05")
+ANSWERS = 5e-3  # s, in which all TPDOs have to come after a SYNC
+IDENTITY = ("vendor_id", "product_code")
+NEAR = 1e-5  # m or rad from where an episode begins; no motion there
+MISSED = 3  # answers missing one after the other, until the guard stops the drives
+QUICK_STOP = 0x02  # controlword
+
+
+class Pace:
+    """Real time: steps end at absolute times, so that they do not drift."""
+
+    def now(self) -> float:
+        """The clock (s)."""
+        return time.monotonic()
+
+    def wait(self, deadline: float) -> None:
+        """Sleep until a time (s)."""
+        left = deadline - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+
+class DriveSide(Protocol):
+    """Drives on a bus, with process images of a task: `CanDrives`, `EtherCatDrives`."""
+
+    port: Port
+    pace: Pace
+    envelopes: Mapping[str, Envelope]  # by name; of a drive not named here, what it has itself
+
+    def connect(
+        self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
+    ) -> None:
+        """Map the objects of each PDO in every drive, and start process data."""
+
+    def arm(self, on: bool) -> None:
+        """Let the drives stop by themselves when nothing comes from here any more."""
+
+    def send(self) -> None:
+        """Set-points written to the port go out now."""
+
+    def sample(self) -> bool:
+        """Ask for the answers; -> whether all have come."""
+
+
+class _Beating:
+    """A bus on which a master's heartbeat goes out with the frames."""
+
+    def __init__(self, bus: FramePort):
+        self._bus, self._next = bus, 0.0
+
+    def now(self) -> float:
+        return self._bus.now()
+
+    def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
+        now = self._bus.now()
+        if now >= self._next:
+            self._next = now + BEAT
+            frames = [HEARTBEAT, *frames]
+        return self._bus.exchange(frames)
+
+
+class CanDrives:
+    """Nodes on a CAN bus, whose SYNC comes from here.
+
+    Args:
+        bus: the way to it, such as `servogym.drive.wire.bus.CanPort`.
+        nodes: node-id by the name of the drive in the task's machine.
+        model: of the drives.
+        envelopes: limits by drive; those the drive itself has, where none are given.
+        pace: real time, if not given.
+    """
+
+    def __init__(
+        self,
+        bus: FramePort,
+        nodes: Mapping[str, int],
+        model: str | Path | DriveModel = "generic",
+        *,
+        envelopes: Mapping[str, Envelope] | None = None,
+        pace: Pace | None = None,
+    ):
+        self.port = CanOpenPort(_Beating(bus), nodes, model)
+        self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
+
+    def connect(
+        self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
+    ) -> None:
+        """See `DriveSide`. Raises ValueError for other drives, SdoAbort where one refuses."""
+        _same(axes, self.port.nodes)
+        for axis in axes:
+            node = self.port.nodes[axis]
+            node.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+            for first, mapping, base, kind, lists in (
+                (0x1400, 0x1600, RPDO, AT_ONCE, rpdos),
+                (0x1800, 0x1A00, TPDO, AT_SYNC, tpdos),
+            ):
+                if len(lists) > PDOS:
+                    raise ValueError(f"{len(lists)} PDOs are needed, {PDOS} have identifiers")
+                for n in range(PDOS):
+                    names = lists[n] if n < len(lists) else []
+                    cob_id = base + 0x100 * n + node.node_id
+                    self._map(node, first + n, mapping + n, cob_id, kind, names)
+            node.use_pdos()
+
+    def _map(
+        self, node: Any, communication: int, mapping: int, cob_id: int, kind: int,
+        names: Sequence[str],
+    ) -> None:  # fmt: skip
+        def put(index: int, subindex: int, value: int, size: int) -> None:
+            node.sdo.download(index, subindex, value.to_bytes(size, "little"))
+
+        try:
+            put(communication, 1, OFF | cob_id, 4)
+        except SdoAbort:
+            if names:
+                raise
+            return  # the drive has fewer PDOs, and needs none here
+        if names:
+            put(mapping, 0, 0, 1)
+            model = next(iter(self.port.models.values()))
+            for n, name in enumerate(names, 1):
+                row = model.number(name)
+                put(mapping, n, row.index << 16 | row.subindex << 8 | 8 * row.size, 4)
+            put(mapping, 0, len(names), 1)
+            put(communication, 2, kind, 1)
+            put(communication, 1, cob_id, 4)
+
+    def arm(self, on: bool) -> None:
+        """Watch the heartbeat of this master (1016h); what follows its loss is said by 6007h."""
+        entry = MASTER << 16 | round(1e3 * WATCH) if on else 0
+        for node in self.port.nodes.values():
+            with suppress(SdoAbort):  # a drive without it has no watchdog of this kind
+                node.sdo.download(0x1016, 1, entry.to_bytes(4, "little"))
+
+    def send(self) -> None:
+        """See `DriveSide`."""
+        self.port.exchange(sync=False)
+
+    def sample(self) -> bool:
+        """See `DriveSide`."""
+        pdos = [pdo for node in self.port.nodes.values() for pdo in node.tpdos]
+        for pdo in pdos:
+            pdo.heard = False
+        end = self.port.now() + ANSWERS
+        self.port.exchange()
+        while not all(pdo.heard for pdo in pdos):
+            if self.port.now() >= end:
+                return False
+            self.port.exchange(sync=False)
+        return True
+
+
+class EtherCatDrives:
+    """Slaves of a segment, in OPERATIONAL.
+
+    Args:
+        master: in memory, or `servogym.drive.wire.soem.SoemMaster`.
+        axes: names of the drives in the task's machine, in the order of the slaves.
+        model: of the drives.
+        envelopes: limits by drive; those the drive itself has, where none are given.
+        pace: real time, if not given.
+    """
+
+    def __init__(
+        self,
+        master: SegmentMaster,
+        axes: Sequence[str],
+        model: str | Path | DriveModel = "generic",
+        *,
+        envelopes: Mapping[str, Envelope] | None = None,
+        pace: Pace | None = None,
+    ):
+        self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
+        self._master, self._axes, self._model = master, [*axes], load(model, "ethercat")
+        self.port: Any = None
+
+    def connect(
+        self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
+    ) -> None:
+        """See `DriveSide`. Raises as `EtherCatPort`."""
+        _same(axes, self._axes)
+        outputs, inputs = ([name for pdo in pdos for name in pdo] for pdos in (rpdos, tpdos))
+        self.port = EtherCatPort(
+            self._master, dict.fromkeys(self._axes, self._model), outputs=outputs, inputs=inputs,
+            now=self.pace.now,
+        )  # fmt: skip
+
+    def arm(self, on: bool) -> None:
+        """The watchdog of the sync managers always looks."""
+
+    def send(self) -> None:
+        """See `DriveSide`."""
+        self.port.exchange()
+
+    def sample(self) -> bool:
+        """See `DriveSide`."""
+        return self.port.exchange()
+
+
+def _same(wanted: Sequence[str], given: Any) -> None:
+    if [*wanted] != [*given]:
+        raise ValueError(
+            f"port: the task commands the drives {', '.join(wanted)}, the port has "
+            f"{', '.join(given)}: give them these names, in this order"
+        )
+
+
+class PortLine:
+    """What lies between an environment and its drives on a bus.
+
+    Args:
+        machine: of the environment.
+        axes: names of the drives its agent commands.
+        images: records of their RPDOs and TPDOs.
+        pdos: the objects of each, shared out to PDOs.
+        period: of the agent's steps (s).
+        units: position units per m or rad.
+        side: the drives.
+
+    Raises:
+        ValueError: a drive that is not the model, or has no limits.
+    """
+
+    def __init__(
+        self, machine: Machine, axes: Sequence[str], images: Sequence[np.dtype],
+        pdos: Sequence[Sequence[Sequence[str]]], period: float, units: float, side: DriveSide,
+    ):  # fmt: skip
+        self._machine, self._axes, self._period, self._units = machine, [*axes], period, units
+        self._rpdo, self._tpdo = images
+        self._side = side
+        side.connect(self._axes, *pdos)
+        self.master = Master(side.port, *self._axes)
+        self._identify()
+        self.guards = {
+            axis: Guard(
+                axis, side.envelopes.get(axis) or self.envelope(axis), period, 1 / units, 1 / units
+            )
+            for axis in self._axes
+        }
+        self.lost = self.late = self._running = 0
+        self.stopped: Stopped | None = None
+        self.on_step: Callable[[np.ndarray], object] | None = None  # answers of the drives
+
+    def _identify(self) -> None:
+        for axis in self._axes:
+            model, own = self._side.port.models[axis], self._machine.drives[axis]
+            for name in IDENTITY:
+                if name in own.objects.names:
+                    there, here = self._side.port.upload(axis, name), own.read(name)
+                    if there != here:
+                        raise ValueError(
+                            f"{axis}: {name} is {there:#x}, of model {model.name!r} it is "
+                            f"{here:#x}: give the model of the drive that is there"
+                        )
+
+    def envelope(self, axis: str) -> Envelope:
+        """The limits the drive itself has: positions, speed, torque, following error."""
+        read, unit = self._side.port.upload, 1.0 / self._units
+        return Envelope(
+            read(axis, "min_position_limit") * unit, read(axis, "max_position_limit") * unit,
+            read(axis, "max_profile_velocity") * unit,
+            torque=1e-3 * read(axis, "max_torque"),
+            following_error=read(axis, "following_error_window") * unit,
+        )  # fmt: skip
+
+    def begin(self, random: np.random.Generator) -> None:
+        """Before an episode."""
+        if self.stopped is not None:
+            raise self.stopped
+        self._running = 0
+
+    def place(self, positions: Mapping[str, float], mode: Mode) -> dict[str, float]:
+        """Enable the drives and move them to positions (m or rad); -> where they are.
+
+        Raises:
+            Stopped: a position is out of the envelope.
+            ServoError: a drive does not follow.
+        """
+        for axis, position in positions.items():
+            limits = self.guards[axis].envelope
+            if not limits.low <= position <= limits.high:
+                raise self.stop(Stopped(axis, f"the start {position:.4g} is out of the envelope"))
+        try:
+            self._side.arm(True)
+            self.master.enable()
+            wanted = {axis: round(place * self._units) for axis, place in positions.items()}
+            if any(abs(self._at(axis) - wanted[axis]) > NEAR * self._units for axis in wanted):
+                self.master.set_mode(Mode.PROFILE_POSITION)
+                self.master.move_to(wanted)
+            for axis in self._axes:
+                for name in ("target_position", "target_velocity", "target_torque"):
+                    if name in (self._rpdo.names or ()):
+                        value = self._at(axis) if name == "target_position" else 0
+                        self._side.port.write(axis, name, value)
+            self.master.set_mode(mode)
+        except (ServoError, KeyboardInterrupt) as error:
+            self.stop(Stopped("", f"on the way to the start: {error}"))
+            raise
+        here = {axis: self._at(axis) / self._units for axis in self._axes}
+        for axis, position in here.items():
+            self.guards[axis].begin(position)
+        self._deadline = self._side.pace.now()
+        return here
+
+    def _at(self, axis: str) -> int:
+        return int(self._side.port.upload(axis, "position_actual_value"))
+
+    def look(self, world: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """Set-points out and answers in, without a step."""
+        self._exchange(rpdos, tpdos, 0.0)
+        self._deadline = self._side.pace.now()
+
+    def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
+        """As `loop.run`, for one world and its images as bytes. Raises Stopped."""
+        self._exchange(rpdos, tpdos, self._period)
+
+    def _exchange(self, rpdos: np.ndarray, tpdos: np.ndarray, period: float) -> None:
+        if self.stopped is not None:
+            raise self.stopped
+        try:
+            self._command(rpdos.view(self._rpdo).reshape(-1))
+            self._deadline += period
+            self.late += self._side.pace.now() > self._deadline
+            self._side.pace.wait(self._deadline)
+            if self._side.sample():
+                self._running = 0
+                self._answer(tpdos)
+            else:
+                self.lost, self._running = self.lost + 1, self._running + 1
+                if self._running >= MISSED:
+                    raise Stopped("", f"{MISSED} answers have not come, one after the other")
+        except BaseException as error:
+            self.stop(error)
+            raise
+
+    def _command(self, images: np.ndarray) -> None:
+        for axis, image in zip(self._axes, images, strict=True):
+            values = {name: image[name].item() for name in self._rpdo.names or ()}
+            if values["controlword"] == ENABLED:
+                self.guards[axis].command(values)
+            for name, value in values.items():
+                self._side.port.write(axis, name, value)
+        self._side.send()
+
+    def _answer(self, tpdos: np.ndarray) -> None:
+        images = tpdos.view(self._tpdo).reshape(-1)
+        read = self._side.port.read
+        for axis, image in zip(self._axes, images, strict=True):
+            for name in self._tpdo.names or ():
+                image[name] = read(axis, name)
+        self._mirror(images)
+        for axis, image in zip(self._axes, images, strict=True):
+            self.guards[axis].answer({name: image[name].item() for name in image.dtype.names})
+        if self.on_step is not None:
+            self.on_step(images)
+
+    def _mirror(self, images: np.ndarray) -> None:
+        """What a task looks at in its machine."""
+        machine, limited = self._machine, False
+        names = [*machine.drives]
+        for axis, image in zip(self._axes, images, strict=True):
+            coupling = machine.couplings[names.index(axis)]
+            machine._coordinates[0][int(coupling.qpos)] = (
+                image["position_actual_value"] / self._units
+            )
+            limited = limited or bool(int(image["statusword"]) & S.INTERNAL_LIMIT_ACTIVE)
+        machine.data.qpos[:] = machine._coordinates[0]
+        machine.world["step_ticks"], machine.world["limited_ticks"] = 1, limited
+
+    def stop(self, error: BaseException) -> Stopped:
+        """Quick stop of all drives and power off; -> why, which every further step raises."""
+        if self.stopped is None:
+            told = error if isinstance(error, Stopped) else Stopped("", f"{error!r}")
+            self.stopped = told
+            steps = (
+                lambda: self.master.control(QUICK_STOP), self._side.send, self.master.quick_stop,
+                lambda: self.master.control(0), self._side.send, lambda: self._side.arm(False),
+            )  # fmt: skip
+            for act in steps:
+                with suppress(Exception):
+                    act()
+        return self.stopped
+
+    def close(self) -> None:
+        """The axes come to rest and lose their power."""
+        self.stop(Stopped("", "closed"))
+
+    def state(self) -> Any:
+        """Raises TypeError: drives on a bus cannot be copied."""
+        raise TypeError("an environment on a port cannot be copied or pickled: make another one")
+
+    become = state

@@ -1,0 +1,298 @@
+"""A task on a port: the same bytes as in memory, and a guard that no policy gets past."""
+
+import copy
+import itertools
+import math
+import shutil
+import threading
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from servogym import assets
+from servogym.drive.canopen.node import Node
+from servogym.drive.ethercat.bus import Bus
+from servogym.drive.ethercat.master import EtherCatMaster
+from servogym.drive.ethercat.segment import Segment
+from servogym.drive.ethercat.slave import Slave
+from servogym.drive.kernel.words import State
+from servogym.drive.model.model import load
+from servogym.envs import TASKS
+from servogym.envs.environment.deployed import play
+from servogym.envs.exchange.envelope import Envelope, Stopped
+from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, Pace
+
+NAMES = {task.ID: task for task in TASKS}
+LINEAR, TRACKING, CONTOUR = (
+    "servogym/LinearAxis-v0", "servogym/LinearAxisTracking-v0", "servogym/GantryContour-v0",
+)  # fmt: skip
+DRIVE = {"can": "generic", "ethercat": load("generic", "ethercat")}
+
+
+class Served(Pace):
+    """The drives of another environment, in lock-step: time passes where the line waits, or always.
+
+    Args:
+        task: id.
+        seed: of its reset, after which the drives stand where an episode begins.
+    """
+
+    def __init__(self, task, seed, **arguments):
+        self.env = NAMES[task](**arguments)
+        self.env.reset(seed=seed)
+        self.machine = self.env.machine
+        self.drives = self.env.drives
+        self.passes = False  # time, with every exchange
+        self.time = 0.0
+        self.dead = False
+        self.before = lambda: None
+
+    def now(self):
+        return self.time
+
+    def wait(self, deadline):
+        cycles = round((deadline - self.time) / self.machine.cycle_time)
+        if cycles > 0:
+            self._pass(cycles)
+
+    def _pass(self, cycles):
+        self.machine.step(cycles)
+        self.time += cycles * self.machine.cycle_time
+
+
+class CanBus(Served):
+    """Its drives as nodes; the port of a master on their bus."""
+
+    def __init__(self, *arguments, **others):
+        super().__init__(*arguments, **others)
+        self.nodes = [Node(drive) for drive in self.drives]
+        self._poll()
+
+    def _poll(self):
+        return [f for node in self.nodes for f in node.poll(round(self.time * 1e6))]
+
+    def passed_alone(self):
+        """A cycle in which nobody says anything."""
+        self._pass(1)
+        self._poll()
+
+    def exchange(self, frames):
+        if self.dead:
+            self.time += 1e-3
+            return []
+        for frame in frames:
+            for node in self.nodes:
+                node.receive(frame, round(self.time * 1e6))
+        answers = self._poll()
+        if self.passes:
+            self._pass(1)
+            answers += self._poll()
+        return answers
+
+    def side(self, **arguments):
+        names = {n: d.node_id for n, d in zip(axes(self.env), self.drives, strict=True)}
+        return CanDrives(self, names, pace=self, **arguments)
+
+
+class EtherCatBus(Served):
+    """Its drives as slaves on a segment in memory; the wire of a master."""
+
+    def __init__(self, *arguments, **others):
+        super().__init__(*arguments, **others)
+        self.segment = Segment([Slave(drive) for drive in self.drives])
+        self.bus = Bus(self.segment)
+
+    def passed_alone(self):
+        self._pass(1)
+
+    def _pass(self, cycles):
+        super()._pass(cycles)
+        self.bus.let_pass(round(cycles * self.machine.cycle_time * 1e9))
+
+    def exchange(self, frame, now=0):
+        if self.dead:
+            self._pass(1)
+            return None
+        if self.passes:
+            self._pass(1)
+        self.segment.publish(self.bus.time)
+        return self.bus.exchange(frame, now)
+
+    def __getattr__(self, name):
+        return getattr(self.__dict__["bus"], name)
+
+    def side(self, **arguments):
+        master = EtherCatMaster(self)
+        return EtherCatDrives(master, axes(self.env), DRIVE["ethercat"], pace=self, **arguments)
+
+
+def axes(env):
+    return [*(env.DRIVES or env.machine.drives)]
+
+
+QUICK = "quick_stop_deceleration"
+BUSES = {"can": CanBus, "ethercat": EtherCatBus}
+
+
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("task", [LINEAR, TRACKING, CONTOUR])
+def test_in_lock_step_an_episode_is_the_one_in_memory_byte_by_byte(bus, task):
+    drive = {"drive": DRIVE[bus]}
+    served, plain = BUSES[bus](task, 5, **drive), NAMES[task](**drive)
+    side = served.side(envelopes=wide(plain))
+    env = gym.make(task, port=side, disable_env_checker=True, **drive)
+    at_the_start(served, env.unwrapped.line)
+    observation, info = env.reset(seed=5)
+    expected, told = plain.reset(seed=5)
+    plain.action_space.seed(2)
+    for _ in range(60):
+        assert observation.tobytes() == expected.tobytes()
+        action = 0.2 * plain.action_space.sample()
+        observation, reward, *_, info = env.step(action)
+        expected, wanted, *_, told = plain.step(action)
+        if task == LINEAR:  # its reward is made of what the drive tells
+            assert reward == wanted
+            assert info["distance"] == told["distance"]
+    assert env.unwrapped.line.lost == 0
+    served.passes = True
+    env.close()
+    assert all(drive.state is not State.OPERATION_ENABLED for drive in served.drives)
+
+
+def alternating(k, space):
+    return (space.high if k % 2 else space.low).copy()
+
+
+def at(when, bad):
+    return lambda k, space: bad(space) if k == when else np.zeros(space.shape, np.float32)
+
+
+def raising(kind):
+    def act(k, space):
+        if k == 3:
+            raise kind("of its own")
+        return np.zeros(space.shape, np.float32)
+
+    return act
+
+
+HOSTILE = {  # policy: what the guard, or the environment, says of it
+    "runs to the end": (lambda k, space: space.high, "out of 0.05..0.45|velocity"),
+    "runs to the other end": (lambda k, space: space.low, "out of 0.05..0.45|velocity"),
+    "creeps to the end": (lambda k, space: 0.2 * space.high, "out of 0.05..0.45"),
+    "chatters": (alternating, "acceleration"),
+    "steps once": (at(5, lambda space: space.high), "acceleration"),
+    "NaN": (at(4, lambda space: np.full(space.shape, np.nan)), "nan"),
+    "infinite": (at(4, lambda space: np.full(space.shape, np.inf)), "inf"),
+    "wrong shape": (at(4, lambda space: np.zeros(7)), "not in Box"),
+    "words": (at(4, lambda space: ["fast"]), "not in Box"),
+    "nothing": (at(4, lambda space: None), "not in Box"),
+    "beyond 1": (at(4, lambda space: 1.5 * space.high), "not in Box"),
+    "raises": (raising(ValueError), "of its own"),
+    "exits": (raising(SystemExit), "of its own"),
+    "interrupts": (raising(KeyboardInterrupt), "of its own"),
+    "runs out of memory": (raising(MemoryError), "of its own"),
+    "never answers": (at(4, lambda space: threading.Event().wait(5.0)), "late"),
+    "sleeps": (lambda k, space: time.sleep(0.2 * (k > 4)) or 0.0 * space.high, "late"),
+}
+
+
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_policy_gets_past_the_guard(bus, name):
+    policy, said = HOSTILE[name]
+    served = BUSES[bus](LINEAR, 5, drive=DRIVE[bus])
+    acceleration = 5.0 if name in ("chatters", "steps once") else math.inf
+    fast = 0.6 if name.startswith(("runs to the", "creeps")) else 3.0
+    envelope = Envelope(0.05, 0.45, fast, acceleration, following_error=0.02)
+    env = gym.make(LINEAR, drive=DRIVE[bus], port=served.side(envelopes={"x": envelope})).unwrapped
+    served.passes = True
+    steps = itertools.count()
+    with pytest.raises(Stopped, match=said):
+        play(env, lambda seen: policy(next(steps), env.action_space), 3, patience=0.05, seed=5)
+    assert served.drives[0].state is not State.OPERATION_ENABLED
+    stopping = fast * env.step_time + fast**2 / 2e-6 / served.drives[0].read(QUICK)
+    assert 0.05 - stopping <= served.machine.data.qpos[0] <= 0.45 + stopping
+    served.machine.step(200)
+    assert abs(served.machine.data.qvel[0]) < 1e-3, "it stands"
+    with pytest.raises(Stopped, match=said):
+        env.step(0.0 * env.action_space.high)
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_a_lost_link_stops_with_its_name(bus):
+    served = BUSES[bus](LINEAR, 5, drive=DRIVE[bus])
+    env = gym.make(LINEAR, drive=DRIVE[bus], port=served.side()).unwrapped
+    served.passes = True
+    env.reset(seed=5)
+    for _ in range(5):
+        env.step(np.zeros(1))
+    served.dead = True
+    for _ in range(2):
+        env.step(np.zeros(1))
+    with pytest.raises(Stopped, match="3 answers have not come"):
+        env.step(np.zeros(1))
+    for _ in range(400):  # nobody is there any more: the drive's own watchdog
+        served.passed_alone()
+    assert served.drives[0].state is not State.OPERATION_ENABLED
+
+
+def test_a_fault_stops_with_its_name():
+    served = CanBus(LINEAR, 5)
+    env = gym.make(LINEAR, port=served.side()).unwrapped
+    served.passes = True
+    env.reset(seed=5)
+    served.drives[0].inject("encoder_loss")
+    with pytest.raises(Stopped, match="x: the drive is in a fault"):
+        env.step(np.zeros(1))
+
+
+def test_a_drive_that_is_not_the_model_is_refused_before_power(tmp_path):
+    folder = shutil.copytree(Path(assets.__file__).parent / "drives/generic", tmp_path / "another")
+    table = folder / "objects.csv"
+    table.write_text(table.read_text().replace("0x00000402", "0x00000777"))
+    served = CanBus(LINEAR, 5, drive=folder)
+    served.drives[0].write("controlword", 0)
+    served.machine.step(10)
+    with pytest.raises(ValueError, match="x: product_code is 0x777, of model 'generic' it is"):
+        gym.make(LINEAR, port=served.side())
+    assert served.drives[0].state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"faults": {"encoder_loss": 0.1}}, "port: faults and action='pdo'"),
+        ({"action": "pdo"}, "port: faults and action='pdo'"),
+    ],
+)
+def test_what_a_bus_cannot_do_is_said(arguments, said):
+    served = CanBus(LINEAR, 5)
+    with pytest.raises(ValueError, match=said):
+        gym.make(LINEAR, port=served.side(), **arguments)
+    with pytest.raises(ValueError, match="port: drives on a bus are those of one environment"):
+        gym.make_vec(LINEAR, 2, port=served.side())
+    env = gym.make(LINEAR, port=served.side())
+    with pytest.raises(TypeError, match="cannot be copied"):
+        copy.deepcopy(env)
+
+
+def at_the_start(served, line):
+    """The way to the start takes time; the drives are then what they were before it."""
+    place, snapshot = line.place, served.machine.snapshot()
+
+    def placed(*arguments):
+        served.passes = True
+        here = place(*arguments)
+        served.machine.restore(snapshot)
+        served.passes = False
+        return here
+
+    line.place = placed
+
+
+def wide(env):
+    return dict.fromkeys(axes(env), Envelope(-1.0, 2.0, 10.0))
