@@ -23,7 +23,7 @@ import numpy as np
 from ...drive.canopen.frame import Frame
 from ...drive.canopen.node import NmtCommand
 from ...drive.canopen.port import FramePort
-from ...drive.canopen.remote import CanOpenPort
+from ...drive.canopen.remote import SYNC, CanOpenPort
 from ...drive.ethercat.port import EtherCatPort, SegmentMaster
 from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Statusword as S
@@ -40,9 +40,11 @@ RPDO, TPDO = 0x200, 0x180  # identifiers of the first, for node-id 0; the next a
 AT_ONCE, AT_SYNC = 255, 1  # transmission types of RPDOs, of TPDOs
 OFF = 0x8000_0000  # COB-ID of a PDO that does not exist
 MASTER, BEAT, WATCH = 127, 0.02, 0.2  # node-id; s between heartbeats, s until drives miss one
+APART = 4e-3  # s, between SYNCs while a master waits
 HEARTBEAT = Frame(0x700 + MASTER, b"\x05")
 ANSWERS = 5e-3  # s, in which all TPDOs have to come after a SYNC
 IDENTITY = ("vendor_id", "product_code")
+INTERPOLATION = ("interpolation_time_period_value", "interpolation_time_index")  # 60C2h
 NEAR = 1e-5  # m or rad from where an episode begins; no motion there
 MISSED = 3  # answers missing one after the other, until the guard stops the drives
 QUICK_STOP = 0x02  # controlword
@@ -85,20 +87,25 @@ class DriveSide(Protocol):
 
 
 class _Beating:
-    """A bus on which a master's heartbeat goes out with the frames."""
+    """A bus on which a master's heartbeat goes out with the frames, and not too many SYNCs."""
 
     def __init__(self, bus: FramePort):
-        self._bus, self._next = bus, 0.0
+        self._bus, self._next, self._synced = bus, 0.0, 0.0
+        self.paced = True  # a master that waits exchanges as fast as the bus gives frames back
 
     def now(self) -> float:
         return self._bus.now()
 
     def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
-        now = self._bus.now()
+        now, given = self._bus.now(), [*frames]
         if now >= self._next:
             self._next = now + BEAT
-            frames = [HEARTBEAT, *frames]
-        return self._bus.exchange(frames)
+            given.insert(0, HEARTBEAT)
+        if self.paced and now < self._synced + APART:
+            given = [frame for frame in given if frame != SYNC]
+        elif SYNC in given:
+            self._synced = now
+        return self._bus.exchange(given)
 
 
 class CanDrives:
@@ -121,7 +128,8 @@ class CanDrives:
         envelopes: Mapping[str, Envelope] | None = None,
         pace: Pace | None = None,
     ):
-        self.port = CanOpenPort(_Beating(bus), nodes, model)
+        self._bus = _Beating(bus)
+        self.port = CanOpenPort(self._bus, nodes, model)
         self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
 
     def connect(
@@ -184,7 +192,9 @@ class CanDrives:
         for pdo in pdos:
             pdo.heard = False
         end = self.port.now() + ANSWERS
+        self._bus.paced = False
         self.port.exchange()
+        self._bus.paced = True
         while not all(pdo.heard for pdo in pdos):
             if self.port.now() >= end:
                 return False
@@ -280,10 +290,14 @@ class PortLine:
             for axis in self._axes
         }
         self.lost = self.late = self._running = 0
+        self.lateness: list[float] = []  # s, of each step: when it went on, after it should have
+        self.home: int | None = None  # method 6098h by which drives are referenced, once
+        self.dry = False  # all but the power: controlwords stay 0
         self.stopped: Stopped | None = None
         self.on_step: Callable[[np.ndarray], object] | None = None  # answers of the drives
 
     def _identify(self) -> None:
+        """See that the drives are the model; tell them the period of the set-points."""
         for axis in self._axes:
             model, own = self._side.port.models[axis], self._machine.drives[axis]
             for name in IDENTITY:
@@ -294,6 +308,9 @@ class PortLine:
                             f"{axis}: {name} is {there:#x}, of model {model.name!r} it is "
                             f"{here:#x}: give the model of the drive that is there"
                         )
+            for name in INTERPOLATION:
+                if name in own.objects.names:
+                    self._side.port.write(axis, name, own.read(name))
 
     def envelope(self, axis: str) -> Envelope:
         """The limits the drive itself has: positions, speed, torque, following error."""
@@ -305,6 +322,11 @@ class PortLine:
             following_error=read(axis, "following_error_window") * unit,
         )  # fmt: skip
 
+    @property
+    def time(self) -> float:
+        """The clock of the bus (s)."""
+        return self._side.pace.now()
+
     def begin(self, random: np.random.Generator) -> None:
         """Before an episode."""
         if self.stopped is not None:
@@ -313,6 +335,8 @@ class PortLine:
 
     def place(self, positions: Mapping[str, float], mode: Mode) -> dict[str, float]:
         """Enable the drives and move them to positions (m or rad); -> where they are.
+
+        Drives that get no power (`dry`) are left where they are.
 
         Raises:
             Stopped: a position is out of the envelope.
@@ -323,18 +347,8 @@ class PortLine:
             if not limits.low <= position <= limits.high:
                 raise self.stop(Stopped(axis, f"the start {position:.4g} is out of the envelope"))
         try:
-            self._side.arm(True)
-            self.master.enable()
-            wanted = {axis: round(place * self._units) for axis, place in positions.items()}
-            if any(abs(self._at(axis) - wanted[axis]) > NEAR * self._units for axis in wanted):
-                self.master.set_mode(Mode.PROFILE_POSITION)
-                self.master.move_to(wanted)
-            for axis in self._axes:
-                for name in ("target_position", "target_velocity", "target_torque"):
-                    if name in (self._rpdo.names or ()):
-                        value = self._at(axis) if name == "target_position" else 0
-                        self._side.port.write(axis, name, value)
-            self.master.set_mode(mode)
+            if not self.dry:
+                self._go(positions, mode)
         except (ServoError, KeyboardInterrupt) as error:
             self.stop(Stopped("", f"on the way to the start: {error}"))
             raise
@@ -343,6 +357,23 @@ class PortLine:
             self.guards[axis].begin(position)
         self._deadline = self._side.pace.now()
         return here
+
+    def _go(self, positions: Mapping[str, float], mode: Mode) -> None:
+        self._side.arm(True)
+        self.master.enable()
+        if self.home is not None:
+            self.master.home(self.home)
+            self.home = None
+        wanted = {axis: round(place * self._units) for axis, place in positions.items()}
+        if any(abs(self._at(axis) - wanted[axis]) > NEAR * self._units for axis in wanted):
+            self.master.set_mode(Mode.PROFILE_POSITION)
+            self.master.move_to(wanted)
+        for axis in self._axes:
+            for name in ("target_position", "target_velocity", "target_torque"):
+                if name in (self._rpdo.names or ()):
+                    value = self._at(axis) if name == "target_position" else 0
+                    self._side.port.write(axis, name, value)
+        self.master.set_mode(mode)
 
     def _at(self, axis: str) -> int:
         return int(self._side.port.upload(axis, "position_actual_value"))
@@ -364,6 +395,7 @@ class PortLine:
             self._deadline += period
             self.late += self._side.pace.now() > self._deadline
             self._side.pace.wait(self._deadline)
+            self.lateness.append(self._side.pace.now() - self._deadline)
             if self._side.sample():
                 self._running = 0
                 self._answer(tpdos)
@@ -380,6 +412,8 @@ class PortLine:
             values = {name: image[name].item() for name in self._rpdo.names or ()}
             if values["controlword"] == ENABLED:
                 self.guards[axis].command(values)
+            if self.dry:
+                values["controlword"] = 0
             for name, value in values.items():
                 self._side.port.write(axis, name, value)
         self._side.send()

@@ -66,6 +66,11 @@ COMMANDS = {
         "serve machine.toml --seed 1",
         "For the tests of a master of your own; servogym.testing has the same as pytest fixtures.",
     ),
+    "deploy": Command(
+        "deploy", "play a policy on the drives of a bus, behind a guard",
+        "deploy LinearAxis-v0 --policy trapezoid -i udp_multicast -c 239.74.163.2 --yes",
+        "The same task, observations and policy as in memory; CAN by python-can, EtherCAT by SOEM.",
+    ),
     "eds": Command(
         "sheets", "write the EDS or DCF of a drive model (CiA 306)",
         "eds festo_cmmp_as -o festo.eds",
