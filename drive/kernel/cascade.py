@@ -156,7 +156,9 @@ def _special(axis: Axis):
     if axis.control == Control.TORQUE:
         wanted = axis.torque_demand
     elif pid:
-        error = axis.position_demand - axis.position
+        # the demand moves on between two position cycles, or its steps would be kicks of the D part
+        ahead = axis.velocity_cycle * axis.velocity_period * axis.velocity_demand
+        error = axis.position_demand + ahead - axis.position
         wanted = _pid(axis, error)
     else:
         wanted = (

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..engine.checks import in_range, whole
 from ..engine.machine import Machine
-from ..plants.loops import Gains, gains_of, in_units
+from ..plants.loops import Gains, filters_of, gains_of, in_units
 from .identify import identify
 from .margins import LEAST_COHERENCE
 from .needs import scipy
@@ -261,8 +261,10 @@ def _measure(
         position_plant=moved.sum(axis=0) / (0.5 * (z**cycles - z**-cycles)) / torque.sum(axis=0),
         coherence=1 / (1 + noise),
         gains=gains, cycle=cycle, cycles=cycles,
-        velocity_filter=float(stand.drive.axis.velocity_filter), amplitude=amplitude, speed=speed,
-        unit=stand.unit, note=note,
+        # the filter of an observer is in the plant
+        velocity_filter=float(stand.drive.axis.velocity_filter) or 1.0,
+        amplitude=amplitude, speed=speed,
+        unit=stand.unit, filters=filters_of(stand.drive), note=note,
     )  # fmt: skip
 
 

@@ -35,14 +35,15 @@ def fit(
         allowed: what the drive takes, of `plants.loops.ranges`.
     """
     plants = [_seen(each) for each in (response, *(other for _, other in response.also))]
-    return loops.fastest(plants, asked, allowed, ease)
+    pid = response.gains.pid is not None
+    return (loops.fastest_pid if pid else loops.fastest)(plants, asked, allowed, ease)
 
 
 def _seen(response: Response) -> Seen:
     wide = response.wide
     return Seen(
         wide.frequencies, wide.plant, wide.position_plant, wide.cycle, wide.cycles,
-        response.inertia,
+        response.inertia, filters=wide.filters,
     )  # fmt: skip
 
 

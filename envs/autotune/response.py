@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..plants.loops import Gains
+from ..plants.loops import Filters, Gains, pid_loop
 from .margins import TOO_HIGH, Margins, margins
 from .plant import Plant, sampled
 
@@ -55,6 +55,7 @@ class Response:
     amplitude: float  # rms of the excitation, share of the rated torque
     speed: float  # of travel, m/s or rad/s of the joint
     unit: str  # of the joint
+    filters: Filters | None = None  # of the torque command
     note: str = ""
     fitted: Plant | None = None
     # the same otherwise excited, by name; of all the smallest margins count
@@ -156,10 +157,11 @@ class Response:
     def controller(self) -> np.ndarray:
         """Torque command (Nm) over velocity error (rad/s)."""
         gains, z = self.gains, self._z
+        filtered = np.ones_like(z) if self.filters is None else self.filters(self.frequencies)
         if gains.integral_time <= 0.0:
-            return gains.velocity_gain * np.ones_like(z)
+            return gains.velocity_gain * filtered
         time = max(gains.integral_time, self.cycle)
-        return gains.velocity_gain * (1 + self.cycle / time / (z - 1))
+        return gains.velocity_gain * filtered * (1 + self.cycle / time / (z - 1))
 
     @property
     def velocity_loop(self) -> np.ndarray:
@@ -169,6 +171,10 @@ class Response:
     @property
     def position_loop(self) -> np.ndarray:
         """Open loop of the position controller, with the velocity loop closed."""
+        if self.gains.pid is not None:
+            filters = self.filters or Filters(self.cycle)
+            plant = self.frequencies, self.plant, self.position_plant
+            return pid_loop(self.gains.pid, filters, *plant)
         hold = sum(self._z**-k for k in range(self.cycles)) / self.cycles
         closed = self.controller / (1 + self.velocity_loop) * self.position_plant
         return self.gains.position_gain * hold * closed
@@ -186,7 +192,8 @@ class Response:
         wide = self.wide
         below = wide.frequencies < 0.49 / (self.cycle * self.cycles)
         own = self._margins(wide.frequencies[below], wide.position_loop[below])
-        own = replace(own, stable=own.stable and self.velocity_margins.stable)
+        inner = self.gains.pid is not None or self.velocity_margins.stable
+        own = replace(own, stable=own.stable and inner)
         return own.and_of(other.position_margins for _, other in self.also)
 
     def _margins(self, frequencies: np.ndarray, loop: np.ndarray) -> Margins:

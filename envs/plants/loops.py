@@ -11,12 +11,14 @@ here, so an axis that was commissioned is tuned.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...drive.drive import Drive
+from ...drive.kernel.cascade import PID_FILTER, Structure
 
 SHAPES = (3.0, 4.0, 5.0, 7.0, 10.0)  # action time times crossover
 SEPARATIONS = 2.0 * 1.1 ** np.arange(32)  # crossover over position gain, 2..38
@@ -25,6 +27,7 @@ STEP = 1.06  # between crossovers that are tried
 LOWEST = 0.2  # Hz, crossover of a rigid plant
 HIGHEST = 0.35  # of the position-controller rate, same
 EASED = np.array([1.0, 0.75, 0.5])  # of the highest velocity gain, that leave more for the position
+EASES = 0.8 ** np.arange(12)  # of the velocity gain, until a PID controller has the margins
 RESERVE_GAIN, RESERVE_PHASE = 1.0, 3.0  # dB and degree over what is asked for
 BEGIN = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
 
@@ -36,12 +39,25 @@ class Gains:
     velocity_gain: float  # Nm·s/rad
     integral_time: float  # s; 0: no integral action
     position_gain: float  # 1/s
+    # of a PID position controller that gives the torque itself (Nm/rad, Nm/(rad·s), Nm·s/rad)
+    pid: tuple[float, float, float] | None = None
 
     def __str__(self) -> str:
+        position = f"position {self.position_gain:.4g} 1/s"
+        if self.pid is not None:
+            p, i, d = self.pid
+            position = f"PID {p:.4g} Nm/rad, {i:.4g} Nm/(rad·s), {d:.4g} Nm·s/rad"
         return (
             f"velocity {self.velocity_gain:.4g} Nm·s/rad, {self.integral_time * 1e3:.3g} ms, "
-            f"position {self.position_gain:.4g} 1/s"
+            f"{position}"
         )
+
+    @property
+    def as_pid(self) -> tuple[float, float, float]:
+        """The PID controller that does the same as the cascade, with its velocity fed forward."""
+        rate = 1 / self.integral_time if self.integral_time > 0.0 else 0.0
+        kp, kv = self.velocity_gain, self.position_gain
+        return kp * (kv + rate), kp * kv * rate, kp
 
     @property
     def stiffness(self) -> float:
@@ -57,11 +73,17 @@ OBJECTS = {  # of the gains, and how many of its units make one of SI
 }
 
 
+PID_OBJECTS = {"pid_gain": 1e6, "pid_integral_gain": 1e3, "pid_derivative_gain": 1e6}
+
+
 def gains_of(drive: Drive) -> Gains:
     """The gains in force."""
     axis = drive.axis
     raw = {name: float(getattr(axis.od, name)) for name in OBJECTS}
-    return Gains(**{to: raw[name] / per(axis) for name, (to, per) in OBJECTS.items()})
+    values: dict[str, Any] = {to: raw[name] / per(axis) for name, (to, per) in OBJECTS.items()}
+    if axis.od.control_structure == Structure.PID:
+        values["pid"] = tuple(float(axis.od[name]) / n for name, n in PID_OBJECTS.items())
+    return Gains(**values)
 
 
 def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
@@ -73,6 +95,9 @@ def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
         if row is not None:
             value = int(min(max(value, row.minimum), row.maximum))
         values[name] = value
+    if drive.axis.od.control_structure == Structure.PID:
+        for (name, n), gain in zip(PID_OBJECTS.items(), gains.pid or gains.as_pid, strict=True):
+            values[name] = min(round(gain * n), 0xFFFFFFFF)
     return values
 
 
@@ -84,6 +109,58 @@ def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
         low, high = (row.minimum, row.maximum) if row is not None else (0, math.inf)
         found[of] = max(low, 1) * unit, high * unit
     return found
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Of the torque command, as `kernel.filters` computes them."""
+
+    cycle: float  # s, velocity controller
+    low_pass: float = 0.0  # s; 0: none
+    notches: tuple[tuple[float, float, float], ...] = ()  # frequency (Hz), damping, depth
+    observed: bool = False  # the speed is an observer's, and the D part of a PID takes it
+
+    def __call__(self, frequencies: np.ndarray) -> np.ndarray:
+        """The response, shape ``(n,)``."""
+        z = np.exp(2j * np.pi * frequencies * self.cycle)
+        response = np.ones(len(z), complex)
+        if self.low_pass > 0.0:
+            share = -math.expm1(-self.cycle / self.low_pass)
+            response = response * share / (1 - (1 - share) / z)
+        for frequency, damping, depth in self.notches:
+            s = (z - 1) / (z + 1) / math.tan(math.pi * frequency * self.cycle)
+            response = response * (s * s + 2 * damping * depth * s + 1)
+            response = response / (s * s + 2 * damping * s + 1)
+        return response
+
+
+def filters_of(drive: Drive) -> Filters:
+    """The filters of a drive's torque command."""
+    od, cycle = drive.axis.od, float(drive.model.cycle_time["velocity"])
+    rows = zip(od.notch_frequency, od.notch_damping, od.notch_depth, strict=True)
+    notches = ((0.1 * float(f), 1e-3 * float(d), 1e-3 * float(g)) for f, d, g in rows)
+    return Filters(
+        cycle, float(od.torque_command_filter_time) * 1e-6,
+        tuple(each for each in notches if 0.0 < each[0] < 0.49 / cycle),
+        od.observer_bandwidth > 0,
+    )  # fmt: skip
+
+
+def pid_loop(
+    pid: tuple[float, float, float], filters: Filters, frequencies: np.ndarray,
+    velocity: np.ndarray, position: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Open loop of a PID position controller on a plant, shape ``(n,)``."""
+    gain, integral, derivative = pid
+    z, cycle = np.exp(2j * np.pi * frequencies * filters.cycle), filters.cycle
+    share = 1.0
+    if gain > 0.0 and derivative > 0.0:
+        share = -math.expm1(-cycle * PID_FILTER * gain / derivative)
+    difference = (1 - 1 / z) / cycle * share / (1 - (1 - share) / z) * position
+    if filters.observed:
+        difference = velocity
+    straight = (gain + integral * cycle / (z - 1)) * position
+    return filters(frequencies) * (straight + derivative * difference)
 
 
 # of gains that no drive bounds
@@ -112,6 +189,7 @@ class Seen:
     cycles: int  # of it in one of the position controller
     inertia: float  # kg·m², all of it
     resonances: tuple[tuple[float, float], ...] = ()  # antiresonance and resonance (Hz)
+    filters: Filters | None = None
 
     def velocity_loop(self, kp: ArrayLike, time: ArrayLike) -> np.ndarray:
         """Open loops of PI controllers of shape ``(m,)``, shape ``(m, n)``."""
@@ -128,16 +206,22 @@ class Seen:
     def _controller(self, kp: ArrayLike, time: ArrayLike) -> np.ndarray:
         z = np.exp(2j * np.pi * self.frequencies * self.cycle)
         kp, time = np.asarray(kp)[:, None], np.asarray(time)[:, None]
-        return kp * (1 + self.cycle / np.maximum(time, self.cycle) / (z - 1))
+        filtered = 1.0 if self.filters is None else self.filters(self.frequencies)
+        return filtered * kp * (1 + self.cycle / np.maximum(time, self.cycle) / (z - 1))
 
     def margins(self, gains: Gains) -> tuple[Margin, Margin]:
         """Gain (dB), phase (degree) and stability of the velocity and of the position loop."""
         kp, time = [gains.velocity_gain], [gains.integral_time]
         velocity = margins_of(self.frequencies, self.velocity_loop(kp, time))
         loops = self.position_loop(kp, time, [gains.position_gain])[:, self.below]
+        if gains.pid is not None:
+            filters = self.filters or Filters(self.cycle)
+            plant = self.frequencies, self.velocity, self.position
+            loops = pid_loop(gains.pid, filters, *plant)[None, self.below]
         position = margins_of(self.frequencies[self.below], loops)
         (a, b, c), (d, e, f) = ([x[0] for x in each] for each in (velocity, position))
-        return (float(a), float(b), bool(c)), (float(d), float(e), bool(f and c))
+        inner = bool(c) or gains.pid is not None  # a PID controller has no loop inside
+        return (float(a), float(b), bool(c)), (float(d), float(e), bool(f and inner))
 
     @property
     def below(self) -> np.ndarray:
@@ -215,6 +299,27 @@ def fastest(
             if best is None or gains.stiffness > best.stiffness:
                 best = gains
     return best
+
+
+def fastest_pid(
+    plants: Sequence[Seen],
+    asked: Asked,
+    allowed: Mapping[str, tuple[float, float]],
+    ease: float = 1.0,
+) -> Gains | None:
+    """The same for a PID controller: that of a cascade, softer until the margins are kept."""
+    for share in ease * EASES:
+        found = fastest(plants, asked, allowed, share)
+        if found is None:
+            return None
+        found = replace(found, pid=found.as_pid)
+        loops = [plant.margins(found)[1] for plant in plants]
+        if all(
+            stable and gain >= asked.gain + RESERVE_GAIN and phase >= asked.phase + RESERVE_PHASE
+            for gain, phase, stable in loops
+        ):
+            return found
+    return None
 
 
 def _within(allowed, inertia, crossover, shape) -> tuple[np.ndarray, np.ndarray]:

@@ -11,8 +11,9 @@ from collections.abc import Iterable, Mapping
 import mujoco
 import numpy as np
 
+from ...drive.drive import Drive
 from ..engine.machine import Machine
-from .loops import Seen
+from .loops import Seen, filters_of
 
 GRID = 260  # frequencies
 AROUND = np.linspace(-6.0, 6.0, 25)  # more of them around a resonance, in units of its width
@@ -40,7 +41,7 @@ def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
     period = float(drive.model.cycle_time["velocity"])
     steps = round(period / machine.model.opt.timestep)
     a, b = _mechanics(machine, numbers.values(), still=False)
-    n, size = len(a) // 2, len(a) + 3
+    n, size = len(a) // 2, len(a) + 6
     torque, angle, place = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)
     for name, sign in signs.items():
         coupling, mechanics = machine.couplings[numbers[name]], machine.mechanics[numbers[name]]
@@ -51,9 +52,11 @@ def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
         if drive.axis.od.position_source and mechanics["guide"] >= 0:
             place[int(mechanics["elastic_dof"])] += share
     torque = sum(np.linalg.matrix_power(a, k) for k in range(steps)) @ torque
+    filters = filters_of(drive)
     filtered = _share(period, float(drive.axis.od.velocity_filter_time) * 1e-6)
     lag = _share(period, drive.model.torque_time_constant)
-    # states: mechanics, torque, angle before, speed before; sampled, then the torque changes
+    # states: mechanics, torque, what the observer had, angle before, speed before; sampled, then
+    # the torque changes
     whole, into, out = np.zeros((size, size)), np.zeros(size), np.zeros((2, size))
     whole[: 2 * n, : 2 * n] = np.linalg.matrix_power(a, steps)
     whole[: 2 * n, 2 * n] = torque * (1 - lag)
@@ -61,6 +64,13 @@ def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
     whole[2 * n, 2 * n] = 1 - lag
     whole[-2, : 2 * n] = angle
     out[0, : 2 * n], out[0, -2:] = filtered / period * angle, (-filtered / period, 1 - filtered)
+    if filters.observed:
+        watched = slice(2 * n + 1, 2 * n + 4)
+        gain, ahead, pushed = _observer(drive, period)
+        left = np.eye(3) - np.outer(gain, [1.0, 0.0, 0.0])
+        whole[watched, : 2 * n] = np.outer(gain, angle)
+        whole[watched, 2 * n], whole[watched, watched] = left @ pushed, left @ ahead
+        out[0] = whole[2 * n + 2]
     out[1, : 2 * n] = place
     whole[-1] = out[0]
     still, _ = _mechanics(machine, numbers.values(), still=True)
@@ -78,11 +88,22 @@ def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
         round(drive.model.cycle_time["position"] / period), inertia,
         # what a still motor does not change is not seen at its shaft
         tuple((x, y) for (x, _), (y, _) in zip(*vibrations, strict=False) if y > APART * x),
+        filters,
     )  # fmt: skip
 
 
 def _share(period: float, time: float) -> float:
     return -math.expm1(-period / time) if time > 0.0 else 1.0
+
+
+def _observer(drive: Drive, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Correction of `kernel.observer`, and its prediction of the state and from the torque."""
+    od = drive.axis.od
+    inertia = float(od.observer_inertia) * 1e-12 or float(od.acceleration_feed_forward) * 1e-9
+    p = math.exp(-2 * math.pi * float(od.observer_bandwidth) * 0.1 * period)
+    gain = np.array([1 - p**3, 1.5 * (1 - p) ** 2 * (1 + p) / period, (1 - p) ** 3 / period**2])
+    ahead = np.array([[1.0, period, period**2 / 2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
+    return gain, ahead, np.array([period**2 / 2, period, 0.0]) / max(inertia, 1e-15)
 
 
 def _mechanics(

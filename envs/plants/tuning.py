@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from ...drive.drive import Drive
+from ...drive.kernel.cascade import Structure
 from ..engine.machine import Machine
 from .loops import (
     RESERVE_GAIN,
@@ -27,6 +28,7 @@ from .loops import (
     Gains,
     Seen,
     fastest,
+    fastest_pid,
     in_units,
     ranges,
 )
@@ -108,14 +110,15 @@ def fitting(plant: Seen, drive: Drive, by_rule: Gains, stiffness: float) -> Gain
             (allowed["position_gain"], by_rule.position_gain),
         )
     )
-    if taken and by_rule.stiffness >= stiffness:
+    pid = drive.axis.od.control_structure == Structure.PID
+    if taken and not pid and by_rule.stiffness >= stiffness:
         found = plant.margins(by_rule)
         if all(
             stable and gain >= ASKED.gain + RESERVE_GAIN and phase >= ASKED.phase + RESERVE_PHASE
             for gain, phase, stable in found
         ):
             return by_rule
-    return fastest([plant], ASKED, allowed)
+    return (fastest_pid if pid else fastest)([plant], ASKED, allowed)
 
 
 def tuned(

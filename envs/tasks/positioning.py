@@ -165,7 +165,8 @@ class LinearAxisEnv(ServoEnv):
     judge = staticmethod(judge)
 
     POLICIES = (
-        "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "proportional", "pd",
+        "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
+        "ruckig+notch", "ruckig+ff", "proportional", "pd",
         "informed_ruckig", "bound",
     )  # fmt: skip
     REFERENCE = "ruckig"

@@ -22,7 +22,7 @@ from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.training import cli
 from servogym.training.evaluate import compare, comparison, tables
 from servogym.training.evaluate.episodes import FIRST_SEED, Evaluator
-from servogym.training.evaluate.homing import repeatability
+from servogym.training.evaluate.homing import interval, repeatability, two_sided
 from servogym.training.evaluate.metrics import METRICS, Difference, iqm
 from servogym.training.policies import make
 from servogym.training.report import number
@@ -294,9 +294,15 @@ def test_the_positioning_benchmark_tells_strategies_apart(tmp_path):
     assert (tmp_path / "positioning.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_repeatability_is_three_standard_deviations():
-    assert repeatability(np.array([1.0, 3.0])) == pytest.approx(3 * math.sqrt(2))
+def test_repeatability_is_that_of_iso_230_2():
+    assert repeatability(np.array([1.0, 3.0])) == pytest.approx(4 * math.sqrt(2))
     assert math.isnan(repeatability(np.array([1.0])))
+    # ISO 230-2: both sides with s = 1 µm, 10 µm apart: 10 + 2 · 2 · 1
+    one = np.array([-1.0, 0.0, 1.0])
+    assert two_sided(one, one + 10.0) == pytest.approx(14.0)
+    assert two_sided(one, np.array([])) == pytest.approx(4.0)
+    low, high = interval(two_sided, one, one + 10.0)
+    assert low <= 14.0 <= high
 
 
 def test_numbers_have_significant_digits():

@@ -103,8 +103,8 @@ def simulated(rows, loop, act):
     loop.error = rows[0, 0] - loop.seen(position)
     for demand, velocity, acceleration, _ in rows:
         positions.append(position)
-        for _ in range(2):
-            act(position, demand, velocity, acceleration)
+        for part in range(2):  # the demand moves on with its velocity
+            act(position, demand + part * PERIOD * velocity, velocity, acceleration)
             # the semi-implicit step of a damped inertia, its damping taken implicitly
             speed = (INERTIA * speed + PERIOD * loop.torque) / (INERTIA + PERIOD * VISCOUS)
             position += PERIOD * speed
@@ -153,7 +153,7 @@ def test_a_coarse_encoder_with_an_observer_follows_it_within_one_increment(encod
     def act(position, demand, velocity, acceleration):
         nonlocal state
         if count[0] % 2 == 0:
-            loop.command = velocity + kv * (demand - loop.seen(position))
+            loop.command = velocity + kv * (demand - loop.seen(position))  # once a position cycle
         count[0] += 1
         torque = np.array([PERIOD**2 / 2, PERIOD, 0.0]) * loop.torque / INERTIA
         state = a @ state + torque

@@ -4,13 +4,15 @@ import argparse
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from . import arguments
 
 SUITE, POLICY = "v1", "learned"
-OF_SUITES = ("suite", "policy", "entry", "tasks", "conditions")
+OF_SUITES = ("suite", "entry", "tasks", "conditions")
+OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file")
 
 
 def add(benchmark: argparse.ArgumentParser) -> None:
@@ -19,10 +21,19 @@ def add(benchmark: argparse.ArgumentParser) -> None:
     benchmark.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
     benchmark.add_argument("--quick", action="store_true", help="a small part of it")
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
+    own = benchmark.add_argument_group("homing, positioning: other cells than those of the page")
+    own.add_argument("--mechanics", help="of the family, separated by commas (all)")
+    own.add_argument("--payload", help="kg, of positioning several separated by commas")
+    own.add_argument("--distance", help="positioning: m, separated by commas (0.01,0.05,0.2)")
+    own.add_argument("--method", help="homing: methods besides those of the page, with commas")
+    own.add_argument("--runs", type=int, help="homing: of each cell (50)")
+    own.add_argument("--parameter-file", type=Path, help="stored parameters, of `servogym tune`")
     learned = benchmark.add_argument_group("learned: a policy on a suite, as a submission")
     learned.add_argument("--suite", help=f"version, or a file of your own ({SUITE})")
     learned.add_argument(
-        "--policy", help=f"{arguments.POLICY}; one with such a folder a task ({POLICY})"
+        "--policy",
+        help=f"{arguments.POLICY}; one with such a folder a task ({POLICY}); of homing "
+        "FILE.py:function, called with a Master of the axis, beside the drive's methods",
     )
     learned.add_argument("--entry", metavar="NAME", help="on the leaderboard (that of the policy)")
     learned.add_argument("--tasks", help="of the suite, separated by commas (all it fits)")
@@ -36,20 +47,64 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
         return _learned(options, console)
     if given := [name for name in OF_SUITES if getattr(options, name) is not None]:
         raise ValueError(f"--{given[0]} is for `servogym benchmark learned`")
+    drive = options.drive or "generic"
+    chosen = _chosen(options)
     if options.what == "homing":
         from ..evaluate.homing import run
     else:
         from ..evaluate.positioning import run
-    drive = options.drive or "generic"
-    return run(drive, options.quick, options.out, console, arguments.work(options))
+    return run(drive, options.quick, options.out, console, arguments.work(options), chosen)
+
+
+def _list(text: str | None) -> list[str]:
+    return [word.strip() for word in (text or "").split(",") if word.strip()]
+
+
+def _numbers(name: str, text: str | None, kind: type[float] | type[int] = float) -> list[Any]:
+    """Raises ValueError for what is no list of numbers."""
+    try:
+        return [kind(word) for word in _list(text)]
+    except ValueError:
+        raise ValueError(f"--{name} = {text!r}: give numbers with commas between") from None
+
+
+def _chosen(options: argparse.Namespace) -> dict[str, Any]:
+    """What of the options `jobs` of the benchmark takes."""
+    positioning = options.what == "positioning"
+    foreign = ("method", "runs") if positioning else ("distance",)
+    if given := [name for name in foreign if getattr(options, name) is not None]:
+        other = "homing" if positioning else "positioning"
+        raise ValueError(f"--{given[0]} is for `servogym benchmark {other}`")
+    if options.parameter_file is not None and not options.parameter_file.is_file():
+        raise ValueError(f"--parameter-file = {options.parameter_file}: there is no such file")
+    payloads = _numbers("payload", options.payload)
+    chosen: dict[str, Any] = {
+        "mechanics": _list(options.mechanics), "parameter_file": options.parameter_file,
+    }  # fmt: skip
+    if positioning:
+        chosen |= {"payloads": payloads, "distances": _numbers("distance", options.distance),
+                   "strategies": _list(options.policy)}  # fmt: skip
+    else:
+        if len(payloads) > 1:
+            raise ValueError(f"--payload = {options.payload}: homing takes one payload")
+        if options.runs is not None and options.runs < 2:
+            raise ValueError(f"--runs = {options.runs}: repeatability needs 2 runs at least")
+        chosen |= {
+            "payload": payloads[0] if payloads else None,
+            "runs": options.runs,
+            "methods": [*_numbers("method", options.method, int), *_list(options.policy)],
+        }
+    return {name: value for name, value in chosen.items() if value}
 
 
 def _learned(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import leaderboard, suite
 
-    for name in ("drive", "quick"):
+    for name in ("drive", "quick", *OF_AXES):
         if getattr(options, name):
-            raise ValueError(f"--{name} is not for suites, which say it themselves")
+            raise ValueError(
+                f"--{name.replace('_', '-')} is not for suites, which say it themselves"
+            )
     chosen, policy = suite.read(options.suite or SUITE), options.policy or POLICY
     stem = Path(policy.partition(".py")[0]).name
     entry = options.entry or re.sub(r"[^\w+.-]", "_", stem)

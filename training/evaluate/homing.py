@@ -1,83 +1,144 @@
-"""`servogym benchmark homing`: every homing method of a drive on every axis of the family.
+"""`servogym benchmark homing`: homing methods of a drive on axes, fifty times each.
 
-Each method searches from several starts, with the switches answering elsewhere each time as far as
-the mechanics let them. Repeatability is three standard deviations of the errors over the starts.
+Runs begin in turn to the left and to the right of the home switch, which answers elsewhere each
+time as far as the mechanics let it. Repeatability is that of ISO 230-2: R of the runs from one side
+(four standard deviations), A of both sides together, each with an interval by bootstrap. What a
+higher approach speed, a load and an inclination make of it are further axes of the table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from ...drive.kernel.homing import HERE
+from ...drive.kernel.encoder import Event
+from ...drive.kernel.homing import HERE, METHODS
+from ...drive.kernel.words import Mode
+from ...drive.master import Master, ServoError
 from ...drive.model.model import load
 from ...envs import FAMILY, Machine, linear_axis
-from ...envs.masters.homing_figures import built_in
+from ...envs.masters.homing_figures import FIGURES, built_in, look, prepare, true_home
+from ...envs.masters.port import MachinePort
 from ..pictures.heat_map import draw
 from ..pictures.homing_gallery import fit_home_switch, home_switch
+from ..policies.file import from_file
 from ..report import markdown, number, origin, write_csv, write_page
 from ..scale.job import Job, Result
 from ..scale.work import ALONE, Work
 
-STARTS = (0.033, 0.127, 0.217, 0.364, 0.473)  # m, none on an index pulse, one on the home switch
-QUICK_STARTS = (0.033, 0.217)
+RUNS, QUICK_RUNS = 50, 2  # of a cell
+SPAN = (0.03, 0.47)  # m, of the starts
+DEFAULT_METHODS = (1, 2, 17, 18, 23, 27, 33, -1, -17)
 QUICK_METHODS = (1, 17, 23, -17)
 QUICK_FAMILY = ("rigid", "ball_screw")
 ON_A_STOP = (-1, -2, -17, -18)
 STOP_SPEED = 50_000  # µm/s, all the way to a stop
 TIMEOUT = 20.0  # s
-SEED = 1  # of where the switches answer
+STRIDE = 40  # position cycles between two looks: the time is known to 20 ms
+SEED = 1  # of starts and switches
+RESAMPLED, CONFIDENCE = 1000, 0.95
+BESIDE = 23  # the method that is repeated at other speeds, loads and inclinations
+AXES = {  # what is changed of the axis, and of the objects (µm/s)
+    "as delivered": ({}, {}),
+    "approach 20 mm/s": ({}, {"speed_during_search_for_zero": 20_000}),
+    "approach 50 mm/s": ({}, {"speed_during_search_for_zero": 50_000}),
+    "20 kg": ({"payload": 20.0}, {}),
+    "inclined 30°": ({"inclination": 30.0, "brake_torque": 4.0}, {}),
+}  # fmt: skip
+AS_DELIVERED = "as delivered"
+VARIANT = {AS_DELIVERED: ""}  # in the table
 
 Row = dict[str, Any]
 
 
 def searches(
-    drive: str, mechanics: str, method: int, starts: Sequence[float], seeds: Sequence[int]
-) -> Result:
+    drive: str, mechanics: str, method: int | str, variant: str, starts: Sequence[float],
+    seeds: Sequence[int], payload: float | None, parameter_file: str | None,
+) -> Result:  # fmt: skip
     """The job: one method on one axis, from every start."""
-    machine = linear_axis(load(drive), mechanics=mechanics)
-    fit_home_switch(machine, method, home_switch(machine))
+    values, objects = AXES[variant]
+    values = {**values, **({} if payload is None else {"payload": payload})}
+    machine = linear_axis(
+        load(drive), parameters=replace(FAMILY[mechanics], **values), parameter_file=parameter_file
+    )
+    if isinstance(method, int):
+        fit_home_switch(machine, method, home_switch(machine))
     rows = []
     for start, seed in zip(starts, seeds, strict=True):
         machine.mechanics["switch_seed"] = seed
-        rows.append({"mechanics": mechanics, **_run(machine, method, start)})
+        found = _run(machine, method, start, objects)
+        rows.append({"mechanics": mechanics, "variant": variant, **found})
     return {"rows": rows}
 
 
-def jobs(drive: str, quick: bool) -> list[Job]:
-    """One for each axis and method. Raises ValueError for a drive without such methods."""
+def jobs(
+    drive: str, quick: bool, methods: Sequence[int | str] = (), mechanics: Sequence[str] = (),
+    payload: float | None = None, parameter_file: Path | None = None, runs: int | None = None,
+) -> list[Job]:  # fmt: skip
+    """One for each axis, method and variant. Raises ValueError for a drive without searches."""
     model = load(drive)
-    methods = [method for method in model.homing_methods if method not in HERE]
-    if quick:
-        methods = [method for method in methods if method in QUICK_METHODS]
-    if not methods:
+    known = [method for method in model.homing_methods if method not in HERE]
+    if not known:
         raise ValueError(f"drive {model.name!r} has no homing method that searches")
+    for name in mechanics:
+        if name not in FAMILY:
+            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join(FAMILY)}")
+    for method in methods:
+        if isinstance(method, int) and method not in known:
+            raise ValueError(f"--method = {method}: drive {model.name!r} has {known}")
+    chosen = [m for m in known if m in (QUICK_METHODS if quick else DEFAULT_METHODS)]
+    count = runs or (QUICK_RUNS if quick else RUNS)
     generator = np.random.default_rng(SEED)
-    starts = QUICK_STARTS if quick else STARTS
-    return [
-        Job(
-            f"method {method} on {mechanics}", searches,
-            {"drive": drive, "mechanics": mechanics, "method": method, "starts": starts,
-             "seeds": [int(generator.integers(1, 2**63)) for _ in starts]},
+    places = np.linspace(*SPAN, count) + generator.uniform(-0.004, 0.004, count)
+    starts = [round(float(x), 6) for x in places]
+    file = str(parameter_file) if parameter_file else None
+
+    def job(name: str, method: int | str, variant: str) -> Job:
+        seeds = [int(generator.integers(1, 2**63)) for _ in starts]
+        return Job(
+            f"method {method} on {name}, {variant}", searches,
+            {"drive": drive, "mechanics": name, "method": method, "variant": variant,
+             "starts": starts, "seeds": seeds, "payload": payload, "parameter_file": file},
             (drive,),
-        )
-        for mechanics in (QUICK_FAMILY if quick else FAMILY)
-        for method in methods
-    ]  # fmt: skip
+        )  # fmt: skip
+
+    family = mechanics or (QUICK_FAMILY if quick else FAMILY)
+    todo = [job(name, m, AS_DELIVERED) for name in family for m in (*methods, *chosen)]
+    if not quick and BESIDE in known:
+        others = [variant for variant in AXES if variant != AS_DELIVERED]
+        todo += [
+            job(name, BESIDE, variant)
+            for name in family
+            for variant in others
+            if not (name == "vertical" and variant.startswith("inclined"))
+        ]
+    return todo
 
 
-def _run(machine: Machine, method: int, start: float) -> Row:
-    objects = {"speed_during_search_for_zero": STOP_SPEED} if method in ON_A_STOP else {}
-    row: Row = {"method": method, "start_m": start}
+def _run(
+    machine: Machine, method: int | str, start: float, objects: Mapping[str, float]
+) -> Row:  # fmt: skip
+    given = {name: round(value) for name, value in objects.items()}
+    if method in ON_A_STOP:
+        given |= {"speed_during_search_for_zero": STOP_SPEED}
+    row: Row = {"method": str(method), "start_m": start}
+    od, distance = machine.axes["od"], [0.0]
+
+    def watch(time: float) -> None:
+        distance[0] = float(od["homing_index_distance"][0]) / 1000
+
     try:
-        figures = built_in(machine, method, start, timeout=TIMEOUT, objects=objects)
+        if isinstance(method, str):
+            return row | _own(machine, method, start)
+        figures = built_in(
+            machine, method, start, timeout=TIMEOUT, objects=given, stride=STRIDE, observer=watch
+        )
     except (RuntimeError, TimeoutError) as error:
-        return row | {
-            "attained": 0, "time_s": None, "error_um": None, "peak_torque_share": None,
-            "impact_J": None, "index_near": None, "failure": str(error),
-        }  # fmt: skip
+        return row | FAILED | {"failure": str(error)}
+    by_index = any(leg[2] == Event.INDEX for leg in METHODS[method][2])
     return row | {
         "attained": int(figures.attained),
         "time_s": round(figures.time, 6),
@@ -85,8 +146,53 @@ def _run(machine: Machine, method: int, start: float) -> Row:
         "peak_torque_share": round(figures.greatest_torque, 4),
         "impact_J": round(figures.impact_energy, 6),
         "index_near": int(figures.index_near),
+        "index_turn": distance[0] if by_index and figures.attained else None,
         "failure": "" if figures.attained else f"no reference after {figures.time:g} s",
     }
+
+
+FAILED: Row = {
+    "attained": 0, "time_s": None, "error_um": None, "peak_torque_share": None, "impact_J": None,
+    "index_near": None, "index_turn": None,
+}  # fmt: skip
+
+
+def _own(machine: Machine, name: str, start: float) -> Row:
+    """A method of the user's: ``FILE.py:function``, called with a `Master` of the axis.
+
+    It homes the axis, and leaves the drive with a reference. What it should find is the home of the
+    method its attribute ``reference`` names, 23 if it has none.
+    """
+    home: Callable[[Master], object] = from_file(name)
+    reference = int(getattr(home, "reference", BESIDE))
+    before = machine.snapshot()
+    try:
+        machine.reset(positions={"x": start})
+        figures = np.zeros(1, FIGURES)
+
+        def watch() -> None:
+            look(machine.addresses, figures)
+
+        master = Master(MachinePort(machine, watch), "x")
+        master.enable()
+        master.set_mode(Mode.HOMING)
+        prepare(machine, figures[0], true_home(machine, reference, start))
+        began = machine.time
+        try:
+            home(master)
+        except ServoError as error:
+            return FAILED | {"failure": str(error)}
+        look(machine.addresses, figures)
+        found = figures[0]
+        return {
+            "attained": int(found.attained), "time_s": round(machine.time - began, 6),
+            "error_um": round(1e6 * float(found.error), 3) if found.attained else None,
+            "peak_torque_share": round(float(found.greatest_torque), 4),
+            "impact_J": round(float(found.impact_energy), 6), "index_near": 0, "index_turn": None,
+            "failure": "" if found.attained else "it ended without a reference",
+        }  # fmt: skip
+    finally:
+        machine.restore(before)
 
 
 def _of(rows: list[Row], name: str) -> np.ndarray:
@@ -94,71 +200,174 @@ def _of(rows: list[Row], name: str) -> np.ndarray:
 
 
 def repeatability(errors: np.ndarray) -> float:
-    """Three standard deviations; not a number for fewer than two."""
-    return float(3.0 * errors.std(ddof=1)) if len(errors) > 1 else np.nan
+    """R of ISO 230-2 in one direction: four standard deviations; nan for fewer than two."""
+    return float(4.0 * errors.std(ddof=1)) if len(errors) > 1 else np.nan
 
 
-def run(drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE) -> int:
-    """Measure, and write homing.csv, homing.md and homing.png to `out`; -> exit status."""
-    todo = jobs(drive, quick)
+def two_sided(one: np.ndarray, other: np.ndarray) -> float:
+    """A of ISO 230-2: from the lowest mean minus 2 s to the highest mean plus 2 s, of both."""
+    ends = []
+    for errors in (one, other):
+        if len(errors) > 1:
+            spread = 2.0 * errors.std(ddof=1)
+            ends.append((errors.mean() - spread, errors.mean() + spread))
+    if not ends:
+        return np.nan
+    return float(max(high for _, high in ends) - min(low for low, _ in ends))
+
+
+def interval(
+    of: Callable[..., float], *samples: np.ndarray, seed: int = SEED
+) -> tuple[float, float]:  # fmt: skip
+    """Of a figure of samples, by bootstrap with `CONFIDENCE`."""
+    if any(len(sample) < 3 for sample in samples):
+        return np.nan, np.nan
+    random = np.random.default_rng(seed)
+    found = [of(*(random.choice(s, len(s)) for s in samples)) for _ in range(RESAMPLED)]
+    tail = 50 * (1 - CONFIDENCE)
+    low, high = np.percentile(found, [tail, 100 - tail])
+    return float(low), float(high)
+
+
+def sides(rows: list[Row], edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (µm) of the runs from the left and from the right of the home switch."""
+    left = [row for row in rows if row["start_m"] < edge]
+    right = [row for row in rows if row["start_m"] >= edge]
+    return _of(left, "error_um"), _of(right, "error_um")
+
+
+def sentences(cells: list[Row]) -> list[str]:
+    """What the table says, with the numbers that carry it."""
+    told = []
+    for mechanics in dict.fromkeys(cell["mechanics"] for cell in cells):
+        here = [c for c in cells if c["mechanics"] == mechanics]
+        as_is = [c for c in here if c["variant"] == AS_DELIVERED and np.isfinite(c["A"])]
+        if len(as_is) > 1:
+            best, quick = min(as_is, key=lambda c: c["A"]), min(as_is, key=lambda c: c["time"])
+            told.append(
+                f"On {mechanics} method {best['method']} repeats best, A {number(best['A'])} µm "
+                f"({number(best['A_low'])} to {number(best['A_high'])}) in {best['time']:.2f} s; "
+                f"method {quick['method']} is the quickest, {quick['time']:.2f} s with A "
+                f"{number(quick['A'])} µm."
+            )
+        base = next((c for c in as_is if c["method"] == str(BESIDE)), None)
+        others = [c for c in here if c["variant"] != AS_DELIVERED and np.isfinite(c["A"])]
+        if base and others:
+            worst = max(others, key=lambda c: c["A"])
+            told.append(
+                f"Of method {BESIDE} on {mechanics}, A goes from {number(base['A'])} µm as "
+                f"delivered to {number(worst['A'])} µm with {worst['variant']}, and the worst "
+                f"error from {number(base['worst'])} to {number(worst['worst'])} µm."
+            )
+    return told
+
+
+def _cells(rows: list[Row]) -> list[Row]:
+    cells = []
+    keys = list(dict.fromkeys((r["mechanics"], r["method"], r["variant"]) for r in rows))
+    for mechanics, method, variant in keys:
+        runs = [r for r in rows if (r["mechanics"], r["method"], r["variant"])
+                == (mechanics, method, variant)]  # fmt: skip
+        errors = _of(runs, "error_um")
+        left, right = sides(runs, FAMILY[mechanics].home_switch)
+        low, high = interval(two_sided, left, right)
+        turns = _of([r for r in runs if r["index_turn"] is not None], "index_turn")
+        ones = [repeatability(each) for each in (left, right)]
+        cells.append({
+            "mechanics": mechanics, "method": method, "variant": variant, "runs": len(runs),
+            "failures": len(runs) - len(errors), "near": sum(bool(r["index_near"]) for r in runs),
+            "time": _of(runs, "time_s").mean() if len(errors) else np.nan,
+            "worst": errors[np.abs(errors).argmax()] if len(errors) else np.nan,
+            "R": np.nanmax(ones) if np.isfinite(ones).any() else np.nan,
+            "A": two_sided(left, right), "A_low": low, "A_high": high,
+            "impact": _of(runs, "impact_J").max() if len(errors) else np.nan,
+            "index": histogram(turns),
+            "failure": next((r["failure"] for r in runs if r["failure"]), ""),
+        })  # fmt: skip
+    return cells
+
+
+def histogram(turns: np.ndarray) -> str:
+    """How often the index pulse came in each fifth of a turn from the edge; - without an index."""
+    if not len(turns):
+        return "-"
+    return " ".join(map(str, np.histogram(np.mod(turns, 1.0), 5, (0.0, 1.0))[0]))
+
+
+def run(
+    drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE,
+    chosen: Mapping[str, Any] | None = None,
+) -> int:  # fmt: skip
+    """Measure, and write homing.csv, homing.md and homing.png to `out`; -> exit status.
+
+    Args:
+        drive: drive model.
+        quick: a small part.
+        out: folder.
+        console: where to tell how far it is.
+        work: who does the jobs.
+        chosen: further arguments of `jobs`.
+    """
+    todo = jobs(drive, quick, **(chosen or {}))
     results = work.map(todo, folder=out, console=console, warm=todo[:1])
     rows: list[Row] = [row for result in results for row in result["rows"]]
-    source = origin(f"servogym benchmark homing --drive {drive}{' --quick' if quick else ''}")
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    family = list(dict.fromkeys(row["mechanics"] for row in rows))
-    shape = len(methods), len(family)
-    time, spread, bias, impact = (np.full(shape, np.nan) for _ in range(4))
-    failures, near = np.zeros(shape, int), np.zeros(shape, int)
-    for i, method in enumerate(methods):
-        for k, mechanics in enumerate(family):
-            runs = [r for r in rows if (r["method"], r["mechanics"]) == (method, mechanics)]
-            errors = _of(runs, "error_um")
-            failures[i, k] = len(runs) - len(errors)
-            near[i, k] = sum(bool(r["index_near"]) for r in runs)
-            spread[i, k] = repeatability(errors)
-            if len(errors):
-                bias[i, k] = errors[np.abs(errors).argmax()]
-                time[i, k] = _of(runs, "time_s").mean()
-                impact[i, k] = _of(runs, "impact_J").max()
+    words = " ".join(f"--{k} {v}" for k, v in (chosen or {}).items() if v)
+    command = f"servogym benchmark homing --drive {drive}{' --quick' if quick else ''} {words}"
+    source = origin(command.rstrip())
+    cells = _cells(rows)
     table = [
         [
-            str(method), mechanics, number(time[i, k]), number(bias[i, k]), number(spread[i, k]),
-            number(impact[i, k]), str(failures[i, k]), str(near[i, k]),
+            c["method"], c["mechanics"] + VARIANT.get(c["variant"], f", {c['variant']}"),
+            number(c["time"]), number(c["worst"]), number(c["R"]),
+            f"{number(c['A'])} ({number(c['A_low'])}..{number(c['A_high'])})", c["index"],
+            number(c["impact"]), str(c["failures"]), str(c["near"]),
         ]
-        for i, method in enumerate(methods)
-        for k, mechanics in enumerate(family)
+        for c in cells
     ]  # fmt: skip
     heading = [
-        "method", "axis", "time (s)", "worst error (µm)", "3σ (µm)", "largest impact (J)",
-        "failures", "index warnings",
+        "method", "axis", "time (s)", "worst error (µm)", "R (µm)", "A (µm)",
+        "index distance (fifths of a turn)", "largest impact (J)", "failures", "index warnings",
     ]  # fmt: skip
-    starts = sorted({row["start_m"] for row in rows})
+    count = max(c["runs"] for c in cells)
     notes = (
-        f"From {len(starts)} starts ({', '.join(f'{1e3 * s:g}' for s in starts)} mm): mean time, "
-        "error of the largest size, repeatability as three standard deviations, impacts on the end "
-        "stops. The error is the home found minus the true edge, index pulse or stop; the drive "
-        "sees its motor, so what is elastic in between counts. Index warnings: runs in which the "
-        "drive found the index pulse so near to the edge that home may jump by a turn (warning "
-        "FF10h of `generic`); then the switch belongs half a pitch farther."
-    )
+        f"{count} runs a cell, from starts over the whole stroke: mean time, error of the largest "
+        "size (the home found minus the true edge, index pulse or stop; the drive sees its motor, "
+        "so what is elastic in between counts). R: repeatability of ISO 230-2 from one side of the "
+        "home switch (the larger of both, four standard deviations); A: of both sides together, "
+        f"with its {CONFIDENCE:.0%} interval by bootstrap. Index distance: how often the pulse "
+        "came in each fifth of a turn from the edge. Index warnings: runs in which the index pulse "
+        "lay so near to the edge that home may jump by a turn (warning FF10h of `generic`); then "
+        "the switch belongs half a pitch farther.\n\n"
+    ) + "\n".join(f"- {sentence}" for sentence in sentences(cells))
     write_csv(out / "homing.csv", source, rows)
     write_page(out / "homing.md", f"Homing, drive {drive}", markdown(heading, table), source, notes)
-    panels = {"time (s)": time, "3σ (µm)": spread, "largest impact (J)": impact}
+    shown = [c for c in cells if c["variant"] == AS_DELIVERED]
+    methods = list(dict.fromkeys(c["method"] for c in shown))
+    family = list(dict.fromkeys(c["mechanics"] for c in shown))
+    places = {(c["method"], c["mechanics"]): c for c in shown}
 
-    def why(panel: str, i: int, k: int) -> str:
-        if panel == "3σ (µm)" and near[i, k]:
+    def panel(name: str) -> np.ndarray:
+        return np.array([[float(places[m, f][name]) for f in family] for m in methods])
+
+    def why(name: str, i: int, k: int) -> str:
+        cell = places[methods[i], family[k]]
+        if name == "A (µm)" and cell["near"]:
             return "the index pulse lies near the edge, so home may jump by a turn (index warning)"
-        if failures[i, k]:
-            some = next(r for r in rows if r["failure"]
-                        and (r["method"], r["mechanics"]) == (methods[i], family[k]))  # fmt: skip
-            return str(some["failure"])
-        if methods[i] in ON_A_STOP:
+        if cell["failures"]:
+            return str(cell["failure"])
+        if methods[i] in map(str, ON_A_STOP):
             return "it pushes against the stop, and the transmission gives way"
-        if panel == "time (s)":
+        if name == "time (s)":
             return "all the way at the slower speed"
-        return f"worst error {number(bias[i, k])} µm; what is elastic or plays lies in between"
+        return f"worst error {number(cell['worst'])} µm; what is elastic or plays lies in between"
 
+    panels = {
+        "time (s)": panel("time"),
+        "A (µm)": panel("A"),
+        "largest impact (J)": panel("impact"),
+    }
     title = f"homing methods, drive {drive}"
+    failures = panel("failures").astype(int)
     draw(out / "homing.png", title, methods, family, panels, failures, why)
     done = sum(row["attained"] for row in rows)
     console.print(f"{done} of {len(rows)} runs found a reference; {out / 'homing'}.csv, .md, .png")

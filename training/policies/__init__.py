@@ -37,8 +37,10 @@ from .pd import Proportional, ProportionalDifferential
 from .plc import plc_policy, timed_policy
 from .predictive import Predictive
 from .profiles import (
+    SCurve,
     Trapezoid,
     jerk_limited_policy,
+    ruckig_ei_policy,
     ruckig_notch_policy,
     ruckig_policy,
     ruckig_zv_policy,
@@ -78,6 +80,8 @@ POLICIES: dict[str, Baseline] = {
     "ruckig": Baseline(ruckig_policy, "time-optimal at the drive's limits"),
     "ruckig+zv": Baseline(ruckig_zv_policy, "the same, shaped for the nominal resonance"),
     "ruckig+zvd": Baseline(ruckig_zvd_policy, "shaped twice, less particular about it"),
+    "ruckig+ei": Baseline(ruckig_ei_policy, "extra-insensitive: 5 % are allowed, over more of it"),
+    "s_curve": Baseline(SCurve, "pp profile with the jerk time of one period of the resonance"),
     "ruckig+notch": Baseline(ruckig_notch_policy, "through a notch filter at that resonance"),
     "ruckig+ff": Baseline(RuckigFeedForward, "ruckig with inertia and friction feed-forward"),
     "lqr": Baseline(Lqr, "state feedback from the sensor of the load"),
