@@ -63,10 +63,11 @@ def identify(response: Response, drive: Drive) -> Plant:
         high = [start[0] + 3.0, start[1] + 6.0, longest]
         start[2] = 0.1 * longest
         for antiresonance, resonance in candidates:
-            a, r, spread = math.log(antiresonance), math.log(resonance), math.log(SPREAD)
-            start += [a, r, math.log(DAMPING)]
-            low += [a - spread, r - spread, -9.0]
-            high += [a + spread, r + spread, 0.5]
+            middle = [math.log(antiresonance), math.log(DAMPING), math.log(resonance)]
+            start += [*middle, math.log(DAMPING)]
+            spread = math.log(SPREAD)
+            low += [middle[0] - spread, -9.0, middle[2] - spread, -9.0]
+            high += [middle[0] + spread, 0.5, middle[2] + spread, 0.5]
         found = solve(residual, start, bounds=(low, high), loss="soft_l1", f_scale=0.2,
                       max_nfev=80)  # fmt: skip
         # what is more has to explain a good deal more
@@ -92,9 +93,8 @@ def identify(response: Response, drive: Drive) -> Plant:
 def _open(x: np.ndarray) -> tuple[tuple[float, float, float], list[Pair]]:
     """Parameters of the fit -> inertia, viscous friction, delay, and pairs."""
     inertia, viscous = np.exp(x[:2]).tolist()
-    rows = np.exp(x[3:]).reshape(-1, 3).tolist()
-    # one damper beside one spring: 2 d w is its constant over the load, or over both in parallel
-    pairs = [(a, damping * a / r, r, damping) for a, r, damping in rows]
+    rows = np.exp(x[3:]).reshape(-1, 4).tolist()
+    pairs = [(row[0], row[1], row[2], row[3]) for row in rows]
     return (inertia, viscous, float(x[2]) * 1e-3), pairs
 
 

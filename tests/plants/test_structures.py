@@ -74,6 +74,8 @@ class Loop:
 
     def __post_init__(self):
         self.share = signal.cont2discrete(([1.0], [LAG, 1.0]), PERIOD)[0].ravel()[1]
+        filter_ = [1.0], [DERIVATIVE / (10 * GAIN), 1.0]
+        self.low_pass = signal.cont2discrete(filter_, PERIOD)[0].ravel()[1]
 
     def seen(self, position):
         return math.floor(position / self.increment + 1e-12) * self.increment
@@ -85,10 +87,7 @@ class Loop:
 
     def pid(self, position, demand, speed, acceleration):
         error = demand - self.seen(position)
-        low_pass = signal.cont2discrete(([1.0], [DERIVATIVE / (10 * GAIN), 1.0]), PERIOD)[
-            0
-        ].ravel()[1]
-        self.difference += low_pass * ((error - self.error) / PERIOD - self.difference)
+        self.difference += self.low_pass * ((error - self.error) / PERIOD - self.difference)
         self.error = error
         wanted = GAIN * error + self.integral + DERIVATIVE * self.difference
         wanted += FFV * speed + FFA * acceleration
