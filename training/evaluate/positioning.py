@@ -25,7 +25,7 @@ from .parts import warm
 
 STRATEGIES = (
     "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
-    "ruckig+notch", "ruckig+ff", "learned", "informed_ruckig",
+    "ruckig+notch", "proportional", "learned", "informed_ruckig",
 )  # fmt: skip
 PAYLOADS = (1.0, 5.0, 20.0)  # kg
 DISTANCES = (0.01, 0.05, 0.2)  # m
