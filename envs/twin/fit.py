@@ -10,7 +10,7 @@ import numpy as np
 from ...drive.model.model import DriveModel
 from ..engine import parameters
 from ..plants.tuning import inertia_at_shaft
-from .candidates import LAG, Candidates, Simulated
+from .candidates import COARSE, LAG, Candidates, Simulated
 from .estimate import Estimate, Free, Noise, Search, colour
 from .experiment import Experiment, Unusable
 from .families import AUTO, GAINS, Family, family
@@ -116,7 +116,8 @@ def fit(
             all_of_it = Search(candidates, experiments, told=search.told)
             noise = colour([each[0] for each in all_of_it.residuals([best])])
             estimate = all_of_it.descend(free, best, noise, 3)
-            estimate = all_of_it.replicate(estimate, held[-1])
+            if held[-1] > 0.0:
+                estimate = all_of_it.replicate(estimate, held[-1])
         except KeyboardInterrupt:
             complete = False
     simulated = [candidates.simulate(each, [estimate.values]) for each in experiments]
@@ -290,6 +291,8 @@ def _judge(
 ) -> tuple[float, float, float, float, float, float]:  # fmt: skip
     """Errors held out, what noise of the encoder would leave, share explained, the noise."""
     left_p, left_t, quiet_p, quiet_t, wave, sizes = [], [], [], [], [], []
+    increment = float(candidates.joint.drive.axis.rad_per_increment)
+    coarse = 2 * math.pi / increment < COARSE
     trial = max(experiments[0].quanta[0], 0.2 * float(candidates.joint.drive.axis.rad_per_increment)
                 / abs(candidates.joint.gear))  # fmt: skip
     for experiment, cut in zip(experiments, cuts, strict=True):
@@ -300,7 +303,8 @@ def _judge(
         noisy = candidates.simulate(experiment, [dict(values) | {"encoder_noise": trial}])
         p, t = experiment.position - run.position[0], experiment.torque - run.torque[0]
         dp, dt = noisy.position[0] - run.position[0], noisy.torque[0] - run.torque[0]
-        size = _noise(p, dp, experiment.quanta[0]) * trial
+        # of a coarse encoder the increments are the noise, and there is no other to be seen
+        size = 0.0 if coarse else _noise(p, dp, experiment.quanta[0]) * trial
         share = size / trial
         sizes.append(size)
         left_p.append(p[held])
@@ -309,6 +313,8 @@ def _judge(
         quiet_t.append(share * dt[held])
         wave.append(experiment.position[held] - experiment.position[held].mean())
     quantum = [q**2 / 12 for q in experiments[0].quanta]
+    if coarse:
+        quantum[0] = max(quantum[0], (increment / candidates.joint.gear) ** 2 / 12)
 
     def rms(parts: list[np.ndarray]) -> float:
         return math.sqrt(float(np.mean(np.concatenate(parts) ** 2)))

@@ -293,3 +293,11 @@ def test_columns_that_are_none_are_refused(tmp_path, columns, said):
     table.write_text("t,x\n0,1.5\n10,2.5\n")
     with pytest.raises(ValueError, match=said):
         Source(table, "generic", columns)
+
+
+def test_commands_take_a_twin(folder, recorded, tmp_path, capsys):
+    assert main(["replay", str(recorded[0]), "--twin", str(folder), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "position" in said and (tmp_path / "replay.csv").is_file()
+    explained = float(said.split("(")[1].split("%")[0])
+    assert explained > 99.99

@@ -23,6 +23,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         const=(LISTED, None),
         help="of the environment, VALUE in JSON or text; repeatable; without a value: lists them",
     )  # fmt: skip
+    parser.add_argument(
+        "--twin", dest="argument", action="append", metavar="FOLDER",
+        type=lambda folder: ("twin", folder),
+        help="of `servogym twin`: its plant and drive; the same as --argument twin=FOLDER",
+    )  # fmt: skip
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:

@@ -81,6 +81,7 @@ def add(parser: argparse.ArgumentParser, others: str = "") -> None:
         "--set", action="append", metavar="NAME=VALUE", default=[], type=_value,
         help="parameter of the machine, as payload=10; repeatable",
     )  # fmt: skip
+    parser.add_argument("--twin", type=Path, help="folder of `servogym twin`, instead of a machine")
     parser.add_argument(
         "--parameter-file", type=Path, help="the drive's stored parameters, of `servogym tune`"
     )
@@ -105,7 +106,7 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     mjcf = options.machine not in NAMES
     if options.gear is not None and not mjcf:
         raise ValueError("--gear is of an MJCF; the machines of the laboratory have feed_constant")
-    machine = _machine(options)
+    machine = _machine(options) if options.twin is None else _of_twin(options)
     name = options.axis or next(iter(machine.drives))
     if name not in machine.drives:
         raise ValueError(f"--axis = {name!r}: the machine has {', '.join(machine.drives)}")
@@ -118,6 +119,14 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     elif not mjcf:
         machine.reset(positions=_middles(machine))
     return machine, name
+
+
+def _of_twin(options: argparse.Namespace) -> Machine:
+    from ...envs.plants import twins
+
+    if options.set or options.machine != "rigid":
+        raise ValueError("--twin is a machine by itself: leave out --set and the machine's name")
+    return twins.read(options.twin).machine(None if options.drive == "generic" else options.drive)
 
 
 def _middles(machine: Machine) -> dict[str, float]:

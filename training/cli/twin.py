@@ -67,7 +67,6 @@ def add_replay(replay: argparse.ArgumentParser) -> None:
     replay.add_argument("log", type=Path, help="candump, .asc, .blf, .pcapng or .csv")
     machines.add(replay)
     add_log(replay, axis=False)
-    replay.add_argument("--twin", type=Path, help="a twin's folder instead of a machine")
     replay.add_argument("--who", help="node or slave of the log, if there are several")
     replay.add_argument("--out", type=Path, default=Path("out"), help="folder: replay.csv (out)")
     replay.set_defaults(folders=("out",))
@@ -343,14 +342,11 @@ def compare(options: argparse.Namespace, console: Console) -> int:
     if not options.log.is_file():
         raise ValueError(f"{options.log}: there is no such file")
     if options.twin is not None:
-        twin = twins.read(options.twin)
-        options.drive, name = twin.drive, twin.axis
-        make = twin.machine
-    else:
-        _, name = machines.made(options)
+        options.drive = twins.read(options.twin).drive
+    _, name = machines.made(options)
 
-        def make():
-            return machines.made(options)[0]
+    def make():
+        return machines.made(options)[0]
 
     candidates = Candidates(make, name, 1)
     (experiment,) = logs.read(
