@@ -298,6 +298,5 @@ def test_columns_that_are_none_are_refused(tmp_path, columns, said):
 def test_commands_take_a_twin(folder, recorded, tmp_path, capsys):
     assert main(["replay", str(recorded[0]), "--twin", str(folder), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "position" in said and (tmp_path / "replay.csv").is_file()
-    explained = float(said.split("(")[1].split("%")[0])
-    assert explained > 99.99
+    assert (tmp_path / "replay.csv").is_file()
+    assert float(said.split("(")[1].split("%")[0]) > 99.9
