@@ -14,5 +14,7 @@ canopen/ and ethercat/ put them on a bus, in bytes and given time; wire/ has clo
 from .drive import Drive
 from .model.model import DriveModel
 from .objects.abort import Abort, SdoAbort
+from .objects.hooks import Hook
+from .objects.hooks.plugin import run_code
 
-__all__ = ["Abort", "Drive", "DriveModel", "SdoAbort"]
+__all__ = ["Abort", "Drive", "DriveModel", "Hook", "SdoAbort", "run_code"]

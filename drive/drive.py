@@ -28,7 +28,7 @@ from .model.pdo import mapping_entry
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
 from .objects.dictionary import ObjectDictionary
-from .objects.hooks import HOOKS
+from .objects.hooks import hook_of
 from .objects.hooks.ethercat import ASSIGNMENTS, assign
 from .objects.kept import factors, keep, kept, written
 from .objects.map_by_name import map_by_name
@@ -123,7 +123,7 @@ class Drive:
             )
             self._compile_pdos()
         for name in {row.hook for row in self.model.objects.values() if row.hook}:
-            if power_on := HOOKS[name].power_on:
+            if power_on := hook_of(self.model, name).power_on:
                 power_on(self)
 
     def _power_on(self, values: Values) -> None:

@@ -4,8 +4,9 @@ A PDO of the drive is one `PDO` record: its communication parameters (CiA 301, 1
 mapping (1600h/1A00h), and the mapping compiled to offsets into the AXIS record. The *process image*
 of a drive is all its valid RPDOs (or TPDOs) one after the other. `latch` and `collect` only move
 bytes, so the reinforcement learning loop, the CANopen node and the tests exchange the very same
-ones. Values are not checked on the way: what a master sends out of range stands in the object as it
-was sent, and the cycle limits what it makes of it.
+ones. What the kernel works with is not checked on the way: out of range it stands in the object as
+it was sent, and the cycle limits what it makes of it. An object of the model's own bytes keeps its
+value where process data bring one that SDO would refuse.
 """
 
 import numpy as np
@@ -32,6 +33,9 @@ PDO = np.dtype(
         ("offset", "<i4", (ENTRIES,)),  # in the AXIS record (byte)
         ("length", "<i4", (ENTRIES,)),  # (byte)
         ("width", "<i4"),  # of the PDO (byte)
+        ("bounded", "u1"),  # some entries have a range of their own
+        ("low", "<i8", (ENTRIES,)),  # least and greatest value that is taken over
+        ("high", "<i8", (ENTRIES,)),
     ],
     align=True,
 )
@@ -114,12 +118,27 @@ def move(source, target, pdo, at, latching):
     objects, image = (len(target), len(source)) if latching else (len(source), len(target))
     for e in range(min(pdo.count, ENTRIES)):
         offset, length = pdo.offset[e], max(pdo.length[e], 0)
-        if 0 <= offset <= objects - length and at + length <= image:
+        fits = 0 <= offset <= objects - length and at + length <= image
+        if fits and latching and pdo.bounded:
+            fits = within(source, at, length, pdo.low[e], pdo.high[e])
+        if fits:
             begin, end = (at, offset) if latching else (offset, at)
             for b in range(length):
                 target[end + b] = source[begin + b]
         at += length
     return at
+
+
+@block
+def within(image, at, length, low, high):
+    """Whether the number at a place of an image, signed if `low` is below 0, is in a range."""
+    number = 0
+    for b in range(length):
+        number |= int(image[at + b]) << 8 * b
+    sign = 1 << (8 * length - 1)
+    if low < 0 and length < 8 and number & sign:
+        number -= 2 * sign
+    return low <= number <= high
 
 
 @entry

@@ -60,6 +60,11 @@ class Mode(IntEnum):
     CYCLIC_SYNC_TORQUE = 10
 
 
+def mode_bit(mode: int) -> int:
+    """Bit of a mode in 6502h: 0-15 the standard's, 16-31 the maker's, -1 first (inferred)."""
+    return mode - 1 if mode > 0 else 15 - mode
+
+
 MODE_ABBREVIATION = {
     Mode.NONE: "-",
     Mode.PROFILE_POSITION: "pp",

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from ..kernel.homing import NUMBERS
-from ..kernel.words import MODE_ABBREVIATION, Mode
+from ..kernel.words import MODE_ABBREVIATION, Mode, mode_bit
 from .rows import Object
 
 MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
 SUPPORTED_MODES, SUPPORTED_METHODS = 0x6502, 0x60E3
-OF_THE_STANDARD = sum(1 << mode - 1 for mode in Mode if mode)  # bits of 6502h; 16-31: the maker's
+KNOWN = sum(1 << mode_bit(mode) for mode in Mode if mode)  # bits of 6502h that the kernel has
 
 
 def read_capabilities(
@@ -37,8 +37,8 @@ def with_capabilities(
     told: dict[tuple[int, int], Object] = {}
     for (index, subindex), row in objects.items():
         if index == SUPPORTED_MODES and row.format:
-            others = int(row.default) & ~OF_THE_STANDARD
-            row = replace(row, default=others | sum(1 << mode - 1 for mode in modes))
+            others = int(row.default) & ~KNOWN
+            row = replace(row, default=others | sum(1 << mode_bit(mode) for mode in modes))
         elif index == SUPPORTED_METHODS and not subindex:
             row = replace(row, default=len(methods) if (index, 1) in objects else 0)
         elif index == SUPPORTED_METHODS:

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..kernel.faults import Cause
 from ..kernel.record import OD, Axis
-from ..kernel.words import Mode
+from ..kernel.words import Mode, mode_bit
 from .capabilities import read_capabilities, with_capabilities
 from .drive_toml import BUSES, KERNEL_QUIRKS, KEYS, QUIRKS, UNITS, Toml, merged, read_toml
 from .ethercat import EtherCat, need_assignment, read_ethercat
@@ -112,7 +112,7 @@ class DriveModel:
         vendor = OD.fields["vendor"][1]  # type: ignore[index]
         for j, (offset, size, kind) in enumerate(self.own_stored):
             axis.own_place[j], axis.own_size[j], axis.own_kind[j] = offset - vendor, size, kind
-        axis.supported_modes = sum(1 << (mode - 1) for mode in self.modes)
+        axis.supported_modes = sum(1 << mode_bit(mode) for mode in self.modes)
         axis.ambient_temperature = 25.0
         axis.enable_input = 1
         axis.terminals = 0x03  # S1IND and S2IND are wired to 24 V

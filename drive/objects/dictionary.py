@@ -12,10 +12,11 @@ import numpy as np
 from ..kernel.factors import units_changed
 from ..model.model import DriveModel
 from ..model.near import near
+from ..model.rows import Object
 from .abort import Abort, SdoAbort
 from .communication import READ_RULES, RULES
 from .device import Device
-from .hooks import HOOKS, WHEN
+from .hooks import HOOKS, WHEN, Hook, hook_of
 from .kept import FACTOR, place, written
 from .mapping import RULES_OF_RANGES, all_objects
 from .slots import Names, Slot, Slots
@@ -29,11 +30,8 @@ def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, 
     """
     rows = all_objects(model)
     for row in rows:
-        for column, name, table in (("when", row.when, WHEN), ("hook", row.hook, HOOKS)):
-            if name and name not in table:
-                raise ValueError(
-                    f"{row.where}: {column} {name!r} is unknown, use one of {', '.join(table)}"
-                )
+        if row.when and row.when not in WHEN:
+            raise ValueError(f"{row.where}: when {row.when!r}: use one of {', '.join(WHEN)}")
     slots = {
         (row.index, row.subindex): Slot(
             row,
@@ -41,10 +39,30 @@ def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, 
             RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00),
             place(model, row),
             READ_RULES.get((row.index, row.subindex)),
+            _hook(model, row),
         )
         for row in rows
     }
     return slots, {row.name: (row.index, row.subindex) for row in rows}
+
+
+def _hook(model: DriveModel, row: Object) -> Hook | None:
+    """What an object does beside its bytes; process data do the same, or are refused."""
+    if not row.hook:
+        return None
+    try:
+        hook = hook_of(model, row.hook)
+    except LookupError:
+        hint = near(row.hook, HOOKS, f"use one of {', '.join(HOOKS)}, or write it in hooks.py")
+        raise ValueError(f"{row.where}: hook {row.hook!r} is unknown: {hint}") from None
+    except ValueError as error:
+        raise ValueError(f"{row.where}: hook {row.hook!r}: {error}") from None
+    if row.hook not in HOOKS and (hook.write or hook.raw) and "rx" in row.pdo:
+        raise ValueError(
+            f"{row.where}: pdo {row.pdo!r}: process data are bytes moved by compiled code, which "
+            f"runs no hook: leave rx out, or the write of the hook {row.hook!r}"
+        )
+    return hook
 
 
 @functools.cache

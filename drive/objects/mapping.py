@@ -6,7 +6,10 @@ CiA 301, 7.5.2.35-38: not valid first, then the number of entries 0, the entries
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
+
 from ..kernel.process_data import DUMMY, DUMMY_BITS, ENTRIES, INVALID, MAX_BITS, parameter_place
+from ..kernel.record import OD
 from ..model.model import DriveModel
 from ..model.pdo import Mapping, mapping_entry
 from ..model.rows import Object
@@ -20,6 +23,8 @@ LAST_PDO_OBJECT = 0x1BFF
 TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
 NO_RTR = 0x4000_0000  # bit 30 of a PDO's identifier
 MAX_ENTRIES = 0x40  # CiA 301: more are reserved, or multiplexed PDOs
+VENDOR = OD.fields["vendor"][1]  # type: ignore[index]
+ANYTHING = -(1 << 63), (1 << 63) - 1
 SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 
 
@@ -184,6 +189,16 @@ def _mapping(od: Dictionary, row: Object, value: int) -> Abort:
     return _target(od, receive, value)[1] if value else Abort.NONE
 
 
+def _range(row: Object | None) -> tuple[int, int]:
+    """What process data may bring to the model's own bytes, which no cycle limits: as SDO."""
+    if row is None or row.area != "axis" or row.offset < VENDOR or row.format in "fQq":
+        return ANYTHING
+    values = row.allowed or (row.minimum, row.maximum)
+    low, high = int(min(values)), int(max(values))
+    info = np.iinfo("<" + row.format)
+    return ANYTHING if (low, high) == (info.min, info.max) else (low, high)
+
+
 def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> tuple[int, Abort]:
     """Where a mapping entry's bytes lie in the record, or the abort code of the refusal."""
     index, subindex, bits = mapping_entry(mapping)
@@ -203,17 +218,21 @@ def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> 
 def _compile(od: Dictionary, pdo, receive: bool, count: int, fixed: bool = False) -> Abort:
     if count > ENTRIES:
         return Abort.PDO_LENGTH
-    offsets, lengths = [], []
+    offsets, lengths, ranges = [], [], []
     for mapping in pdo.mapping[:count].tolist():
         offset, abort = _target(od, receive, mapping, exact=not fixed)
         if abort:
             return abort
         offsets.append(offset)
         lengths.append((mapping & 0xFF) // 8)
+        slot = od.slots.get(mapping_entry(mapping)[:2])
+        ranges.append(_range(slot.row if slot is not None and offset != DUMMY else None))
     if sum(lengths) * 8 > MAX_BITS and not fixed:
         return Abort.PDO_LENGTH
     pdo.offset[:count] = offsets
     pdo.length[:count] = lengths
+    pdo.low[:count], pdo.high[:count] = zip(*ranges, strict=True) if ranges else ((), ())
+    pdo.bounded = any(range_ != ANYTHING for range_ in ranges)
     pdo.width = sum(lengths)
     od.drive.image_changed()
     return Abort.NONE

@@ -19,7 +19,7 @@ from ..model.pdo import Mapping
 from . import kept, store
 from .abort import TEXT, Abort
 from .device import Device
-from .hooks import HOOKS
+from .hooks import hook_of
 from .mapping import all_objects
 from .reactions import REACTIONS, chosen, of, reaction_code, set_reaction
 from .slots import Slot
@@ -242,7 +242,9 @@ class Parameters:
             if first in (REACTION, AS_WRITTEN) or address in (ALIAS, *LSS):
                 continue
             slot = od.slots.once((int(first, 16), int(second, 16)))
-            hook = HOOKS.get(slot.row.hook) if slot is not None and slot.row.storable else None
+            hook = None
+            if slot is not None and slot.row.storable and slot.row.hook:
+                hook = hook_of(self._drive.model, slot.row.hook)
             if hook and hook.judges and hook.write:
                 abort = hook.write(od, slot.row, int(value))
                 if abort is not Abort.NONE:

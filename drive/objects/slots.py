@@ -8,7 +8,7 @@ from typing import Any
 
 from ..model.rows import Object
 from .abort import Abort
-from .hooks import HOOKS
+from .hooks import Hook
 
 
 class Slot:
@@ -23,16 +23,16 @@ class Slot:
         rule: Callable[..., Abort] | None = None,
         kept: int | None = None,
         read_rule: Callable[..., Any] | None = None,
+        hook: Hook | None = None,
     ):
         self.row = row
         self.view = view
         self.offset = row.offset
         self.code = row.code
         self.writable = row.access not in ("ro", "const")
-        self.reads = HOOKS[row.hook].read if row.hook else read_rule
-        self.hook = HOOKS[row.hook].write if row.hook else None
-        self.raw = HOOKS[row.hook].raw if row.hook else None
-        self.hook = self.hook or rule
+        self.reads = hook.read if hook else read_rule
+        self.hook = (hook and hook.write) or rule
+        self.raw = hook and hook.raw
         self.kept = kept  # `kept.place`
 
     def of(self, views: Mapping[str, memoryview | None]) -> "Slot":

@@ -14,7 +14,7 @@ from ..stop import Stop
 from ..words import Controlword, Mode, State
 from . import csp, cst, csv, hm, ip, pp, pv, tq, vl
 
-HIGHEST_MODE = max(Mode)
+LOWEST_MODE, HIGHEST_MODE = int(min(Mode)), int(max(Mode))
 
 
 @block
@@ -60,9 +60,10 @@ def demand(axis):
 def _select(axis):
     """Follow 6060h to a supported mode; anything else leaves the mode as it is."""
     requested = int(axis.od.modes_of_operation)
-    if requested == axis.mode or not 0 < requested <= HIGHEST_MODE:
+    if requested in (0, axis.mode) or not LOWEST_MODE <= requested <= HIGHEST_MODE:
         return
-    if axis.supported_modes >> (requested - 1) & 1:
+    bit = requested - 1 if requested > 0 else 15 - requested  # `words.mode_bit`
+    if axis.supported_modes >> bit & 1:
         axis.mode = requested
         axis.mode_started = 0
         axis.od.velocity_ramps_enable = 1  # with each choice of a mode (Metronix 8.1.2.3, 8.6)

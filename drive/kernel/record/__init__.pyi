@@ -509,7 +509,7 @@ class Axis:
     torque_time_constant: float
     """s; first-order response of the current loop; 0 = ideal"""
     supported_modes: int
-    """bit n-1 set: mode n, as 6502h"""
+    """bit of `words.mode_bit` set: the mode, as 6502h"""
     negative_homing: int
     """bit n set: homing method -n"""
     positive_homing: int

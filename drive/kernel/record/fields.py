@@ -72,7 +72,7 @@ FIELDS = (
     ("output_functions", "u1", "", "1: digital outputs show what output_function says"),
     ("history_depth", "u1", "", "entries of 1003h; 0 = all"),
     ("torque_time_constant", "f8", "s", "first-order response of the current loop; 0 = ideal"),
-    ("supported_modes", "i8", "", "bit n-1 set: mode n, as 6502h"),
+    ("supported_modes", "i8", "", "bit of `words.mode_bit` set: the mode, as 6502h"),
     ("negative_homing", "i8", "", "bit n set: homing method -n"),
     ("positive_homing", "i8", "", "bit n set: homing method n"),
     ("fault_code", ("<u2", (FAULT_CAUSES,)), "", "emergency error code of each cause"),

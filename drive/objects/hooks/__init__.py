@@ -8,12 +8,13 @@ states of the drive a write may need.
 from collections.abc import Callable
 
 from ...kernel.statusword import POWERED
+from ...model.model import DriveModel
 from ..device import Device
-from . import act, ars, ethercat, standard
+from . import act, ars, ethercat, plugin, standard
 from .ars import RUNNING
 from .hook import Hook
 
-__all__ = ["HOOKS", "WHEN", "Hook"]
+__all__ = ["HOOKS", "WHEN", "Hook", "hook_of"]
 
 WHEN: dict[str, Callable[[Device], bool]] = {
     "disabled": lambda drive: not drive.energised,
@@ -22,3 +23,11 @@ WHEN: dict[str, Callable[[Device], bool]] = {
 }
 
 HOOKS: dict[str, Hook] = standard.HOOKS | ars.HOOKS | act.HOOKS | ethercat.HOOKS
+
+
+def hook_of(model: DriveModel, name: str) -> Hook:
+    """A hook by name: one of these, of the model's folder, or of a package (`plugin`).
+
+    Raises LookupError where there is none, ValueError where a folder's is not to be run.
+    """
+    return HOOKS.get(name) or plugin.foreign_hook(model, name)

@@ -1,0 +1,155 @@
+"""What a model folder brings: hooks, by consent only; writes by SDO and by PDO are one thing."""
+
+import subprocess
+import sys
+
+import pytest
+
+from servogym.drive import Drive, SdoAbort, run_code
+from servogym.drive.kernel.words import Mode, mode_bit
+
+HEAD = (
+    "index,subindex,name,object_type,data_type,access,pdo,unit,min,max,default,storable,section,"
+    "note,field,when,hook\n"
+)
+HOOKS = """
+from servogym.drive import Abort, Hook
+
+def write(od, row, value):
+    if value == 3:
+        return Abort.DEVICE_STATE
+    od.drive.axis.od.max_torque = 100 * value
+    return Abort.NONE
+
+def read(od, row):
+    return int(od.drive.axis.od.max_torque) // 100
+
+HOOKS = {"strength": Hook(write, read)}
+"""
+
+
+def folder(tmp_path, pdo="", hook="", hooks=HOOKS, sub="own"):
+    own = tmp_path / sub
+    own.mkdir()
+    (own / "drive.toml").write_text('based_on = "generic"\n')
+    (own / "objects.csv").write_text(
+        f"{HEAD}0x5000,0x00,strength,VAR,UNSIGNED8,rw,{pdo},,0,10,1,,mine,,,,{hook}\n"
+        "0x5001,0x00,offset,VAR,INTEGER16,rw,rxtx,,-5,5,0,,mine,,,,\n"
+    )
+    if hooks:
+        (own / "hooks.py").write_text(hooks)
+    return own
+
+
+def test_a_hook_of_a_folder_is_not_run_without_consent(tmp_path):
+    own = folder(tmp_path, hook="strength", hooks="raise SystemExit('it ran')")
+    with pytest.raises(ValueError, match=r"csv, line 2.*is a program: read it, and consent"):
+        Drive(own)
+
+
+def test_an_object_with_behaviour_comes_with_its_folder(tmp_path):
+    own = folder(tmp_path, hook="strength")
+    run_code(own)
+    drive = Drive(own)
+    drive.write("strength", 7)
+    assert (drive.read("max_torque"), drive.read("strength")) == (700, 7)
+    with pytest.raises(SdoAbort, match="device state"):
+        drive.write("strength", 3)
+    assert drive.read("max_torque") == 700
+    drive.reset()
+    assert Drive(drive.model).read("strength") == drive.read("strength")
+
+
+def test_two_folders_have_hooks_of_one_name_each_its_own(tmp_path):
+    ones = folder(tmp_path, hook="strength"), folder(
+        tmp_path, hook="strength", hooks=HOOKS.replace("100", "50"), sub="second"
+    )  # fmt: skip
+    for own, unit in zip(ones, (100, 50), strict=True):
+        run_code(own)
+        drive = Drive(own)
+        drive.write("strength", 2)
+        assert drive.read("max_torque") == 2 * unit
+
+
+@pytest.mark.parametrize(
+    ("hook", "hooks", "says"),
+    [
+        ("strenth", HOOKS, "hook 'strenth' is unknown"),
+        ("strength", "HOOKS = {'strength': print}", "has to be a servogym Hook"),
+        ("strength", "1 / 0", "hooks.py fails .ZeroDivisionError"),
+        ("strength", "", "fails .AttributeError"),
+    ],
+)
+def test_what_is_no_hook_is_told_with_its_line(tmp_path, hook, hooks, says):
+    own = folder(tmp_path, hook=hook, hooks=hooks or "x = 1")
+    run_code(own)
+    with pytest.raises(ValueError, match=rf"objects.csv, line 2.*{says}"):
+        Drive(own)
+
+
+@pytest.mark.parametrize("pdo", ["rx", "rxtx"])
+def test_an_object_whose_write_does_something_is_not_mapped_to_process_data(tmp_path, pdo):
+    own = folder(tmp_path, pdo=pdo, hook="strength")
+    run_code(own)
+    with pytest.raises(ValueError, match=r"line 2.*code, which runs no hook: leave rx out"):
+        Drive(own)
+
+
+def test_the_range_of_an_object_of_ones_own_holds_by_sdo_and_by_pdo(tmp_path):
+    """-5..5 of 5001h, 0..10 of 5000h: what SDO refuses leaves the value as it was."""
+    drive = Drive(folder(tmp_path, pdo="rx", hooks=""))
+    drive.map_pdos([["controlword", "strength", "offset"]])
+    for strength, offset in ((4, -5), (200, 3), (10, 5), (0, -6), (11, 300)):
+        kept = drive.read("strength"), drive.read("offset")
+        drive.latch(drive.pack(strength=strength, offset=offset))
+        for name, value, before in (("strength", strength, kept[0]), ("offset", offset, kept[1])):
+            by_pdo = drive.read(name)
+            drive.write(name, before)
+            try:
+                drive.write(name, value)
+            except SdoAbort:
+                assert by_pdo == before, (name, value)
+            assert drive.read(name) == by_pdo, (name, value)
+
+
+def test_modes_of_the_maker_have_the_upper_bits_of_6502h():
+    """CiA 402-2, 6502h: bits 16-31 are manufacturer-specific."""
+    assert [mode_bit(mode) for mode in (-1, -3, -16)] == [16, 18, 31]
+    assert [mode_bit(mode) for mode in Mode if mode > 0] == [mode - 1 for mode in Mode if mode > 0]
+
+
+ALONE = """
+import importlib.abc, pkgutil, sys
+
+class Only(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {refused!r}:
+            raise ImportError(name + " is not there")
+
+sys.meta_path.insert(0, Only())
+import servogym.drive
+from servogym.drive import Drive
+Drive().write("controlword", 6)
+def skip(name):
+    pass
+for module in pkgutil.walk_packages(servogym.drive.__path__, "servogym.drive.", onerror=skip):
+    try:
+        __import__(module.name)
+    except ImportError as error:
+        assert "is not there" in str(error), error
+        print(module.name.removeprefix("servogym.drive."))
+"""
+MAY_NEED_MORE = ("wire.", "canopen.eds", "canopen.decode")  # adapters, and EDS by `canopen`
+
+
+def test_the_drive_needs_numpy_and_numba_only():
+    """No MuJoCo, no bus library, nothing of learning."""
+    refused = [
+        "mujoco", "gymnasium", "can", "canopen", "msgpack", "matplotlib", "PIL", "rich", "ruckig",
+        "torch", "stable_baselines3", "nicegui",
+    ]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", ALONE.format(refused=refused)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(name.startswith(MAY_NEED_MORE) for name in done.stdout.split()), done.stdout
