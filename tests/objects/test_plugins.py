@@ -139,7 +139,7 @@ for module in pkgutil.walk_packages(servogym.drive.__path__, "servogym.drive.", 
         assert "is not there" in str(error), error
         print(module.name.removeprefix("servogym.drive."))
 """
-MAY_NEED_MORE = ("wire.", "canopen.eds", "canopen.decode")  # adapters, and EDS by `canopen`
+MAY_NEED_MORE = ("wire.", "canopen.eds", "canopen.decode", "canopen.replay")  # EDS: `canopen`
 
 
 def test_the_drive_needs_numpy_and_numba_only():
