@@ -333,8 +333,8 @@ class _Maker(_Import):
         if row is None or row.get("access") == "const":
             return False
         if "data_type" in row:
-            code = FORMATS[row["data_type"]]
-            if not code or 8 * SIZES[code] != entry.bits:
+            letter = FORMATS[row["data_type"]]
+            if not letter or 8 * SIZES[letter] != entry.bits:
                 return False
         if direction not in row["pdo"]:
             row["pdo"] = "rxtx" if row["pdo"] else direction
@@ -470,7 +470,8 @@ class _Maker(_Import):
 
     def _size(self, manager: int) -> int:
         """Bytes of the PDOs of a direction that are assigned, or of the longest."""
-        direction, bits = ("rx", "tx")[manager - 2], {}
+        direction = ("rx", "tx")[manager - 2]
+        bits: dict[int, int] = {}
         for row in self.pdos:
             if row[0] == direction and row[8] != "":
                 bits[int(row[2], 0)] = bits.get(int(row[2], 0), 0) + row[8]

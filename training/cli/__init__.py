@@ -48,7 +48,7 @@ COMMANDS = {
         "Figures are ratios within one run, since machines differ and are busy.",
     ),
     "drives": Command(
-        "drives", "list the drive models, describe one, or make one from an EDS file",
+        "drives", "list the drive models, describe one, or make one from a file or a slave",
         "drives kollmorgen_akd",
     ),
     "node": Command(
