@@ -375,9 +375,9 @@ class _Tap(CanOpenPort):
 
     hear: Callable[[Frame], None] = staticmethod(lambda frame: None)
 
-    def exchange(self, frames: Iterable[Frame] = ()) -> list[Frame]:
+    def exchange(self, frames: Iterable[Frame] = (), *, sync: bool = True) -> list[Frame]:
         """As before."""
-        received = super().exchange(frames)
+        received = super().exchange(frames, sync=sync)
         for frame in received:
             self.hear(frame)
         return received
