@@ -21,7 +21,7 @@ from ..kernel.words import MODE_ABBREVIATION, Mode
 from ..model.made import Made, Repair, check_place, line, write
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
-from ..model.rows import FORMATS, LENGTHS, SIZES, Cells, Object, read_cells
+from ..model.rows import FORMATS, LAST_NODE, LENGTHS, SIZES, Cells, Object, read_cells
 from ..objects.abort import SdoAbort
 from ..statements import data_sheet
 from .sheet import Entry, Sheet, number, read_sheet
@@ -268,6 +268,10 @@ class _Import:
             default = int(factory) if known is None or low <= factory <= high else 0  # type: ignore
             default = min(max(default, low), high)
             per_node = known.per_node if known is not None else False
+        elif per_node and default + LAST_NODE > highest:
+            self.sheet.tell(entry.line, entry.where, f"{default} and the node-id", str(default),
+                            f"an {data_type} does not hold the sum")  # fmt: skip
+            per_node, low, high = False, min(low, default), max(high, default)
         elif not per_node and not low <= default <= high:
             self.sheet.tell(entry.line, entry.where, f"default {default}, limits {low}..{high}",
                             "limits that have it", "a drive has its own default")  # fmt: skip

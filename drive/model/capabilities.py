@@ -38,7 +38,8 @@ def with_capabilities(
     for (index, subindex), row in objects.items():
         if index == SUPPORTED_MODES and row.format:
             others = int(row.default) & ~KNOWN
-            row = replace(row, default=others | sum(1 << mode_bit(mode) for mode in modes))
+            bits = others | sum(1 << mode_bit(mode) for mode in modes)
+            row = replace(row, default=bits & (1 << 8 * row.size) - 1)  # some have UNSIGNED8
         elif index == SUPPORTED_METHODS and not subindex:
             row = replace(row, default=len(methods) if (index, 1) in objects else 0)
         elif index == SUPPORTED_METHODS:

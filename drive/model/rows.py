@@ -210,6 +210,7 @@ FAULT_COLUMNS = (
 )  # fmt: skip
 MORE_BYTES = 1 << 20  # objects beyond the record, which no PDO carries
 ALIGNMENT = 7  # bytes at most that an object's alignment leaves free
+LAST_NODE = 127  # what is added to a default at most
 LARGEST_SET = 1 << 16  # values of {low..high}
 
 
@@ -369,6 +370,8 @@ def _object(row, where, index, subindex, area, offset) -> Object:
         default = float(default or 0) if code == "f" else integer(default or "0", where, "default")
         if not low <= default <= high or (allowed is not None and default not in allowed):
             raise ValueError(f"{where}: default {default} is out of range [{low:.0f}, {high:.0f}]")
+        if plus and code != "f" and default + LAST_NODE > _type_range(code)[1]:
+            raise ValueError(f"{where}: default {row['default']} does not fit {row['data_type']}")
         if area == "constant" and row["pdo"]:
             raise ValueError(f"{where}: a constant cannot be mapped to a PDO")
     hook = row["hook"]
