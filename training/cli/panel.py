@@ -108,9 +108,10 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     adapter = Adapter(opened(options), lambda: opened(options), tell)
     nodes = {f"node {number}": number for number in options.node_id}
     place = where(options) or f"{INTERFACE} {CHANNEL}"
+    rate = RATE if options.samples is None else options.samples
     try:
         return BusBench(
-            AdapterPort(adapter), nodes, options.drive, rate=options.samples or RATE, units=units,
+            AdapterPort(adapter), nodes, options.drive, rate=rate, units=units,
             listen=options.listen, title=f"{', '.join(nodes)} on {place}",
         ), adapter  # fmt: skip
     except ValueError:
@@ -147,7 +148,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
         return 0
     bus = ("listen", "units", "samples", "interface", "channel", "bitrate", "bus_config")
     for name in bus:
-        if getattr(options, name, None):
+        if getattr(options, name, None) is not None and getattr(options, name) is not False:
             option = name.replace("_", "-")
             raise ValueError(f"--{option} is for nodes on a bus: give --node-id")
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
