@@ -18,14 +18,27 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numba
 from numba import types
 from numba.core import config, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
-from .compiler import Pipeline, compiling, without_linear_algebra
 from .reach import reach
+
+TESTED = "0.68"  # releases of Numba whose inner names `compiler` is written for
+
+if numba.__version__.startswith(f"{TESTED}.") and not os.environ.get("SERVOGYM_PLAIN_NUMBA"):
+    from .compiler import Pipeline, compiling, without_linear_algebra
+else:  # Numba as it is: the same code, compiled more slowly
+    from numba.core.compiler import Compiler as Pipeline  # type: ignore[assignment]
+
+    compiling = contextlib.nullcontext  # type: ignore[assignment]
+
+    def without_linear_algebra() -> None:  # type: ignore[misc]
+        """Nothing is left out."""
+
 
 try:
     import fcntl
@@ -87,6 +100,10 @@ def _say(text: str, *, always: bool = False) -> None:
         return
     if always or _watched():
         print(f"servogym: {text}", file=sys.stderr, flush=True)
+
+
+if not numba.__version__.startswith(f"{TESTED}."):
+    _say(f"Numba {numba.__version__} is not {TESTED}, which was tested: compiling takes longer")
 
 
 @functools.cache

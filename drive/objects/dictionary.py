@@ -31,7 +31,8 @@ def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, 
     rows = all_objects(model)
     for row in rows:
         if row.when and row.when not in WHEN:
-            raise ValueError(f"{row.where}: when {row.when!r}: use one of {', '.join(WHEN)}")
+            known = ", ".join(WHEN)
+            raise ValueError(f"{row.where}: when {row.when!r} is unknown, use one of {known}")
     slots = {
         (row.index, row.subindex): Slot(
             row,

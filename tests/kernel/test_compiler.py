@@ -5,6 +5,9 @@ What is left out of the compiling changes neither what compiled code does nor Nu
 
 import gc
 import math
+import os
+import subprocess
+import sys
 
 import numba
 import numpy as np
@@ -181,3 +184,32 @@ def test_a_block_called_from_python_is_kept_like_an_entry(tmp_path):
     assert again(4.0) == expected(4.0)
     assert sum(again._alone.stats.cache_misses.values()) == 0
     assert not library(root)._finalized
+
+
+PLAIN = """
+import math
+from servogym.drive.kernel import jit
+
+@jit.block
+def root(x):
+    return math.gcd(int(max(x, 2.0)), 6) + math.sqrt(x)
+
+@jit.entry
+def run(x):
+    return root(x) + root(x + 1.0)
+
+print(jit.Pipeline.__module__, repr(run(4.0)))
+"""
+
+
+@pytest.mark.parametrize("plain", ["", "1"])
+def test_without_the_inner_names_of_numba_the_same_is_computed(tmp_path, plain):
+    """As with a release of Numba that `compiler` is not written for."""
+    file = tmp_path / "plain.py"
+    file.write_text(PLAIN)
+    places = {"SERVOGYM_PLAIN_NUMBA": plain, "SERVOGYM_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, file], env=os.environ | places, capture_output=True, text=True, check=True
+    )
+    module = "numba.core.compiler" if plain else "servogym.drive.kernel.compiler"
+    assert done.stdout == f"{module} {expected(4.0)!r}\n"
