@@ -58,7 +58,8 @@ def test_a_row_is_bold_only_where_the_paired_difference_leaves_0_out(tmp_path):
     page = results.page(folder(tmp_path / "a", policies).parent)
     assert (
         "| [LinearAxis-v0](#linearaxis-v0), 5 trainings | settling (s) | 1.00 [0.900, 1.10] | "
-        "fast: 2.00 [1.80, 2.20] | **-1.00 [-1.20, -0.800]** | – | – | 50 %, 50 % | –, – | –, – |\n"
+        "fast: 2.00 [1.80, 2.20] | **-1.00 [-1.20, -0.800]** | – | – | – | – | 50 %, 50 % | –, – | "
+        "–, – |\n"
     ) in page
     assert "see [it](LinearAxis-v0/compare.md).\n" in page
     assert "fast is better in: rms torque / rated.\n" in page

@@ -129,15 +129,23 @@ class _Policy(NamedTuple):
     summary: dict[str, Summary]  # by metric
     differences: dict[str, Difference]  # from the best baseline, by metric
     trainings: int
-    values: np.ndarray  # of the metric of the task, shape (trainings, episodes)
+    values: np.ndarray | None  # of the metric of the task, shape (trainings, episodes)
 
 
 def _pairs(own: _Policy, baseline: _Policy, better: str) -> list[str]:
     """The interquartile mean of the paired differences, and the share of episodes improved."""
+    if own.values is None or baseline.values is None:
+        return ["–", "–"]
     found = paired(own.values, baseline.values, better)
     text = f"{number(found.iqm)} [{number(found.low)}, {number(found.high)}]"
     sure = ahead(Difference(found.iqm, found.low, found.high), better)
     return [f"**{text}**" if sure else text, f"{100 * found.improved:.0f} %"]
+
+
+def _values(policy: Mapping[str, Any], metric: str) -> np.ndarray | None:
+    """Of each episode; None where an older file does not have them."""
+    values = policy.get("episodes", {}).get(metric)
+    return None if values is None else np.array(values, float).reshape(policy["trainings"], -1)
 
 
 def _chosen(
@@ -162,9 +170,7 @@ def _chosen(
             {m: Summary(**row) for m, row in policies[name]["summary"].items()},
             {m: Difference(**row) for m, row in policies[name]["differences"].items()},
             policies[name]["trainings"],
-            np.array(policies[name]["episodes"][metric], float).reshape(
-                policies[name]["trainings"], -1
-            ),
+            _values(policies[name], metric),
         )
         for name in (LEARNED, against)
     )

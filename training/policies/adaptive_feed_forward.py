@@ -42,6 +42,8 @@ LONGEST = 1.2  # steps
 class AdaptiveFeedForward(FeedForward):
     """Along the reference that is observed."""
 
+    loop = 1.0  # share of the gains of the outer loop
+
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         super().__init__(datasheet, seed)
         axis = datasheet.axis
@@ -70,6 +72,10 @@ class AdaptiveFeedForward(FeedForward):
         """How far the set-point leads (m); of the error (m) and the motion (m/s, m/s²): not."""
         return 0.0
 
+    def fed(self) -> float:
+        """What else is fed forward to the set-point (m): nothing."""
+        return 0.0
+
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque in the middle of the step to come, and the correction of the set-point."""
         axis, dt = self._axis, self._known.step_time
@@ -84,8 +90,8 @@ class AdaptiveFeedForward(FeedForward):
         force -= self._nominal * self._torque.own(velocity + 0.5 * acceleration * dt)
         error = float(seen.error) * self._range
         self._sum = FADING * self._sum + INTEGRAL * error
-        correction = GAIN * error + self._sum + DIFFERENCE * (error - self._error)
-        correction += self.ahead(error, velocity, rate)
+        correction = self.loop * (GAIN * error + self._sum + DIFFERENCE * (error - self._error))
+        correction += self.ahead(error, velocity, rate) + self.fed()
         self._error = error
         return self._known.action(
             torque=min(max(force / axis.offset, -1.0), 1.0),

@@ -78,9 +78,10 @@ class BasisFeedForward(LeadingFeedForward):
         coefficients: of the basis functions; those that were fitted if not given.
     """
 
+    loop = LOOP
+
     def __init__(self, datasheet: Datasheet, seed: int = 0, coefficients: np.ndarray | None = None):
         super().__init__(datasheet, seed)
-        self._slot = fields.slots(datasheet.action_record)["correction"].start
         self._coefficients = fitted() if coefficients is None else coefficients
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
@@ -88,15 +89,16 @@ class BasisFeedForward(LeadingFeedForward):
         super().reset(observation, info)
         self._reference = Reference(self._known)
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """Torque and outer loop of the law below, and the correction of the basis functions."""
-        self._reference.see(observation)
-        action = super().act(observation)
+    def fed(self) -> float:
+        """The correction of the basis functions (m)."""
         mass, share = self.found
         functions = self._reference.functions(mass / self._nominal - 1.0, share - 1.0)
-        correction = LOOP * action[self._slot] + float(functions @ self._coefficients)
-        action[self._slot] = min(max(correction, -1.0), 1.0)
-        return action
+        return self._range * float(functions @ self._coefficients)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Torque, lead and outer loop of the law below, and the correction."""
+        self._reference.see(observation)
+        return super().act(observation)
 
 
 @lru_cache(maxsize=1)
