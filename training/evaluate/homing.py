@@ -31,7 +31,7 @@ from ..scale.work import ALONE, Work
 
 RUNS, QUICK_RUNS = 50, 2  # of a cell
 SPAN = (0.03, 0.47)  # m, of the starts
-DEFAULT_METHODS = (1, 2, 17, 18, 23, 27, 33, -1, -17)
+DEFAULT_METHODS = (1, 17, 18, 23, 33, -1, -17)  # others with --method
 QUICK_METHODS = (1, 17, 23, -17)
 QUICK_FAMILY = ("rigid", "ball_screw")
 ON_A_STOP = (-1, -2, -17, -18)
@@ -41,6 +41,7 @@ STRIDE = 40  # position cycles between two looks: the time is known to 20 ms
 SEED = 1  # of starts and switches
 RESAMPLED, CONFIDENCE = 1000, 0.95
 BESIDE = 23  # the method that is repeated at other speeds, loads and inclinations
+BESIDE_ON = ("rigid", "toothed_belt", "ball_screw")  # of the axes, where none are named
 AXES = {  # what is changed of the axis, and of the objects (µm/s)
     "as delivered": ({}, {}),
     "approach 20 mm/s": ({}, {"speed_during_search_for_zero": 20_000}),
@@ -52,6 +53,23 @@ AS_DELIVERED = "as delivered"
 VARIANT = {AS_DELIVERED: ""}  # in the table
 
 Row = dict[str, Any]
+OPTIONS = {  # of the command line, where an argument of `jobs` has another name
+    "strategies": "policy", "payloads": "payload", "distances": "distance", "methods": "method",
+    "parameter_file": "parameter-file",
+}  # fmt: skip
+
+
+def written(chosen: Mapping[str, Any]) -> str:
+    """Further arguments of `jobs` as the command line has them."""
+    words = []
+    for name, value in chosen.items():
+        values = value if isinstance(value, list | tuple) else [value]
+        own = [v for v in values if name == "methods" and isinstance(v, str)]
+        rest = [v for v in values if v not in own]
+        words += [f"--policy {','.join(own)}"] if own else []
+        text = ",".join(f"{v:g}" if isinstance(v, float) else str(v) for v in rest)
+        words += [f"--{OPTIONS.get(name, name)} {text}"] if rest else []
+    return " ".join(words)
 
 
 def searches(
@@ -111,7 +129,7 @@ def jobs(
         others = [variant for variant in AXES if variant != AS_DELIVERED]
         todo += [
             job(name, BESIDE, variant)
-            for name in family
+            for name in mechanics or BESIDE_ON
             for variant in others
             if not (name == "vertical" and variant.startswith("inclined"))
         ]
@@ -311,7 +329,7 @@ def run(
     todo = jobs(drive, quick, **(chosen or {}))
     results = work.map(todo, folder=out, console=console, warm=todo[:1])
     rows: list[Row] = [row for result in results for row in result["rows"]]
-    words = " ".join(f"--{k} {v}" for k, v in (chosen or {}).items() if v)
+    words = written(chosen or {})
     command = f"servogym benchmark homing --drive {drive}{' --quick' if quick else ''} {words}"
     source = origin(command.rstrip())
     cells = _cells(rows)

@@ -21,6 +21,7 @@ from ..report import markdown, number, origin, write_csv, write_page
 from ..scale.job import Job, Result
 from ..scale.work import ALONE, Work
 from .episodes import Evaluator
+from .homing import written
 from .parts import warm
 
 STRATEGIES = (
@@ -205,7 +206,7 @@ def run(
     rows: list[Row] = [row for result in results for row in result["rows"]]
     if not rows:
         raise ValueError(next(result["refused"] for result in results if result["refused"]))
-    words = " ".join(f"--{k} {v}" for k, v in (chosen or {}).items() if v)
+    words = written(chosen or {})
     command = f"servogym benchmark positioning --drive {drive}{' --quick' if quick else ''} {words}"
     source = origin(command.rstrip())
     strategies = list(dict.fromkeys(row["strategy"] for row in rows))
