@@ -240,7 +240,7 @@ class Drive:
                 f"write{(index, *arguments)}: give name and value, or index, sub-index and value"
             )
         *subindex, value = arguments
-        slot = self.objects.slot(index, subindex[0] if subindex else 0)
+        slot = self.objects.slot(index, subindex[0] if subindex else 0)  # type: ignore[arg-type]
         if not isinstance(value, int | float | np.integer | np.floating):
             raise TypeError(f"{slot.row.name}: {value!r} is not a number")
         if slot.row.format != "f":
