@@ -32,6 +32,7 @@ from ..policies.trained import saved, weights
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
+from .hyperparameters import CONSECUTIVE, INDEPENDENT
 
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
@@ -75,16 +76,14 @@ class Run:
         hyperparameters.counted({"seed": self.seed, "envs": self.envs})
         saved.judged_apart("--seed", self.seed, self.envs)
 
-    def vector(
-        self, envs: int, device: str | None = None, streams: str = hyperparameters.CONSECUTIVE
-    ) -> VecEnv:
+    def vector(self, envs: int, device: str | None = None, streams: str = CONSECUTIVE) -> VecEnv:
         """Environments of this run. Raises ValueError as the environment does."""
         try:
             made = sb3.make(
                 self.env_id, envs, drive=self.drive, residual=self.residual, bounds=self.bounds,
                 device=device, **self.arguments,
             )  # fmt: skip
-            made.independent = streams == hyperparameters.INDEPENDENT
+            made.independent = streams == INDEPENDENT
             return VecMonitor(made)
         except TypeError as error:
             raise ValueError(f"arguments of {self.env_id}: {words(error)}") from None
@@ -265,7 +264,7 @@ def _train(
     evaluate_every: int, progress: bool, console: Console, first: weights.Weights | None,
 ) -> tuple[Score, Score]:  # fmt: skip
     settings = dict(run.hyperparameters)
-    streams = settings.pop("streams", hyperparameters.CONSECUTIVE)  # an older one does not say it
+    streams = settings.pop("streams", CONSECUTIVE)  # an older one does not say it
     env, judged = run.vector(run.envs, run.device, streams), run.vector(EPISODES)
     settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     if settings.pop("normalize"):
