@@ -38,6 +38,10 @@ ALWAYS = (
     "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "
     "constant. A second log with a known payload added would tell it."
 )
+NARROW = (
+    "The intervals of an axis with a spring are too narrow: about half of the true values lie in "
+    "them. Take twice their width."
+)
 
 
 def doubts(fitted: Fitted) -> list[str]:
@@ -68,6 +72,8 @@ def doubts(fitted: Fitted) -> list[str]:
             low, high = estimate.interval(name)
             advice = ALONE.get(name, "read it from the drive (--read-gains)")
             said.append(f"{name} is known poorly ({low:.3g} to {high:.3g}): {advice}.")
+    if fitted.family.spring:
+        said.append(NARROW)
     return said
 
 
