@@ -9,13 +9,19 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-from ...drive.kernel.jit import entry
+from ...drive.kernel.jit import block, entry
 from .faces import faulted, limited
+
+
+def _compiled(function: Any) -> Any:
+    """The function of a task, compiled also where its author has left ``@block`` out."""
+    return function if hasattr(function, "py_func") else block(function)
 
 
 @functools.cache
 def acting(act: Callable[..., None]) -> Any:
     """A task's ``act(episode, action, rpdos)`` over ``(worlds, episodes, actions, rpdos)``."""
+    act = _compiled(act)
 
     @entry
     def act_on_each(worlds, episodes, actions, rpdos):
@@ -32,6 +38,7 @@ def acting(act: Callable[..., None]) -> Any:
 @functools.cache
 def judging(judge: Callable[..., None]) -> Any:
     """A task's ``judge(episode, rpdos, tpdos, observation)`` over arrays of these and worlds."""
+    judge = _compiled(judge)
 
     @entry
     def judge_each(worlds, episodes, rpdos, tpdos, observations):
