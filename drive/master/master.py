@@ -37,7 +37,7 @@ STAYS = range(5, 9)  # 605Ah: values that end in QUICK_STOP_ACTIVE
 RAMP = C.NEW_SET_POINT | C.CHANGE_SET_IMMEDIATELY | C.RELATIVE  # what lets vl turn
 TORQUE = (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE)
 COASTS = 1.0  # s until an axis has to stand where halt may only take its torque away (inferred)
-AT_REST = {  # by mode: the set-point that is dropped by a stop
+AT_REST: dict[int, str] = {  # by mode: the set-point that is dropped by a stop
     Mode.VELOCITY: "vl_target_velocity", Mode.PROFILE_VELOCITY: "target_velocity",
     Mode.PROFILE_TORQUE: "target_torque", Mode.CYCLIC_SYNC_POSITION: "target_position",
     Mode.CYCLIC_SYNC_VELOCITY: "target_velocity", Mode.CYCLIC_SYNC_TORQUE: "target_torque",
@@ -163,7 +163,7 @@ class Master(Drives):
         name = AT_REST.get(mode)
         if name is None:
             raise Refused(f"mode {mode.name}", "it is not moved by set-points",
-                          f"choose one of {', '.join(each.name for each in AT_REST)}")  # fmt: skip
+                          f"choose one of {', '.join(Mode(each).name for each in AT_REST)}")  # fmt: skip
         self._power("set-points")
         if all(self._mode(a) == mode and not self._told(a) & C.HALT for a in self.axes):
             return

@@ -465,4 +465,6 @@ class PortLine:
         """Raises TypeError: drives on a bus cannot be copied."""
         raise TypeError("an environment on a port cannot be copied or pickled: make another one")
 
-    become = state
+    def become(self, state: Any) -> None:
+        """Raises TypeError: drives on a bus cannot be copied."""
+        self.state()

@@ -1,7 +1,7 @@
 """Parameters of a drive, of a file and of the factory, side by side."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...drive.master import ServoError
 from ...drive.model.rows import Object
@@ -37,7 +37,7 @@ def compare(bench: Bench, axis: str, file: Mapping[str, float] | None = None) ->
         except (ServoError, SdoAbort, ValueError):
             node = None
         kept = file.get(key) if file is not None else None
-        factory = None if row.per_node else row.default
+        factory: Any = None if row.per_node else row.default
         others = [float(value) for value in (factory, kept) if value is not None]
         if any(node is None or value != node for value in others):
             address = f"{row.index:04X}h:{row.subindex:02X}"

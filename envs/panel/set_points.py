@@ -115,9 +115,9 @@ class SetPoints:
             fastest = self.most(axis).velocity
             if fastest and abs(value) > fastest * (1 + 1e-9):
                 _, scale = self.bench.unit(axis)
-                most = f"{fastest * scale:g}"
+                allowed = f"{fastest * scale:g}"
                 raise Refused(
-                    "velocity", f"{value * scale:g} is more than 6081h allows, {most}",
+                    "velocity", f"{value * scale:g} is more than 6081h allows, {allowed}",
                     "choose less, or raise 6081h",
                 )  # fmt: skip
             return round(value / units.velocity)

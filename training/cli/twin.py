@@ -225,7 +225,7 @@ def _known(drive: str, values: dict[str, Any]) -> dict[str, float]:
             name = row.name if row is not None else key
         except ValueError:
             pass
-        if name in OD.names or name in model.names:
+        if name in (OD.names or ()) or name in model.names:
             found[name] = float(value)
     if not found:
         raise ValueError("no object")
@@ -284,7 +284,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
     built = {
         k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments
     } | dict(options.set)  # fmt: skip
-    gains = {
+    gains: dict[str, float] = {
         n: twin.values[n]
         for n in ("velocity_gain", "integral_time", "position_gain")
         if n in twin.values

@@ -96,7 +96,7 @@ class LoopsPage:
             return done
         drive = twin.drives[axis]
         fault = (drive.fault, remedy(drive.axis)) if drive.fault else ("", "")
-        self.wrong.set_text(faulty(axis, *fault, "the copy") or done)
+        self.wrong.set_text(faulty(axis, fault[0], fault[1], "the copy") or done)
         return None
 
     async def _measure(self) -> None:

@@ -164,7 +164,7 @@ class ObjectsPage:
             (self._values[self.chosen],) = await self.desk.ask(lambda s: s.texts(axis, [chosen]))
         self._count += 1
         if self.chosen:
-            row = self.rows[self.chosen]
+            its = self.rows[self.chosen]
             value = self._values.get(self.chosen, "")
-            self.live.set_text(f"{value} {row.unit}".strip())
-            self.hexadecimal.set_text(hexadecimal(value, row))
+            self.live.set_text(f"{value} {its.unit}".strip())
+            self.hexadecimal.set_text(hexadecimal(value, its))
