@@ -12,7 +12,8 @@ from .plants.axis_parameters import FAMILY, LinearAxisParameters
 from .plants.commissioning import commission_joint
 from .plants.gantry import Gantry, GantryParameters, gantry
 from .plants.linear_axis import linear_axis
-from .plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
+from .plants.rotary import rotary_axis
+from .plants.rotary_parameters import ROTARY_FAMILY, RotaryParameters
 from .tasks import ON_MODELS, POINT_TO_POINT, TASKS
 
 __all__ = [

@@ -163,7 +163,7 @@ class Master(Drives):
         name = AT_REST.get(mode)
         if name is None:
             raise Refused(f"mode {mode.name}", "it is not moved by set-points",
-                          f"choose one of {', '.join(Mode(each).name for each in AT_REST)}")  # fmt: skip
+                          f"choose one of {', '.join(Mode(m).name for m in AT_REST)}")  # fmt: skip
         self._power("set-points")
         if all(self._mode(a) == mode and not self._told(a) & C.HALT for a in self.axes):
             return

@@ -24,6 +24,7 @@ from .mjcf import attach, read
 from .physics import OPTIONS, RNE_FLAG, STATE, addresses, compiled
 from .probe import PROBE
 from .rates import rates
+from .replay import Replay, rows_of
 from .world import COUPLING, FIELD, PDOS, WORLD
 
 MOST = 10**12  # cycles of a step
@@ -314,8 +315,6 @@ class Machine:
         Raises:
             ValueError: an unknown name, columns of different lengths.
         """
-        from .replay import Replay, rows_of  # it is made of machines
-
         name = next(iter(self.drives)) if drive is None else drive
         self._number(name)
         layout = Replay(name, [*rows], read)

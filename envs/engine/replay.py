@@ -7,15 +7,14 @@ variable or field of a drive's record, whether or not the model maps it.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ...drive.kernel.record import AXIS, OD
 from ...drive.memory import address
 from . import loop
-from .machine import Machine
-from .series import mapped
-from .world import PDOS
+from .world import PDOS, mapped
 
 KEPT = ("pdos", "latches", "latches_from", "latches_count")
 
@@ -54,7 +53,7 @@ class Replay:
         self._tpdos = mapped(_widths(sources, self.read))
 
     def run(
-        self, machines: Sequence[Machine], rows: np.ndarray, arrives: np.ndarray | None = None
+        self, machines: Sequence[Any], rows: np.ndarray, arrives: np.ndarray | None = None
     ) -> np.ndarray:
         """Run all machines through the rows, each from where it stands.
 

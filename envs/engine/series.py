@@ -4,16 +4,15 @@ The process images of a step, one a cycle: with a mapping of their own, which ma
 a drive's record, mapped by the model or not.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from ...drive.kernel import process_data
 from ...drive.kernel.record import AXIS, OD
 from ...drive.memory import address
 from . import loop
 from .machine import Machine
-from .world import PDOS
+from .world import PDOS, mapped
 
 
 class Series:
@@ -65,17 +64,3 @@ class Series:
 def _bytes(rows: np.ndarray) -> np.ndarray:
     """A row of bytes for each row; a view."""
     return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)
-
-
-def mapped(places: Mapping[int, int]) -> np.ndarray:
-    """One PDO of so many bytes at places of a drive's record.
-
-    Raises ValueError for more places than a PDO has.
-    """
-    if len(places) > process_data.ENTRIES:
-        raise ValueError(f"{len(places)} columns, at most {process_data.ENTRIES} are possible")
-    pdo = process_data.make(1)
-    pdo["valid"], pdo["count"], pdo["width"] = 1, len(places), sum(places.values())
-    pdo["offset"][0, : len(places)] = [*places]
-    pdo["length"][0, : len(places)] = [*places.values()]
-    return pdo

@@ -1,6 +1,10 @@
 """What the loop knows of a machine: records that say where its things lie in memory."""
 
+from collections.abc import Mapping
+
 import numpy as np
+
+from ...drive.kernel import process_data
 
 # How a drive is coupled to the physics, and its PDOs. One record a drive.
 COUPLING = np.dtype(
@@ -117,3 +121,17 @@ PDOS = np.dtype([("rpdos", "i8"), ("rpdo_count", "i8"), ("tpdos", "i8"), ("tpdo_
 
 # A field of MjModel that differs between machines that share it.
 FIELD = np.dtype([("address", "i8"), ("length", "i8")])
+
+
+def mapped(places: Mapping[int, int]) -> np.ndarray:
+    """One PDO of so many bytes at places of a drive's record.
+
+    Raises ValueError for more places than a PDO has.
+    """
+    if len(places) > process_data.ENTRIES:
+        raise ValueError(f"{len(places)} columns, at most {process_data.ENTRIES} are possible")
+    pdo = process_data.make(1)
+    pdo["valid"], pdo["count"], pdo["width"] = 1, len(places), sum(places.values())
+    pdo["offset"][0, : len(places)] = [*places]
+    pdo["length"][0, : len(places)] = [*places.values()]
+    return pdo

@@ -10,7 +10,7 @@ from ...drive.model.model import DriveModel
 from ..engine.machine import Machine
 from ..plants.axis_parameters import Joints, LinearAxisParameters
 from ..plants.gantry import GantryParameters
-from ..plants.rotary import RotaryParameters
+from ..plants.rotary_parameters import RotaryParameters
 from ..view import channels
 from ..view.about import Metric, Sensor
 

@@ -14,7 +14,7 @@ from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from ..engine.physics import compiled
-from . import own_units, tuning
+from . import own_units, tuning, twins
 from .axis_parameters import LinearAxisParameters, chosen, family
 from .motor import MOTOR, motor_and_encoder
 from .sizing import Profile, largest
@@ -65,12 +65,10 @@ def linear_axis(
             or drive cannot move.
     """
     if twin is not None:
-        from . import twins  # which makes such axes
-
         found = twins.read(twin)
         if found.builder != "linear_axis":
             raise ValueError(f"twin = {str(twin)!r} is a {found.builder}, no linear_axis")
-        return found.machine(None if drive == "generic" else drive)
+        return found.machine(linear_axis, None if drive == "generic" else drive)
     if parameters is None:
         parameters = family(mechanics, **values)
     elif values or mechanics != "rigid":

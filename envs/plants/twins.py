@@ -18,7 +18,7 @@ from ..engine import parameters
 from ..engine.machine import Machine
 from .axis_parameters import RANGES as LINEAR_RANGES
 from .axis_parameters import LinearAxisParameters, family
-from .rotary import ROTARY_FAMILY, RotaryParameters
+from .rotary_parameters import ROTARY_FAMILY, RotaryParameters
 
 FILE = "twin.json"
 SCHEMA = "servogym.twin/1"
@@ -94,20 +94,20 @@ class Twin:
         parameters.put(machine, self.values, self.axis)
         machine.reset()
 
-    def machine(self, drive: str | Path | DriveModel | None = None) -> Machine:
-        """A machine of its own, commissioned and at rest."""
-        from .gantry import gantry
-        from .linear_axis import linear_axis
-        from .rotary import rotary_axis
+    def machine(
+        self, make: Callable[..., Machine], drive: str | Path | DriveModel | None = None
+    ) -> Machine:
+        """A machine of its own, commissioned and at rest.
 
+        Args:
+            make: the function that `builder` names.
+            drive: a model in place of the twin's own.
+        """
         model = load(self.drive if drive is None else drive)
-        makers: dict[str, Callable[..., Machine]] = {
-            "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
-        }  # fmt: skip
         plant = self.datasheet()
         # its gains are those of the log, not what this plant and motor could do
         given = dict(self.arguments) if plant is None else {"parameters": plant, "tuned": False}
-        machine = makers[self.builder](model, **given)
+        machine = make(model, **given)
         self.give(machine)
         return machine
 

@@ -15,7 +15,7 @@ from ...drive.master import Master
 from ..engine.machine import Machine
 from ..environment.servo_env import ServoEnv
 from ..masters.port import MachinePort
-from ..plants.rotary import ROTARY_FAMILY
+from ..plants.rotary_parameters import ROTARY_FAMILY
 from . import GantryContourEnv, LinearAxisEnv, RobotEnv, RotaryAxisEnv
 from .contour import CENTRE
 

@@ -15,7 +15,8 @@ from ..environment.servo_env import ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip
 from ..exchange.fields import action, observation
-from ..plants.rotary import ROTARY_FAMILY, RotaryParameters, rotary_axis
+from ..plants.rotary import rotary_axis
+from ..plants.rotary_parameters import ROTARY_FAMILY, RotaryParameters
 from ..view.channels import Channel
 from .rewards import closeness
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from servogym.envs.plants.rotary import ROTARY_FAMILY
+from servogym.envs.plants.rotary_parameters import ROTARY_FAMILY
 from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.training import cli
 from servogym.training.evaluate.episodes import Evaluator

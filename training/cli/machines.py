@@ -122,11 +122,18 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
 
 
 def _of_twin(options: argparse.Namespace) -> Machine:
+    from ...envs import gantry, linear_axis, rotary_axis
     from ...envs.plants import twins
 
     if options.set or options.machine != "rigid":
         raise ValueError("--twin is a machine by itself: leave out --set and the machine's name")
-    return twins.read(options.twin).machine(None if options.drive == "generic" else options.drive)
+    found = twins.read(options.twin)
+    makers: dict[str, Callable[..., Machine]] = {
+        "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
+    }  # fmt: skip
+    return found.machine(
+        makers[found.builder], None if options.drive == "generic" else options.drive
+    )
 
 
 def _middles(machine: Machine) -> dict[str, float]:

@@ -77,8 +77,8 @@ def searches(
     seeds: Sequence[int], payload: float | None, parameter_file: str | None,
 ) -> Result:  # fmt: skip
     """The job: one method on one axis, from every start."""
-    values, objects = AXES[variant]
-    values = {**values, **({} if payload is None else {"payload": payload})}
+    own, objects = AXES[variant]
+    values: dict[str, Any] = {**own, **({} if payload is None else {"payload": payload})}
     machine = linear_axis(
         load(drive), parameters=replace(FAMILY[mechanics], **values), parameter_file=parameter_file
     )

@@ -17,7 +17,7 @@ from ...envs.exchange import fields
 from ...envs.plants.axis_parameters import Joints, LinearAxisParameters
 from ...envs.plants.gantry import FEED_CONSTANT, PAIR, GantryParameters
 from ...envs.plants.linear_axis import GRAVITY
-from ...envs.plants.rotary import RotaryParameters
+from ...envs.plants.rotary_parameters import RotaryParameters
 from ...envs.variation.randomisation import PAYLOAD
 from ...envs.view.about import Sensor
 
