@@ -1,20 +1,17 @@
 """Set-points of torque, velocity and position for drives of a bench, once or as a wave."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any
 
 from ...drive.diagrams import Mode, State
 from ...drive.master import Refused
 from .generator import KINDS, WAVES, Most, Wave, travel
 
-if TYPE_CHECKING:
-    from .bench import Bench
-
 
 class SetPoints:
-    """Hands set-points to the drives of a bench, within their limits."""
+    """Hands set-points to the drives of a `bench.Bench`, within their limits."""
 
-    def __init__(self, bench: "Bench"):
+    def __init__(self, bench: Any):
         self.bench = bench
 
     def most(self, axis: str) -> Most:

@@ -103,7 +103,7 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     Raises:
         ValueError: an unknown machine, parameter or axis.
     """
-    mjcf = options.machine not in NAMES
+    mjcf = options.twin is None and options.machine not in NAMES
     if options.gear is not None and not mjcf:
         raise ValueError("--gear is of an MJCF; the machines of the laboratory have feed_constant")
     machine = _machine(options) if options.twin is None else _of_twin(options)
@@ -125,7 +125,7 @@ def _of_twin(options: argparse.Namespace) -> Machine:
     from ...envs import gantry, linear_axis, rotary_axis
     from ...envs.plants import twins
 
-    if options.set or options.machine != "rigid":
+    if options.set or options.machine not in (None, "rigid"):
         raise ValueError("--twin is a machine by itself: leave out --set and the machine's name")
     found = twins.read(options.twin)
     makers: dict[str, Callable[..., Machine]] = {
