@@ -12,7 +12,7 @@ from later import Later, only_with
 
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.training.policies import SHIPPED
-from servogym.training.policies.trained import saved, weights
+from servogym.training.policies.trained import saved, weights, zipped
 from servogym.training.policies.trained.learned import Learned
 
 stable_baselines3 = Later("stable_baselines3")
@@ -125,7 +125,7 @@ def test_an_older_checkpoint_is_played_from_its_zip_without_its_pickles(trained,
     (folder / weights.WEIGHTS).unlink()
     trained[0].save(folder / "model.zip")
     trained[0].get_vec_normalize_env().save(str(folder / "vecnormalize.pkl"))
-    again = weights.load(folder)
+    again = zipped.of(folder)
     assert again.network.keys() == expected.network.keys()
     assert all(np.array_equal(again.network[n], expected.network[n]) for n in again.network)
     assert np.array_equal(again.mean, expected.mean)

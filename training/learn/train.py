@@ -28,7 +28,7 @@ from torch.optim import Optimizer
 from ...drive.model.near import near
 from ...envs.engine.checks import words
 from ...envs.environment.registry import short, task
-from ..policies.trained import saved, weights
+from ..policies.trained import saved, weights, zipped
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
@@ -251,7 +251,7 @@ def train(
         run, first = _continued(last, env_id, asked, console), None
     elif start is not None:
         start = saved.folder(start)
-        run, first = _started(start, env_id, asked, settings), weights.load(start)
+        run, first = _started(start, env_id, asked, settings), zipped.of(start)
     else:
         run, first = _run(env_id, asked, settings), None
     with checkpoint.alone(out), sb3.one_thread():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ....envs.environment.servo_env import ServoEnv
-from . import saved, weights
+from . import saved, weights, zipped
 from .residual import baseline, checked, corrected
 from .saved import ABOUT, STATISTICS, ZIP, read
 
@@ -16,11 +16,9 @@ from .saved import ABOUT, STATISTICS, ZIP, read
 def _opened(place: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, Any]:
     """What a checkpoint is, its weights and its network: one for all who play it."""
     if place.suffix == ZIP:
-        from .zipped import read as unzipped  # it needs torch
-
-        arrays, kind = unzipped(place)
+        arrays, kind = zipped.read(place)
         return {"arguments": {}}, arrays, arrays.played(kind)
-    about, arrays = read(place), weights.load(place)
+    about, arrays = read(place), zipped.of(place)
     return about, arrays, arrays.actor(about)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ....drive.model import foreign
 from ....drive.model.files import content
 from .network import CLIP, RELU, TANH, forward
-from .saved import ABOUT, MODEL, stable_baselines3
+from .saved import ABOUT, stable_baselines3
 
 WEIGHTS = "weights.npz"
 NETWORK = "network/"
@@ -182,11 +182,7 @@ def load(folder: Path) -> Weights:
     """
     file = folder / WEIGHTS
     if not file.is_file():
-        if not (folder / MODEL).is_file():
-            raise ValueError(f"{folder} has no {WEIGHTS}")
-        from .zipped import read  # it needs torch
-
-        return read(folder / MODEL)[0]
+        raise ValueError(f"{folder} has no {WEIGHTS}")
     found = foreign.arrays(file)
     if (folder / ABOUT).is_file() and (stated := foreign.table(folder / ABOUT).get("sha256")):
         foreign.intact(str(file), content(file, "weights", foreign.LARGEST_ARRAYS), stated)

@@ -19,8 +19,8 @@ import numpy as np
 from ....drive.model import foreign
 from ....drive.model.files import content
 from .network import RELU, TANH
-from .saved import STATISTICS, stable_baselines3
-from .weights import KNOWN, Kind, Weights, chain
+from .saved import MODEL, STATISTICS, stable_baselines3
+from .weights import KNOWN, WEIGHTS, Kind, Weights, chain, load
 
 ACTIVATIONS = {"Tanh": TANH, "ReLU": RELU}
 TELLING = {  # a name of an array, and the algorithm whose policy has it
@@ -28,6 +28,15 @@ TELLING = {  # a name of an array, and the algorithm whose policy has it
     "actor.mu.": "TD3",
 }  # fmt: skip
 OWN = "play it as a class in a file, FILE.py:name, which is a program that you name yourself"
+
+
+def of(folder: Path) -> Weights:
+    """The weights in the folder of a checkpoint: its own form, or `model.zip` in its place.
+
+    Raises ValueError as `weights.load` and `read` do.
+    """
+    zipped = not (folder / WEIGHTS).is_file() and (folder / MODEL).is_file()
+    return read(folder / MODEL)[0] if zipped else load(folder)
 
 
 def read(file: Path) -> tuple[Weights, Kind]:
