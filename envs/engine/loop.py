@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ...drive.kernel.jit import DISABLED, block, entry
@@ -297,8 +296,11 @@ def _protected(context, batch, job):
         work = context.compile_subroutine(builder, _all, types.none(types.intp))
         context.call_internal_no_propagate(inner, work.fndesc, work.signature, [function.args[3]])
         inner.ret_void()
-        apply = ir.FunctionType(small, [number, number, small, number, number, small])
-        apply = cgutils.get_or_insert_function(builder.module, apply, "mjb_apply")
+        apply = builder.module.globals.get("mjb_apply") or ir.Function(
+            builder.module,
+            ir.FunctionType(small, [number, number, small, number, number, small]),
+            "mjb_apply",
+        )
         zero = small(0)
         where = builder.ptrtoint(function, number)
         return builder.call(apply, [arguments[0], number(0), zero, where, arguments[1], zero])

@@ -2,6 +2,9 @@
 
 No C compiler, no plugin, no callback: LLVM resolves the symbols in the library that the Python
 package has already loaded. Without JIT the same names are Python functions.
+
+Where arrays lie in its structs, what a step is made of and which functions the library has is not
+what MuJoCo promises, and may change with a release. So one that was not tested is refused.
 """
 
 from pathlib import Path
@@ -15,6 +18,20 @@ from numba import types
 from ...drive.kernel import jit
 from ...drive.memory import address, floats_at, peek
 
+TESTED = "4.0"  # releases of MuJoCo
+
+
+def refuse_untested(version: str) -> None:
+    """Raise ImportError for a release of MuJoCo whose insides this is not written for."""
+    if not f"{version}.".startswith(f"{TESTED}."):
+        raise ImportError(
+            f"MuJoCo {version} is not {TESTED}, with which servogym was tested: it steps inside of "
+            f"MuJoCo, by addresses that another release may not have: pip install "
+            f"'mujoco=={TESTED}.*'"
+        )
+
+
+refuse_untested(mujoco.__version__)
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _models: dict[int, mujoco.MjModel] = {}  # by address, only without JIT
 _datas: dict[int, mujoco.MjData] = {}
@@ -112,7 +129,7 @@ def _offset(holder: Any, name: str, array: str, kind: str, values: tuple[Any, An
     setattr(holder, name, usual)
     places = np.flatnonzero(found[0] & found[1])
     if len(places) != 1:
-        raise ImportError(f"MuJoCo {mujoco.__version__} has no {name} where 4.0 has it")
+        raise ImportError(f"MuJoCo {mujoco.__version__} has no {name} where {TESTED} has it")
     return int(places[0]) * size - NEAR
 
 

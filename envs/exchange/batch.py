@@ -20,6 +20,7 @@ from ..engine.machine import Machine
 from . import fields
 from .faces import CONTROL, STATUS, control, report
 from .loops import acting, judging
+from .uncompiled import telling
 
 PDO_BYTES = 8
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
@@ -136,7 +137,8 @@ class Batch:
         modes: Sequence[int] = (), history: int = 1, previous_action: bool = False,
         prices: tuple[float, float] = (0.0, 0.0),
     ):  # fmt: skip
-        self._act, self._judge_each = acting(task.act), judging(task.judge)
+        self._act = telling(task.act, acting(task.act))
+        self._judge_each = telling(task.judge, judging(task.judge))
         self.ticks = ticks
         self.prices = prices
         if any(prices) and TORQUE not in (tpdo.names or ()):

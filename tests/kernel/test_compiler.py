@@ -6,15 +6,17 @@ What is left out of the compiling changes neither what compiled code does nor Nu
 import gc
 import math
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from numba.core import postproc
 
-from servogym.drive.kernel import jit
+from servogym.drive.kernel import code_cache, jit
 from servogym.drive.kernel.compiler import Library
 
 pytestmark = pytest.mark.skipif(jit.DISABLED, reason="nothing is compiled")
@@ -22,7 +24,7 @@ pytestmark = pytest.mark.skipif(jit.DISABLED, reason="nothing is compiled")
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    monkeypatch.setattr(code_cache, "cache_directory", lambda: tmp_path)
 
 
 def make():
@@ -187,7 +189,8 @@ def test_a_block_called_from_python_is_kept_like_an_entry(tmp_path):
 
 
 PLAIN = """
-import math
+import math, sys
+BEFORE
 from servogym.drive.kernel import jit
 
 @jit.block
@@ -198,18 +201,66 @@ def root(x):
 def run(x):
     return root(x) + root(x + 1.0)
 
-print(jit.Pipeline.__module__, repr(run(4.0)))
+fenced = [
+    f"servogym.drive.kernel.{name}" in sys.modules for name in ("dispatchers", "compiler", "reach")
+]
+print(jit.PLAIN, any(fenced), all(fenced), repr(run(4.0)))
 """
+OTHER = "import numba; numba.__version__ = '0.99.1'"
+GONE = "import numba.core.registry as place; del place.CPUDispatcher"
 
 
-@pytest.mark.parametrize("plain", ["", "1"])
-def test_without_the_inner_names_of_numba_the_same_is_computed(tmp_path, plain):
-    """As with a release of Numba that `compiler` is not written for."""
+@pytest.mark.parametrize(
+    ("setting", "before", "fenced"),
+    [
+        ("", "", (False, True, True)),
+        ("1", "", (True, False, False)),  # asked for
+        ("", OTHER, (True, False, False)),  # a release that was not tested
+        ("", GONE, (True, False, False)),  # one that is not as it was released
+    ],
+)
+def test_without_the_inner_names_of_numba_the_same_is_computed(tmp_path, setting, before, fenced):
     file = tmp_path / "plain.py"
-    file.write_text(PLAIN)
-    places = {"SERVOGYM_PLAIN_NUMBA": plain, "SERVOGYM_CACHE_DIR": str(tmp_path / "cache")}
+    file.write_text(PLAIN.replace("BEFORE", before))
+    places = {"SERVOGYM_PLAIN_NUMBA": setting, "SERVOGYM_CACHE_DIR": str(tmp_path / "cache")}
     done = subprocess.run(
         [sys.executable, file], env=os.environ | places, capture_output=True, text=True, check=True
     )
-    module = "numba.core.compiler" if plain else "servogym.drive.kernel.compiler"
-    assert done.stdout == f"{module} {expected(4.0)!r}\n"
+    assert done.stdout.split() == [*map(str, fenced), repr(expected(4.0))]
+
+
+def test_inner_names_of_numba_are_used_behind_the_fence_alone():
+    """Those of numba-cuda stand in `envs.engine.gpu`."""
+    root = Path(jit.__file__).parents[2]
+    inner = re.compile(r"^\s*(?:from|import) numba\.(?:core|np|parfors|misc)\b", re.M)
+    rooms = (root / name for name in ("drive", "envs", "training"))
+    found = {p.name for room in rooms for p in room.rglob("*.py") if inner.search(p.read_text())}
+    assert found == {"compiler.py", "dispatchers.py", "reach.py"}
+
+
+MACHINE = """
+import hashlib
+import gymnasium
+from servogym.drive.kernel import jit
+env = gymnasium.make("servogym.envs:servogym/LinearAxis-v0")
+seen, _ = env.reset(seed=1)
+digest = hashlib.sha256(seen.tobytes())
+env.action_space.seed(1)
+for _ in range(50):
+    seen, reward, *_ = env.step(env.action_space.sample())
+    digest.update(seen.tobytes() + repr(float(reward)).encode())
+print(jit.PLAIN, digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_a_machine_compiled_by_plain_numba_does_the_same_to_the_bit():
+    answers = []
+    for setting in ("", "1"):
+        done = subprocess.run(
+            [sys.executable, "-c", MACHINE], env=os.environ | {"SERVOGYM_PLAIN_NUMBA": setting},
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        answers.append(done.stdout.split())
+    assert [plain for plain, _ in answers] == ["False", "True"]
+    assert answers[0][1] == answers[1][1]

@@ -14,7 +14,7 @@ import threading
 import numba
 import pytest
 
-from servogym.drive.kernel import jit
+from servogym.drive.kernel import code_cache, dispatchers, jit
 from servogym.drive.kernel.reach import reach
 
 pytestmark = pytest.mark.skipif(jit.DISABLED, reason="nothing is compiled")
@@ -110,8 +110,8 @@ def load(tmp_path, monkeypatch):
 def cache(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     folder.mkdir()
-    monkeypatch.setattr(jit, "cache_directory", lambda: folder)
-    jit._cannot_keep.cache_clear()
+    monkeypatch.setattr(code_cache, "cache_directory", lambda: folder)
+    code_cache.cannot_keep.cache_clear()
     return folder
 
 
@@ -293,7 +293,7 @@ def test_a_notebook_is_told_before_and_after_a_long_compile(load, cache, monkeyp
     """Its stderr is no terminal; ipykernel's `OutStream` is known by its module."""
     stream = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})
     monkeypatch.delenv("SERVOGYM_QUIET", raising=False)
-    monkeypatch.setattr(jit, "LONG", 0.0)
+    monkeypatch.setattr(dispatchers, "LONG", 0.0)
     monkeypatch.setattr(sys, "stderr", stream())
     load()(1.0)
     load()(1.0)
@@ -339,7 +339,7 @@ def test_a_cache_keeps_what_was_used_last(load, cache, monkeypatch):
     first = load()
     first(1.0)
     size = sum(path.stat().st_size for path in cache.iterdir())
-    monkeypatch.setattr(jit, "LARGEST_CACHE", int(1.5 * size))
+    monkeypatch.setattr(code_cache, "LARGEST_CACHE", int(1.5 * size))
     for path in cache.iterdir():
         os.utime(path, (1, 1))
     load(OTHER["tuple"])(1.0)
@@ -356,9 +356,9 @@ def temporary(tmp_path, monkeypatch):
 
 
 def test_the_temporary_folder_is_for_its_owner_alone(temporary):
-    assert jit._temporary_directory() == temporary
+    assert code_cache._temporary_directory() == temporary
     assert temporary.stat().st_mode & 0o777 == 0o700
-    assert jit._temporary_directory() == temporary
+    assert code_cache._temporary_directory() == temporary
 
 
 @pytest.mark.parametrize("trap", ["open", "link", "file", "stranger"])
@@ -376,7 +376,7 @@ def test_a_temporary_folder_somebody_has_prepared_is_not_used(temporary, monkeyp
         user = os.getuid()
         names = iter([user, user + 1])  # for the name, and to compare
         monkeypatch.setattr(os, "getuid", lambda: next(names))
-    folder = jit._temporary_directory()
+    folder = code_cache._temporary_directory()
     assert folder != temporary
     assert folder.stat().st_mode & 0o777 == 0o700
 
@@ -390,12 +390,12 @@ def test_a_cache_that_others_can_write_is_not_run(temporary, monkeypatch, capsys
     folder.chmod(mode)
     monkeypatch.setenv("SERVOGYM_CACHE_DIR", str(folder))
     monkeypatch.delenv("SERVOGYM_QUIET", raising=False)
-    jit.cache_directory.cache_clear()
-    jit._cannot_keep.cache_clear()
+    code_cache.cache_directory.cache_clear()
+    code_cache.cannot_keep.cache_clear()
     try:
-        assert jit.cache_directory() == (folder if used else temporary)
+        assert code_cache.cache_directory() == (folder if used else temporary)
     finally:
-        jit.cache_directory.cache_clear()
+        code_cache.cache_directory.cache_clear()
     assert ("chmod 700" in capsys.readouterr().err) is not used
 
 

@@ -267,9 +267,10 @@ def _parsed(words: list[str]) -> argparse.Namespace:
 def _told(error: BaseException) -> str:
     """An error of the user, their task or policy in a line; empty for one of ours."""
     from ...drive.objects.abort import SdoAbort
-    from ...envs.engine.checks import place_of, told
 
     if not isinstance(error, (ValueError, OSError, RuntimeError, ImportError, SdoAbort)):
+        from ...envs.engine.checks import place_of, told
+
         return told(error) if place_of(error) else ""
     if isinstance(error, OSError) and error.strerror:  # what the system says, without its number
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
@@ -315,6 +316,9 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    except ImportError as error:  # a package is missing, or of a release that is refused
+        print(f"servogym: {_told(error)}", file=sys.stderr)
+        return 2
     console = Console()
     warnings.formatwarning = _warned
     if threading.current_thread() is threading.main_thread():
