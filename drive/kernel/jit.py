@@ -45,9 +45,12 @@ if DISABLED:
         """Mark a box of the block diagram."""
         return function
 
-    entry = block
+    def entry(function: Any) -> Any:
+        """Mark what Python calls."""
+        return function
 elif PLAIN:
     say(f"{_why}: all is compiled anew at each start (minutes), numba=={TESTED}.* keeps it")
-    block = entry = numba.njit(error_model="numpy", nogil=True)
+    _plain = numba.njit(error_model="numpy", nogil=True)
+    block, entry = _plain, _plain  # type: ignore[assignment]
 else:
     from .dispatchers import block, entry

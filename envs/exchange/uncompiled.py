@@ -69,7 +69,7 @@ def _places(error: Exception) -> Iterator[tuple[str, int]]:
     """Where in a user's own code Numba was, the innermost first."""
     for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
         for value in frame.f_locals.values():
-            place = getattr(value, "loc", None)
+            place: Any = getattr(value, "loc", None)
             if isinstance(getattr(place, "line", None), int):
                 yield from _own(str(place.filename), place.line)
     for found in _PLACES.finditer(str(error)):
