@@ -178,6 +178,13 @@ class Description:
     events: tuple[EventRow, ...] = ()
     folder: Path = Path()  # that relative paths start from
 
+    @property
+    def drive_models(self) -> set[str | Path]:
+        """All that it names, each as `model_of` has it."""
+        rows = (row.drive for row in self.machines)
+        names = (d.values() if isinstance(d, dict) else [d] for d in rows)
+        return {model_of(self.folder, str(name)) for given in names for name in given}
+
     def __post_init__(self) -> None:
         if not self.machines:
             raise ValueError("there is no machine: add [machine.NAME]")
@@ -193,6 +200,11 @@ class Description:
     def of(self, bus: BusRow) -> list[MachineRow]:
         """The machines on a bus, in the order of the file."""
         return [machine for machine in self.machines if machine.bus == bus.name]
+
+
+def model_of(folder: Path, name: str) -> str | Path:
+    """A drive model named in a machine file: its own folder beside the file, or the name."""
+    return folder / name if (folder / name).is_dir() else name
 
 
 def read(source: str | Path | Mapping[str, Any]) -> Description:

@@ -34,7 +34,7 @@ from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..plants.catalogue import AXES, power_on, warm_up
 from ..plants.commissioning import commission_joint
-from .description import BusRow, Description, EventRow, MachineRow, read
+from .description import BusRow, Description, EventRow, MachineRow, model_of, read
 
 T = TypeVar("T")
 PATIENCE = 10.0  # s that a caller waits for the thread of a bus
@@ -489,7 +489,7 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
     """A machine with all compiled that it needs, and where its joints are at power-on."""
 
     def model(name: str) -> DriveModel:
-        return load(folder / name if (folder / name).is_dir() else name, bus)
+        return load(model_of(folder, name), bus)
 
     if row.mjcf:
         assert isinstance(row.drive, dict)

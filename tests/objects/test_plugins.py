@@ -87,6 +87,59 @@ def test_what_is_no_hook_is_told_with_its_line(tmp_path, hook, hooks, says):
         Drive(own)
 
 
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Install a package as pip leaves it: a module, its metadata, an entry point for `strength`."""
+
+    def package(name, text=HOOKS, value="HOOKS['strength']", attribute="strength"):
+        place = tmp_path / "site-packages"
+        about = place / f"{name}-1.0.dist-info"
+        about.mkdir(parents=True)
+        (place / f"{name}.py").write_text(f"{text}\nstrength = {value}\n")
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text(
+            f"[servogym.hooks]\nstrength = {name}:{attribute}\n"
+        )
+        monkeypatch.syspath_prepend(place)
+
+    return package
+
+
+def test_a_hook_of_an_installed_package_needs_no_consent(tmp_path, package):
+    package("strong_hooks")
+    drive = Drive(folder(tmp_path, hook="strength", hooks=""))
+    drive.write("strength", 7)
+    assert (drive.read("max_torque"), drive.read("strength")) == (700, 7)
+
+
+def test_a_hook_of_the_folder_comes_before_that_of_a_package_and_still_needs_consent(
+    tmp_path, package
+):
+    package("stronger_hooks")
+    own = folder(tmp_path, hook="strength", hooks=HOOKS.replace("100", "50"))
+    with pytest.raises(ValueError, match="is a program"):
+        Drive(own)
+    run_code(own)
+    drive = Drive(own)
+    drive.write("strength", 2)
+    assert drive.read("max_torque") == 100
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"value": "print"}, "has to be a servogym Hook"),
+        ({"text": "1 / 0"}, "fails .ZeroDivisionError"),
+        ({"attribute": "strenth"}, "fails .AttributeError"),
+    ],
+)
+def test_an_entry_point_that_gives_no_hook_is_told(tmp_path, package, wrong, says):
+    name = f"wrong_hooks_{next(iter(wrong))}"
+    package(name, **wrong)
+    with pytest.raises(ValueError, match=rf"objects.csv, line 2.*entry point {name}:.*{says}"):
+        Drive(folder(tmp_path, hook="strength", hooks=""))
+
+
 @pytest.mark.parametrize("pdo", ["rx", "rxtx"])
 def test_an_object_whose_write_does_something_is_not_mapped_to_process_data(tmp_path, pdo):
     own = folder(tmp_path, pdo=pdo, hook="strength")

@@ -18,6 +18,8 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
+from .arguments import add_run_code, consent
+
 
 @dataclass(frozen=True)
 class Command:
@@ -239,6 +241,7 @@ def parser(asked: str | None = None) -> Parser:
         if asked in (None, name):
             of = importlib.import_module(f".{row.module}", __name__)
             (getattr(of, f"add_{name}", None) or of.add)(command)
+            add_run_code(command)
         note = textwrap.fill(command.epilog or "", 78, break_on_hyphens=False)
         command.epilog = f"example:\n  servogym {row.example}\n\n{note}".rstrip()
     parser.commands = commands.choices
@@ -330,6 +333,7 @@ def main(arguments: list[str] | None = None) -> int:
                     from ..report import writable
 
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
+        consent(options)
         return options.run(options, console)
     except BrokenPipeError:  # who reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

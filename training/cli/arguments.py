@@ -30,6 +30,33 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+MODELS = ("drive", "model")  # where the options of a command keep the drive models it is given
+
+
+def add_run_code(parser: argparse.ArgumentParser) -> None:
+    """``--run-code``, for each command that takes a drive model, which may bring a program."""
+    if any(action.dest in MODELS for action in parser._actions):
+        parser.add_argument(
+            "--run-code", action="store_true",
+            help="you have read the hooks.py in the folder of the drive model: run it",
+        )  # fmt: skip
+
+
+def consent(options: argparse.Namespace) -> None:
+    """Let the programs run that the drive models of a command bring, if that was asked for."""
+    given = [getattr(options, name, None) for name in MODELS]
+    if not getattr(options, "run_code", False) or not any(given):
+        return
+    if getattr(options, "workers", None) or getattr(options, "ray", None) is not None:
+        raise ValueError("--run-code holds in one process: leave out --workers and --ray")
+    from ...drive import run_code
+
+    for model in given:
+        for each in model if isinstance(model, list) else [model]:
+            if each is not None:
+                run_code(each)
+
+
 def add_work(parser: argparse.ArgumentParser) -> None:
     """``--workers``, ``--ray`` and ``--resume``: who does the jobs of a command."""
     parser.add_argument("--workers", type=int, metavar="N", help="processes side by side")

@@ -14,18 +14,27 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
     command.add_argument("--check", action="store_true", help="read the file and build the "
                          "machines, but open no bus")  # fmt: skip
+    command.add_argument(
+        "--run-code", action="store_true",
+        help="you have read the hooks.py in the folders of its drive models: run them",
+    )  # fmt: skip
     command.set_defaults(run=_serve)
 
 
 def _serve(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
+    from ...drive import run_code
+    from ...envs.serve.description import read
     from ...envs.serve.laboratory import Laboratory
 
     def tell(text: str) -> None:
         console.print(text, markup=False, highlight=False)
 
+    description = read(options.file)
+    for model in description.drive_models if options.run_code else ():
+        run_code(model)
     with console.status("building the machines ..."):
-        laboratory = Laboratory(options.file, options.seed)
+        laboratory = Laboratory(description, options.seed)
     if options.check:
         tell(f"{options.file}: {', '.join(laboratory.drives)}: nothing to object to")
         return 0

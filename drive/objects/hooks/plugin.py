@@ -46,13 +46,18 @@ def foreign_hook(model: DriveModel, name: str) -> Hook:
     for folder in _folders(model):
         if folder not in _consented:
             raise ValueError(
-                f"{folder / FILE} is a program: read it, and consent with "
-                f"servogym.drive.run_code({str(folder)!r})"
+                f"{folder / FILE} is a program: read it, and consent with --run-code, in Python "
+                f"with servogym.drive.run_code({str(folder)!r})"
             )
         if name in (hooks := _hooks(folder)):
             return _checked(hooks[name], f"{folder / FILE}: HOOKS[{name!r}]")
     for point in metadata.entry_points(group=ENTRY_POINTS, name=name):
-        return _checked(point.load(), f"the entry point {point.value}")
+        where = f"the entry point {point.value}"
+        try:
+            found = point.load()
+        except Exception as error:
+            raise ValueError(f"{where} fails ({type(error).__name__}: {error})") from error
+        return _checked(found, where)
     raise LookupError(name)
 
 

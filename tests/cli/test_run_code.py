@@ -1,0 +1,99 @@
+"""Commands that serve a drive whose folder brings a program: not without ``--run-code``."""
+
+import pytest
+
+from servogym.drive.wire.ethercat import EtherCatServer
+from servogym.drive.wire.server import Server
+from servogym.training import cli
+
+OBJECTS = """\
+index,subindex,name,object_type,data_type,access,pdo,unit,min,max,default,storable,section,note,\
+field,when,hook
+0x5000,0x00,strength,VAR,UNSIGNED8,rw,,,0,10,1,,mine,,,,strength
+"""
+HOOKS = """
+from pathlib import Path
+from servogym.drive import Abort, Hook
+
+Path(__file__).with_name("it ran").touch()
+
+def write(od, row, value):
+    od.drive.axis.od.max_torque = 100 * value
+    return Abort.NONE
+
+HOOKS = {"strength": Hook(write, lambda od, row: int(od.drive.axis.od.max_torque) // 100)}
+"""
+MACHINE = """
+[bus.can]
+kind = "can"
+interface = "virtual"
+channel = "run-code"
+[machine.feeder]
+bus = "can"
+axis = "linear"
+drive = "own"
+node_id = 5
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "drive.toml").write_text('based_on = "generic"\n')
+    (folder / "objects.csv").write_text(OBJECTS)
+    (folder / "hooks.py").write_text(HOOKS)
+    (tmp_path / "machine.toml").write_text(MACHINE)
+    return folder
+
+
+@pytest.fixture
+def served(monkeypatch):
+    """Servers that end at once; -> the drives that they had."""
+    drives = []
+    monkeypatch.setattr(Server, "run", lambda s, *_: drives.extend(n.drive for n in s.nodes))
+    monkeypatch.setattr(
+        EtherCatServer, "run",
+        lambda s, **_: drives.extend(x.drive for x in s.bus.segment.stations),
+    )  # fmt: skip
+    return drives
+
+
+def commands(own):
+    """With the drive; of `serve` in the machine file."""
+    return {
+        "node": ["node", "--drive", str(own), "-i", "virtual", "-c", "run-code"],
+        "ethercat": ["ethercat", "--udp", "127.77.0.1", "--drive", str(own)],
+        "serve": ["serve", str(own.parent / "machine.toml"), "--check"],
+        "drives": ["drives", str(own)],
+    }
+
+
+@pytest.mark.parametrize("command", ["node", "ethercat", "serve", "drives"])
+def test_a_drive_folder_runs_code_only_with_the_option(own, served, capsys, command):
+    words = commands(own)[command]
+    if command == "ethercat":
+        (own / "drive.toml").write_text('based_on = "kollmorgen_akd"\n')
+    assert cli.main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"servogym {command}: ")
+    assert error.count("\n") == 1
+    assert f"{own / 'hooks.py'} is a program: read it, and consent with --run-code" in error
+    assert not (own / "it ran").exists()
+    assert cli.main([*words, "--run-code"]) == 0
+    assert (own / "it ran").exists()
+    for drive in served:
+        drive.write("strength", 7)
+        assert drive.read("max_torque") == 700
+    assert len(served) == (command in ("node", "ethercat"))
+
+
+def test_of_a_folder_that_is_not_there_the_option_says_so(tmp_path, capsys):
+    assert cli.main(["node", "--drive", str(tmp_path / "none"), "--run-code"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_other_processes_have_no_consent_of_this_one(own, capsys):
+    words = ["eval", "LinearAxis-v0", "--policy", "hold", "--drive", str(own), "--workers", "2"]
+    assert cli.main([*words, "--run-code"]) == 2
+    assert "leave out --workers" in capsys.readouterr().err
