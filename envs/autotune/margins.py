@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from .needs import scipy
 
 LEAST_COHERENCE = 0.8  # of what counts as measured
 TOO_HIGH = 30.0  # of a loop: above it too little of the excitation is left to tell the phase
+UNSURE = 5.0  # degree, that a measured loop may be wrong by where it is close to -180
 FARTHEST = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
 
 Loop = Callable[[np.ndarray], np.ndarray]
@@ -24,6 +25,9 @@ class Margins:
     crossover: float  # Hz
     phase_crossover: float  # Hz
     stable: bool
+    # dB, where the loop comes within UNSURE degrees of -180 and turns back; at a resonance between
+    # two measured lines that cannot be told from a crossing
+    doubtful: float = field(default=math.inf, compare=False)
 
     def and_of(self, others: Iterable["Margins"]) -> "Margins":
         """The smallest ones of several loops, and where they are."""
@@ -32,13 +36,16 @@ class Margins:
         phase = min(loops, key=lambda each: each.phase)
         return Margins(
             gain.gain, phase.phase, phase.crossover, gain.phase_crossover,
-            all(each.stable for each in loops),
+            all(each.stable for each in loops), min(each.doubtful for each in loops),
         )  # fmt: skip
 
     def __str__(self) -> str:
         if not self.stable:
             return "unstable"
-        return f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
+        told = f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
+        if self.doubtful < self.gain:
+            told += f", {self.doubtful:.1f} dB within {UNSURE:g}° of a crossing"
+        return told
 
 
 def crossings(omega: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray, Loop]:
@@ -89,10 +96,25 @@ def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
     begin = (turned[0] + FARTHEST) % (2 * math.pi) - FARTHEST
     end = begin + turned[-1] - turned[0]
     stable = abs(end) < math.pi / 2
+    gain = math.inf if worst is None else float(decibel[worst])
     return Margins(
-        gain=math.inf if worst is None else float(decibel[worst]),
+        gain=gain,
         phase=math.inf if least is None else float(abs(phases[least])),
         crossover=float(max(at_gain, default=math.nan) / (2 * np.pi)),
         phase_crossover=math.nan if worst is None else float(at_phase[worst] / (2 * np.pi)),
         stable=bool(stable),
+        doubtful=_doubtful(2 * np.pi * frequencies, loop, at_phase),
     )
+
+
+def _doubtful(omega: np.ndarray, loop: np.ndarray, crossed: np.ndarray) -> float:
+    """Smallest gain margin (dB) where a loop is close to -180 degrees and does not cross it."""
+    close = np.abs(np.angle(-loop, deg=True)) <= UNSURE
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], close, [False]])))
+    least = math.inf
+    for begin, end in ends.reshape(-1, 2):
+        low, high = omega[max(begin - 1, 0)], omega[min(end, len(omega) - 1)]
+        if begin > 0 and not ((crossed >= low) & (crossed <= high)).any():
+            decibel = 20 * np.log10(np.maximum(np.abs(loop[begin:end]), 1e-9))
+            least = min(least, float(np.abs(decibel).min()))
+    return least

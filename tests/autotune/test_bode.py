@@ -124,6 +124,31 @@ def test_of_several_crossings_the_smallest_margins_count_and_nyquist_decides():
     assert 3 < unstable < 20
 
 
+@pytest.mark.parametrize(("short", "told"), [(3.0, True), (8.0, False)])
+def test_a_loop_that_nearly_crosses_has_a_doubtful_gain_margin(short, told):
+    """K/s and a notch, (iu + 1/m) / (iu + 1) at its place, which turns by asin((m - 1) / (m + 1)).
+
+    By 85° and more it turns from tan 85° = u (m - 1) / (1 + m u²) on; the larger u has more gain.
+    """
+    sine = math.sin(math.radians(90.0 - short))
+    m = (1 + sine) / (1 - sine)
+    wide, below = 0.02, 9.0  # damping, dB
+    narrow = 10.0 * (1 + 0.2 * np.linspace(-1, 1, 20_001))
+    frequencies = np.unique(np.concatenate([np.geomspace(0.1, 1000.0, 300), narrow]))
+    s = 1j * frequencies / 10.0
+    notch = (s * s + 2 * wide / m * s + 1) / (s * s + 2 * wide * s + 1)
+    found = margins(frequencies, 10 ** (-below / 20) / abs(s) / 1j * notch)
+    assert found.gain == math.inf
+    assert ("within 5° of a crossing" in str(found)) == told
+    if told:
+        t = math.tan(math.radians(85.0))
+        u = (m - 1 + math.sqrt((m - 1) ** 2 - 4 * t * t * m)) / (2 * t * m)
+        gain = math.sqrt((u * u + 1 / m**2) / (1 + u * u))
+        assert found.doubtful == pytest.approx(below - 20 * math.log10(gain), abs=0.1)
+    else:
+        assert found.doubtful == math.inf
+
+
 def ripple(machine, gain):
     """Standard deviation of the torque (Nm) at a constant speed with so much velocity gain."""
     x = machine.drives["x"]
