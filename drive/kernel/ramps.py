@@ -12,6 +12,9 @@ No jerk limit is an infinite jerk.
 
 A move follows the ramp to the profile velocity until the ramp to the end velocity, begun there,
 ends at the target: where that is follows by bisection, because the distance is continuous in it.
+Where the acceleration jumps (no jerk limit) and where velocity 0 is crossed, the acceleration there
+is bisected in place of the time: the jerks before and behind can be decades apart, and then a time
+that differs by its last bit leads past the target.
 What starts behind its target, or too fast for it, does the same the other way round. With equal
 limits that is time-optimal from any state.
 
@@ -86,6 +89,7 @@ def _segment(axis: Axis, n, x, v, duration, a, jerk, wave):
         return n, x, v
     if n < SEGMENTS:
         axis.segment_duration[n] = duration
+        axis.segment_begin_velocity[n] = v
         axis.segment_acceleration[n] = a
         axis.segment_jerk[n] = jerk
         axis.segment_wave[n] = wave
@@ -120,7 +124,8 @@ def _release(axis: Axis, n, x, v, a, limits):
         left = size * size - 2 * end * abs(v)  # of a², where the velocity would be 0
         if left > 0.0:
             at_zero = math.sqrt(left)
-            n, x, v = _segment(axis, n, x, v, (size - at_zero) / end, a, -sign * end, 0.0)
+            slow = 2 * abs(v) / (size + at_zero)  # s
+            n, x, v = _segment(axis, n, x, v, slow, a, -sign * end, 0.0)
             v, size, end = 0.0, at_zero, limits[4]
     return _segment(axis, n, x, v, size / end, sign * size, -sign * end, 0.0)
 
@@ -131,18 +136,42 @@ def _trapezoid(axis: Axis, n, x, v, change, sign, first, last, limit, begin, end
 
     The acceleration is `first` before it and `last` behind it, both magnitudes.
     """
-    peak = limit
+    peak, up, down = limit, limit - first, limit - last
     play = 1 / begin + 1 / end
     if play > 0.0:
-        square = (2 * change + first * first / begin + last * last / end) / play
-        peak = min(peak, math.sqrt(max(square, 0.0)))
-    peak = max(peak, last)  # which is above the limit only if `first` is
-    rise = begin if peak >= first else -end  # more than the limit is taken back
-    used = (peak * peak - first * first) / (2 * rise) + (peak * peak - last * last) / (2 * end)
+        gain = (2 * change + (last * last - first * first) / end) / play  # of a²
+        square = first * first + gain
+        if square < limit * limit:
+            peak = math.sqrt(max(square, 0.0))
+            up, down = peak - first, peak - last
+            if first > 0.0 and square > 0.0:
+                up = gain / (peak + first)  # a difference of what is nearly equal
+            if last > 0.0 and square > 0.0:
+                loss = (2 * change + (first * first - last * last) / begin) / play
+                down = loss / (peak + last)
+    if peak < last:  # which is above the limit only if `first` is
+        peak, up, down = last, last - first, 0.0
+    rise = begin if up >= 0.0 else -end  # more than the limit is taken back
+    used = up * (peak + first) / (2 * rise) + down * (peak + last) / (2 * end)
     hold = max(change - used, 0.0) / peak if peak >= limit else 0.0
-    n, x, v = _segment(axis, n, x, v, (peak - first) / rise, sign * first, sign * rise, 0.0)
+    time = up / rise
+    if hold == 0.0 and time > 0.0 and (up < 0.0 or peak == last):  # one line from first to last
+        time, down = 2 * change / (first + last), 0.0
+    n, x, v = _segment(axis, n, x, v, time, sign * first, sign * rise, 0.0)
     n, x, v = _segment(axis, n, x, v, hold, sign * peak, 0.0, 0.0)
-    return _segment(axis, n, x, v, (peak - last) / end, sign * peak, -sign * end, 0.0)
+    return _segment(axis, n, x, v, down / end, sign * peak, -sign * end, 0.0)
+
+
+@block
+def _crossing(v, first, goal, limits):
+    """Lowest and highest acceleration with which a ramp from `v` to `goal` can cross velocity 0.
+
+    `first` is the acceleration it begins with. All are magnitudes.
+    """
+    most = math.sqrt(first * first + 2 * limits[3] * abs(v))
+    least = math.sqrt(max(first * first - 2 * limits[5] * abs(v), 0.0))
+    last = min(limits[0], limits[1], most, math.sqrt(2 * limits[4] * abs(goal)))
+    return least, max(last, least)
 
 
 @block
@@ -157,16 +186,15 @@ def _ramp(axis: Axis, n, x, v, a, goal, limits):
             n, x, v = _wave(axis, n, x, v, 0.0, limits[1])
         n, x, v = _wave(axis, n, x, v, goal, limits[0] if abs(goal) > abs(v) else limits[1])
         return n, x
+    if v_released == goal:
+        return released, x_released
     if a * sign <= 0.0:
         n, x, v, first = released, x_released, v_released, 0.0
     if v * sign < 0.0:
         last, change = 0.0, sign * (goal - v)
         if goal * sign > 0.0:
             change = abs(v)
-            most = math.sqrt(first * first + 2 * limits[3] * change)
-            least = math.sqrt(max(first * first - 2 * limits[5] * change, 0.0))
-            last = min(limits[0], limits[1], most, math.sqrt(2 * limits[4] * abs(goal)))
-            last = max(last, least)
+            _, last = _crossing(v, first, goal, limits)
         n, x, v = _trapezoid(
             axis, n, x, v, change, sign, first, last, limits[1], limits[3], limits[5]
         )
@@ -309,14 +337,22 @@ def _plan_over(axis: Axis, distance, cruise, end, limits):
         return _ramp(axis, n, x, cruise, 0.0, end, limits)
     if limits[4] < 0.0:
         return _over_by_speed(axis, distance, cruise, end, limits)
-    i, low, high, jerk = 0, 0.0, 0.0, 0.0
-    for i in range(ramp):
-        a, jerk, high = axis.segment_acceleration[i], axis.segment_jerk[i], axis.segment_duration[i]
+    crossed, x, before, most = _cross(axis, distance, cruise, end, limits)
+    if before != most:
+        return _ramp(axis, crossed, x, 0.0, before, end, limits)
+    i, low, high, jerk = crossed, 0.0, 0.0, 0.0
+    for i in range(crossed, ramp + 1):
+        v, a, jerk, high = cruise, 0.0, 0.0, 0.0
+        if i < ramp:
+            v, high = axis.segment_begin_velocity[i], axis.segment_duration[i]
+            a, jerk = axis.segment_acceleration[i], axis.segment_jerk[i]
+        if (distance - _ramp(axis, UNSTORED, x, v, a, end, limits)[1]) * way < 0.0:
+            return _over_by_jump(axis, i, distance, x, v, before, a, way, end, limits)
         _, x_end, v_end = _segment(axis, UNSTORED, x, v, high, a, jerk, 0.0)
-        behind = _ramp(axis, UNSTORED, x_end, v_end, a + jerk * high, end, limits)[1]
-        if (distance - behind) * way <= 0.0:
+        before = a + jerk * high
+        if (distance - _ramp(axis, UNSTORED, x_end, v_end, before, end, limits)[1]) * way <= 0.0:
             break
-        x, v = x_end, v_end
+        x = x_end
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
         if middle in (low, high):
@@ -329,6 +365,71 @@ def _plan_over(axis: Axis, distance, cruise, end, limits):
             high = middle
     n, x, v = _segment(axis, i, x, v, low, a, jerk, 0.0)
     return _ramp(axis, n, x, v, a + jerk * low, end, limits)
+
+
+@block
+def _over_by_jump(axis: Axis, n, distance, x, v, low, high, way, end, limits):
+    """Let an acceleration that jumps from `low` to `high` jump only as far as leads to `distance`.
+
+    -> (n, x) at the end, as `_plan_over`.
+    """
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        if (distance - _ramp(axis, UNSTORED, x, v, middle, end, limits)[1]) * way > 0.0:
+            low = middle
+        else:
+            high = middle
+    return _ramp(axis, n, x, v, low, end, limits)
+
+
+@block
+def _cross(axis: Axis, distance, cruise, end, limits):
+    """Follow the ramp to `cruise` as far as velocity 0, if it crosses it.
+
+    The acceleration at the crossing is the highest from which the ramp to `end` does not lead
+    beyond `distance`. -> (n, x) there, that acceleration, and the one of the ramp to `cruise`;
+    (0, 0.0, a, a) where nothing is crossed, or the ramp to `end` begins elsewhere.
+    """
+    way = math.copysign(1.0, cruise)
+    n, x, v, a = 0, 0.0, axis.velocity_demand, axis.acceleration_demand
+    _, _, released = _release(axis, UNSTORED, x, v, a, limits)
+    first = max(a * way, 0.0)
+    crosses = (v if first > 0.0 else released) * way < 0.0 and (cruise - released) * way > 0.0
+    if not crosses or cruise == 0.0:
+        return n, x, a, a
+    if first == 0.0:
+        n, x, v = _release(axis, n, x, v, a, limits)
+    low, most = _crossing(v, first, cruise, limits)
+    if end * way > 0.0:
+        _, low = _crossing(v, first, end, limits)
+    if _misses(axis, distance, x, v, first, low, way, end, limits) < 0.0:
+        return 0, 0.0, a, a
+    high = middle = most
+    for _ in range(BISECTIONS):
+        if _misses(axis, distance, x, v, first, middle, way, end, limits) >= 0.0:
+            low = middle
+        else:
+            high = middle
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+    n, x, _ = _brake(axis, n, x, v, first, low, way, limits)
+    return n, x, way * low, way * most
+
+
+@block
+def _brake(axis: Axis, n, x, v, first, last, way, limits):
+    """Slow down to velocity 0, with the acceleration `last` there; -> (n, x, v)."""
+    return _trapezoid(axis, n, x, v, abs(v), way, first, last, limits[1], limits[3], limits[5])
+
+
+@block
+def _misses(axis: Axis, distance, x, v, first, last, way, end, limits):
+    """How far before `distance` the ramp to `end` ends if velocity 0 is crossed with `last`."""
+    _, x, _ = _brake(axis, UNSTORED, x, v, first, last, way, limits)
+    return (distance - _ramp(axis, UNSTORED, x, 0.0, way * last, end, limits)[1]) * way
 
 
 @block
@@ -377,6 +478,8 @@ def advance(axis: Axis):
         d = axis.segment_duration[i]
         axis.segment_position, axis.segment_velocity, _ = _along(axis, i, d)
         axis.segment += 1
+        if axis.segment < axis.segments:  # as planned, without the rounding of a higher one
+            axis.segment_velocity = axis.segment_begin_velocity[axis.segment]
         t -= d
     if axis.segment >= axis.segments:
         if not axis.profile_done:

@@ -300,6 +300,139 @@ def test_set_points_on_the_fly_keep_every_limit_with_four_jerks_long(tell):
         tell(f"{(part + 1) * 50_000} cases of four set-points")
 
 
+@jit.block
+def _stays_inside(v, a, speed, up, down, jerk):
+    """Whether no limit is left while the acceleration (rad/s²) is taken away at once."""
+    if abs(v) > speed or abs(a) > min(up, down):
+        return False
+    left, v_left = a * a, abs(v)
+    if v * a < 0:
+        left, v_left = (left - 2 * jerk[3] * abs(v) if jerk[3] > 0.0 else 0.0), 0.0
+    growing = left / (2 * jerk[2]) if left > 0.0 and jerk[2] > 0.0 else 0.0
+    return v_left + growing <= speed
+
+
+@jit.block
+def _excess_inside(axis, v, a, speed, up, down, jerk, worst):
+    """What a plan leaves of its limits once it is inside, whatever they were before.
+
+    Each segment counts from where the plan says that it begins. Into `worst`: excess of velocity,
+    acceleration and jerk; jumps of velocity and acceleration, each relative. -> end position, end
+    velocity, highest and lowest position, length of the way, highest speed.
+    """
+    smooth = min(jerk[0], jerk[1], jerk[2], jerk[3]) > 0.0
+    x, fastest, jump, way, top, bottom = 0.0, max(abs(v), speed), 0.0, 0.0, 0.0, 0.0
+    inside = _stays_inside(v, a, speed, up, down, jerk)
+    hardest = max(up, down, abs(a))
+    for i in range(axis.segments):
+        u, begin, j = (
+            axis.segment_begin_velocity[i], axis.segment_acceleration[i], axis.segment_jerk[i],
+        )  # fmt: skip
+        jump = max(jump, abs(u - v))
+        if smooth:
+            worst[4] = max(worst[4], abs(begin - a) / hardest)
+        before = x
+        for k in range(SAMPLES + 1):
+            t = axis.segment_duration[i] * k / SAMPLES
+            a = begin + j * t
+            v = u + (begin + j * t / 2) * t
+            x = before + (u + (begin / 2 + j * t / 6) * t) * t
+            top, bottom, fastest = max(top, x), min(bottom, x), max(fastest, abs(v))
+            still = abs(v) <= 1e-9 * fastest
+            limit, rises, falls = up, jerk[0], jerk[2]
+            if v * a < 0:
+                limit, rises, falls = down, jerk[1], jerk[3]
+            if still:
+                limit = max(up, down)
+                rises, falls = max(jerk[0], jerk[1]), max(jerk[2], jerk[3])
+            if abs(a) <= 1e-9 * hardest:
+                rises = falls = max(jerk)  # the sign is rounding
+            allowed = rises if a * j > 0 else falls
+            if smooth:
+                worst[2] = max(worst[2], abs(j) / allowed - 1)
+            if inside:
+                worst[0] = max(worst[0], abs(v) / speed - 1)
+                worst[1] = max(worst[1], abs(a) / limit - 1)
+            inside = inside or _stays_inside(v, a, speed, up, down, jerk)
+        way += abs(x - before)
+    if smooth:
+        worst[4] = max(worst[4], abs(a) / hardest if axis.segments else 0.0)
+    worst[3] = max(worst[3], jump / fastest)
+    return x, v, top, bottom, way, fastest
+
+
+@jit.block
+def _wild_cases(axis, cases, random, worst):
+    """Set-points on the fly, each with new limits, over decades, and some jerks unlimited.
+
+    Writes the worst into `worst`: `_excess_inside`, then distance and end velocity missed, what is
+    passed beyond the stopping distance, all relative; the number of plans that do not end, and the
+    number of plans with the target behind the stopping distance.
+    """
+    jerk = np.empty(4)
+    for case in range(cases):
+        v, a = 0.0, 0.0
+        for fly in range(4):
+            speed, up, down = wide(random, -3, 3), wide(random, -4, 4), wide(random, -4, 4)
+            scale = speed * speed / min(up, down)
+            for k in range(4):
+                jerk[k] = wide(random, -6, 6)
+                if case % 3 == 0 and random.uniform(0, 1) < 0.3:
+                    jerk[k] = 0.0
+                if jerk[k] > 0.0:
+                    scale = max(scale, speed * min(up, down) / jerk[k])
+            jerks = (jerk[0], jerk[1], jerk[2], jerk[3])
+            distance = random.uniform(-3, 3) * wide(random, -3, 2)
+            if case % 2:
+                distance *= scale
+            wanted = 0.0 if fly % 2 else random.uniform(0, 1) * speed
+            axis.position_demand, axis.velocity_demand, axis.acceleration_demand = 0.0, v, a
+            ramps.plan_velocity(axis, 0.0, up, down, jerks)
+            stop = _excess_inside(axis, v, a, speed, up, down, jerks, worst)
+            worst[6] = max(worst[6], abs(stop[1]) / stop[5])
+            ramps.plan_position(axis, distance, speed, wanted, math.inf, up, down, jerks)
+            end = axis.profile_end_velocity
+            move = _excess_inside(axis, v, a, speed, up, down, jerks, worst)
+            way = max(move[4], abs(distance))
+            worst[5] = max(worst[5], abs(move[0] - distance) / way)
+            worst[6] = max(worst[6], abs(move[1] - end) / move[5])
+            farthest, stopped = (move[2], stop[2]) if distance > 0 else (-move[3], -stop[3])
+            worst[7] = max(worst[7], (farthest - max(abs(distance), stopped)) / way)
+            worst[9] += stopped > abs(distance)
+            time = ramps.duration(axis)
+            axis.position_period = random.uniform(0, 0.999) * time
+            ramps.advance(axis)
+            v, a = axis.velocity_demand, axis.acceleration_demand
+            axis.position_period = time / 7
+            for _ in range(8):
+                ramps.advance(axis)
+            ends = axis.profile_done and axis.velocity_demand == end
+            ends = ends and (end != 0.0 or axis.position_demand == distance)
+            worst[8] += not (ends and math.isfinite(time) and axis.segments < record.SEGMENTS)
+
+
+def check_wild_cases(cases, seed):
+    worst = np.zeros(10)
+    _wild_cases(axis_at(), cases, np.random.default_rng(seed), worst)
+    assert worst[8] == 0, "plans that do not end at their target, at their end velocity"
+    assert worst[:3].max() <= 1e-9, f"velocity, acceleration, jerk: {worst[:3]}"
+    assert worst[3:5].max() <= 1e-9, f"jumps of velocity, acceleration: {worst[3:5]}"
+    assert worst[5:7].max() <= 1e-9, f"end position, end velocity: {worst[5:7]}"
+    assert worst[7] <= 1e-9, "passes a place that the deceleration could have stopped before"
+    assert worst[9] > cases // 10, "hardly a target that cannot but be passed"
+
+
+def test_limits_that_change_wildly_in_motion_miss_no_target():
+    check_wild_cases(20 if jit.DISABLED else 20_000, seed=1)
+
+
+@pytest.mark.slow
+def test_limits_that_change_wildly_in_motion_miss_no_target_long(tell):
+    for part in range(20):
+        check_wild_cases(50_000, seed=2 + part)
+        tell(f"{(part + 1) * 50_000} cases of four set-points")
+
+
 def braked(v, a, limit, begin, end, steps=200_000):
     """Distance of the hardest stop from speed v > 0 at acceleration a <= 0, in small steps."""
     if begin == 0.0:

@@ -213,6 +213,7 @@ FIELDS = (
     ("segment", "i8", "", "being travelled"),
     ("segment_time", "f8", "s", "since its begin"),
     ("segment_duration", ("f8", (SEGMENTS,)), "s", ""),
+    ("segment_begin_velocity", ("f8", (SEGMENTS,)), "rad/s", ""),
     ("segment_acceleration", ("f8", (SEGMENTS,)), "rad/s²", "at its begin"),
     ("segment_jerk", ("f8", (SEGMENTS,)), "rad/s³", "with a wave its phase (rad)"),
     ("segment_wave", ("f8", (SEGMENTS,)), "rad/s", "of a sin² ramp, see `ramps`; 0 = none"),
