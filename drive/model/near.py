@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
+MOST = 30  # names in a message
+
 
 def near(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """``"did you mean X"``, else `otherwise`, else ``"choose one of …"``, or nothing."""
@@ -11,7 +13,8 @@ def near(name: str, known: Iterable[str], otherwise: str = "") -> str:
     found = get_close_matches(name, names, 3, 0.7)
     if found:
         return f"did you mean {' or '.join(found)}"
-    return otherwise or (f"choose one of {', '.join(names)}" if names else "")
+    shown = [*names[:MOST], f"… ({len(names)} in all)"] if len(names) > MOST else names
+    return otherwise or (f"choose one of {', '.join(shown)}" if names else "")
 
 
 def named(name: str, given: Any, example: str) -> dict[str, Any]:

@@ -138,14 +138,14 @@ def test_a_snapshot_continues_where_it_was(laboratory, request):
 
 def test_machines_on_two_buses_are_served_side_by_side(laboratory, request):
     rows = feeder(request.node.name)
-    rows["bus"]["line"] = {"kind": "ethercat", "udp": "127.0.0.1", "clock": "frame"}
+    rows["bus"]["line"] = {"kind": "ethercat", "udp": "127.0.0.7", "clock": "frame"}
     rows["machine"]["lift"] = {"bus": "line", "axis": "vertical", "drive": "kollmorgen_akd"}
     machine = laboratory(rows)
     assert sorted(machine.drives) == ["feeder.x", "lift.x"]
     read_al_status = bytes.fromhex("0e10 07 01 00003001 0200 0000 0000 0000")  # BRD 0130h
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.settimeout(5.0)
-        udp.sendto(read_al_status, ("127.0.0.1", UDP_PORT))
+        udp.sendto(read_al_status, ("127.0.0.7", UDP_PORT))
         answer = udp.recv(1500)
     assert answer[-2:] == b"\1\0", "working counter: one slave read"
     assert answer[12] & 0x0F == 1  # INIT
