@@ -373,7 +373,8 @@ class Machine:
         """Everything the machine is, as bytes; `restore` continues bit by bit the same.
 
         Of MjModel it holds what a randomisation changes and what MuJoCo derives from it (masses,
-        friction, damping, stiffness, lengths); all else has to be the same where it is restored.
+        friction, damping, stiffness, lengths, gears); all else has to be the same where it is
+        restored.
 
         Raises:
             RuntimeError: the machine stands in the middle of a step that failed.
