@@ -860,6 +860,8 @@ class Axis:
     """s; since its begin"""
     segment_duration: np.ndarray
     """16 values; s"""
+    segment_begin_velocity: np.ndarray
+    """16 values; rad/s"""
     segment_acceleration: np.ndarray
     """16 values; rad/s²; at its begin"""
     segment_jerk: np.ndarray
