@@ -81,6 +81,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
         policy = make(options.policy, env, options.seed)
         if isinstance(policy, BuiltIn | Bound):
             raise ValueError(f"policy {options.policy!r} gives no actions at the steps of a task")
+        _rehearse(example, make(options.policy, example, options.seed), options.seed)
         for axis, guard in line.guards.items():
             console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
         console.print(NO_SAFETY, highlight=False)
@@ -111,6 +112,16 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
         if env is not None:
             env.close()
         close()
+
+
+def _rehearse(example: Any, policy: Any, seed: int) -> None:
+    """A few steps in memory: what is loaded or compiled at its first call is so before power."""
+    seen, info = example.reset(seed=seed)
+    policy.reset(seen, info)
+    for _ in range(3):
+        seen, _, ended, _, _ = example.step(policy.act(seen))
+        if ended:
+            break
 
 
 def _side(options: argparse.Namespace, axes: list[str]) -> tuple[Any, Any]:
