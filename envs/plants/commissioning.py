@@ -107,15 +107,21 @@ def commission_joint(
             )  # fmt: skip
         else:
             drive.commission(gains(drive, inertia))
-    except tuning.Unmovable:
-        raise
+    except tuning.Unmovable as error:
+        raise tuning.Unmovable(f"{error}; {_other(name, gear)}") from None
     except (ValueError, OverflowError) as error:
         raise ValueError(
             f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "
             f"shaft {inertia:.3g} kg·m², {speed:.4g} rad/s, position_unit {position_unit:g}: "
-            f"choose another gear than {gear:g} (gears[{name!r}] of Machine.from_mjcf adds the "
-            "rotor's inertia too), another position_unit, or smaller limits"
+            f"{_other(name, gear)}, another position_unit, or smaller limits"
         ) from None
+
+
+def _other(name: str, gear: float) -> str:
+    return (
+        f"choose another gear than {gear:g} (gears[{name!r}] of Machine.from_mjcf adds the "
+        "rotor's inertia too)"
+    )
 
 
 def _units(drive: Drive, angle: float) -> dict[str, float]:

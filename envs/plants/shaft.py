@@ -2,7 +2,8 @@
 
 One velocity cycle is a linear system: the physics step as MuJoCo linearises it, the speed as the
 filtered difference of the shaft angle, and the lag of the current loop. Dry friction keeps its sign
-in motion and is left out, backlash is on one flank, the other drives hold their joints.
+in motion and is left out, backlash is on one flank, the other drives hold their joints. What
+vibrates without damping has no finite response at its frequency: it gets `LEAST`.
 """
 
 import math
@@ -21,6 +22,7 @@ UNDAMPED = 1e-7  # share of critical, with the rounding of an eigenvalue
 LOWEST = 0.1  # Hz
 RIGID = 0.5  # Hz, where all moves as one
 APART = 1.005  # times the antiresonance; a resonance is above it
+LEAST = 1e-4  # damping of what vibrates; less than any machine has (inferred)
 HELD = 1e9  # kg or kg·m²
 WITHOUT = (
     mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_LIMIT,
@@ -77,7 +79,9 @@ def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
     still, _ = _mechanics(machine, numbers.values(), still=True)
     vibrations = [_vibrations(each, machine.model.opt.timestep) for each in (still, a)]
     frequencies = _grid([*vibrations[0], *vibrations[1]], period)
-    z = np.exp(2j * np.pi * frequencies * period)
+    # a frequency that decays is one of a plant with that much more damping, all else being the same
+    lacking = LEAST - min((damping for each in vibrations for _, damping in each), default=LEAST)
+    z = np.exp((2j + 2 * min(max(lacking, 0.0), LEAST)) * np.pi * frequencies * period)
     states = np.linalg.solve(
         z[:, None, None] * np.eye(size) - whole, np.broadcast_to(into[:, None], (len(z), size, 1))
     )

@@ -22,6 +22,8 @@ from ...drive.drive import Drive
 from ...drive.kernel.cascade import Structure
 from ..engine.machine import Machine
 from .loops import (
+    ANY,
+    OBJECTS,
     RESERVE_GAIN,
     RESERVE_PHASE,
     Asked,
@@ -145,14 +147,12 @@ def tuned(
     can = possible(load, motor, wanted)
     # what friction and a wrong inertia leave to the controller
     left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
-    found = fitting(
-        seen(machine, name), drive, rule(drive, inertia, motor_side), left / (SOFT * window)
-    )
+    plant = seen(machine, name)
+    found = fitting(plant, drive, rule(drive, inertia, motor_side), left / (SOFT * window))
     if found is None:
         raise Unmovable(
             f"drive {name!r} ({drive.model.name}) has no gains that keep {ASKED.gain:g} dB and "
-            f"{ASKED.phase:g}° with {inertia:.3g} kg·m² at its shaft: a stiffer transmission "
-            "or a higher gear ratio would do"
+            f"{ASKED.phase:g}° with {inertia:.3g} kg·m² at its shaft: {_missing(plant, drive)}"
         )
     window = max(window, RESERVE * left / found.stiffness)
     return {
@@ -168,6 +168,20 @@ def tuned(
         "following_error_window": window / per_unit,
         "position_window_time": max(SHORTEST, round(REST / found.position_gain)),
     }
+
+
+def _missing(plant: Seen, drive: Drive) -> str:
+    """Why no gains of the drive do, with the objects whose range they leave, and what would."""
+    needed, light = fastest([plant], ASKED, ANY), False
+    out: list[str] = []
+    for name, (of, per) in OBJECTS.items() if needed else ():
+        (low, high), value, unit = ranges(drive)[of], getattr(needed, of), per(drive.axis)
+        if not low <= value <= high:
+            limits = f"{low * unit:g}..{high * unit:g}"
+            light = not out and of == "velocity_gain" and value < low
+            out.append(f"{name} = {value * unit:.3g} is out of range {limits}")
+    would = "a lower gear ratio" if light else "a stiffer transmission or a higher gear ratio"
+    return ", ".join([*out, f"{would} would do"])
 
 
 def _bears(drive: Drive, motor: Motor, load: Load) -> None:

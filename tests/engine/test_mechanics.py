@@ -271,12 +271,18 @@ def test_a_machine_stays_below_100_kb():
         ({"static_friction": 5}, "static_friction = 5 N needs a coulomb_friction"),
         ({"torque_ripple": 2}, r"torque_ripple = 2 is out of range 0..0.5 share"),
         ({"transmission_stiffness": 1e9}, r"too fast for a timestep of 250 µs: at most \d+ µs"),
-        ({"stiffness": 1e8}, r"stiffness = 1e\+08 N/m between .* too fast"),
+        ({"stiffness": 1e8, "timestep": 250e-6}, r"stiffness = 1e\+08 N/m between .* too fast"),
+        ({"stiffness": 1e8, "payload": 0.05}, r"stiffness = 1e\+08 N/m between .* at most 33 µs"),
     ],
 )
 def test_what_does_not_fit_is_named(values, message):
     with pytest.raises(ValueError, match=message):
         linear_axis(**values)
+
+
+def test_the_timestep_is_as_short_as_a_stiff_spring_needs_it():
+    assert linear_axis().model.opt.timestep == 250e-6
+    assert linear_axis(stiffness=1e8).model.opt.timestep == 125e-6
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import math
 import re
 
+import numpy as np
 import pytest
 
 from servogym.drive.master import Master
@@ -159,6 +160,34 @@ def test_an_axis_that_moves_well_keeps_the_gains_of_the_rule():
     belt = linear_axis(mechanics="toothed_belt", tuned=False).drives["x"]
     tuned = linear_axis(mechanics="toothed_belt").drives["x"]
     assert tuned.read("position_control_gain") > 2 * belt.read("position_control_gain")
+
+
+@pytest.mark.parametrize("timestep", [None, 31.25e-6])
+@pytest.mark.parametrize("mechanics", ["toothed_belt", "ball_screw", "rack_pinion"])
+def test_what_vibrates_without_damping_is_damped_by_its_drive(mechanics, timestep):
+    machine = linear_axis(
+        mechanics=mechanics, timestep=timestep, transmission_damping=0, backlash=0, brake_torque=0,
+        static_friction=0, coulomb_friction=0, viscous_friction=0, chain_drag=0,
+        chain_drag_growth=0, cogging_torque=0, efficiency=1,
+    )  # fmt: skip
+    keeps_margins(machine, "x")
+    machine.reset(positions={"x": 0.25})
+    machine.data.qpos[1] += 1e-4
+    kept = vibration(machine)
+    assert kept[-400:].max() > 0.9 * kept[:400].max(), "nothing else damps it"
+    master = Master(MachinePort(machine), "x")
+    master.enable()
+    damped = vibration(machine)
+    assert damped[-400:].max() < 0.6 * kept[:400].max()
+
+
+def vibration(machine):
+    """Of the load against the motor, in 2 s, about its mean (m)."""
+    seen = []
+    for _ in range(round(2.0 / machine.cycle_time)):
+        machine.step()
+        seen.append(float(machine.data.qpos[1]))
+    return np.abs(np.array(seen) - np.mean(seen[-400:]))
 
 
 def test_the_sheet_has_the_textbook_figures_of_two_masses():
