@@ -46,9 +46,10 @@ def threads():
 
 def loaded():
     """What the process has that this one was forked from."""
+    from servogym.envs.exchange.loops import judging
     from servogym.envs.tasks import positioning
 
-    compiled = positioning.LinearAxisEnv.judge.signatures
+    compiled = judging(positioning.LinearAxisEnv.judge).signatures  # or read from the cache
     return {
         "played": bool(compiled),
         "given": os.environ.get("SERVOGYM_TEMPLATE", ""),

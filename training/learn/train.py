@@ -23,7 +23,8 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import ProgressBarCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
-from torch.optim import Optimizer
+from torch import no_grad
+from torch.optim import Adam, Optimizer
 
 from ...drive.model.near import near
 from ...envs.engine.checks import words
@@ -363,7 +364,9 @@ def _without_compiler() -> None:
     """Spare optimizers torch's compiler, which they import only to say that they are not compiled.
 
     That took 1.7 s of each command. Not done to who calls `train`, and may compile with torch.
+    Adam's own step, which PPO takes, is unwrapped to what it computes, without gradients.
     """
+    Adam.step = no_grad()(inspect.unwrap(Adam.step))
     for name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
         plain = getattr(getattr(Optimizer, name), "__wrapped__", None)
         if plain is not None:

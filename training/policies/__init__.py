@@ -70,6 +70,7 @@ class Baseline(NamedTuple):
     face: str = SETPOINT  # of the actions it gives
     # makes of the environment itself: knows what was drawn, or rehearses it; no rival of others
     told: bool = False
+    shapes: bool = False  # the path for a resonance: of no use where nothing swings
 
 
 POLICIES: dict[str, Baseline] = {
@@ -78,11 +79,21 @@ POLICIES: dict[str, Baseline] = {
     "trapezoid": Baseline(Trapezoid, "pp profile of the drive, 6086h = 0"),
     "jerk_limited": Baseline(jerk_limited_policy, "pp profile of the drive, 6086h = 3"),
     "ruckig": Baseline(ruckig_policy, "time-optimal at the drive's limits"),
-    "ruckig+zv": Baseline(ruckig_zv_policy, "the same, shaped for the nominal resonance"),
-    "ruckig+zvd": Baseline(ruckig_zvd_policy, "shaped twice, less particular about it"),
-    "ruckig+ei": Baseline(ruckig_ei_policy, "extra-insensitive: 5 % are allowed, over more of it"),
-    "s_curve": Baseline(SCurve, "pp profile with the jerk time of one period of the resonance"),
-    "ruckig+notch": Baseline(ruckig_notch_policy, "through a notch filter at that resonance"),
+    "ruckig+zv": Baseline(
+        ruckig_zv_policy, "the same, shaped for the nominal resonance", shapes=True
+    ),
+    "ruckig+zvd": Baseline(
+        ruckig_zvd_policy, "shaped twice, less particular about it", shapes=True
+    ),
+    "ruckig+ei": Baseline(
+        ruckig_ei_policy, "extra-insensitive: 5 % are allowed, over more of it", shapes=True
+    ),
+    "s_curve": Baseline(
+        SCurve, "pp profile with the jerk time of one period of the resonance", shapes=True
+    ),
+    "ruckig+notch": Baseline(
+        ruckig_notch_policy, "through a notch filter at that resonance", shapes=True
+    ),
     "ruckig+ff": Baseline(RuckigFeedForward, "ruckig with inertia and friction feed-forward"),
     "lqr": Baseline(Lqr, "state feedback from the sensor of the load"),
     "adaptive_lqr": Baseline(AdaptiveLqr, "the same, with the resonance identified as it moves"),
@@ -149,8 +160,16 @@ def declared() -> list[str]:
 
 
 def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
-    """Of the policies for a task, and then of those that other packages declare."""
-    return [n for n in declared() if n not in POLICIES or n in ANYWHERE or n in task.POLICIES]
+    """Of the policies for a task, and then of those that other packages declare.
+
+    Of an environment without those that shape for a resonance which its machine does not have.
+    """
+    there = [n for n in declared() if n not in POLICIES or n in ANYWHERE or n in task.POLICIES]
+    shapers = [n for n in there if (row := POLICIES.get(n.removeprefix(PREFIX))) and row.shapes]
+    if not shapers or not isinstance(task, ServoEnv):
+        return there
+    still = any(axis.vibration is None for axis in datasheet(task).axes)
+    return [n for n in there if not (still and n in shapers)]
 
 
 POLICIES_TOLD = "FILE.py:name, a folder of `servogym train`, or model.zip of stable-baselines3"
