@@ -96,7 +96,7 @@ def test_a_run_leaves_checkpoints_evaluations_and_the_best_policy(made):
         env.close()
         if folder.name != "best":
             assert foreign.arrays(folder / "state.npz")["num_timesteps"] == about["steps"]
-    found = np.load(made / "evaluations.npz")
+    found = foreign.arrays(made / "evaluations.npz")
     assert found["timesteps"].tolist() == [128, 256]
     assert found["results"].shape == (2, 16)
     assert not list(made.glob("**/.*")), "nothing half written"
@@ -125,7 +125,12 @@ def test_it_continues_without_losing_count(algorithm, tmp_path):
     updates = {"PPO": (2, 4), "SAC": (24, 56)}[algorithm]  # SAC: one for 8 steps after the first 64
     assert (before["_n_updates"], after["_n_updates"]) == updates
     assert after["_episode_num"] >= before["_episode_num"]
-    assert np.load(tmp_path / "evaluations.npz")["timesteps"].tolist() == [128, 256, 384, 512]
+    assert foreign.arrays(tmp_path / "evaluations.npz")["timesteps"].tolist() == [
+        128,
+        256,
+        384,
+        512,
+    ]
     seen = counts(tmp_path)
     assert seen == sorted(seen)
     assert {128, 256, 384, 512} <= set(seen)
@@ -322,7 +327,7 @@ def test_a_broken_checkpoint_says_what_to_do(made, tmp_path):
 
 def test_a_run_shorter_than_the_way_to_an_evaluation_has_a_best_policy_all_the_same(tmp_path):
     brief(tmp_path, steps=128, evaluate_every=10**6)
-    with np.load(tmp_path / "evaluations.npz") as found:
+    with foreign.arrays(tmp_path / "evaluations.npz") as found:
         assert found["timesteps"].tolist() == [128]
     assert saved.read(tmp_path / "best")["steps"] == 128
 
@@ -413,7 +418,7 @@ def test_a_run_keeps_its_scalars_for_tensorboard(tmp_path):
     kept = EventAccumulator(str(file)).Reload()
     assert {"rollout/ep_rew_mean", "train/loss", "eval/mean_reward"} <= set(kept.Tags()["scalars"])
     assert [row.step for row in kept.Scalars("eval/mean_reward")] == [128, 256]
-    found = np.load(tmp_path / "evaluations.npz")["results"].mean(axis=1)
+    found = foreign.arrays(tmp_path / "evaluations.npz")["results"].mean(axis=1)
     told = [row.value for row in kept.Scalars("eval/mean_reward")]
     assert told == pytest.approx(found.tolist(), rel=1e-6)
 
