@@ -125,12 +125,8 @@ def test_it_continues_without_losing_count(algorithm, tmp_path):
     updates = {"PPO": (2, 4), "SAC": (24, 56)}[algorithm]  # SAC: one for 8 steps after the first 64
     assert (before["_n_updates"], after["_n_updates"]) == updates
     assert after["_episode_num"] >= before["_episode_num"]
-    assert foreign.arrays(tmp_path / "evaluations.npz")["timesteps"].tolist() == [
-        128,
-        256,
-        384,
-        512,
-    ]
+    evaluated = foreign.arrays(tmp_path / "evaluations.npz")["timesteps"]
+    assert evaluated.tolist() == [128, 256, 384, 512]
     seen = counts(tmp_path)
     assert seen == sorted(seen)
     assert {128, 256, 384, 512} <= set(seen)
@@ -327,8 +323,7 @@ def test_a_broken_checkpoint_says_what_to_do(made, tmp_path):
 
 def test_a_run_shorter_than_the_way_to_an_evaluation_has_a_best_policy_all_the_same(tmp_path):
     brief(tmp_path, steps=128, evaluate_every=10**6)
-    with foreign.arrays(tmp_path / "evaluations.npz") as found:
-        assert found["timesteps"].tolist() == [128]
+    assert foreign.arrays(tmp_path / "evaluations.npz")["timesteps"].tolist() == [128]
     assert saved.read(tmp_path / "best")["steps"] == 128
 
 
