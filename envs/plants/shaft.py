@@ -18,7 +18,6 @@ from .loops import Seen, filters_of
 
 GRID = 260  # frequencies
 AROUND = np.linspace(-6.0, 6.0, 25)  # more of them around a resonance, in units of its width
-UNDAMPED = 1e-7  # share of critical, with the rounding of an eigenvalue
 LOWEST = 0.1  # Hz
 RIGID = 0.5  # Hz, where all moves as one
 APART = 1.005  # times the antiresonance; a resonance is above it
@@ -154,8 +153,6 @@ def _vibrations(a: np.ndarray, step: float) -> list[tuple[float, float]]:
 def _grid(vibrations: list[tuple[float, float]], period: float) -> np.ndarray:
     """Frequencies (Hz) up to the Nyquist frequency, closer where the mechanics resonate."""
     places = [np.geomspace(LOWEST, 0.499 / period, GRID)]
-    for f, damping in vibrations:
-        beside = 0.0 if damping > UNDAMPED else 1e-5  # where it is infinite there is no solution
-        places.append(f * (1 + beside + max(damping, 1e-3) * AROUND))
+    places += [f * (1 + max(damping, 1e-3) * AROUND) for f, damping in vibrations]
     frequencies = np.unique(np.concatenate(places))
     return frequencies[(frequencies >= LOWEST) & (frequencies <= 0.499 / period)]
