@@ -10,12 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import gymnasium
 import numpy as np
 from rich.console import Console
 
 from ...drive.model.near import near
 from ...envs.engine.checks import whole
-from ...envs.environment.registry import short, task
+from ...envs.environment.registry import NAMESPACE, short, task
+from ...envs.environment.servo_env import ServoEnv
 from ..report import write_bytes
 from . import basis_feed_forward
 
@@ -25,7 +27,6 @@ MOST = 1000  # episodes
 class Tuning(NamedTuple):
     """How the numbers of a policy are found."""
 
-    task: str
     fit: Callable[..., tuple[np.ndarray, int]]  # of the task and episodes -> numbers, steps
     episodes: int
     choices: str  # of a person, and on what
@@ -33,7 +34,7 @@ class Tuning(NamedTuple):
 
 TUNINGS = {
     "basis_feed_forward": Tuning(
-        "LinearAxisTracking-v0", basis_feed_forward.fit, basis_feed_forward.EPISODES,
+        basis_feed_forward.fit, basis_feed_forward.EPISODES,
         "basis functions of 9 sets on 16 of them, outer loop of 3 gains on 20 of seed 11",
     ),
 }  # fmt: skip
@@ -49,16 +50,23 @@ def run(policy: str, episodes: int | None, out: Path, console: Console) -> int:
     row = TUNINGS[policy]
     count = whole("--episodes", row.episodes if episodes is None else episodes, 1, MOST)
     begin = time.process_time()
-    numbers, steps = row.fit(task(row.task), count)
+    own = _offering(policy)
+    numbers, steps = row.fit(own, count)
     seconds = time.process_time() - begin
     write_bytes(out, _packed(numbers))
     console.print(
-        f"{policy}: {numbers.size} numbers from {count} episodes of {short(task(row.task).ID)}, "
+        f"{policy}: {numbers.size} numbers from {count} episodes of {short(own.ID)}, "
         f"{steps:,} steps, {seconds:.0f} CPU-seconds; chosen by hand: {row.choices}",
         highlight=False,
     )
     console.print(f"{out}", soft_wrap=True)
     return 0
+
+
+def _offering(policy: str) -> type[ServoEnv]:
+    """The task that offers the policy."""
+    ids = [name for name in gymnasium.registry if name.startswith(NAMESPACE)]
+    return next(found for found in map(task, ids) if policy in found.POLICIES)
 
 
 def _packed(numbers: np.ndarray) -> bytes:
