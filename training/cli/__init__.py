@@ -70,7 +70,7 @@ COMMANDS = {
     ),
     "deploy": Command(
         "deploy", "play a policy on the drives of a bus, behind a guard",
-        "deploy LinearAxis-v0 --policy trapezoid --slow 0.2 --home 17 -i udp_multicast -c 239.74.163.2",
+        "deploy LinearAxis-v0 --policy trapezoid --slow 0.2 --home 17 -i socketcan -c can0",
         "The same task, observations and policy as in memory; CAN by python-can, EtherCAT by SOEM.",
     ),
     "eds": Command(
