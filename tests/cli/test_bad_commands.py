@@ -60,18 +60,18 @@ node --drive generic --parameter-file . -i virtual
 ethercat
 ethercat -i nothing0
 ethercat -i a -i b -i c
-ethercat --udp 127.0.0.1 -i veth1
+ethercat --udp 127.0.0.2 -i veth1
 ethercat --udp 999.1.1.1
-ethercat --udp 127.0.0.1 --clock sundial
-ethercat --udp 127.0.0.1 --slaves 0
-ethercat --udp 127.0.0.1 --slaves two
-ethercat --udp 127.0.0.1 --fault nonsense
-ethercat --udp 127.0.0.1 --fault drop at=never
-ethercat --udp 127.0.0.1 --drive nothing
-ethercat --udp 127.0.0.1 --drive festo_cmms
-ethercat --udp 127.0.0.1 --log run.txt
-ethercat --udp 127.0.0.1 --log FILE/run.pcapng
-ethercat --udp 127.0.0.1 --axis nothing
+ethercat --udp 127.0.0.2 --clock sundial
+ethercat --udp 127.0.0.2 --slaves 0
+ethercat --udp 127.0.0.2 --slaves two
+ethercat --udp 127.0.0.2 --fault nonsense
+ethercat --udp 127.0.0.2 --fault drop at=never
+ethercat --udp 127.0.0.2 --drive nothing
+ethercat --udp 127.0.0.2 --drive festo_cmms
+ethercat --udp 127.0.0.2 --log run.txt
+ethercat --udp 127.0.0.2 --log FILE/run.pcapng
+ethercat --udp 127.0.0.2 --axis nothing
 eds
 eds generic
 eds nothing -o new.eds

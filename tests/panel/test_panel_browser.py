@@ -294,7 +294,8 @@ def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(pa
     told = cells.all_inner_texts()
     settled = {told[n]: told[n + 1].removesuffix(" ms") for n in (0, 5)}  # "–": it has not
     assert float(settled["ruckig"]) < float(settled["proportional"].replace("–", "inf"))
-    assert at(page, "header-position").inner_text() == before
+    now = at(page, "header-position").inner_text()
+    assert abs(float(now) - float(before)) < 0.005, "the machine itself holds its place"
     at(page, "hand-over").click()
     expect(at(page, "agent")).to_contain_text("ruckig has the machine.")
     expect(at(page, "header-position")).to_have_text(near(180))
