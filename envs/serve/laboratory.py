@@ -6,7 +6,7 @@ to know or do is done by that thread between two frames, see `Laboratory.do`.
 
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, InvalidStateError
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -458,8 +458,6 @@ class _Thread:
             return
         try:
             future.set_result(function())
-        except InvalidStateError:
-            pass
         except BaseException as error:
             future.set_exception(error)
 

@@ -176,7 +176,7 @@ def test_a_commander_that_is_lost_ends_what_it_has_set_in_motion(
     assert room.stands()
 
 
-@pytest.mark.slow  # beside other work the first motion was over before the stop came, 2 of 3 runs
+@pytest.mark.slow  # what waits may run before the stop comes: a motion asked for ends another
 def test_what_waits_is_dropped_by_a_stop_and_what_comes_after_it_is_a_new_command(room):
     motion = room.run_in(Mode.PROFILE_POSITION)
     waiting = room.clock.ask(
