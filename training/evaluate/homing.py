@@ -72,6 +72,12 @@ def written(chosen: Mapping[str, Any]) -> str:
     return " ".join(words)
 
 
+def made_by(what: str, drive: str, quick: bool, chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """Origin of the files of a benchmark: the command that makes them again."""
+    part = " --quick" if quick else ""
+    return origin(f"servogym benchmark {what} --drive {drive}{part} {written(chosen)}".rstrip())
+
+
 def searches(
     drive: str, mechanics: str, method: int | str, variant: str, starts: Sequence[float],
     seeds: Sequence[int], payload: float | None, parameter_file: str | None,
@@ -329,9 +335,7 @@ def run(
     todo = jobs(drive, quick, **(chosen or {}))
     results = work.map(todo, folder=out, console=console, warm=todo[:1])
     rows: list[Row] = [row for result in results for row in result["rows"]]
-    words = written(chosen or {})
-    command = f"servogym benchmark homing --drive {drive}{' --quick' if quick else ''} {words}"
-    source = origin(command.rstrip())
+    source = made_by("homing", drive, quick, chosen or {})
     cells = _cells(rows)
     table = [
         [

@@ -17,11 +17,11 @@ from rich.console import Console
 
 from ...envs import FAMILY, POINT_TO_POINT
 from ..pictures.heat_map import draw
-from ..report import markdown, number, origin, write_csv, write_page
+from ..report import markdown, number, write_csv, write_page
 from ..scale.job import Job, Result
 from ..scale.work import ALONE, Work
 from .episodes import Evaluator
-from .homing import written
+from .homing import made_by
 from .parts import warm
 
 STRATEGIES = (
@@ -206,9 +206,7 @@ def run(
     rows: list[Row] = [row for result in results for row in result["rows"]]
     if not rows:
         raise ValueError(next(result["refused"] for result in results if result["refused"]))
-    words = written(chosen or {})
-    command = f"servogym benchmark positioning --drive {drive}{' --quick' if quick else ''} {words}"
-    source = origin(command.rstrip())
+    source = made_by("positioning", drive, quick, chosen or {})
     strategies = list(dict.fromkeys(row["strategy"] for row in rows))
     cells = list(
         dict.fromkeys((row["mechanics"], row["payload_kg"], row["condition"]) for row in rows)
