@@ -23,7 +23,7 @@ from .kernel.record import Axis
 from .kernel.words import Mode, State
 from .model.given import finite, refuse_unknown
 from .model.model import DriveModel, load
-from .model.near import named, near
+from .model.names import hint, named
 from .model.pdo import mapping_entry
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
@@ -428,7 +428,7 @@ class Drive:
         """
         name = cause.name.lower() if isinstance(cause, Cause) else str(cause).lower()
         if name not in self.injectable:
-            raise ValueError(f"unknown cause {cause!r}: {near(str(cause), self.injectable)}")
+            raise ValueError(f"unknown cause {cause!r}: {hint(str(cause), self.injectable)}")
         if name == "index_missing":
             self.axis.index_missing = 1
         elif name.upper() in Cause.__members__:

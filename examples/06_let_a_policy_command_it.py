@@ -42,7 +42,7 @@ class Braking:
         self.velocity = 0.0  # of the set-point (m/s)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        seen = env.unwrapped.seen(observation)  # by the names in the docstring of the task
+        seen = env.unwrapped.named(observation)  # by the names in the docstring of the task
         left = seen.distance * STROKE - seen.set_point * WINDOW  # m
         step = ACCELERATION * STEP
         # the parabola, reached at the end of the step; within one step it is a straight line

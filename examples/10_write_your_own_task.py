@@ -104,7 +104,7 @@ for name, chosen in LAWS.items():
     observed, info = env.reset(seed=1)
     rows = []
     for _ in range(env.STEPS):
-        observed, reward, terminated, _, info = env.step([chosen(env.seen(observed))])
+        observed, reward, terminated, _, info = env.step([chosen(env.named(observed))])
         assert not terminated, info["fault"]
         rows.append((info["time"], info["mark"], env.machine.data.qpos[0], reward))
     curves[name] = np.array(rows)

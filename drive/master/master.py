@@ -25,7 +25,7 @@ from ..kernel.words import (
 )
 from ..kernel.words import Controlword as C
 from ..kernel.words import Statusword as S
-from ..model.near import near
+from ..model.names import hint
 from .drives import QUICK_STOP, Drives, in_fault
 from .errors import HomingFailed, Refused, ServoError, Timeout
 
@@ -420,7 +420,7 @@ class Master(Drives):
         try:
             return BY_NAME[mode.lower()] if isinstance(mode, str) else Mode(mode)
         except (KeyError, ValueError):
-            raise Refused(f"mode {mode!r}", "there is none", near(str(mode), [*BY_NAME])) from None
+            raise Refused(f"mode {mode!r}", "there is none", hint(str(mode), [*BY_NAME])) from None
 
     def _units_of(
         self, what: str, value: float | Mapping[str, float], unit: str

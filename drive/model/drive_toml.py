@@ -13,7 +13,7 @@ import numpy as np
 from ..kernel.process_data import MAX_BITS
 from ..kernel.record import FIELDS, OD
 from . import foreign
-from .near import near
+from .names import hint
 
 # Departures from the standard a model may declare: fields of the record that the kernel reads, and
 # flags of the Python around it.
@@ -96,7 +96,7 @@ def _refuse_unknown(table: dict[str, Any], known: Iterable[str], path: Path, of:
     """Refuse a key that means nothing: most often one that is spelt in another way."""
     for key in table:
         if key not in known:
-            raise ValueError(f"{path}: {of}{key} is unknown: {near(key, known)}")
+            raise ValueError(f"{path}: {of}{key} is unknown: {hint(key, known)}")
 
 
 def _fits(value: Any, kind: np.dtype) -> bool:

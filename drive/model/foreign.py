@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .files import content
-from .near import near
+from .names import hint
 
 LARGEST_ARRAYS = 256 * 2**20  # of arrays, unpacked
 DEEPEST = 64  # tables in one another
@@ -80,7 +80,7 @@ def checked(found: Mapping[str, Any], where: str, keys: Mapping[str, Key]) -> di
     """
     for name, value in found.items():
         if name not in keys:
-            raise ValueError(f"{where}: {name!r} is unknown: {near(name, keys)}")
+            raise ValueError(f"{where}: {name!r} is unknown: {hint(name, keys)}")
         kinds = keys[name].kinds
         kinds = kinds if isinstance(kinds, tuple) else (kinds,)
         if type(value) not in kinds and not (type(value) is int and float in kinds):

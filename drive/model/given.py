@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, SupportsFloat
 
 from .model import load, model_names
-from .near import near
+from .names import hint
 
 PROFILE = "generic"  # most names are there, and it is the smallest
 
@@ -41,7 +41,7 @@ def octets(name: str, value: Any) -> bytes | bytearray | memoryview:
 def refuse_unknown(name: str, known: Iterable[str]) -> None:
     """Raise ValueError, with near names of those `known`, for one that is in no model of ours."""
     if not _in_a_model(name):
-        raise ValueError(f"no drive has the object {name!r}: {near(name, known)}")
+        raise ValueError(f"no drive has the object {name!r}: {hint(name, known)}")
 
 
 @functools.cache

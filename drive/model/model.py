@@ -16,7 +16,7 @@ from ..kernel.words import Mode, mode_bit
 from .capabilities import read_capabilities, with_capabilities
 from .drive_toml import BUSES, KERNEL_QUIRKS, KEYS, QUIRKS, UNITS, Toml, merged, read_toml
 from .ethercat import EtherCat, need_assignment, read_ethercat
-from .near import near
+from .names import hint
 from .pdo import Mapping, read_pdos
 from .rows import (
     Cells,
@@ -151,8 +151,8 @@ class DriveModel:
         row = self.names.get(name)
         if row is None or not row.format:
             numbers = [each for each, row in self.names.items() if row.format]
-            hint = near(name, numbers, "see objects.csv of the model, or ask by index")
-            raise ValueError(f"{self.name} has no number {name!r}: {hint}")
+            remark = hint(name, numbers, "see objects.csv of the model, or ask by index")
+            raise ValueError(f"{self.name} has no number {name!r}: {remark}")
         return row
 
     def quirk(self, name: str) -> int:
@@ -209,9 +209,9 @@ def _folder(model: str | Path, beside: Path | None = None) -> Path:
     ):  # a name, no path: to look through all packages takes a while
         folder = _declared(next(iter(points)))
     if not (folder / "drive.toml").exists():
-        hint = near(str(model), [*model_names(), *foreign_names()])
+        remark = hint(str(model), [*model_names(), *foreign_names()])
         raise ValueError(
-            f"unknown drive model {str(model)!r}: {hint}, "
+            f"unknown drive model {str(model)!r}: {remark}, "
             "or give the path of a folder with drive.toml, objects.csv, pdo.csv, faults.csv"
         )
     return folder.resolve()

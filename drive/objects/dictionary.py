@@ -11,7 +11,7 @@ import numpy as np
 
 from ..kernel.factors import units_changed
 from ..model.model import DriveModel
-from ..model.near import near
+from ..model.names import hint
 from ..model.rows import Object
 from .abort import Abort, SdoAbort
 from .communication import READ_RULES, RULES
@@ -54,8 +54,8 @@ def _hook(model: DriveModel, row: Object) -> Hook | None:
     try:
         hook = hook_of(model, row.hook)
     except LookupError:
-        hint = near(row.hook, HOOKS, f"use one of {', '.join(HOOKS)}, or write it in hooks.py")
-        raise ValueError(f"{row.where}: hook {row.hook!r} is unknown: {hint}") from None
+        remark = hint(row.hook, HOOKS, f"use one of {', '.join(HOOKS)}, or write it in hooks.py")
+        raise ValueError(f"{row.where}: hook {row.hook!r} is unknown: {remark}") from None
     except ValueError as error:
         raise ValueError(f"{row.where}: hook {row.hook!r}: {error}") from None
     if row.hook not in HOOKS and (hook.write or hook.raw) and "rx" in row.pdo:
@@ -176,8 +176,8 @@ class ObjectDictionary:
         if isinstance(index, str):
             slot = self.names.get(index)
             if slot is None:
-                hint = near(index, self.names, "see objects.csv of its model")
-                raise SdoAbort(Abort.NO_OBJECT, 0, 0, f"no object is called {index!r}: {hint}")
+                remark = hint(index, self.names, "see objects.csv of its model")
+                raise SdoAbort(Abort.NO_OBJECT, 0, 0, f"no object is called {index!r}: {remark}")
             if subindex not in (0, slot.row.subindex):
                 raise TypeError(f"{index!r} is a name: it has no other sub-index {subindex!r}")
             return slot

@@ -19,7 +19,7 @@ from ..canopen.remote import CanOpenPort
 from ..ethercat.decode import EtherCatDecoder
 from ..model.files import regular
 from ..model.model import DriveModel
-from ..model.near import near
+from ..model.names import hint
 from ..model.rows import Object
 from ..objects.abort import SdoAbort
 from ..trace import Recording
@@ -153,7 +153,7 @@ class Source:
         name = self._addresses.get(who, {}).get(address, "") if address else channel
         if name in known:
             return name
-        raise ValueError(f"{self._log}: no {channel} of drive {who} in it; {near(channel, known)}")
+        raise ValueError(f"{self._log}: no {channel} of drive {who} in it; {hint(channel, known)}")
 
     def drive(self, asked: str | None, channels: Iterable[str]) -> str:
         """The drive that is meant: the one asked for, or the only one that has the channels."""
@@ -161,13 +161,13 @@ class Source:
             for who in self.units:
                 if asked.lower().removeprefix("slave ") == who.lower().removeprefix("slave "):
                     return who
-            raise ValueError(f"{self._log}: no drive {asked} in it; {near(asked, self.units)}")
+            raise ValueError(f"{self._log}: no drive {asked} in it; {hint(asked, self.units)}")
         wanted = [*channels]
         having = [who for who in self.units if all(self._has(who, name) for name in wanted)]
         having = having or [*self.units]
         if len(having) > 1:
             raise ValueError(
-                f"{self._log}: say which drive is meant, with --axis: {near('', having)}"
+                f"{self._log}: say which drive is meant, with --axis: {hint('', having)}"
             )
         return having[0]
 
@@ -275,7 +275,7 @@ def channel_of(model: DriveModel, channel: str) -> str:
     if address is not None:
         raise ValueError(f"{channel}: drive {model.name} has no such object")
     if channel not in model.names:
-        raise ValueError(f"there is no channel {channel!r}: {near(channel, model.names)}")
+        raise ValueError(f"there is no channel {channel!r}: {hint(channel, model.names)}")
     return channel
 
 
@@ -300,7 +300,7 @@ def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]
         if not equals or not name or not heading:
             raise ValueError(f"--columns {part!r}: use NAME=HEADING:UNIT, as time=t:ms")
         if heading not in head:
-            raise ValueError(f"{log}: no column {heading!r}: {near(heading, head)}")
+            raise ValueError(f"{log}: no column {heading!r}: {hint(heading, head)}")
         if unit and unit not in SCALES:
             raise ValueError(f"--columns {part!r}: unknown unit {unit!r}, use {', '.join(SCALES)}")
         at = head.index(heading)

@@ -13,7 +13,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.kernel.words import Limit, Mode, State
 from ...drive.master import Master
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.series import Series
@@ -49,8 +49,8 @@ class Stand:
             )
         name = next(iter(machine.drives)) if name is None else name
         if name not in machine.drives:
-            hint = near(str(name), machine.drives)
-            raise ValueError(f"drive: there is no drive {name!r}: {hint}")
+            remark = hint(str(name), machine.drives)
+            raise ValueError(f"drive: there is no drive {name!r}: {remark}")
         self.machine, self.name = machine, name
         self.drive = machine.drives[name]
         model = self.drive.model

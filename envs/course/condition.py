@@ -28,7 +28,7 @@ from typing import Any
 
 from ...drive.kernel.faults import Cause
 from ...drive.kernel.words import Command, Mode, State
-from ...drive.model.near import near
+from ...drive.model.names import hint
 
 
 @dataclass(slots=True)
@@ -68,7 +68,7 @@ def _named(known: Mapping[str, Any]) -> Callable[[str, Any], str]:
     def check(key: str, value: Any) -> str:
         for name in value if isinstance(value, list) else [value]:
             if name not in known:
-                return f"{key} = {name!r}: {near(str(name), known)}"
+                return f"{key} = {name!r}: {hint(str(name), known)}"
         return ""
 
     return check
@@ -155,7 +155,7 @@ def check(table: Any) -> dict[str, Any]:
         raise ValueError(f"{table!r} is no condition: use {', '.join(KEYS)}")
     for key, value in table.items():
         if key not in KEYS:
-            raise ValueError(f"{key} is unknown: {near(str(key), KEYS)}")
+            raise ValueError(f"{key} is unknown: {hint(str(key), KEYS)}")
         if wrong := KEYS[key][0](key, value):
             raise ValueError(wrong)
     return dict(table)

@@ -42,7 +42,7 @@ from pathlib import Path
 from typing import Any
 
 from ...drive.model.files import content
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.machine import Machine
 from .condition import check
 
@@ -191,7 +191,7 @@ def named(name: str, folder: str | Path = SHIPPED) -> Exercise:
         return load(name)
     known = {path.stem: path for path in sorted(Path(folder).glob("*.toml"))}
     if name not in known:
-        raise ValueError(f"there is no exercise {name!r}: {near(name, known)}")
+        raise ValueError(f"there is no exercise {name!r}: {hint(name, known)}")
     return load(known[name])
 
 
@@ -235,7 +235,7 @@ def _begin(row: Any) -> Begin:
     _known(row, ("positions", "write", "inject", "disturb"), "begin: ")
     for name in row.get("disturb", {}):
         if name not in DISTURBANCES:
-            raise ValueError(f"disturb {name!r}: {near(str(name), DISTURBANCES)}")
+            raise ValueError(f"disturb {name!r}: {hint(str(name), DISTURBANCES)}")
     return Begin(
         dict(row.get("positions", {})), dict(row.get("write", {})), tuple(row.get("inject", ())),
         dict(row.get("disturb", {})),
@@ -247,7 +247,7 @@ def _known(row: Any, names: tuple[str, ...], where: str) -> None:
         raise ValueError(f"{where}{row!r} is no table")
     for name in row:
         if name not in names:
-            raise ValueError(f"{where}{name} is unknown: {near(str(name), names)}")
+            raise ValueError(f"{where}{name} is unknown: {hint(str(name), names)}")
 
 
 def _required(row: Mapping[str, Any], name: str) -> Any:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 
 THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
 
@@ -74,7 +74,7 @@ def choice(name: str, given: Any, known: Iterable[Any]) -> Any:
     """`given`, one of `known`. Raises ValueError with the near ones."""
     names = [str(each) for each in known]
     if not isinstance(given, str) or given not in names:
-        raise ValueError(f"{name} = {given!r}: {near(str(given), names)}")
+        raise ValueError(f"{name} = {given!r}: {hint(str(given), names)}")
     return given
 
 
@@ -90,9 +90,9 @@ class UnknownArgument(TypeError):
     @classmethod
     def of(cls, owner: str, name: str, known: Iterable[str]) -> "UnknownArgument":
         """Of the class of an environment, with near names."""
-        hint = near(name, known)
-        error = cls(f"{owner}.__init__() got an unexpected keyword argument {name!r}: {hint}")
-        error.words = f"{owner} has no argument {name!r}: {hint}"
+        remark = hint(name, known)
+        error = cls(f"{owner}.__init__() got an unexpected keyword argument {name!r}: {remark}")
+        error.words = f"{owner} has no argument {name!r}: {remark}"
         return error
 
 
@@ -148,8 +148,10 @@ class Options(dict[str, Any]):
     def refuse_unread(self) -> None:
         """Raise ValueError for an option that no one has asked for."""
         for name in dict.keys(self) - self._asked.keys():
-            hint = near(name, self._asked)
-            raise ValueError(f"options: there is no {name!r} here" + (f": {hint}" if hint else ""))
+            remark = hint(name, self._asked)
+            raise ValueError(
+                f"options: there is no {name!r} here" + (f": {remark}" if remark else "")
+            )
 
 
 HOUSE = (

@@ -14,7 +14,7 @@ from ...drive.drive import Drive
 from ...drive.kernel import record
 from ...drive.memory import address, peek
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import named, near
+from ...drive.model.names import hint, named
 from ...drive.objects import snapshot as snapshots
 from . import loop, mechanics
 from .checks import whole
@@ -46,7 +46,7 @@ class Drives(dict[str, Drive]):
     """Of a machine, by name."""
 
     def __missing__(self, name: str) -> Drive:
-        raise KeyError(f"there is no drive {name!r}: {near(str(name), self)}")
+        raise KeyError(f"there is no drive {name!r}: {hint(str(name), self)}")
 
 
 class Machine:
@@ -336,7 +336,7 @@ class Machine:
         for name, position in named("positions", positions, '{"x": 0.1}').items():
             if name not in self.drives:
                 raise ValueError(
-                    f"positions: there is no drive {name!r}: {near(name, self.drives)}"
+                    f"positions: there is no drive {name!r}: {hint(name, self.drives)}"
                 )
             coupling = self.couplings[self._number(name)]
             joint = self.model.dof_jntid[coupling.dof]

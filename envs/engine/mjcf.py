@@ -32,7 +32,7 @@ import mujoco
 
 from ...drive.model.files import content, regular
 from ...drive.model.model import DriveModel
-from ...drive.model.near import named, near
+from ...drive.model.names import hint, named
 
 GEAR_RANGE = 1e-3, 1e6  # rad per m or rad; outside it lie typing errors
 JOINT_TYPES = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}  # units
@@ -248,7 +248,7 @@ def attach(
     """
     for name in named("gears", gears, '{"joint": 100}'):
         if name not in drives:
-            raise ValueError(f"gears: there is no drive {name!r}: {near(name, drives)}")
+            raise ValueError(f"gears: there is no drive {name!r}: {hint(name, drives)}")
     names: dict[str, str] = {}  # drive by joint
     for name, drive in drives.items():
         joint, actuator = _place(spec, name)

@@ -49,7 +49,7 @@ import mujoco
 import numpy as np
 
 from ...drive.drive import Drive
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from .machine import Machine
 from .physics import STATE
 
@@ -385,12 +385,12 @@ PARAMETERS: dict[str, Parameter] = {
 def known(joint: Joint, name: str) -> Parameter:
     """The row of a parameter that is there. Raises ValueError for another name."""
     if name not in PARAMETERS:
-        raise ValueError(f"there is no parameter {name!r}: {near(name, PARAMETERS)}")
+        raise ValueError(f"there is no parameter {name!r}: {hint(name, PARAMETERS)}")
     row = PARAMETERS[name]
     if not row.there(joint):
         there = [each for each, other in PARAMETERS.items() if other.there(joint)]
         raise ValueError(
-            f"parameter {name!r} cannot act in this machine: {near(name, there)}; "
+            f"parameter {name!r} cannot act in this machine: {hint(name, there)}; "
             "elasticities are built in, see LinearAxisParameters"
         )
     return row

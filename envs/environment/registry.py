@@ -14,7 +14,7 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
 from ...drive.kernel.words import Mode
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.checks import told, whole
 from .device_env import vectors
 from .servo_env import ServoEnv
@@ -121,4 +121,4 @@ def _hint(name: str, module: str) -> str:
         for each, spec in _registry().items()
         if str(spec.entry_point).startswith((f"{owner}.", f"{owner}:"))
     ]
-    return near(name, known) or f"{owner} registers none, see servogym.envs.register"
+    return hint(name, known) or f"{owner} registers none, see servogym.envs.register"

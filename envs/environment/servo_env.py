@@ -5,6 +5,7 @@ PDOs, enabling and homing, the step, randomisation, injected faults, infos, rend
 """
 
 import copy
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -15,7 +16,7 @@ import numpy as np
 from ...drive.kernel.words import ENABLED, Mode, state_of
 from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import named
+from ...drive.model.names import named
 from ...drive.objects.abort import SdoAbort
 from ..engine.checks import Options, UnknownArgument, accepted, choice, flag, whole
 from ..engine.machine import Machine
@@ -326,12 +327,18 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             "clip it, and see that the policy's output is finite"
         )
 
-    def seen(self, observation: np.ndarray) -> Any:
-        """An observation by the names of its components, of a history the latest: a record.
+    def named(self, observation: np.ndarray) -> Any:
+        """Return an observation as a record with the names of its components.
 
-        ``env.seen(observation).velocity``; `observation_record` has all names.
+        ``env.named(observation).velocity``; `observation_record` lists all names. Of an observation
+        with history the latest one is taken.
         """
-        return fields.seen(self._batch.observation, observation)
+        return fields.named(self._batch.observation, observation)
+
+    def seen(self, observation: np.ndarray) -> Any:
+        """Return `named`. Deprecated since 0.2, to be removed in 0.3."""
+        warnings.warn("use env.named(observation)", DeprecationWarning, stacklevel=2)
+        return self.named(observation)
 
     @property
     def action_record(self) -> np.dtype:

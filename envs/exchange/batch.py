@@ -12,7 +12,7 @@ import numpy as np
 
 from ...drive.drive import Drive
 from ...drive.kernel.record import accessible
-from ...drive.model.near import named, near
+from ...drive.model.names import hint, named
 from ..engine import loop
 from ..engine.checks import in_range
 from ..engine.guard import Turn
@@ -52,7 +52,7 @@ def priced(prices: Mapping[str, float] | None) -> tuple[float, float]:
     given = named("prices", prices, '{"torque": 0.01}')
     for name, price in given.items():
         if name not in PRICES:
-            raise ValueError(f"prices: there is none of {name!r}: {near(name, PRICES)}")
+            raise ValueError(f"prices: there is none of {name!r}: {hint(name, PRICES)}")
         in_range(f"prices[{name!r}]", price, 0.0, DEAREST, "of the reward")
     torque, jerk = (float(given.get(name, 0.0)) for name in PRICES)
     return torque, jerk

@@ -69,7 +69,7 @@ def slots(record: np.dtype) -> dict[str, slice]:
     }
 
 
-def seen(record: np.dtype, vector: np.ndarray) -> Any:
+def named(record: np.dtype, vector: np.ndarray) -> Any:
     """The first numbers of a vector by the names of a record of float32; the same memory."""
     numbers = np.ascontiguousarray(vector[: width(record)], np.float32)
     return numbers.view(accessible(record))[0]

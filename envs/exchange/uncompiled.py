@@ -16,7 +16,7 @@ from typing import Any
 import numba
 from numba import types
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.checks import HOUSE
 
 NUMBA = str(Path(numba.__file__).parent)
@@ -60,7 +60,7 @@ def refusal(error: Exception, function: Any) -> str:
             callee = _CALLEE.search(str(error))
             line = _line_of(file, name[1], callee[1] if callee else source.co_name) or line
             known = getattr(getattr(function, "py_func", function), "__globals__", ())
-            what = f"{name[0]}: {near(name[1], known, 'import it, or write it above')}"
+            what = f"{name[0]}: {hint(name[1], known, 'import it, or write it above')}"
     line = line or source.co_firstlineno
     return f"{file}, line {line}, in {_function_at(file, line) or source.co_name}: {what}"
 
@@ -93,7 +93,7 @@ def _field(error: Exception, file: str, line: int) -> str:
                 text = linecache.getline(file, line)
                 owner = re.search(rf"([\w.]+(?:\[[^]]*\])?)(?:\.{name}\b|\[.{name}.\])", text)
                 shown = owner[0] if owner else name
-                return f"{shown}: there is no {name!r} here: {near(name, record.fields)}"
+                return f"{shown}: there is no {name!r} here: {hint(name, record.fields)}"
     return ""
 
 

@@ -5,7 +5,7 @@ Values marked `inferred` are of the size catalogues give for axes of this class,
 
 from dataclasses import dataclass, fields, replace
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.checks import in_range
 
 # lowest, highest, unit
@@ -248,10 +248,10 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
         ValueError: an unknown name, or a parameter out of range.
     """
     if mechanics not in FAMILY:
-        raise ValueError(f"mechanics = {mechanics!r} is unknown: {near(str(mechanics), FAMILY)}")
+        raise ValueError(f"mechanics = {mechanics!r} is unknown: {hint(str(mechanics), FAMILY)}")
     for name in values:
         if name not in RANGES and name not in SWITCHES:
-            raise ValueError(f"a linear axis has no parameter {name!r}: {near(name, RANGES)}")
+            raise ValueError(f"a linear axis has no parameter {name!r}: {hint(name, RANGES)}")
     return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
 
 

@@ -12,7 +12,7 @@ from ...drive.ethercat.slave import Slave
 from ...drive.machine import Machine as Moved
 from ...drive.machine import Standing
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.machine import Machine
 from .gantry import gantry
 from .linear_axis import linear_axis
@@ -45,7 +45,7 @@ def axis_for(
         the parameter file.
     """
     if axis not in AXES:
-        raise ValueError(f"--axis = {axis!r}: {near(axis, AXES)}")
+        raise ValueError(f"--axis = {axis!r}: {hint(axis, AXES)}")
     if parameter_file is not None and not parameter_file.parent.is_dir():
         raise ValueError(
             f"--parameter-file = {parameter_file}: there is no folder {parameter_file.parent}; "
@@ -120,7 +120,7 @@ def ethercat_line(
     Raises ValueError: unknown model or axis, a model without EtherCAT.
     """
     if axis not in (*AXES, "none"):
-        raise ValueError(f"--axis = {axis!r}: {near(axis, [*AXES, 'none'])}")
+        raise ValueError(f"--axis = {axis!r}: {hint(axis, [*AXES, 'none'])}")
     machines: list[Moved] = []
     drives: list[Drive] = []
     for name in models:

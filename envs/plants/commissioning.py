@@ -12,7 +12,7 @@ import numpy as np
 
 from ...drive.drive import Drive
 from ...drive.model.model import load
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.machine import Machine
 from . import tuning
 from .linear_axis import factor_group
@@ -68,7 +68,7 @@ def commission_joint(
     if not isinstance(machine, Machine):
         raise ValueError(f"machine = {machine!r}: give a Machine, as Machine.from_mjcf makes one")
     if name not in machine.drives:
-        raise ValueError(f"name: there is no drive {name!r}: {near(str(name), machine.drives)}")
+        raise ValueError(f"name: there is no drive {name!r}: {hint(str(name), machine.drives)}")
     drive = machine.drives[name]
     if not drive.model.positions:
         return

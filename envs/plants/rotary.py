@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import twins
@@ -64,7 +64,7 @@ def rotary_axis(
         return found.machine(rotary_axis, None if drive == "generic" else drive)
     if mechanics not in ROTARY_FAMILY:
         raise ValueError(
-            f"mechanics = {mechanics!r} is unknown: {near(str(mechanics), ROTARY_FAMILY)}"
+            f"mechanics = {mechanics!r} is unknown: {hint(str(mechanics), ROTARY_FAMILY)}"
         )
     if parameters is None:
         parameters = replace(ROTARY_FAMILY[mechanics], **values)  # type: ignore[arg-type]

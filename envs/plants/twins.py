@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine import parameters
 from ..engine.machine import Machine
 from .axis_parameters import RANGES as LINEAR_RANGES
@@ -150,7 +150,7 @@ def _checked(file: Path, content: Mapping[str, Any]) -> Twin:
     for name, row in content["parameters"].items():
         if name not in parameters.PARAMETERS:
             raise ValueError(
-                f"{file}: no parameter is called {name!r}: {near(name, parameters.PARAMETERS)}"
+                f"{file}: no parameter is called {name!r}: {hint(name, parameters.PARAMETERS)}"
             )
         value = Value(float(row["value"]), float(row["low"]), float(row["high"]), str(row["unit"]))
         if not all(map(math.isfinite, (value.value, value.low, value.high))):

@@ -29,7 +29,7 @@ from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from ...drive.model.files import content
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.checks import in_range, whole
 
 CAN_CLOCKS = ("real", "sync")
@@ -72,12 +72,12 @@ class BusRow:
     def __post_init__(self) -> None:
         clocks = {"can": CAN_CLOCKS, "ethercat": ETHERCAT_CLOCKS}
         if self.kind not in clocks:
-            raise ValueError(f"kind = {self.kind!r}: {near(self.kind, clocks)}")
+            raise ValueError(f"kind = {self.kind!r}: {hint(self.kind, clocks)}")
         allowed = clocks[self.kind]
         if not self.clock:
             object.__setattr__(self, "clock", allowed[0])
         if self.clock not in allowed:
-            raise ValueError(f"clock = {self.clock!r}: {near(self.clock, allowed)}")
+            raise ValueError(f"clock = {self.clock!r}: {hint(self.clock, allowed)}")
         whole("period_us", self.period_us, 1, 10**9)
         if self.kind == "can":
             if not isinstance(self.interface, str) or not self.interface:
@@ -192,7 +192,7 @@ class Description:
         for machine in self.machines:
             if machine.bus not in names:
                 raise ValueError(f"machine.{machine.name}: bus = {machine.bus!r}: "
-                                 f"{near(machine.bus, names)}")  # fmt: skip
+                                 f"{hint(machine.bus, names)}")  # fmt: skip
         for bus in self.buses:
             if not any(machine.bus == bus.name for machine in self.machines):
                 raise ValueError(f"bus.{bus.name}: no machine is on it")
@@ -227,7 +227,7 @@ def _description(data: Mapping[str, Any], folder: Path, where: str) -> Descripti
     known = ("bus", "machine", "event")
     for key in data:
         if key not in known:
-            raise ValueError(f"{where}: {key!r} is unknown: {near(str(key), known)}")
+            raise ValueError(f"{where}: {key!r} is unknown: {hint(str(key), known)}")
     try:
         return Description(
             tuple(_row(BusRow, f"bus.{n}", row, n) for n, row in _table(data, "bus").items()),
@@ -260,7 +260,7 @@ def _row(kind: type, where: str, row: Any, name: str = "") -> Any:
         hints = get_type_hints(kind)
         for key, value in row.items():
             if key not in {f.name for f in own}:
-                raise ValueError(f"{key!r} is unknown: {near(str(key), [f.name for f in own])}")
+                raise ValueError(f"{key!r} is unknown: {hint(str(key), [f.name for f in own])}")
             wanted = _types(hints[key])
             if isinstance(value, bool) or not isinstance(value, wanted):
                 names = " or ".join(each.__name__ for each in wanted)
@@ -274,9 +274,9 @@ def _row(kind: type, where: str, row: Any, name: str = "") -> Any:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _types(hint: Any) -> tuple[type, ...]:
-    if isinstance(hint, UnionType):
-        return tuple(kind for part in get_args(hint) for kind in _types(part))
-    if hint is float:
+def _types(kind: Any) -> tuple[type, ...]:
+    if isinstance(kind, UnionType):
+        return tuple(kind for part in get_args(kind) for kind in _types(part))
+    if kind is float:
         return (float, int)
-    return (get_origin(hint) or hint,)
+    return (get_origin(kind) or kind,)

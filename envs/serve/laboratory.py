@@ -23,7 +23,7 @@ from ...drive.ethercat.faulty import FaultyBus
 from ...drive.ethercat.segment import Segment
 from ...drive.ethercat.slave import Slave
 from ...drive.model.model import DriveModel, load
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...drive.wire.can_link import CanLink, Traced
 from ...drive.wire.ethercat import EtherCatServer, Port
 from ...drive.wire.ethernet import RawPort, UdpPort
@@ -181,7 +181,7 @@ class Laboratory:
             if event.inject not in drive.injectable:
                 raise ValueError(
                     f"event at {event.at:g} s: inject = {event.inject!r}: "
-                    f"{near(event.inject, drive.injectable)}"
+                    f"{hint(event.inject, drive.injectable)}"
                 )
         for bus in self.description.buses:
             own = {row.name: self.machines[row.name] for row in self.description.of(bus)}
@@ -250,7 +250,7 @@ class Laboratory:
             Exception: whatever `function` raises.
         """
         if machine not in self.machines:
-            raise KeyError(f"there is no machine {machine!r}: {near(machine, self.machines)}")
+            raise KeyError(f"there is no machine {machine!r}: {hint(machine, self.machines)}")
         return self._thread(machine).do(lambda: function(self.machines[machine]))
 
     def position(self, drive: str) -> float:
@@ -350,7 +350,7 @@ class Laboratory:
         if machine is not None and len(machine.drives) == 1:
             return name, next(iter(machine.drives.values()))
         if name not in self.drives:
-            raise ValueError(f"there is no drive {name!r}: {near(name, self.drives)}")
+            raise ValueError(f"there is no drive {name!r}: {hint(name, self.drives)}")
         return name.rpartition(".")[0], self.drives[name]
 
     def _thread(self, machine: str) -> "_Thread":
@@ -499,7 +499,7 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
         places: dict[str, float] = {}
     else:
         if row.axis not in AXES:
-            raise ValueError(f"axis = {row.axis!r}: {near(row.axis, AXES)}")
+            raise ValueError(f"axis = {row.axis!r}: {hint(row.axis, AXES)}")
         make, places = AXES[row.axis]
         machine = make(model(str(row.drive)), **row.parameters)
     places = places | row.positions

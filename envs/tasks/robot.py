@@ -11,7 +11,7 @@ import numpy as np
 
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
-from ...drive.model.near import named, near
+from ...drive.model.names import hint, named
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES, read
@@ -218,10 +218,10 @@ class RobotEnv(ServoEnv):
             raise ValueError(f"goals = {goals!r}: give names of drives, as ['{names[0]}']")
         for name in goals or ():
             if name not in names:
-                raise ValueError(f"goals: there is no drive {name!r}: {near(str(name), names)}")
+                raise ValueError(f"goals: there is no drive {name!r}: {hint(str(name), names)}")
         if site is not None and (not isinstance(site, str) or spec.site(site) is None):
             known = [each.name for each in spec.sites if each.name]
-            raise ValueError(f"site = {site!r}: {near(str(site), known) or 'the model has none'}")
+            raise ValueError(f"site = {site!r}: {hint(str(site), known) or 'the model has none'}")
         self.goals, self.site = tuple(goals or names), site
         self.span = in_range("span", span, 0.0, 100.0, "of the range, rad or m")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 1.0, "m or rad")
@@ -308,7 +308,7 @@ class RobotEnv(ServoEnv):
         for name, place in given.items():
             if name not in names:
                 raise ValueError(
-                    f"options[{option!r}]: there is no drive {name!r}: {near(name, names)}"
+                    f"options[{option!r}]: there is no drive {name!r}: {hint(name, names)}"
                 )
             in_range(f"options[{option!r}][{name!r}]", place, *self.machine.range(name), "m or rad")
         return given

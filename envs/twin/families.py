@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ...drive.model.model import DriveModel
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.machine import Machine
 from ..plants.gantry import gantry
 from ..plants.linear_axis import linear_axis
@@ -93,5 +93,5 @@ AUTO = ("rigid", "spring", "toothed_belt")  # that ``auto`` tries, one after the
 def family(name: str) -> Family:
     """By name. Raises ValueError for an unknown one."""
     if name not in FAMILIES:
-        raise ValueError(f"--mechanics = {name!r}: {near(name, ['auto', *FAMILIES])}")
+        raise ValueError(f"--mechanics = {name!r}: {hint(name, ['auto', *FAMILIES])}")
     return FAMILIES[name]

@@ -5,7 +5,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple
 
 from ...drive.drive import Drive
-from ...drive.model.near import near
+from ...drive.model.names import hint
 
 if TYPE_CHECKING:
     from ...drive.ethercat.faulty import Fault
@@ -58,12 +58,12 @@ def injections(
     for key, probability in causes.items():
         named, dot, cause = key.rpartition(".")
         if dot and named not in own:
-            raise ValueError(f"faults[{key!r}]: there is no drive {named!r}: {near(named, own)}")
+            raise ValueError(f"faults[{key!r}]: there is no drive {named!r}: {hint(named, own)}")
         for name in [named] if dot else own:
             known = own[name].injectable
             if cause not in known:
                 raise ValueError(
-                    f"faults: unknown cause {cause!r}: {near(cause, known)}; those of an "
+                    f"faults: unknown cause {cause!r}: {hint(cause, known)}; those of an "
                     "EtherCAT bus are listed in servogym.drive.ethercat.faulty"
                 )
             told = f"{name}.{cause}" if several else cause

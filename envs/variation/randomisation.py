@@ -27,7 +27,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ..engine.machine import Machine
 from ..engine.parameters import PARAMETERS, PAYLOAD, Joint
 
@@ -221,7 +221,7 @@ class Randomisation:
 
 def _range(name: str, given: float | tuple[float, ...]) -> tuple[float, ...]:
     if name not in KNOBS:
-        raise ValueError(f"randomise: unknown name {name!r}: {near(name, KNOBS)}")
+        raise ValueError(f"randomise: unknown name {name!r}: {hint(name, KNOBS)}")
     knob = KNOBS[name]
     try:
         low, high, *share = (float(given),) * 2 if np.ndim(given) == 0 else map(float, given)  # type: ignore

@@ -87,7 +87,7 @@ def test_a_task_of_ones_own_in_vectors_of_gymnasium_and_sb3(lab):
         observations, *_ = envs.step(np.full((3, 1), 0.2, np.float32))
         one, *_ = alone.step(np.full(1, 0.2, np.float32))
     assert (one == observations[2]).all()
-    assert alone.unwrapped.seen(one).velocity == one[1] > 0.0
+    assert alone.unwrapped.named(one).velocity == one[1] > 0.0
     pytest.importorskip("stable_baselines3")
     from servogym.training.learn import sb3
 

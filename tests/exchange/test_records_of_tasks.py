@@ -72,7 +72,7 @@ def test_the_record_and_the_vector_are_the_same_numbers(task):
     env = made(task)
     observation, *_ = env.step(np.full(env.action_space.shape, 0.1, np.float32))
     names = fields.names(env.observation_record)
-    found = [eval(name, {}, fields_of(env.seen(observation))) for name in names]
+    found = [eval(name, {}, fields_of(env.named(observation))) for name in names]
     assert found == observation.tolist()
 
 
@@ -141,6 +141,8 @@ def test_a_record_of_records_counts_and_names_all_its_numbers():
     assert names[:6] == ["goal", "ahead[0, 0]", "ahead[0, 1]", "ahead[1, 0]", "ahead[1, 1]",
                          "axes[0].distance"]  # fmt: skip
     assert fields.slots(record) == {"goal": slice(0, 1), "ahead": slice(1, 5), "axes": slice(5, 9)}
-    seen = fields.seen(record, np.arange(20, dtype=np.float32))  # a history: the latest comes first
+    seen = fields.named(
+        record, np.arange(20, dtype=np.float32)
+    )  # a history: the latest comes first
     assert (seen.goal, seen.ahead[1, 0], seen.axes[1].velocity) == (0.0, 3.0, 8.0)
     assert fields.width(fields.action("velocity", ("torque", 2))) == 3

@@ -125,7 +125,7 @@ def test_within_its_limits_the_program_gives_what_the_regulator_would():
     env = CompliantAxisEnv(randomise={})
     axis = make("mpc", env)._axes[0]
     observation, _ = env.reset(seed=1, options={"start": 0.2, "goal": 0.2002})
-    seen = datasheet(env).seen(observation)
+    seen = datasheet(env).named(observation)
     axis.reset(seen)
     state = np.array([-axis._way, 0.0, 0.0, 0.0, 0.0])
     expected = -gain(axis._vibration, env.step_time) @ state

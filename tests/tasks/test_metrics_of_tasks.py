@@ -82,7 +82,7 @@ def test_encoder_noise_reaches_the_sensor_of_the_load():
         env.reset(seed=2, options={"start": 0.2, "goal": 0.2})
         for _ in range(200):
             seen, *_, info = env.step(np.zeros(2, np.float32))
-            apart.append(env.seen(seen).deflection * 5e-3 - info["deflection"])
+            apart.append(env.named(seen).deflection * 5e-3 - info["deflection"])
         return np.std(apart)
 
     assert noise(0.0) < 1e-9

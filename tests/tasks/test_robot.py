@@ -34,7 +34,7 @@ FALLING = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 1"/>
 
 def towards(env, observation):
     """Each joint to its goal, at a speed in proportion."""
-    axes = env.seen(observation).axes
+    axes = env.named(observation).axes
     return np.array([np.clip(3.0 * axis.distance, -1, 1) for axis in axes], np.float32)
 
 

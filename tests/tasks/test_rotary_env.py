@@ -70,7 +70,7 @@ def test_what_is_seen_of_the_position_is_the_same_a_turn_later():
         observation, _ = env.reset(seed=1, options={"start": start, "goal": 1.0})
         seen.append(observation)
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-4)
-    assert env.seen(seen[0]).distance == pytest.approx(1.0 / math.pi, abs=1e-4)
+    assert env.named(seen[0]).distance == pytest.approx(1.0 / math.pi, abs=1e-4)
 
 
 def test_the_reference_is_better_than_the_profile_and_that_better_than_holding():

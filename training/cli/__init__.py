@@ -193,22 +193,22 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Usage, what is wrong, and near names; exit status 2."""
-        from ...drive.model.near import near
+        from ...drive.model.names import hint
 
         if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             known = re.findall(r"[^\s,']+", wrong[2])
-            hint = near(wrong[1], known)
-            message = f"{message.partition('invalid choice')[0]}there is no {wrong[1]!r}: {hint}"
+            remark = hint(wrong[1], known)
+            message = f"{message.partition('invalid choice')[0]}there is no {wrong[1]!r}: {remark}"
         super().error(message)
 
     def refuse(self, unknown: list[str]) -> NoReturn:
         """Options and words that no command has."""
-        from ...drive.model.near import near
+        from ...drive.model.names import hint
 
         known = [*self._option_string_actions]
         options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
-        hints = [near(option, known) for option in options if option.startswith("--")]
-        hints = [f"; {hint}" for hint in hints if hint.startswith("did")]
+        hints = [hint(option, known) for option in options if option.startswith("--")]
+        hints = [f"; {remark}" for remark in hints if remark.startswith("did")]
         self.error(f"unrecognized: {' '.join(unknown)}{hints[0] if hints else ''}")
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 
 INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
 
@@ -98,5 +98,5 @@ def _check_keywords(options: argparse.Namespace, given: dict[str, Any]) -> None:
     for keyword in keywords:
         if keyword not in known:
             raise ValueError(
-                f"--bus-kwargs {keyword}: -i {interface} does not know it; {near(keyword, known)}"
+                f"--bus-kwargs {keyword}: -i {interface} does not know it; {hint(keyword, known)}"
             )

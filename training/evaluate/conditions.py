@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ...drive.model.model import load, model_names
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs import FAMILY
 from ...envs.environment.servo_env import ServoEnv
 
@@ -99,7 +99,7 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
         found = [row for row in rows if name in (row.name, row.axis)]
         if not found:
             known = [*dict.fromkeys(each for row in rows for each in (row.axis, row.name))]
-            raise ValueError(f"--conditions: {name!r} is unknown here: {near(name, known)}")
+            raise ValueError(f"--conditions: {name!r} is unknown here: {hint(name, known)}")
         picked += [row for row in found if row not in picked]
     if not picked:
         raise ValueError("--conditions is empty: give names, separated by commas, or leave it out")

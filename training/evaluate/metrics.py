@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs.environment.servo_env import ServoEnv
 from ...envs.view.about import Metric, in_unit
 
@@ -59,8 +59,8 @@ def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
     """The common ones, and those of a task. Raises ValueError for a METRIC that is none of them."""
     known = {**METRICS, **task.METRICS}
     if task.METRIC not in known:
-        hint = near(str(task.METRIC), known)
-        raise ValueError(f"task {task.__name__}: METRIC = {task.METRIC!r} is unknown: {hint}")
+        remark = hint(str(task.METRIC), known)
+        raise ValueError(f"task {task.__name__}: METRIC = {task.METRIC!r} is unknown: {remark}")
     return {
         name: row._replace(heading=in_unit(row.heading, task.UNIT)) for name, row in known.items()
     }

@@ -20,7 +20,7 @@ import numpy as np
 from ...drive.model import foreign
 from ...drive.model.files import content
 from ...drive.model.foreign import Key
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs.environment.registry import task
 from ..policies import ENTRY_POINTS, LEARNED, POLICIES, trainings
 from ..policies.file import SUFFIX
@@ -239,7 +239,7 @@ def _files(path: Path, submission: Submission) -> None:
         if submission.policy.partition(":")[0] not in POLICIES:
             raise ValueError(
                 f"{path} brings no files, and {submission.policy!r} is no baseline: "
-                f"{near(submission.policy, POLICIES)}"
+                f"{hint(submission.policy, POLICIES)}"
             )
         return
     if submission.code:
@@ -307,7 +307,7 @@ def fits(path: Path, submission: Submission, suite: Suite) -> None:
     for env, conditions in submission.table.items():
         if env not in suite.parts:
             raise ValueError(
-                f"{path}: suite {suite.version} has no task {env!r}: {near(env, suite.parts)}"
+                f"{path}: suite {suite.version} has no task {env!r}: {hint(env, suite.parts)}"
             )
         if submission.checkpoints and env not in submission.checkpoints:
             raise ValueError(f"{path}: its table has {env}, for which it brings no training")
@@ -318,7 +318,7 @@ def fits(path: Path, submission: Submission, suite: Suite) -> None:
             if name not in names:
                 raise ValueError(
                     f"{path}, {env}: suite {suite.version} has no condition {name!r}: "
-                    f"{near(name, names)}"
+                    f"{hint(name, names)}"
                 )
         if missing := [name for name in names if name not in conditions]:
             raise ValueError(f"{path}, {env}: its table lacks {', '.join(missing)}")

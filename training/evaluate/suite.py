@@ -13,7 +13,7 @@ from typing import Any
 from ...drive.model import foreign
 from ...drive.model.files import content
 from ...drive.model.foreign import Key
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs.environment.registry import short, task
 from .conditions import NOMINAL, Condition, suiting
 from .episodes import LAST_SEED, fixed
@@ -63,14 +63,14 @@ class Suite:
         for name in tasks:
             if name not in self.parts:
                 raise ValueError(
-                    f"suite {self.version} has no task {name!r}: {near(name, self.parts)}"
+                    f"suite {self.version} has no task {name!r}: {hint(name, self.parts)}"
                 )
         chosen = {name: self.parts[name] for name in tasks or self.parts}
         for name in conditions:
             known = dict.fromkeys(row.name for part in chosen.values() for row in part.rows)
             if name not in known:
                 raise ValueError(
-                    f"suite {self.version} has no condition {name!r}: {near(name, known)}"
+                    f"suite {self.version} has no condition {name!r}: {hint(name, known)}"
                 )
         parts = {
             name: Part(
@@ -96,7 +96,7 @@ def read(name: str) -> Suite:
     """
     path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
     if not path.exists():
-        raise ValueError(f"there is no suite {name!r}: {near(name, versions())}, or give FILE.toml")
+        raise ValueError(f"there is no suite {name!r}: {hint(name, versions())}, or give FILE.toml")
     data = content(path, "a suite")
     about = foreign.parsed(data, f"suite {path}", KEYS)
     seed = None if about["seed"] == OF_SUBMISSION else about["seed"]
@@ -129,7 +129,7 @@ def _part(path: Path, name: str, own: Mapping[str, Any]) -> Part:
         if condition not in known:
             raise ValueError(
                 f"suite {path}, {name}: there is no condition {condition!r}: "
-                f"{near(str(condition), known)}"
+                f"{hint(str(condition), known)}"
             )
     if NOMINAL not in own["conditions"]:
         raise ValueError(f"suite {path}, {name}: conditions lack {NOMINAL!r}")

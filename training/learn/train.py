@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from torch import no_grad
 from torch.optim import Adam, Optimizer
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs.engine.checks import words
 from ...envs.environment.registry import short, task
 from ..policies.trained import saved, weights, zipped
@@ -279,7 +279,7 @@ def _train(
         known = inspect.signature(kind).parameters
         for name in settings.keys() - known.keys():
             raise ValueError(
-                f"{run.algorithm} has no hyper-parameter {name!r}: {near(name, known)}"
+                f"{run.algorithm} has no hyper-parameter {name!r}: {hint(name, known)}"
             ) from None
         raise ValueError(f"hyper-parameters of {run.algorithm}: {error}") from None
     if first and run.start:

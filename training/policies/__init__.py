@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs import TASKS
 from ...envs.engine.checks import told
 from ...envs.environment.servo_env import ServoEnv
@@ -246,13 +246,13 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
     row = POLICIES.get(base)
     if row is None or (rest and base not in BUILT_IN):
         raise ValueError(
-            f"policy {name!r} is unknown for {task}: {near(base, names(env))}; "
+            f"policy {name!r} is unknown for {task}: {hint(base, names(env))}; "
             f"or give {POLICIES_TOLD}"
         )
     for each in env.POLICIES:
         if each not in POLICIES:
             who = f"task {type(env).__name__}: POLICIES names {each!r}"
-            raise ValueError(f"{who}: {near(each, POLICIES)}")
+            raise ValueError(f"{who}: {hint(each, POLICIES)}")
     anywhere = base in ANYWHERE
     if not anywhere and base not in env.POLICIES:
         others = ", ".join(each.ID for each in TASKS if base in each.POLICIES)

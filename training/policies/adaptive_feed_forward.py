@@ -79,7 +79,7 @@ class AdaptiveFeedForward(FeedForward):
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque in the middle of the step to come, and the correction of the set-point."""
         axis, dt = self._axis, self._known.step_time
-        seen = self._known.seen(observation)
+        seen = self._known.named(observation)
         velocity = float(seen.reference_velocity) * axis.fastest
         acceleration = float(seen.reference_acceleration) * axis.profile.acceleration
         self.identify(acceleration, velocity, float(seen.torque) * axis.force)

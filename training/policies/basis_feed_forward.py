@@ -45,7 +45,7 @@ class Reference:
 
     def see(self, observation: np.ndarray) -> None:
         """Take the observation of a step."""
-        axis, seen = self._known.axis, self._known.seen(observation)
+        axis, seen = self._known.axis, self._known.named(observation)
         velocity = float(seen.reference_velocity) * axis.fastest
         rate = float(seen.reference_acceleration) * axis.profile.acceleration
         if not self.velocities:
@@ -157,7 +157,7 @@ def fit(task: type[ServoEnv], episodes: int = EPISODES) -> tuple[np.ndarray, int
                     for reference, law in zip(references, laws, strict=True)
                 ]
             seen, *_ = vector.step(actions)
-            errors[:, step] = [float(known.seen(row).error) for row in seen]
+            errors[:, step] = [float(known.named(row).error) for row in seen]
     vector.close()
     limit = WORST / known.constant("correction")
     good = np.sqrt((errors**2).mean(axis=1)) <= limit

@@ -34,10 +34,10 @@ class Bound:
     def seconds(self, observation: np.ndarray) -> float:
         """Until it has settled, of several axes the last (s)."""
         known = datasheet(self._env, self._env.parameters)
-        axes = known.axes[: len(known.seen_of_axes(observation))] or (known.axis,)
+        axes = known.axes[: len(known.named_by_axis(observation))] or (known.axis,)
         return max(
             least_time(axis, float(seen.distance) * axis.stroke - _sag(axis), known)
-            for axis, seen in zip(axes, known.seen_of_axes(observation), strict=True)
+            for axis, seen in zip(axes, known.named_by_axis(observation), strict=True)
         )
 
 

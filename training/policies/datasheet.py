@@ -4,6 +4,7 @@ Nothing here comes from the physics or from an episode. What was drawn at random
 """
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -98,13 +99,18 @@ class Datasheet:
             action[slots[name]] = value
         return action
 
-    def seen(self, observation: np.ndarray) -> Any:
-        """An observation by the names of its components, of a history the latest."""
-        return fields.seen(self.observation_record, observation)
+    def named(self, observation: np.ndarray) -> Any:
+        """Return an observation by the names of its components, the latest of a history."""
+        return fields.named(self.observation_record, observation)
 
-    def seen_of_axes(self, observation: np.ndarray) -> Any:
-        """The same, axis by axis: ``axes`` or ``sides`` of the record if it has them, else all."""
-        seen = self.seen(observation)
+    def seen(self, observation: np.ndarray) -> Any:
+        """Return `named`. Deprecated since 0.2, to be removed in 0.3."""
+        warnings.warn("use datasheet.named(observation)", DeprecationWarning, stacklevel=2)
+        return self.named(observation)
+
+    def named_by_axis(self, observation: np.ndarray) -> Any:
+        """Return `named` axis by axis: the record's ``axes`` or ``sides``, or one record of all."""
+        seen = self.named(observation)
         for name in ("axes", "sides"):
             if name in (self.observation_record.names or ()):
                 return getattr(seen, name)

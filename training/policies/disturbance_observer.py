@@ -44,7 +44,7 @@ class DisturbanceObserver(FeedForward):
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """As `feed_forward`, and the disturbance."""
-        seen, axis = self._known.seen(observation), self._axis
+        seen, axis = self._known.named(observation), self._axis
         self.observe(
             float(seen.reference_acceleration) * axis.profile.acceleration,
             float(seen.reference_velocity) * axis.fastest,

@@ -60,7 +60,7 @@ class FeedForward:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque in the middle of the step to come."""
         axis, dt = self._axis, self._known.step_time
-        seen = self._known.seen(observation)
+        seen = self._known.named(observation)
         velocity = float(seen.reference_velocity) * axis.fastest
         acceleration = float(seen.reference_acceleration) * axis.profile.acceleration
         ahead = float(seen.preview[0]) * axis.fastest  # mean velocity of the next two steps

@@ -34,7 +34,7 @@ class Squaring:
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
         self._goal = float(info["goal"])
-        side = self._known.seen_of_axes(observation)[0]
+        side = self._known.named_by_axis(observation)[0]
         self._place = self._goal - float(side.distance) * self._axis.stroke
         self._velocity = self._apart = 0.0
 
@@ -48,7 +48,7 @@ class Squaring:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Velocities of the two set-points."""
-        apart, dt, rate = self.apart(self._known.seen(observation)), self._dt, self._rate
+        apart, dt, rate = self.apart(self._known.named(observation)), self._dt, self._rate
         way = max(self._goal - self._place, 0.0)
         velocity = min(self._velocity + rate * dt, self._axis.speed, math.sqrt(2.0 * rate * way))
         velocity = min(velocity, way / dt)
@@ -108,7 +108,7 @@ class FullFeed:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Corrections and feed override."""
-        path = np.asarray(self._known.seen(observation).path, float)
+        path = np.asarray(self._known.named(observation).path, float)
         ahead = 2.0 ** np.arange(len(path)) * self._step  # of its points (m)
         points = path * ahead[:, None]
         legs = np.diff(points, axis=0, prepend=np.zeros((1, 2)))

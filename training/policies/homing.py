@@ -27,27 +27,27 @@ def search(datasheet: Datasheet, legs) -> Steps:
 
     The last leg stops without a ramp.
     """
-    velocity, seen = 0.0, datasheet.seen((yield datasheet.action(torque_limit=1, reference=-1)))
+    velocity, seen = 0.0, datasheet.named((yield datasheet.action(torque_limit=1, reference=-1)))
     for i, (wanted, switch, value) in enumerate(legs):
         while (seen[switch] > 0.5) != value:
             if i == 0 and seen[POSITIVE] > 0.5:
                 wanted = -abs(wanted)
             velocity = min(max(wanted, velocity - RAMP), velocity + RAMP)
             action = datasheet.action(velocity=velocity, torque_limit=1, reference=-1)
-            seen = datasheet.seen((yield action))
+            seen = datasheet.named((yield action))
     yield datasheet.action(torque_limit=1, reference=1)
 
 
 def to_stop(datasheet: Datasheet) -> Steps:
     """Push against the end with little torque until it stands, then declare."""
-    seen = datasheet.seen((yield datasheet.action(torque_limit=-0.8, reference=-1)))
+    seen = datasheet.named((yield datasheet.action(torque_limit=-0.8, reference=-1)))
     standing = step = 0
     while standing < 20:
         step += 1
         pushing = step > 50 and abs(seen.velocity) < 2e-3 and seen.torque < -0.02
         standing = standing + 1 if pushing else 0
         velocity = max(-0.2, -0.01 * step)
-        seen = datasheet.seen(
+        seen = datasheet.named(
             (yield datasheet.action(velocity=velocity, torque_limit=-0.8, reference=-1))
         )
     yield datasheet.action(torque_limit=-0.8, reference=1)

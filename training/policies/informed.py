@@ -101,7 +101,7 @@ class KnownHome:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Velocity along the path; at its end home is here."""
-        seen, known = self._known.seen(observation), self._known
+        seen, known = self._known.named(observation), self._known
         place = float(seen.displacement) * self._stroke
         near = abs(self._way - place) <= self.NEAR * known.tolerance
         standing = abs(float(seen.velocity)) * self._top <= self.SLOW

@@ -124,14 +124,14 @@ class Lqr:
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Plan the paths."""
-        for one, seen in zip(self._axes, self._known.seen_of_axes(observation), strict=True):
+        for one, seen in zip(self._axes, self._known.named_by_axis(observation), strict=True):
             one.reset(seen)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Velocities of the set-points."""
-        seen_of_axes = self._known.seen_of_axes(observation)
+        named_by_axis = self._known.named_by_axis(observation)
         velocities = [
             one.act(seen) / axis.speed
-            for one, axis, seen in zip(self._axes, self._known.axes, seen_of_axes, strict=True)
+            for one, axis, seen in zip(self._axes, self._known.axes, named_by_axis, strict=True)
         ]
         return np.clip(self._known.action(velocity=velocities), -1.0, 1.0)

@@ -41,7 +41,7 @@ class ProportionalDifferential:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque as a share of the maximum."""
         axis, rate = self._axis, self._rate
-        seen = self._known.seen(observation)
+        seen = self._known.named(observation)
         distance = float(seen.distance) * axis.stroke
         velocity = float(seen.velocity) * axis.fastest
         near = min(max(distance, -self._farthest), self._farthest)
@@ -66,8 +66,8 @@ class Proportional:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """From the distance."""
         shares = np.zeros(len(self._axes), np.float32)
-        seen_of_axes = self._known.seen_of_axes(observation)
-        for d, (axis, seen) in enumerate(zip(self._axes, seen_of_axes, strict=True)):
+        named_by_axis = self._known.named_by_axis(observation)
+        for d, (axis, seen) in enumerate(zip(self._axes, named_by_axis, strict=True)):
             limit, before, change = axis.profile.velocity, self._velocities[d], self._change[d]
             wanted = GAIN * float(seen.distance) * axis.stroke
             wanted = min(max(wanted, -limit), limit)

@@ -31,9 +31,9 @@ def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
     `gone`: the step in which the cause of the fault goes, as far as that is known.
     """
     homed = start = reset = False
-    seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
+    seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     for _ in range(gone - 1):
-        seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
+        seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     while True:
         status = seen.status[0]
         word = sum(1 << bit for bit in range(STATUS_BITS) if status.statusword[bit] > 0.5)
@@ -49,12 +49,12 @@ def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
             start = True
         if start:
             control |= C.NEW_SET_POINT
-        seen = datasheet.seen((yield action(datasheet, control, mode, seen.goal)))
+        seen = datasheet.named((yield action(datasheet, control, mode, seen.goal)))
 
 
 def timed(datasheet: Datasheet) -> Steps:
     """The same chain by the clock, never looking: long enough for each step."""
-    seen = datasheet.seen((yield action(datasheet, 0, Mode.HOMING, 0.0)))
+    seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     for _ in range(int(datasheet.constant("outage"))):
         yield action(datasheet, 0, Mode.HOMING, seen.goal)
     enabled = TO_ENABLED[State.OPERATION_ENABLED]

@@ -175,8 +175,8 @@ class Profile:
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Plan from what is seen at rest."""
         self._places = []
-        seen_of_axes = self._known.seen_of_axes(observation)
-        for (axis, bounds, shapers), seen in zip(self._plans, seen_of_axes, strict=True):
+        named_by_axis = self._known.named_by_axis(observation)
+        for (axis, bounds, shapers), seen in zip(self._plans, named_by_axis, strict=True):
             path = self.plan(float(seen.distance) * axis.stroke, bounds)
             for shaper in shapers:
                 path = self._shape(path, *shaper)

@@ -83,7 +83,7 @@ class RepeatedTracking(Repeated):
     """On top of `feed_forward`; the tracking error has the unit of the correction."""
 
     def _errors(self, observation: np.ndarray) -> np.ndarray:
-        return np.array([float(self._known.seen(observation).error)])
+        return np.array([float(self._known.named(observation).error)])
 
 
 class RepeatedContour(Repeated):
@@ -94,7 +94,7 @@ class RepeatedContour(Repeated):
         self._share = env._window / self._known.constant("correction")
 
     def _errors(self, observation: np.ndarray) -> np.ndarray:
-        axes = self._known.seen_of_axes(observation)
+        axes = self._known.named_by_axis(observation)
         behind = self._share * np.array([float(axis.distance) for axis in axes])
         return behind - self._law.lead / self._known.constant("correction")
 

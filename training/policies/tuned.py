@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from rich.console import Console
 
-from ...drive.model.near import near
+from ...drive.model.names import hint
 from ...envs.engine.checks import whole
 from ...envs.environment.registry import NAMESPACE, short, task
 from ...envs.environment.servo_env import ServoEnv
@@ -46,7 +46,7 @@ def run(policy: str, episodes: int | None, out: Path, console: Console) -> int:
     Raises ValueError for a policy whose numbers are not fitted, with near names.
     """
     if policy not in TUNINGS:
-        raise ValueError(f"policy {policy!r} is not tuned by a command: {near(policy, TUNINGS)}")
+        raise ValueError(f"policy {policy!r} is not tuned by a command: {hint(policy, TUNINGS)}")
     row = TUNINGS[policy]
     count = whole("--episodes", row.episodes if episodes is None else episodes, 1, MOST)
     begin = time.process_time()

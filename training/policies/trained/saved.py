@@ -13,7 +13,7 @@ from typing import Any
 from ....drive.model import foreign
 from ....drive.model.files import content
 from ....drive.model.foreign import Key
-from ....drive.model.near import near
+from ....drive.model.names import hint
 from ....envs.engine.checks import flag, in_range, whole
 
 BEST = "best"  # of a run, the policy of the best evaluation
@@ -88,8 +88,8 @@ def about(data: bytes, where: str) -> dict[str, Any]:
 
 def _fits(found: dict[str, Any], where: str) -> None:
     if found["algorithm"] not in ALGORITHMS:
-        hint = near(found["algorithm"], ALGORITHMS)
-        raise ValueError(f"{where}: algorithm {found['algorithm']!r} is unknown: {hint}")
+        remark = hint(found["algorithm"], ALGORITHMS)
+        raise ValueError(f"{where}: algorithm {found['algorithm']!r} is unknown: {remark}")
     judged_apart(where, found.get("seed", 0), found.get("envs", 1))
     arguments, settings = found["arguments"], found["hyperparameters"]
     whole(f"{where}: history", arguments.get("history", 1), 1, 100)
@@ -125,6 +125,6 @@ def registered(residual: str, where: str) -> None:
     names = declared()
     if residual not in names:
         raise ValueError(
-            f"{where} corrects {residual!r}, which is no registered policy: {near(residual, names)}"
+            f"{where} corrects {residual!r}, which is no registered policy: {hint(residual, names)}"
             f"; one of your own is registered by an entry point, {ENTRY_POINTS}"
         )

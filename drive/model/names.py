@@ -7,7 +7,7 @@ from typing import Any
 MOST = 30  # names in a message
 
 
-def near(name: str, known: Iterable[str], otherwise: str = "") -> str:
+def hint(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """``"did you mean X"``, else `otherwise`, else ``"choose one of …"``, or nothing."""
     names = list(known)
     found = get_close_matches(name, names, 3, 0.7)
