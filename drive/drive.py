@@ -40,15 +40,16 @@ from .objects.store import Values
 
 
 class Drive:
-    """One emulated drive: its record, its PDOs, and access to both as a master has it.
+    """An emulated drive: its record, its PDOs, and the access to both that a master has.
 
     Args:
         model: name of a drive model, path of a model folder, or a loaded `DriveModel`.
-        bus: "can" or "ethercat": for which of its field buses; the model's first if not given.
-        axes: records shape ``(n,)`` to live in, made by `record.make`; its own one if not given.
-        index: which of `axes`.
-        node_id: CANopen node-id 1..127, for the default identifiers of the PDOs.
-        parameter_file: where 1010h stores parameters and power-on looks for them.
+        bus: field bus, "can" or "ethercat"; by default the first one of the model.
+        axes: array of records, shape ``(n,)``, made by `record.make`, that holds the drive's state;
+            by default the drive has a record of its own.
+        index: position of the drive in `axes`.
+        node_id: CANopen node-id 1..127, which determines the default identifiers of the PDOs.
+        parameter_file: file in which 1010h stores parameters, loaded at power-on.
 
     Raises:
         ValueError: unknown model, one that is not for `bus`, node-id out of range.
@@ -105,10 +106,10 @@ class Drive:
     # ------------------------------------------------------------------ power
 
     def reset(self, *, keep_parameters: bool = False) -> None:
-        """Power on: not ready to switch on, no reference, factory or stored parameters.
+        """Switch the drive on: not ready to switch on, not referenced, stored or factory values.
 
-        With `keep_parameters` the storable objects and the PDO mapping stay as they are now, as if
-        they had been stored before.
+        With `keep_parameters` storable objects and the PDO mapping keep their present values, as
+        if they had been stored before.
         """
         if keep_parameters and self._powered_on[0] == (self.node_id, factors(self)):
             record = self.memory[self.index]
@@ -150,16 +151,16 @@ class Drive:
                 slot.put(value)
 
     def use_parameter_file(self, file: str | Path) -> None:
-        """Store parameters (1010h, LSS) in a file from now on, and take over what it holds.
+        """Store parameters (1010h, LSS) in a file from now on, and load what it already holds.
 
-        Raises ValueError where there is such a file and it cannot be trusted.
+        Raises ValueError if the file exists but is damaged or belongs to another model.
         """
         self.parameters.use(Path(file))
         self._powered_on = (0, b""), np.empty(0)
         self._compile_pdos()
 
     def use_parameters(self, content: bytes) -> str:
-        """Store the content of a parameter file and put it in force; -> why it is refused."""
+        """Load the content of a parameter file. Returns why it is refused, or an empty text."""
         if wrong := self.parameters.take(content):
             return wrong
         self.parameters.restore(self.parameters.stored())
@@ -178,19 +179,19 @@ class Drive:
         self.image_changed()
 
     def reset_communication(self) -> None:
-        """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""
+        """Reset the communication objects 1000h-1FFFh to their power-on values (CiA 301, NMT)."""
         self.parameters.reset_communication()
         self._compile_pdos()
 
     def commission(self, values: Mapping[str, float]) -> None:
-        """Set parameters by name: objects where the model has them, else fields of `AXIS.od`.
+        """Set parameters by name: objects if the model has them, otherwise fields of `AXIS.od`.
 
-        The latter stand for what a manufacturer's own tool sets, such as the inertia for the
-        feed-forward; they are kept over resets. An object of other models alone is left out, so
-        one list may serve models with different units. Values are rounded.
+        Such fields stand for settings that only the manufacturer's own tool can reach, for example
+        the inertia for feed-forward; they survive resets. A name that only other models have is
+        skipped, so that one list can serve several models. Values are rounded.
 
-        Raises ValueError where the model refuses a value, with its range, for what is no number,
-        and for a name that no model has.
+        Raises ValueError for a value the model refuses (with its range), for a value that is not a
+        number, and for a name that no model has.
         """
         for name, given in named("values", values, '{"max_torque": 3000}').items():
             value = finite(name, given)
@@ -219,7 +220,7 @@ class Drive:
     # ---------------------------------------------------------------- objects
 
     def read(self, index: int | str, subindex: int = 0) -> Any:
-        """Value of an object (drive units), by address or name. Raises SdoAbort if refused."""
+        """Read an object (drive units) by address or name. Raises SdoAbort if the drive refuses."""
         slot = self.objects.slot(index, subindex)
         if slot.row.access == "wo":
             raise SdoAbort(Abort.WRITE_ONLY, slot.row.index, slot.row.subindex)
@@ -229,10 +230,11 @@ class Drive:
         return value
 
     def write(self, index: int | str, *arguments: int | float) -> None:
-        """``write(index, subindex, value)`` or ``write(name, value)`` in drive units.
+        """Write an object (drive units): ``write(index, subindex, value)``, ``write(name, value)``.
 
         Raises:
-            SdoAbort: what the drive would answer on the bus, with `code`; nothing has changed.
+            SdoAbort: the abort, with its `code`, that the drive would send on the bus; nothing has
+                changed.
             TypeError: the value is not a number, or there are too few or too many arguments.
         """
         if not 1 <= len(arguments) <= (1 if isinstance(index, str) else 2):
@@ -258,16 +260,17 @@ class Drive:
         rpdos: Iterable[Iterable[str]] | None = None,
         tpdos: Iterable[Iterable[str]] | None = None,
     ) -> None:
-        """Map objects by name, one list a PDO, with the procedure of CiA 301; the rest goes off.
+        """Map objects into PDOs by the procedure of CiA 301, one list of names for each PDO.
 
-        An EtherCAT drive gets flexible PDOs, assigned to its sync managers.
+        PDOs that are not given are disabled. On an EtherCAT drive the flexible PDOs are mapped and
+        assigned to the sync managers.
 
-        Raises SdoAbort where the drive refuses an entry, ValueError for too many PDOs.
+        Raises SdoAbort if the drive refuses an entry, ValueError for too many PDOs.
         """
         map_by_name(self, (rpdos, tpdos))
 
     def image_changed(self) -> None:
-        """Forget what was derived from the PDO mapping."""
+        """Discard everything derived from the PDO mapping."""
         self.communication_version += 1
         self._layouts: dict[str, list[tuple[Slot, int]]] = {}
         self._sizes: dict[str, int] = {}
@@ -280,36 +283,36 @@ class Drive:
 
     @property
     def rpdo_size(self) -> int:
-        """Bytes of the RPDO image: all valid RPDOs, one after the other."""
+        """Size of the RPDO image (bytes): all valid RPDOs, one after the other."""
         return self._size("rx")
 
     @property
     def tpdo_size(self) -> int:
-        """Bytes of the TPDO image: all valid TPDOs, one after the other."""
+        """Size of the TPDO image (bytes): all valid TPDOs, one after the other."""
         return self._size("tx")
 
     def latch(self, rpdo: bytes) -> None:
-        """Take over an RPDO image. Raises ValueError if its length does not fit the mapping."""
+        """Apply an RPDO image. Raises ValueError if its length differs from that of the mapping."""
         if len(rpdo) != self.rpdo_size:
             raise ValueError(f"the RPDO image has {self.rpdo_size} bytes, {len(rpdo)} were given")
         image = np.frombuffer(rpdo, np.uint8)
         process_data.latch_axis(self.memory, self.axes, self.index, self.rpdos, image)
 
     def collect(self) -> bytes:
-        """The TPDO image of the last position cycle."""
+        """Return the TPDO image of the last position cycle."""
         image = np.empty(self.tpdo_size, np.uint8)
         process_data.collect_axis(self.memory, self.index, self.tpdos, image)
         return image.tobytes()
 
     def exchange(self, rpdo: bytes) -> bytes:
-        """Latch an RPDO image, return the TPDO image of the last position cycle."""
+        """Apply an RPDO image and return the TPDO image of the last position cycle."""
         self.latch(rpdo)
         return self.collect()
 
     def pack(self, **values: int) -> bytes:
-        """An RPDO image from values by object name; objects not named keep what they have.
+        """Build an RPDO image from values by object name; other objects keep their last values.
 
-        Raises ValueError for a name that is not mapped or a value that does not fit its type.
+        Raises ValueError for a name that is not mapped or a value outside the range of its type.
         """
         image = bytearray(self.rpdo_size)
         layout = self.mapped("rx")
@@ -326,13 +329,13 @@ class Drive:
         return bytes(image)
 
     def unpack(self, tpdo: bytes) -> dict[str, int]:
-        """Values by object name of a TPDO image."""
+        """Return the values of a TPDO image by object name."""
         if len(tpdo) != self.tpdo_size:
             raise ValueError(f"the TPDO image has {self.tpdo_size} bytes, {len(tpdo)} were given")
         return {s.row.name: s.code.unpack_from(tpdo, at)[0] for s, at in self.mapped("tx")}
 
     def mapped(self, direction: str) -> list[tuple[Slot, int]]:
-        """Mapped objects and where they lie in the image of that direction, rx or tx."""
+        """Return the mapped objects of a direction, "rx" or "tx", and their places in the image."""
         if direction not in self._layouts:
             pdos = self.rpdos if direction == "rx" else self.tpdos
             layout, at = [], 0
@@ -349,9 +352,9 @@ class Drive:
     # ------------------------------------------------------------------ cycle
 
     def cycle(self, angle: float, speed: float = 0.0) -> float:
-        """One position-controller cycle; shaft angle (rad), speed (rad/s) -> torque (Nm).
+        """Run one position-controller cycle at a shaft angle (rad) and speed (rad/s).
 
-        Raises TypeError for what is no number.
+        Returns the motor torque (Nm). Raises TypeError if an argument is not a number.
         """
         try:
             angle, speed = float(angle), float(speed)
@@ -361,37 +364,38 @@ class Drive:
 
     @property
     def state(self) -> State:
-        """State of the device control."""
+        """State of the device control (CiA 402-2)."""
         return State(int(self.axis.state))
 
     @property
     def mode(self) -> Mode:
-        """Active mode of operation."""
+        """Active mode of operation (6061h)."""
         return Mode(int(self.axis.mode))
 
     @property
     def energised(self) -> bool:
-        """Whether the state feeds the motor."""
+        """Whether the motor is supplied with power in the present state."""
         energised = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
         return self.state in energised
 
     @property
     def fault(self) -> str:
-        """Code and meaning of the fault that has stopped the drive, empty without one."""
+        """Code and meaning of the fault that stopped the drive; empty if there is none."""
         return meaning(self.model, self.axis, int(self.axis.fault))
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Codes and meanings of all faults that are not reset, the one that stopped it first."""
+        """Codes and meanings of all pending faults; the one that stopped the drive comes first."""
         first = int(self.axis.fault)
         others = (c for c in Cause if int(self.axis.faults) >> c & 1 and c != first)
         told = (meaning(self.model, self.axis, int(cause)) for cause in (first, *others))
         return tuple(filter(None, told))
 
     def errors_since(self, seen: int) -> list[tuple[int, int]]:
-        """Codes and causes entered since there had been `seen` of them, oldest first.
+        """Codes and causes of the faults after the first `seen` ones, oldest first.
 
-        At most as many as the record remembers; what a master makes of 1003h does not matter.
+        The record remembers a limited number of faults. A master that clears 1003h does not affect
+        them.
         """
         axis = self.axis
         last = int(axis.error_events)
@@ -400,16 +404,16 @@ class Drive:
         return [(int(axis.event_code[n]), int(axis.event_cause[n])) for n in places]
 
     def describe(self) -> str:
-        """The statusword by name."""
+        """Return the statusword in words."""
         return describe(int(self.axis.od.statusword), int(self.axis.mode))
 
     def why(self) -> str:
-        """Why the last command was refused: command, state, and what is missing."""
+        """Explain why the last command was refused: command, state, and what is missing."""
         return refusal(self.axis)
 
     @property
     def injectable(self) -> tuple[str, ...]:
-        """What `inject` takes: causes, "index_missing", and the manufacturer's fault numbers."""
+        """Names that `inject` accepts: causes, "index_missing", the maker's fault numbers."""
         causes = dict.fromkeys(
             fault.cause.name.lower() for fault in self.model.faults if fault.cause
         )
@@ -417,11 +421,11 @@ class Drive:
         return (*causes, "index_missing", *numbers)
 
     def inject(self, cause: Cause | str) -> None:
-        """Make the cause of a fault present until `clear_injected`.
+        """Make the cause of a fault present until `clear_injected` is called.
 
         Args:
-            cause: of `injectable`, as "encoder_loss" or, with a model that numbers its faults,
-                "17-0"; "index_missing" hides the index pulse.
+            cause: one of `injectable`, such as "encoder_loss" or, on a model that numbers its
+                faults, "17-0"; "index_missing" suppresses the index pulse.
 
         Raises:
             ValueError: the model has no such cause.
@@ -449,7 +453,7 @@ class Drive:
         self.axis.injected |= 1 << cause
 
     def clear_injected(self) -> None:
-        """Take every injected cause away again; the fault it led to stays until it is reset."""
+        """Remove all injected causes; the faults they led to remain until they are reset."""
         self.axis.injected = 0
         self.axis.index_missing = 0
 
@@ -464,9 +468,9 @@ class Drive:
         }  # fmt: skip
 
     def snapshot(self) -> bytes:
-        """Everything the drive is, as bytes; `restore` continues bit by bit the same.
+        """Return the complete state as bytes; `restore` continues from it bit by bit.
 
-        What 1010h has stored and what was commissioned belong to it; a parameter file does not.
+        Parameters stored by 1010h and commissioned values are included, a parameter file is not.
         """
         state = {
             "operational": bool(self.operational),
@@ -479,19 +483,19 @@ class Drive:
         return snapshots.seal(self._identity(), state, parts)
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was.
+        """Restore the state of a `snapshot`.
 
         Raises:
-            ValueError: it is none, altered, or of another model or version; nothing has changed.
+            ValueError: not a snapshot, altered, or of another model or version; nothing changes.
         """
         self.take(self.opened(snapshot))
 
     def opened(self, snapshot: bytes) -> tuple[dict[str, Any], list[bytes]]:
-        """What `take` takes over, from a snapshot. Raises ValueError as `restore` does."""
+        """Check and unpack a snapshot for `take`. Raises ValueError as `restore` does."""
         return snapshots.unseal(snapshot, self._identity())
 
     def take(self, opened: tuple[dict[str, Any], list[bytes]]) -> None:
-        """Become what was `opened`."""
+        """Restore a state that was unpacked by `opened`."""
         state, parts = opened
         views: Any = (
             self._record,

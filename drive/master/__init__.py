@@ -1,8 +1,8 @@
-"""Who commands drives: one master for every bus, written against objects and statuswords alone.
+"""The master: it commands drives on any bus through objects and statuswords alone.
 
-A `Port` moves the objects and lets time pass: in memory `servogym.envs.masters.port.MachinePort`,
-on CANopen `servogym.drive.canopen.remote.CanOpenPort`. The room stands below the buses, so that
-their ports can use its errors, and knows none of them.
+A `Port` transfers the objects and lets time pass: `servogym.envs.masters.port.MachinePort` in
+memory, `servogym.drive.canopen.remote.CanOpenPort` on CANopen. This package depends on no bus, so
+that the ports of all buses can raise its errors.
 """
 
 from .errors import (

@@ -1,4 +1,4 @@
-"""What a master sees of its drives: objects, status, and waiting for what shall come."""
+"""The drives of a master as it observes them: objects, status, and waiting for a status."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -32,12 +32,12 @@ UNHEARD = (ServoError, SdoAbort, ValueError)  # what telling a drive may raise
 
 
 def in_fault(statusword: int) -> bool:
-    """Whether a drive has a fault; some models show the same word before and after its reaction."""
+    """Whether a drive has a fault; some models show the same statusword during its reaction."""
     return state_of(statusword) in (State.FAULT, State.FAULT_REACTION_ACTIVE)
 
 
 class Drives:
-    """Drives of a port, looked at together; `Master` commands them."""
+    """The drives of a port, observed together; `Master` adds the commands."""
 
     def __init__(self, port: Port, *axes: str):
         if not hasattr(port, "models"):
@@ -53,27 +53,27 @@ class Drives:
     # --------------------------------------------------------------- objects
 
     def read(self, name: str) -> Any:
-        """An object (drive units). Raises Refused if the drive refuses."""
+        """Read an object (drive units). Raises Refused if the drive refuses."""
         return self._of_each(lambda axis: self._ask(axis, name))
 
     def write(self, name: str, value: float | Mapping[str, float]) -> None:
-        """Set an object (drive units), let one exchange pass. Raises Refused if a drive refuses."""
+        """Write an object (drive units), wait one exchange. Raises Refused if a drive refuses."""
         self._put(name, value)
         self.port.exchange()
 
     @property
     def statusword(self) -> Any:
-        """6041h."""
+        """Statusword (6041h)."""
         return self._of_each(self._word)
 
     @property
     def state(self) -> Any:
-        """State of the device control, None where the statusword fits no pattern."""
+        """State of the device control; None if the statusword matches no state."""
         return self._of_each(lambda axis: state_of(self._word(axis)))
 
     @property
     def mode(self) -> Any:
-        """Mode of operation the drive shows (6061h)."""
+        """Mode of operation that the drive displays (6061h)."""
         return self._of_each(self._mode)
 
     @property
@@ -88,13 +88,13 @@ class Drives:
         return all(self._word(axis) & mask == mask for axis in self.axes)
 
     def describe(self) -> Any:
-        """The statusword by name."""
+        """Return the statusword in words."""
         return self._of_each(lambda a: advice.describe(self._word(a), self._mode(a)))
 
     # ------------------------------------------------------------------ time
 
     def wait(self, time: float) -> None:
-        """Let so much time pass (s), 0 or more."""
+        """Let `time` pass (s, 0 or more)."""
         if not (isinstance(time, SupportsFloat) and float(time) >= 0.0):
             raise ValueError(f"time = {time!r} s must be 0 or more")
         end = self.port.now() + time - 1e-9
@@ -105,12 +105,12 @@ class Drives:
         """Wait until `condition` holds for every statusword.
 
         Args:
-            condition: of a statusword.
-            timeout: (s)
-            what: is waited for, for the message.
+            condition: takes a statusword.
+            timeout: longest wait (s).
+            what: description of what is awaited, for the error message.
 
         Raises:
-            Timeout: not within `timeout`; names the drives that are late.
+            Timeout: the condition was not met in time; names the drives that are late.
             DriveFault: a drive has a fault.
         """
         self._until(lambda axis, word: condition(word), timeout, what)

@@ -3,12 +3,12 @@
 ::
 
     ServoError
-     +-- NoPower (RuntimeError)       a motion was commanded or under way, without power
+     +-- NoPower (RuntimeError)       a motion was commanded, or under way, on a drive without power
      +-- DriveFault (RuntimeError)    a drive has a fault
-     +-- HomingFailed (RuntimeError)  a drive did not find its home
-     +-- Interlock (RuntimeError)     what the caller watches over gave an alarm; all were stopped
-     +-- Refused (ValueError)         a command that cannot be carried out; the drive did not move
-     +-- Timeout (TimeoutError)       what was waited for did not come in time
+     +-- HomingFailed (RuntimeError)  a drive did not find its home position
+     +-- Interlock (RuntimeError)     the caller's own supervision gave an alarm; all drives stopped
+     +-- Refused (ValueError)         a command cannot be carried out; the drive did not move
+     +-- Timeout (TimeoutError)       an awaited status did not come in time
      +-- BusError (ConnectionError)   the bus takes no frames, or two nodes answer to one node-id
 """
 
@@ -19,7 +19,7 @@ from ..kernel.words import State, state_of
 
 
 class Status(NamedTuple):
-    """What a drive showed, and what it was last told."""
+    """The status of a drive, and the last command sent to it."""
 
     axis: str
     statusword: int
@@ -38,13 +38,13 @@ class Status(NamedTuple):
 
 
 class ServoError(Exception):
-    """Base of all errors of a master.
+    """Base class of all errors of a master.
 
     Args:
-        expected: what was commanded or waited for.
-        received: what came instead.
-        next_step: what to do.
-        status: of the drives that it is about.
+        expected: what was commanded or awaited.
+        received: what happened instead.
+        next_step: what to do about it.
+        status: status of the drives concerned.
     """
 
     def __init__(
@@ -62,22 +62,22 @@ class ServoError(Exception):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the drives that it is about."""
+        """Names of the drives concerned."""
         return tuple(status.axis for status in self.status)
 
     @property
     def state(self) -> State | None:
-        """State of the first of them."""
+        """State of the first drive concerned."""
         return self.status[0].state if self.status else None
 
     @property
     def statusword(self) -> int | None:
-        """6041h of the first of them."""
+        """Statusword (6041h) of the first drive concerned."""
         return self.status[0].statusword if self.status else None
 
 
 class NoPower(ServoError, RuntimeError):
-    """A motion needs OPERATION_ENABLED, and the drive is in another state."""
+    """A motion needs OPERATION_ENABLED, but the drive is in another state."""
 
 
 class DriveFault(ServoError, RuntimeError):
@@ -85,20 +85,20 @@ class DriveFault(ServoError, RuntimeError):
 
 
 class HomingFailed(ServoError, RuntimeError):
-    """Homing error, statusword bit 13."""
+    """Homing ended with an error (statusword bit 13)."""
 
 
 class Interlock(ServoError, RuntimeError):
-    """The caller's own alarm."""
+    """The caller's own supervision gave an alarm, and all drives were stopped."""
 
 
 class Refused(ServoError, ValueError):
-    """Refused by the master, or by the drive with the SDO abort that is its `__cause__`."""
+    """A command was refused by the master, or by the drive (its SDO abort is the `__cause__`)."""
 
 
 class Timeout(ServoError, TimeoutError):
-    """Not within the time allowed; the drive goes on with what it was told."""
+    """An awaited status did not come in time; the drive continues with its last command."""
 
 
 class BusError(ServoError, ConnectionError):
-    """The bus cannot be relied on: it takes no frames, or two nodes answer to one node-id."""
+    """The bus is unreliable: it takes no frames, or two nodes answer to the same node-id."""

@@ -5,10 +5,10 @@
 >>> master.home(method=17)
 >>> master.move_to(0.25)
 
-A value given is for all of the master's drives, or a mapping by name for each its own; what is read
-of one drive is the value, of several a dict. Positions and velocities are SI at the load where the
-port knows the factors, else drive units (`Port.units`); times are s of the port's time. When one of
-several drives fails, the others make a quick stop.
+A value applies to all drives of the master; a mapping by name gives each drive its own. Reading
+returns the value itself for a single drive and a dict for several. Positions and velocities are in
+SI units at the load if the port knows the factors, otherwise in drive units (`Port.units`). Times
+are in seconds of the port's time. When one of several drives fails, the others make a quick stop.
 """
 
 from collections.abc import Callable, Mapping
@@ -51,11 +51,11 @@ class Master(Drives):
     """Commands the drives of a port together.
 
     Args:
-        port: the way to the drives.
-        axes: names of drives of the port; all of them if none is given.
+        port: connection to the drives.
+        axes: names of drives of the port; all of them if none are given.
 
     Raises:
-        ValueError: a name without a drive.
+        ValueError: the port has no drive of that name.
     """
 
     def __getitem__(self, axis: str) -> "Master":
@@ -69,7 +69,7 @@ class Master(Drives):
         self.write("controlword", controlword)
 
     def enable(self, timeout: float = 2.0) -> None:
-        """Walk to OPERATION_ENABLED from any state but FAULT, one state at a time."""
+        """Go to OPERATION_ENABLED from any state except FAULT, one transition at a time."""
 
         def walk(axis: str, word: int) -> bool:
             state = state_of(word)
@@ -81,7 +81,7 @@ class Master(Drives):
         self.control(ENABLED)
 
     def disable(self, timeout: float = 10.0) -> None:
-        """Take the power off; axes in motion come to rest first, as 605Ch says."""
+        """Remove the power; axes in motion come to rest first, as configured by 605Ch."""
 
         def off(axis: str) -> None:
             if state_of(self._word(axis)) is State.OPERATION_ENABLED:
@@ -95,7 +95,7 @@ class Master(Drives):
                     timeout, "disable voltage", faulty=True)  # fmt: skip
 
     def quick_stop(self, timeout: float = 10.0) -> None:
-        """Quick stop, until the axes stand in QUICK_STOP_ACTIVE or the power is off (605Ah)."""
+        """Make a quick stop; return when the axes stand in QUICK_STOP_ACTIVE or without power."""
         self._to_each(lambda axis: self._tell(axis, "controlword", QUICK_STOP))
         stays = {axis: self._known(axis, "quick_stop_option_code") in STAYS for axis in self.axes}
 
@@ -106,7 +106,7 @@ class Master(Drives):
         self._until(stopped, timeout, "quick stop")
 
     def reset_fault(self, timeout: float = 2.0) -> None:
-        """Rising edges of fault reset until no drive has a fault; nothing without one."""
+        """Reset faults until no drive has one; does nothing if there is none."""
         faulty = [axis for axis in self.axes if in_fault(self._fresh(axis))]
         if not faulty:
             return
@@ -150,10 +150,10 @@ class Master(Drives):
                     "6502h tells the modes the drive has")  # fmt: skip
 
     def follow(self, mode: Mode | str) -> None:
-        """Be ready for set-points of a mode, at rest: they are written to its object of `AT_REST`.
+        """Prepare the drives, at rest, to follow set-points of a mode (objects in `AT_REST`).
 
-        The first set-point is the rest itself, so that nothing that was written before acts; halt
-        is taken back. Drives that follow set-points of this mode already go on.
+        The first set-point is standstill itself, so that no earlier set-point takes effect; halt is
+        released. Drives that already follow set-points of this mode continue.
 
         Raises:
             NoPower, DriveFault: a drive is not enabled.
@@ -183,28 +183,29 @@ class Master(Drives):
         wait: bool = True,
         timeout: float = 30.0,
     ) -> None:
-        """Hand over one profile position set-point with the whole handshake.
+        """Command one profile position set-point with the complete handshake.
 
-        Several drives go on a straight line: they start at once and arrive together. Speed,
-        acceleration and jerk of each are made proportional to its distance, none above what 6081h,
-        6083h, 6084h and 60A4h say now; these are as before afterwards. They are whole drive units,
-        so a drive with less than some hundred units to go may arrive early or late. The drives have
-        the same units of speed per position unit.
+        Several drives travel on a straight line: they start at once and arrive together. For this,
+        speed, acceleration and jerk of each drive are scaled with its distance, never above the
+        present values of 6081h, 6083h, 6084h and 60A4h, which are restored afterwards. They are
+        integers in drive units, so a drive with only some hundred units to travel may arrive early
+        or late. All drives need the same ratio of speed unit to position unit.
 
-        Where a drive buffers set-points and has no room, this waits for room.
+        If a drive buffers set-points and its buffer is full, this waits until there is room.
 
         Args:
             position: target (SI at the load).
-            relative: the target counts from what 60F2h says.
-            immediate: drop what the drive is doing instead of queueing behind it.
-            change_on_set_point: pass the running target without a stop (bit 9).
-            wait: return when the target is reached, not when it is acknowledged.
-            timeout: for the whole of it (s).
+            relative: whether the target is relative, to the position selected by 60F2h.
+            immediate: abort the present motion instead of queueing behind it.
+            change_on_set_point: pass the present target without stopping (bit 9).
+            wait: return when the target is reached instead of when it is acknowledged.
+            timeout: limit for the whole motion (s).
 
         Raises:
-            Refused: beyond the software position limits 607Dh, or nothing a drive can take.
-            NoPower: a drive is not enabled, or no longer.
-            DriveFault, Timeout: on the way.
+            Refused: the target is beyond the software position limits 607Dh, or is not a value that
+                a drive can take.
+            NoPower: a drive is not enabled, or loses power on the way.
+            DriveFault, Timeout: during the motion.
         """
         what = "move_to"
         self._power(what)
@@ -279,14 +280,14 @@ class Master(Drives):
         duration: float | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Run at a velocity in profile velocity mode; 0 stops.
+        """Move at a velocity in profile velocity mode; 0 stops.
 
         Args:
             velocity: target (SI at the load).
-            duration: at that velocity, then stop (s); it goes on if not given.
-            timeout: until the velocity is reached (s).
+            duration: time at that velocity before stopping (s); without it the motion continues.
+            timeout: limit for reaching the velocity (s).
 
-        Raises: as `move_to`.
+        Raises the same errors as `move_to`.
         """
         self._power("jog")
         self._put("target_velocity", self._units_of("jog", velocity, "velocity"))
@@ -301,7 +302,7 @@ class Master(Drives):
             self.jog(0.0, timeout=timeout)
 
     def halt(self, timeout: float = 10.0) -> None:
-        """Halt (bit 8) until the axes stand; `resume` lets them go on."""
+        """Halt (bit 8) and return when the axes stand; `resume` continues the motion."""
 
         def hold(axis: str) -> None:
             self._power("halt", axis)
@@ -311,28 +312,29 @@ class Master(Drives):
         self._until(self._stands, timeout, "halt", powered=True)
 
     def resume(self) -> None:
-        """Take halt back."""
+        """Release halt."""
         self._power("resume")
         self.write("controlword", {
             axis: ENABLED | self._told(axis) & ~(COMMAND | C.HALT) for axis in self.axes
         })  # fmt: skip
 
     def stop(self, timeout: float = 10.0) -> tuple[str, ...]:
-        """Come to rest in whatever mode, and stay at rest until the next motion is commanded.
+        """Bring the axes to rest in any mode and keep them there until the next motion command.
 
-        The axes are halted, what they were doing is dropped (`AT_REST`), and halt stays, so that
-        no old set-point acts again. A drive that halt does not bring to rest in time, as one that
-        only takes its torque away, makes a quick stop. Drives without power are left alone.
+        The axes are halted, their set-points are replaced by standstill (`AT_REST`), and halt
+        remains set, so that no earlier set-point takes effect again. A drive that halt does not
+        bring to rest in time, for example because it only removes its torque, makes a quick stop.
+        Drives without power are left alone.
 
         Args:
-            timeout: until the axes stand (s); in the torque modes a second at most.
+            timeout: limit until the axes stand (s); one second at most in the torque modes.
 
         Returns:
             Names of the drives that were stopped.
 
         Raises:
-            Timeout: halt did not bring an axis to rest; the quick stop is commanded.
-            DriveFault: on the way.
+            Timeout: halt did not bring an axis to rest; a quick stop has been commanded.
+            DriveFault: while stopping.
         """
         powered: dict[str, int] = {}  # with the mode
 
@@ -382,17 +384,17 @@ class Master(Drives):
         timeout: float = 60.0,
         alarm: Callable[[], str] | None = None,
     ) -> None:
-        """Home, all drives at the same time, and take the start bit back.
+        """Home all drives at the same time; return when all have finished.
 
         Args:
-            method: of 6098h; the one set if not given.
-            timeout: (s)
-            alarm: gives a reason to stop at once, or an empty text.
+            method: homing method (6098h); the configured one if not given.
+            timeout: limit for the whole search (s).
+            alarm: called repeatedly; a text other than empty is a reason to stop at once.
 
         Raises:
-            HomingFailed: with the drives that failed.
-            Refused: a drive without the method.
-            NoPower, DriveFault, Interlock, Timeout: on the way.
+            HomingFailed: names the drives that failed.
+            Refused: a drive does not support the method.
+            NoPower, DriveFault, Interlock, Timeout: during the search.
         """
         self._power("home")
         if method is not None:

@@ -1,4 +1,4 @@
-"""How a master reaches drives: objects by name, and time that passes."""
+"""The interface between a master and its drives: objects by name, and the passing of time."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
@@ -7,7 +7,7 @@ from ..model.model import DriveModel
 
 
 class Units(NamedTuple):
-    """What one drive unit is at the load; without known factors, itself."""
+    """The size of the drive units in SI units at the load; 1 where the factors are unknown."""
 
     position: float = 1.0  # of a position unit
     velocity: float = 1.0  # of a velocity unit, per s
@@ -15,36 +15,36 @@ class Units(NamedTuple):
 
 
 class Port(Protocol):
-    """One or more drives that hear what is sent at the same time."""
+    """A connection to one or more drives that receive process data at the same time."""
 
     @property
     def models(self) -> Mapping[str, DriveModel]:
-        """The drives by name, each with its model."""
+        """Models of the drives by name."""
 
     @property
     def latency(self) -> float:
-        """After so long (s) a drive has acted on a command and what is read shows it."""
+        """Time (s) after which the effect of a command is visible in what is read."""
 
     def now(self) -> float:
-        """Time (s) from any beginning."""
+        """Present time (s), counted from an arbitrary origin."""
 
     def read(self, axis: str, name: str) -> int | float:
-        """An object (drive units): what the last process data told, else the drive itself."""
+        """Read an object (drive units), from the last process data if it is mapped."""
 
     def upload(self, axis: str, name: str) -> int | float:
-        """An object (drive units), asked of the drive itself.
+        """Read an object (drive units) from the drive itself.
 
-        Raises SdoAbort where the drive refuses, ValueError for a name that its model does not have.
+        Raises SdoAbort if the drive refuses, ValueError for a name that its model does not have.
         """
 
     def write(self, axis: str, name: str, value: int | float) -> None:
-        """Set an object (drive units); process data go out with the next exchange.
+        """Write an object (drive units); mapped objects are sent with the next exchange.
 
-        Raises SdoAbort where the drive refuses, ValueError or TypeError for what is no such value.
+        Raises SdoAbort if the drive refuses, ValueError or TypeError for an unsuitable value.
         """
 
     def exchange(self) -> object:
-        """Send and take process data once; some time passes."""
+        """Exchange process data once; some time passes."""
 
     def units(self, axis: str) -> Units:
-        """Of a drive."""
+        """Return the units of a drive."""

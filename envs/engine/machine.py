@@ -43,7 +43,7 @@ READ = ("position", "velocity", "torque", "position_demand")  # rad, rad/s, Nm, 
 
 
 class Drives(dict[str, Drive]):
-    """Of a machine, by name."""
+    """The drives of a machine by name."""
 
     def __missing__(self, name: str) -> Drive:
         raise KeyError(f"there is no drive {name!r}: {hint(str(name), self)}")
@@ -52,11 +52,11 @@ class Drives(dict[str, Drive]):
 class Machine:
     """Drives attached to named actuators of a MuJoCo model, stepped in one compiled loop.
 
-    A joint's name stands for the actuator on it; switches and brake go by the drive's name. An
-    actuator that gets a drive is a plain motor on a slide or hinge joint. Its gear is the
-    mechanics: rad of motor shaft per m or rad of joint, so the drive sees a shaft and gives a
-    torque in Nm. Its control range is lifted, because the drive has limits of its own. The MJCF
-    may wire switches and a holding brake to an actuator by name::
+    A drive is attached to an actuator by the actuator's name or by that of its joint; the actuator
+    must be a plain motor on a slide or hinge joint. The actuator's gear represents the mechanics
+    (rad of motor shaft per m or rad of joint): the drive measures the shaft and applies a torque in
+    Nm. The actuator's control range is removed, because the drive has limits of its own. The MJCF
+    may wire switches and a holding brake to a drive by its name::
 
         <custom>
           <numeric name="x.negative_limit_switch" data="-1 -0.005 0.0003"/>  from, to, hysteresis
@@ -64,15 +64,15 @@ class Machine:
           <numeric name="z.brake_torque" data="3"/>                          Nm at the shaft
         </custom>
 
-    What else there may be, friction, backlash and more, is in `mechanics`; ``mechanics`` of a
-    machine is its MECHANICS records, one a drive, with the energy of impacts on the end stops.
+    Friction, backlash and other effects are described in `mechanics`. The attribute ``mechanics``
+    holds one MECHANICS record for each drive, which includes the energy of impacts on end stops.
 
     Args:
-        model: the MuJoCo model; its own from now on.
+        model: the MuJoCo model, owned by the machine from now on.
         drives: drive model (name, folder or `DriveModel`) by actuator or joint name.
 
     Raises:
-        ValueError: names what does not fit and how to mend it, before the first cycle.
+        ValueError: something does not fit; the message says what, and how to correct it.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class Machine:
 
     @property
     def data(self) -> mujoco.MjData:
-        """The state of the physics; its ``timer`` counts calls and takes no time, see `clock`."""
+        """State of the physics. Its ``timer`` counts calls but no durations, see `clock`."""
         if self._residence:
             with self.turn:
                 loop.enter(self.addresses)
@@ -173,22 +173,23 @@ class Machine:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The model; what depends on its masses is up to date after `mujoco.mj_setConst`."""
+        """The MuJoCo model. After changing masses, call `mujoco.mj_setConst`."""
         if self._residence:
             with self.turn:
                 loop.enter(self.addresses)
         return self._model
 
     def share(self, residence: "Residence") -> None:
-        """Live in MjModel and MjData of a residence by turns with others, bit by bit as if alone.
+        """Share MjModel and MjData with other machines by taking turns; results stay bit-identical.
 
-        MjData takes half a megabyte and MjModel a tenth, an axis with its state some kilobytes.
+        This saves memory: MjData takes half a megabyte and MjModel a tenth of one, the state of an
+        axis only some kilobytes.
 
         Args:
-            residence: of this machine, or of one that differs in `VARIABLE` only.
+            residence: residence of this machine, or of one that differs only in `VARIABLE`.
 
         Raises:
-            ValueError: it is of another kind of machine.
+            ValueError: the residence belongs to another kind of machine.
         """
         if residence.checksum != _checksum(self.model):
             raise ValueError("the residence is of another machine: build both alike")
@@ -205,7 +206,7 @@ class Machine:
         self._settle()
 
     def probe(self) -> np.ndarray:
-        """PROBE records, one a drive, that the loop fills from now on; `probe.begin` starts one."""
+        """PROBE records, one per drive, filled by the loop; `probe.begin` starts a recording."""
         self.probes = np.zeros(len(self.axes), record.accessible(PROBE))
         self.probes["jerk_ticks"] = 1
         self._alive.append(self.probes)
@@ -221,22 +222,22 @@ class Machine:
         gears: Mapping[str, float] | None = None,
         folder: str | Path | None = None,
     ) -> "Machine":
-        """A machine from any robot's MJCF: a file, or text (anything that begins with ``<``).
+        """Build a machine from the MJCF of any robot: a file, or text that begins with ``<``.
 
-        Position, velocity and other actuators become motors, a joint without one gets one, and the
-        timestep is shortened to fit the drives; `mjcf` says it in full. `commission_joint` sets
-        the drive's parameters for the joint.
+        Position, velocity and other actuators become motors, a joint without an actuator gets one,
+        and the timestep is shortened to fit the drives; the module `mjcf` has the details.
+        `commission_joint` sets the parameters of a drive for its joint.
 
         Args:
-            mjcf: the model.
+            mjcf: path or text of the model.
             drives: drive model (name, folder or `DriveModel`) by actuator or joint name.
-            gears: rad of motor shaft per m (slide) or rad (hinge), by drive name; if not given that
-                of a plain motor, else 100 rad/rad or a ball screw of 20 mm lead.
-            folder: what its includes, meshes and textures must lie in; if not given that of the
-                file, of a text the working directory.
+            gears: rad of motor shaft per m (slide) or rad (hinge), by drive name. By default the
+                gear of a plain motor is kept, others get 100 rad/rad or a ball screw of 20 mm lead.
+            folder: folder that must contain all includes, meshes and textures; by default the
+                folder of the file, for text the working directory.
 
         Raises:
-            ValueError: names what does not fit and how to mend it, before the first cycle.
+            ValueError: something does not fit; the message says what, and how to correct it.
         """
         text = str(mjcf)
         try:
@@ -255,18 +256,18 @@ class Machine:
 
     @property
     def time(self) -> float:
-        """Time since the reset (s)."""
+        """Time since the last reset (s)."""
         return int(self.world["tick"][0]) * float(self.world["timestep"][0])
 
     def joint(self, name: str) -> tuple[float, str]:
-        """Gear of a drive (rad of motor shaft per unit of its joint), and that unit: m or rad."""
+        """Return a drive's gear (rad of motor shaft per m or rad of joint), and "m" or "rad"."""
         coupling = self.couplings[self._number(name)]
         return float(coupling.gear), unit(self._model, self._model.dof_jntid[coupling.dof])
 
     def range(self, name: str) -> tuple[float, float]:
-        """Where the joint of a drive has its ends (m or rad), infinite where it has none.
+        """Return the ends of a drive's joint (m or rad); infinite where there is no end.
 
-        Raises KeyError for a name without a drive.
+        Raises KeyError if there is no drive of that name.
         """
         joint = self.mechanics[self._number(name)]
         return float(joint.low), float(joint.high)
@@ -275,12 +276,14 @@ class Machine:
         return [*self.drives.values()].index(self.drives[name])
 
     def step(self, cycles: int = 1) -> None:
-        """Run `cycles` position-controller cycles of the slowest drive; Ctrl-C stops between two.
+        """Run `cycles` position-controller cycles of the slowest drive; Ctrl-C ends it in between.
 
         Raises:
-            ValueError: `cycles` is no whole number from 0 on; the couplings were spoilt.
-            mujoco.FatalError: MuJoCo reports an error, such as a full arena; or what a callback of
-                MuJoCo raised. The machine then refuses to step until a `reset` or `restore`.
+            ValueError: `cycles` is not a whole number of 0 or more, or the machine's records have
+                been damaged.
+            mujoco.FatalError: MuJoCo reports an error, such as a full arena. An exception in a
+                MuJoCo callback is raised as it is. In both cases the machine refuses to step until
+                `reset` or `restore`.
         """
         ticks = whole("cycles", cycles, 0, MOST) * self.physics_steps
         with self.turn:
@@ -296,21 +299,22 @@ class Machine:
         self, rows: Mapping[str, Any], read: Sequence[str] = READ, *,
         drive: str | None = None, arrives: Any = None,
     ) -> dict[str, np.ndarray]:  # fmt: skip
-        """Run the set-points of a log into a drive, a row a position cycle, in one compiled call.
+        """Play the set-points of a log into a drive, one row per position cycle, compiled.
 
-        The machine goes on from where it stands, enabled or not; a log of a bus is brought into
-        rows, and a machine to where it begins, by `servogym.envs.twin.experiment`.
+        The machine continues from its present state, enabled or not.
+        `servogym.envs.twin.experiment` turns the log of a bus into rows and brings a machine into
+        the state in which the log begins.
 
         Args:
             rows: columns by variable of the drive (drive units), such as ``controlword`` and
                 ``target_position``, each of shape ``(n,)``.
-            read: fields of the drive's record (SI units), or ``od.`` and a variable.
-            drive: its name; the first if not given.
-            arrives: whether a process image arrives with the row, shape ``(n,)``; with each if
-                not given.
+            read: fields of the drive's record (SI units), or ``od.`` followed by a variable.
+            drive: name of the drive; by default the first one.
+            arrives: whether a process image arrives with each row, shape ``(n,)``; by default
+                with every row.
 
         Returns:
-            Columns by name of `read`, as they are after each row, shape ``(n,)``.
+            The columns `read` by name, sampled after each row, shape ``(n,)``.
 
         Raises:
             ValueError: an unknown name, columns of different lengths.
@@ -322,15 +326,16 @@ class Machine:
         return {each: found[each] for each in read}
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """Power off and on again, at rest, the joints of the named drives at `positions`.
+        """Switch the machine off and on again, at rest, with joints at `positions`.
 
-        The drives keep their parameters and PDO mapping; they are disabled and not referenced.
+        The drives keep their parameters and PDO mappings; they are disabled and not referenced.
 
         Args:
-            positions: joint position by drive name (m or rad); the model's own if not named.
+            positions: joint position by drive name (m or rad); other joints start where the MuJoCo
+                model has them.
 
         Raises:
-            ValueError: a name without a drive, a position that is not finite or out of the range.
+            ValueError: there is no drive of that name, or a position is not finite or out of range.
         """
         places = {}
         for name, position in named("positions", positions, '{"x": 0.1}').items():
@@ -370,14 +375,14 @@ class Machine:
         }  # fmt: skip
 
     def snapshot(self) -> bytes:
-        """Everything the machine is, as bytes; `restore` continues bit by bit the same.
+        """Return the complete state as bytes; `restore` continues from it bit by bit.
 
-        Of MjModel it holds what a randomisation changes and what MuJoCo derives from it (masses,
-        friction, damping, stiffness, lengths, gears); all else has to be the same where it is
-        restored.
+        Of MjModel it contains what randomisation changes and what MuJoCo derives from that (masses,
+        friction, damping, stiffness, lengths, gears). Everything else must be the same in the
+        machine that restores it.
 
         Raises:
-            RuntimeError: the machine stands in the middle of a step that failed.
+            RuntimeError: a step failed, and the machine has not been reset since.
         """
         with self.turn:
             if self.world["status"][0] != loop.SOUND:
@@ -392,10 +397,10 @@ class Machine:
             return snapshots.seal(self._identity(), numbers, parts)
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was.
+        """Restore the state of a `snapshot`.
 
         Raises:
-            ValueError: it is none, altered, or of another machine; nothing has changed.
+            ValueError: not a snapshot, altered, or of another machine; nothing changes.
         """
         with self.turn:
             numbers, parts = snapshots.unseal(snapshot, self._identity())
@@ -424,10 +429,10 @@ class Machine:
 
 
 class Residence:
-    """MjModel and MjData that machines of one structure share, and whose turn it is.
+    """MjModel and MjData shared by machines of the same structure, and whose turn it is.
 
     Args:
-        machine: whose they are.
+        machine: the machine that owns them.
     """
 
     def __init__(self, machine: Machine):

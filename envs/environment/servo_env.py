@@ -1,7 +1,7 @@
 """ServoEnv: a Gymnasium environment in which an agent is the master of emulated drives.
 
-A task is a subclass; what it says of itself stands in `task.Task`. All else is here: mapping the
-PDOs, enabling and homing, the step, randomisation, injected faults, infos, rendering, pickling.
+A task is a subclass and defines the attributes of `task.Task`. This class provides the rest: PDO
+mapping, enabling and homing, the step, randomisation, fault injection, infos, rendering, pickling.
 """
 
 import copy
@@ -59,35 +59,36 @@ INTERPOLATING = {  # modes in which the drive has to know the period of the set-
 
 
 class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
-    """Base of the environments.
+    """Base class of the environments.
 
     Args:
-        drive: drive model by name, folder or loaded, for all axes; it needs the modes of the task.
-        step_time: of the agent (s), whole position-controller cycles of the drive, 1..1000; that
-            of the task if not given, to the nearest cycle.
+        drive: drive model of all axes, by name, folder or loaded; it must support the task's modes.
+        step_time: length of an agent's step (s), rounded to 1..1000 whole position-controller
+            cycles of the drive; by default the task's.
         action: "setpoint", or "pdo" for controlword, mode and set-points, see
             `servogym.envs.exchange.faces`.
-        history: number of observations shown, the latest first, 1..100.
-        previous_action: whether the action taken last is shown, after the observations.
-        prices: of torque and jerk in the reward, see `servogym.envs.exchange.batch.PRICES`; none if
-            not given.
-        randomise: ranges by name, drawn for each episode: `servogym.envs.variation.randomisation`;
-            ``"twin"`` draws from the intervals of a twin.
-        twin: folder of `servogym twin`, whose plant and drive take the place of the task's.
-        faults: probability per step of causes of faults to be injected: ``{"encoder_loss": 1e-4}``
-            into each of the agent's drives by itself, ``{"x2.encoder_loss": 1e-4}`` into one; and
-            per frame of faults of an EtherCAT bus: ``{"drop": 0.01}``, ``{"retreat at=op:50": 1}``.
-            Or lines of the bus alone, as ``servogym ethercat --fault`` takes them. With one of the
-            bus the drives are on EtherCAT: `servogym.envs.exchange.over_ethercat`.
-        tuned: commission the axes as `linear_axis` does by default, to what plant and motor can do;
-            if not, with the gains of the rule, as version 0 has them.
-        port: drives on a bus instead of those of a machine in this process, as
-            `servogym.envs.exchange.over_port.CanDrives`; steps then take their time, and what
-            `randomise` draws is not what the machine on the bus has.
+        history: number of past observations in an observation, the latest first, 1..100.
+        previous_action: whether the observation ends with the previous action.
+        prices: charges for torque and jerk in the reward, see
+            `servogym.envs.exchange.batch.PRICES`; by default none.
+        randomise: ranges by name, drawn anew for each episode, see
+            `servogym.envs.variation.randomisation`; ``"twin"`` draws from the intervals of a twin.
+        twin: folder made by `servogym twin`; its plant and drive replace those of the task.
+        faults: probabilities of faults. Causes inside a drive have a probability per step:
+            ``{"encoder_loss": 1e-4}`` for each drive of the agent, ``{"x2.encoder_loss": 1e-4}``
+            for one. Faults of an EtherCAT bus have one per frame: ``{"drop": 0.01}``,
+            ``{"retreat at=op:50": 1}``. A list of lines as ``servogym ethercat --fault`` takes them
+            injects faults of the bus alone. Bus faults put the drives on EtherCAT, see
+            `servogym.envs.exchange.over_ethercat`.
+        tuned: whether the axes are commissioned for their plant and motor, as `linear_axis` does by
+            default, or with the gains of the simple rule that version 0 uses.
+        port: drives on a bus, such as `servogym.envs.exchange.over_port.CanDrives`, in place of a
+            machine in this process. Steps then run in the time of the bus, and parameters drawn by
+            `randomise` do not describe the machine on it.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
-        ValueError: naming the argument, its value and what is possible.
+        ValueError: names the argument, its value and the possible values.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 200}  # noqa: RUF012
@@ -211,7 +212,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         return PortLine(self.machine, names, self._images, pdos, self.step_time, self.units, port)
 
     def batch(self, n: int) -> Batch:
-        """Empty arrays for `n` environments like this one."""
+        """Return empty arrays for `n` environments like this one."""
         rpdo, tpdo = self._images
         return Batch(
             self, n, drives=len(self.drives), rpdo=rpdo, tpdo=tpdo,
@@ -221,7 +222,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         )  # fmt: skip
 
     def join(self, batch: Batch, row: int) -> None:
-        """Live in a row of `batch` from the next reset on."""
+        """Use a row of `batch` for observations and images from the next reset on."""
         self._batch, self._row = batch, row
         batch.machines[row] = self.machine
         self._part = batch.part(row, row + 1)
@@ -235,14 +236,14 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start anew; what `options` may hold is listed with the task."""
+        """Begin an episode. The docstring of each task lists its `options`."""
         super().reset(seed=seed)
         self.restart(options)
         self._show()
         return self._batch.observed(slice(self._row, self._row + 1))[0], self.info()
 
     def restart(self, options: dict[str, Any] | None = None) -> None:
-        """Begin an episode: drawn parameters, machine, first observation."""
+        """Begin an episode: draw parameters, reset the machine, make the first observation."""
         self.parameters = self.randomisation.draw(self.np_random)
         self._injected = []
         self._steps = 0
@@ -262,10 +263,10 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
     def place(
         self, positions: Mapping[str, float], believed: Mapping[str, float] | None = None
     ) -> None:
-        """Power on with the joints at `positions` (m or rad), and reference them there, together.
+        """Switch on with the joints at `positions` (m or rad), and reference all drives there.
 
-        A drive named in `believed` is made to take its place for that position instead.
-        With ``action="pdo"`` the drives are left disabled, else enabled in the mode of the task.
+        A drive named in `believed` is referenced to that position instead of its true one. With
+        ``action="pdo"`` the drives stay disabled, otherwise they are enabled in the task's mode.
         """
         place = getattr(self.line, "place", None)
         if place is not None:
@@ -289,13 +290,13 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             self._part.rpdos["target_position"][0] = positions_now
 
     def normalise(self) -> None:
-        """Keep what observations are normalised by: limits of the first drive, and the window."""
+        """Record the scales of observations: limits of the first drive, following error window."""
         self.episode._speed = self.drive.read("max_profile_velocity") / self.units
         self.episode._max_torque = self.drive.read("max_torque")
         self.episode._window = self._window
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One step of the agent. Raises ValueError for an action out of the space."""
+        """Run one step of the agent. Raises ValueError for an action outside the action space."""
         self._take(action)
         if self._steps < 0:
             raise gym.error.ResetNeeded("call reset() before the first step")
@@ -342,27 +343,27 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
 
     @property
     def action_record(self) -> np.dtype:
-        """The names of an action, with what the face adds: `fields.names` lists them."""
+        """Record type of an action, including what ``action="pdo"`` adds; see `fields.names`."""
         return self._batch.action
 
     @property
     def observation_record(self) -> np.dtype:
-        """The names of an observation, without history, with what the face adds."""
+        """Record type of an observation without history, including what ``action="pdo"`` adds."""
         return self._batch.observation
 
     def channels(self) -> tuple[channels.Channel, ...]:
-        """What a picture of an episode shows: of the task, and of its drives."""
+        """Return the channels that a picture of an episode shows, of the task and its drives."""
         return channels.of(self)
 
     def inject_faults(self) -> None:
-        """Let the declared faults happen with their probabilities."""
+        """Inject the declared faults with their probabilities."""
         for name, drive, cause, probability in self._faults:
             if self.np_random.random() < probability:
                 drive.inject(cause)
                 self._injected.append(name)
 
     def info(self) -> dict[str, Any]:
-        """What is known of the present, with the same keys at any time."""
+        """Return the ``info`` of the present state; its keys are always the same."""
         values = self._part.episodes.item(0)
         self._reward, self._terminated = values[self._REWARD], values[self._TERMINATED]
         words = self._part.tpdos["statusword"][0].tolist()
@@ -382,9 +383,10 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         return self._steps * self.step_time
 
     def faults(self, words: list[int]) -> str:
-        """Code and meaning of the first fault of a drive, of several with its name; else empty.
+        """Return code and meaning of the first fault, with the drive's name if there are several.
 
-        A bus may lose the frame with the statusword: then the drive itself is asked.
+        The text is empty without a fault. If a bus has lost the frame with the statusword, the
+        drive itself is read.
         """
         for n, (drive, word) in enumerate(zip(self.drives, words, strict=True)):
             if word & FAULT or (self.line is not None and drive.axis.fault):
@@ -410,7 +412,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         return _rebuild, (type(self), *self._arguments, self.kept())
 
     def kept(self) -> tuple[Any, ...]:
-        """All that has happened since it was built, for `resume`."""
+        """Return everything that has happened since construction, for `resume`."""
         with self.machine.turn:
             return (
                 dict(self.parameters), self.machine.snapshot(),
@@ -421,7 +423,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             )  # fmt: skip
 
     def resume(self, kept: tuple[Any, ...]) -> None:
-        """Go on where `kept` was taken, of an environment with the same arguments."""
+        """Continue from a result of `kept` of an environment with the same arguments."""
         with self.machine.turn:
             parameters, machine, rows, history, injected, self._steps, *others = kept
             generator, spaces, line = others
@@ -436,7 +438,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
                 self.line.become(line)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """An image with an overlay, shape ``(540, 960, 3)`` uint8: `Picture`, `Overlay`."""
+        """Return an image with an overlay, shape ``(540, 960, 3)``, uint8."""
         return self._drawn().image() if self.render_mode == "rgb_array" else None
 
     def _show(self) -> None:
@@ -451,7 +453,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         return self._picture
 
     def close(self) -> None:
-        """Close window and renderer, let go of drives on a bus; may be called more than once."""
+        """Close window and renderer and release drives on a bus; may be called repeatedly."""
         close = getattr(self.line, "close", None)
         if close is not None:
             close()

@@ -1,4 +1,4 @@
-"""Many environments of one task: the compiled loops run side by side on threads."""
+"""Vector of environments of one task, stepped by compiled loops on parallel threads."""
 
 import copy
 import os
@@ -23,22 +23,23 @@ MOST = 1_000_000
 
 
 class ServoVectorEnv(gym.vector.VectorEnv):
-    """`num_envs` environments of a task, stepped together, bit for bit as one by one.
+    """`num_envs` environments of a task, stepped together, bit-identical to single environments.
 
-    Each has its own machine, drives and generator. A step is three compiled calls a thread, for
-    all its environments: actions to RPDO images, machines, TPDO images to observations.
+    Each environment has its own machine, drives and random generator. A step makes three compiled
+    calls per thread for all its environments: actions to RPDO images, machines, TPDO images to
+    observations.
 
     Args:
         task: class of the environments.
-        num_envs: how many.
+        num_envs: number of environments.
         autoreset_mode: NEXT_STEP (the step after the end resets and ignores the action), SAME_STEP
             (``final_obs`` and ``final_info`` in the infos) or DISABLED; or their names.
-        threads: of the pool; if not given, ``SERVOGYM_THREADS``, or else one a core.
-        max_episode_steps: steps until an episode is truncated; those of the task if not given.
-        **arguments: of the task.
+        threads: number of threads; by default ``SERVOGYM_THREADS``, otherwise one per core.
+        max_episode_steps: steps until an episode is truncated; by default the task's.
+        **arguments: arguments of the task.
 
     Raises:
-        ValueError: as the task does, and for wrong actions.
+        ValueError: an argument that the task refuses, or actions outside the action space.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     def reset(  # type: ignore[override]
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin anew, all, or those of ``options["reset_mask"]``; seed + i is that of the i-th."""
+        """Reset all environments, or those in ``options["reset_mask"]``; the i-th gets seed + i."""
         with self._turn:
             return self._reset(seed, options)
 
@@ -140,11 +141,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     def step(  # type: ignore[override]
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One step of each.
+        """Run one step of every environment.
 
         Raises:
-            ValueError: actions out of the space.
-            Exception: what `Machine.step` raises, or Ctrl-C; then all have to be reset.
+            ValueError: actions outside the action space.
+            Exception: raised by `Machine.step`, or Ctrl-C; all environments must then be reset.
         """
         with self._turn:
             return self._step(actions)
@@ -265,13 +266,13 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         return infos
 
     def render(self) -> tuple[Any, ...] | None:
-        """An image of each environment."""
+        """Return an image of each environment."""
         for env, steps in zip(self.envs, self._steps.tolist(), strict=True):
             env._steps = steps  # it has not stepped itself
         return tuple(env.render() for env in self.envs) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **arguments: Any) -> None:
-        """Stop the threads, close what was rendered."""
+        """Stop the threads and close all renderers."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
