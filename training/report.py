@@ -8,7 +8,7 @@ import io
 import json
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import count
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
+from rich.table import Table
 
 PACKAGES = ("servogym", "mujoco", "gymnasium", "numpy", "numba", "ruckig")
 ROUNDING = 1e-12  # of any unit: what is smaller is none, but the rounding of sums
@@ -122,6 +123,14 @@ def number(value: float, digits: int = 3) -> str:
         return f"{value:.{digits - 1}e}"
     places = max(digits - 1 - int(np.floor(np.log10(abs(value)))), 0)
     return f"{value:.{places}f}"
+
+
+def table(heading: Sequence[str], rows: Iterable[Sequence[str]], title: str) -> Table:
+    """A table for the terminal."""
+    shown = Table(*heading, title=title)
+    for row in rows:
+        shown.add_row(*row)
+    return shown
 
 
 def markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

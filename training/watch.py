@@ -1,7 +1,7 @@
 """`servogym watch`: see an environment move in a window, in real time, or record it."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,26 +12,25 @@ from ..envs.engine.checks import words
 from .pictures.video import Recording
 from .policies import Bound, BuiltIn, Policy, make, needed
 from .report import progress
+from .setup import Setup
 
 FPS = 25  # images a second aimed at, each after a whole number of steps
 
 
 def run(
-    name: str, policy_name: str, drive: str, episodes: int, seed: int, speed: float,
-    record: Path | None, console: Console, arguments: Mapping[str, Any] | None = None,
+    setup: Setup, policy_name: str, episodes: int, seed: int, speed: float, record: Path | None,
+    console: Console,
 ) -> int:  # fmt: skip
     """Play episodes of a policy, in a window or to a file.
 
     Args:
-        name: id of the environment.
+        setup: of the environment.
         policy_name: of `policies.make`.
-        drive: drive model.
         episodes: how many, from 1 on.
         seed: of the first reset, and of a random policy.
         speed: of the playback; 1 is real time.
         record: file or folder; a window if not given.
         console: for what happened in each episode.
-        arguments: of the environment.
 
     Raises:
         ValueError: one of these is not possible; it says which are.
@@ -44,13 +43,13 @@ def run(
         raise ValueError(f"--seed = {seed} is out of range 0..")
     if not 0.01 <= speed <= 100.0:
         raise ValueError(f"--speed = {speed:g} is out of range 0.01..100; 1 is real time")
-    from ..envs.environment.registry import task
     from ..envs.view.picture import Picture, require_display
 
-    identity = task(name).ID
-    given = needed(policy_name) | dict(arguments or {})
+    given = needed(policy_name) | dict(setup.arguments)
     try:
-        env: Any = gymnasium.make(identity, drive=drive, disable_env_checker=True, **given)
+        env: Any = gymnasium.make(
+            setup.task.ID, drive=setup.drive, disable_env_checker=True, **given
+        )
     except TypeError as error:
         raise ValueError(f"--argument: {words(error)}") from None
     policy = make(policy_name, env.unwrapped, seed)

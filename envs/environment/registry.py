@@ -58,16 +58,19 @@ def short(identity: str) -> str:
     return identity.removeprefix(NAMESPACE)
 
 
-def task(name: str) -> type[ServoEnv]:
+def task(name: str | type[ServoEnv]) -> type[ServoEnv]:
     """The class behind an id.
 
     Args:
         name: id of Gymnasium, with ``module:`` in front of one that another package registers;
-            that of a package may be left out where it is the name space, ``mylab:Nudge-v0``.
+            that of a package may be left out where it is the name space, ``mylab:Nudge-v0``. A
+            class is returned as it is.
 
     Raises:
         ValueError: no such module, no such id (with near ones), or not a `ServoEnv`.
     """
+    if isinstance(name, type) and issubclass(name, ServoEnv):
+        return name
     if not isinstance(name, str):
         raise ValueError(f"environment {name!r}: give its id, such as 'LinearAxis-v0'")
     module, _, identity = name.rpartition(":")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from servogym.envs.environment.registry import task
 from servogym.training import cli
 from servogym.training.evaluate import comparison, leaderboard, suite
 from servogym.training.evaluate.submission import FILES, HEAD, fits, read, write
@@ -38,7 +39,7 @@ def test_the_committed_leaderboard_is_of_the_committed_entries():
     for name, entry in entries.items():
         assert entry.name == name
         fits(Path(name), entry, v1)
-    assert {task for entry in entries.values() for task in entry.table} == {*v1.parts}
+    assert {env for entry in entries.values() for env in entry.table} == {*v1.parts}
     committed = (ROOT / "docs" / "results" / "leaderboard.md").read_text(encoding="utf-8")
     assert leaderboard.page(v1, entries, found) == committed
 
@@ -148,7 +149,7 @@ def test_a_condition_a_policy_does_not_fit_is_a_gap_that_earns_nothing(small):
     assert table["drive=kollmorgen_akd"] == {}
     chosen = suite.read("small.toml")
     line = leaderboard._lines(chosen, "LinearAxis-v0", {"pd": {"nominal": table["nominal"]}})
-    own = leaderboard.cell("LinearAxis-v0", table["nominal"]).earned.iqm
+    own = leaderboard.cell(task("LinearAxis-v0"), table["nominal"]).earned.iqm
     assert f"| pd | 1 | {own / 2:.1f} | 50 % |" in line
     assert line.rstrip().endswith("| gap |")
 

@@ -8,7 +8,9 @@ from servogym.envs import FAMILY
 from servogym.envs.environment.registry import task
 from servogym.training import cli
 from servogym.training.evaluate import comparison, conditions, tables
-from servogym.training.evaluate.matrix import Matrix
+from servogym.training.evaluate.comparison import Request
+from servogym.training.evaluate.matrix import matrix
+from servogym.training.setup import Setup
 
 TRACKING = task("LinearAxisTracking-v0")
 SWAY = task("GantrySway-v0")
@@ -16,7 +18,7 @@ AXIS = task("LinearAxis-v0")
 
 
 def names(kind, drive="generic"):
-    return [row.name for row in conditions.suiting(kind, drive, {})]
+    return [row.name for row in conditions.suiting(Setup.of(kind, drive))]
 
 
 def test_a_task_has_the_conditions_that_mean_something_there():
@@ -39,7 +41,7 @@ def test_names_are_told_apart(table):
 
 
 def test_the_transfer_goes_to_every_drive_with_csp_and_every_mechanics():
-    rows = [*conditions.suiting(TRACKING, "generic", {}, conditions.TRANSFER)]
+    rows = [*conditions.suiting(Setup.of(TRACKING), conditions.TRANSFER)]
     machines = {(row.drive, row.arguments["parameters"]) for row in rows}
     assert machines == {(d, m) for d in ("generic", "kollmorgen_akd") for m in FAMILY}
     assert len(rows) == len(conditions.DISTURBANCES) * len(machines)
@@ -47,14 +49,16 @@ def test_the_transfer_goes_to_every_drive_with_csp_and_every_mechanics():
 
 def test_a_condition_that_a_policy_does_not_fit_is_a_gap_with_its_reason():
     """pd commands torque, and that drive has no cst."""
-    rows = conditions.chosen(list(conditions.suiting(AXIS, "generic", {})), "nominal,drive")
-    matrix = Matrix("LinearAxis-v0", ["hold", "pd"], "generic", 0, 1, {}, rows)
-    assert [*matrix.gaps] == [("drive=kollmorgen_akd", "pd")]
-    assert "drive=kollmorgen_akd, pd: drive 'kollmorgen_akd' has no mode" in matrix.told()
-    played = matrix.results([job() for job in matrix.jobs])
-    assert [one and one.policy for one in played["drive=kollmorgen_akd"]] == ["hold", None]
+    setup, other = Setup.of(AXIS), "drive=kollmorgen_akd"
+    rows = conditions.chosen(list(conditions.suiting(setup)), "nominal,drive")
+    grid = matrix(Request(setup, ["hold", "pd"], 1), rows)
+    assert [*grid.gaps] == [(other, "pd")]
+    assert "drive 'kollmorgen_akd' has no mode" in grid.gaps[other, "pd"]
+    played = grid.results([job() for job in grid.jobs])
+    assert played[other, "hold"].policy == "hold"
+    assert (other, "pd") not in played
     with pytest.raises(ValueError, match="'squaring' is for"):
-        Matrix("LinearAxis-v0", ["squaring"], "generic", 0, 1, {}, rows)
+        matrix(Request(setup, ["squaring"], 1), rows)
 
 
 def test_a_condition_is_the_evaluation_with_these_arguments(tmp_path):

@@ -207,6 +207,16 @@ def test_each_policy_plays_the_same_episodes_in_the_environment_it_needs():
     assert iqm(hold.values["score"]) == pytest.approx(0.0, abs=1e-3), "no torque, no motion"
 
 
+def test_values_are_in_the_order_of_the_episodes_whichever_is_traced():
+    """Jobs with the traced episode are played first; resampling depends on the order."""
+    first, last = (
+        comparison.evaluate("LinearAxis-v0", ["proportional"], "generic", 11, 0, traced=traced)[0]
+        for traced in (0, 10)
+    )
+    for metric, values in first.values.items():
+        np.testing.assert_array_equal(values, last.values[metric], metric)
+
+
 def test_arguments_of_the_environment_are_on_the_page(tmp_path):
     arguments = "eval LinearAxis-v0 --policy pd --argument mode=cst --argument payload=2"
     assert cli.main([*arguments.split(), "--episodes", "2", "--out", str(tmp_path)]) == 0

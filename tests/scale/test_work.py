@@ -15,11 +15,12 @@ from servogym.envs.engine.checks import cores
 from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
-from servogym.training.evaluate.comparison import Comparison, Early, evaluate
+from servogym.training.evaluate.comparison import Comparison, Early, Request, evaluate
 from servogym.training.scale import job as jobs
 from servogym.training.scale import processes
 from servogym.training.scale.job import Job, encoded
 from servogym.training.scale.work import ALONE, Work
+from servogym.training.setup import Setup
 
 TWO = Work(workers=2)
 
@@ -244,7 +245,8 @@ def test_what_fails_when_it_is_told_of_a_result_ends_the_command_and_loses_none(
 
 
 def test_the_traced_episode_is_drawn_before_the_last_job_is_done():
-    comparison = Comparison("LinearAxis-v0", ["ruckig", "pd"], "generic", 25, 0, traced=20)
+    request = Request(Setup.of("LinearAxis-v0"), ["ruckig", "pd"], 25, traced=20)
+    comparison = Comparison(request)
     drawn = []
     early = Early(comparison, lambda traces: drawn.append(traces) or b"PNG")
     early(1, comparison.jobs[1]())

@@ -11,6 +11,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from ..scale.work import Work
+    from ..setup import Setup
 
 POLICY = "name, FILE.py:function, folder of a training, or model.zip of stable-baselines3"
 LISTED = "help"  # instead of NAME=VALUE
@@ -74,6 +75,13 @@ def work(options: argparse.Namespace) -> "Work":
     return Work(options.workers, options.ray, options.resume)
 
 
+def setup(options: argparse.Namespace) -> "Setup":
+    """Task, drive and arguments of a command. Raises ValueError for an unknown environment."""
+    from ..setup import Setup
+
+    return Setup.of(options.env, options.drive or "generic", dict(options.argument or ()))
+
+
 def prepare(options: argparse.Namespace) -> None:
     """Load the command, and meanwhile have workers on this machine loaded."""
     if options.workers and options.workers > 0 and options.ray is None:
@@ -82,6 +90,11 @@ def prepare(options: argparse.Namespace) -> None:
         played = {"env": options.env, "drive": options.drive}
         prepare([("servogym.training.evaluate.parts:once", played)])
     importlib.import_module("servogym.training.evaluate.compare")
+
+
+def listed(text: str | None) -> list[str]:
+    """``"a, b"`` -> ``["a", "b"]``: words separated by commas, without empty ones."""
+    return [word.strip() for word in (text or "").split(",") if word.strip()]
 
 
 def named(text: str) -> tuple[str, Any]:

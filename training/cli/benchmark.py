@@ -49,21 +49,17 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
         raise ValueError(f"--{given[0]} is for `servogym benchmark learned`")
     drive = options.drive or "generic"
     chosen = _chosen(options)
-    if options.what == "homing":
-        from ..evaluate.homing import run
-    else:
-        from ..evaluate.positioning import run
-    return run(drive, options.quick, options.out, console, arguments.work(options), chosen)
+    from ..evaluate import benchmark, homing, positioning
 
-
-def _list(text: str | None) -> list[str]:
-    return [word.strip() for word in (text or "").split(",") if word.strip()]
+    kind = homing.HOMING if options.what == "homing" else positioning.POSITIONING
+    work = arguments.work(options)
+    return benchmark.run(kind, drive, options.quick, options.out, console, work, chosen)
 
 
 def _numbers(name: str, text: str | None, kind: type[float] | type[int] = float) -> list[Any]:
     """Raises ValueError for what is no list of numbers."""
     try:
-        return [kind(word) for word in _list(text)]
+        return [kind(word) for word in arguments.listed(text)]
     except ValueError:
         raise ValueError(f"--{name} = {text!r}: give numbers with commas between") from None
 
@@ -79,11 +75,11 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
         raise ValueError(f"--parameter-file = {options.parameter_file}: there is no such file")
     payloads = _numbers("payload", options.payload)
     chosen: dict[str, Any] = {
-        "mechanics": _list(options.mechanics), "parameter_file": options.parameter_file,
+        "mechanics": arguments.listed(options.mechanics), "parameter_file": options.parameter_file,
     }  # fmt: skip
     if positioning:
         chosen |= {"payloads": payloads, "distances": _numbers("distance", options.distance),
-                   "strategies": _list(options.policy)}  # fmt: skip
+                   "strategies": arguments.listed(options.policy)}  # fmt: skip
     else:
         if len(payloads) > 1:
             raise ValueError(f"--payload = {options.payload}: homing takes one payload")
@@ -92,7 +88,10 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
         chosen |= {
             "payload": payloads[0] if payloads else None,
             "runs": options.runs,
-            "methods": [*_numbers("method", options.method, int), *_list(options.policy)],
+            "methods": [
+                *_numbers("method", options.method, int),
+                *arguments.listed(options.policy),
+            ],
         }
     return {name: value for name, value in chosen.items() if value}
 
@@ -110,10 +109,7 @@ def _learned(options: argparse.Namespace, console: Console) -> int:
     entry = options.entry or re.sub(r"[^\w+.-]", "_", stem)
     if not re.fullmatch(r"[\w+-][\w+. -]*", entry):
         raise ValueError(f"--entry {entry!r}: letters, digits, space and + - . _ will do")
-    tasks, conditions = (
-        [each for part in (given or "").split(",") if (each := part.strip())]
-        for given in (options.tasks, options.conditions)
-    )
+    tasks, conditions = map(arguments.listed, (options.tasks, options.conditions))
     command = f"servogym benchmark learned --suite {options.suite or SUITE} --policy {policy}"
     command += f" --entry {shlex.quote(entry)}"
     command += f" --tasks {options.tasks}" if tasks else ""

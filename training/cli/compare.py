@@ -2,10 +2,14 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from . import arguments
+
+if TYPE_CHECKING:
+    from ..evaluate.comparison import Request
 
 
 def add_eval(command: argparse.ArgumentParser) -> None:
@@ -38,33 +42,31 @@ def _add_episodes(command: argparse.ArgumentParser) -> None:
     command.set_defaults(run=_compare, folders=("out",))
 
 
+def asked(options: argparse.Namespace) -> "Request":
+    """What the words ask for. Raises ValueError where there is no policy."""
+    from ..evaluate.comparison import Request
+
+    option = "policy" if options.command == "eval" else "policies"
+    given = getattr(options, option)
+    if given is None:
+        raise ValueError(f"give --{option}: {arguments.POLICY}")
+    policies = [given] if options.command == "eval" else arguments.listed(given)
+    if not policies:
+        raise ValueError("--policies is empty: give names, separated by commas")
+    return Request(
+        arguments.setup(options), policies, options.episodes, options.seed, options.trace
+    )
+
+
 def _compare(options: argparse.Namespace, console: Console) -> int:
     arguments.prepare(options)
     from ..evaluate import compare
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)
-    single = options.command == "eval"
-    option = "policy" if single else "policies"
-    if getattr(options, option) is None:
-        raise ValueError(f"give --{option}: {arguments.POLICY}")
-    policies = (
-        [options.policy]
-        if single
-        else [each for part in options.policies.split(",") if (each := part.strip())]
-    )
-    if not policies:
-        raise ValueError("--policies is empty: give names, separated by commas")
-    if not single and options.conditions is not None:
+    request, work = asked(options), arguments.work(options)
+    if getattr(options, "conditions", None) is not None:
         from ..evaluate import off_nominal
 
-        return off_nominal.run(
-            options.env, policies, options.drive, options.episodes, options.seed, options.out,
-            console, dict(options.argument or ()), options.conditions,
-            arguments.work(options),
-        )  # fmt: skip
-    return compare.run(
-        options.command, options.env, policies, options.drive, options.episodes, options.seed,
-        options.out, console, dict(options.argument or ()), options.trace,
-        arguments.work(options),
-    )  # fmt: skip
+        return off_nominal.run(request, options.conditions, options.out, console, work)
+    return compare.run(options.command, request, options.out, console, work)

@@ -80,14 +80,12 @@ def _leaderboard(options: argparse.Namespace, console: Console) -> int:
 
 def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:
     """Each folder's comparison as its `compare.json` says it was made."""
-    from ..evaluate import compare, results
-    from . import parser
+    from ..evaluate import compare as comparing
+    from ..evaluate import results
+    from . import compare, parser
 
     compared = parser("compare")
     for path in results.folders(folder):
         data = results.table_of(path, results.FILE, "servogym compare", run_code=options.run_code)
         then = compared.parse_args(shlex.split(data["command"])[1:])
-        compare.run(
-            then.command, then.env, then.policies.split(","), then.drive, then.episodes, then.seed,
-            path, console, dict(then.argument or ()), then.trace, arguments.work(options),
-        )  # fmt: skip
+        comparing.run(then.command, compare.asked(then), path, console, arguments.work(options))

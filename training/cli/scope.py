@@ -8,8 +8,8 @@ from typing import Any
 
 from rich.console import Console
 
+from . import arguments, machines
 from . import bus as buses
-from . import machines
 
 CHANNELS = [
     "position_demand_value", "position_actual_value", "following_error_actual_value",
@@ -62,7 +62,7 @@ def _trigger(text: str | None, named: Callable[[str], str]):
 
 
 def _asked(options: argparse.Namespace) -> list[str]:
-    asked = [x.strip() for x in (options.channels or "").split(",") if x.strip()]
+    asked = arguments.listed(options.channels)
     if options.channels is not None and not asked:
         raise ValueError(f"--channels = {options.channels!r} names none")
     return asked

@@ -67,12 +67,14 @@ def _seeds(text: str) -> list[int]:
 
 def _sweep(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import sweep
+    from ..evaluate.comparison import quoted
+    from ..setup import Setup
 
+    given = dict(options.argument or ())
     whole = sweep.Sweep(
-        [env for env in options.envs.split(",") if env],
-        [policy for policy in options.policies.split(",") if policy],
-        options.drives.split(","), options.conditions, _seeds(options.seeds), dict(options.vary),
-        dict(options.argument or ()), options.episodes, options.train, options.steps,
+        [Setup.of(env, arguments=given) for env in arguments.listed(options.envs)],
+        arguments.listed(options.policies), options.drives.split(","), options.conditions,
+        _seeds(options.seeds), dict(options.vary), options.episodes, options.train, options.steps,
     )  # fmt: skip
     if options.trials is not None and options.trials < 1:
         raise ValueError(f"--trials = {options.trials} is out of range 1..")
@@ -88,9 +90,7 @@ def _sweep(options: argparse.Namespace, console: Console) -> int:
         else:
             text = ",".join(v if isinstance(v, str) else json.dumps(v) for v in values)
         words += ["--vary", f"{name}={text}"]
-    for name, value in options.argument or ():
-        text = value if isinstance(value, str) else json.dumps(value)
-        words += ["--argument", f"{name}={text}"]
     command = shlex.join(words)
+    command += "".join(f" --argument {quoted(*one)}" for one in options.argument or ())
     work = arguments.work(options)
     return sweep.run(whole, options.trials, command, options.out, console, work)

@@ -8,8 +8,8 @@ from typing import Any
 
 from rich.console import Console
 
+from . import arguments, machines
 from . import bus as buses
-from . import machines
 
 GAIN_OBJECTS = (
     "velocity_control_gain", "velocity_control_time", "position_control_gain",
@@ -144,7 +144,7 @@ def _fitted(
     from ...envs.twin.fit import choose
 
     objects = _gains(options)
-    free = tuple(name.strip() for name in options.free.split(",") if name.strip())
+    free = tuple(arguments.listed(options.free))
     first = family(names[0]).given(built, objects)
     experiments = logs.read(
         options.logs, first.make(options.drive), options.drive, first.axis, who=options.axis,

@@ -31,6 +31,6 @@ def _watch(options: argparse.Namespace, console: Console) -> int:
 
         writable("--record", options.record, file=bool(options.record.suffix))
     return watch.run(
-        options.env, options.policy, options.drive, options.episodes, options.seed,
-        options.speed, options.record, console, dict(options.argument or ()),
+        arguments.setup(options), options.policy, options.episodes, options.seed, options.speed,
+        options.record, console,
     )  # fmt: skip

@@ -4,17 +4,14 @@ Every policy is compared with the best baseline, episode by episode.
 """
 
 import io
-import json
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
-from ...envs.environment.registry import short, task
 from ...envs.view.about import Metric
+from .. import report
 from ..pictures.recording import Recording
 from ..policies import needed
 from ..report import (
@@ -29,8 +26,10 @@ from ..report import (
     write_page,
 )
 from ..scale.work import ALONE, Work
-from .comparison import ZERO, Comparison, Early
+from ..setup import Setup
+from .comparison import ZERO, Comparison, Early, Request, quoted
 from .episodes import Evaluation
+from .grid import played
 from .metrics import METRICS, RESAMPLES, SEEN, Difference, Summary, paired
 from .parts import warm
 from .tables import IDLE, SCORE, SHARES, ahead, best, column_of, differences, summaries
@@ -117,99 +116,94 @@ def draw(
 
 
 def run(
-    command: str, env: str, policies: Sequence[str], drive: str, episodes: int, seed: int,
-    out: Path | None, console: Console, arguments: Mapping[str, Any] | None = None, traced: int = 0,
-    work: Work = ALONE,
+    command: str, request: Request, out: Path | None, console: Console, work: Work = ALONE
 ) -> int:  # fmt: skip
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
-    The second picture is of the episode `traced`. Without `out` each comparison has a folder of its
+    The second picture is of the traced episode. Without `out` each comparison has a folder of its
     own; results of another one are never written over.
     """
-    chosen = f"--policy {policies[0]}" if command == "eval" else f"--policies {','.join(policies)}"
-    source = origin(
-        f"servogym {command} {env} {chosen} --drive {drive} --episodes {episodes} --seed {seed}"
-        + (f" --trace {traced}" if traced else "")
-        + "".join(f" --argument {_quoted(*one)}" for one in (arguments or {}).items())
-    )
-    name = "-".join([command, folder_of(env), Path(drive).name])
-    out = kept_folder(out, name, f"{command}.json", source["command"])
-    comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
-    title, episode = f"{env}, drive {drive}", f"episode {traced} of seed {seed}"
+    setup = request.setup
+    source = origin(request.command(command))
+    out = kept_folder(out, f"{command}-{setup.stem}", f"{command}.json", source["command"])
+    comparison = Comparison(request)
+    episode = f"episode {request.traced} of seed {request.seed}"
 
     def picture(traces: Sequence[Recording]) -> bytes:
         from ..pictures import episode as pictured  # matplotlib, which no job needs
 
-        return pictured.drawn(f"{title}, {episode}", _moving(traces))
+        return pictured.drawn(f"{setup}, {episode}", _moving(traces))
 
     early = Early(comparison, picture)
-    found = work.map(
-        comparison.jobs, folder=out, console=console, warm=[warm(env, drive)],
-        then=early,
-    )  # fmt: skip
-    results = comparison.results(found)
-    table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
-    heading = ["metric", *(column_of(result.policy) for result in results)]
-    rows = [
-        [metrics[metric].heading, *(_cell(metric, s) for s in columns)]
-        for metric, columns in table.items()
-    ]
-    shown = Table(*heading, title=f"{env}, drive {drive}, {episodes} episodes, seed {seed}")
-    for row in rows:
-        shown.add_row(*row)
-    console.print(shown)
-    names = [result.policy for result in results]
-    by = task(env).METRIC
-    against = best(table, names, by, metrics[by].better)
-    apart = differences(results, against) if len(results) > 1 else {}
-    sorted_out = [metric for metric in table if metrics[metric].better]
-    pages = markdown(heading, rows)
-    if apart:
-        pages += f"\n## Against {column_of(against)}, on the same episodes\n\n" + markdown(
-            heading,
-            [
-                [
-                    metrics[metric].heading,
-                    *(
-                        _apart(metric, found, metrics[metric].better, policy)
-                        for policy, found in zip(names, apart[metric], strict=True)
-                    ),
-                ]
-                for metric in sorted_out
-                if metric in apart
-            ],
+    with played(comparison, work, console, out, warm=[warm(setup)], then=early) as results:
+        table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
+        heading = ["metric", *(column_of(result.policy) for result in results)]
+        rows = [
+            [metrics[metric].heading, *(_cell(metric, s) for s in columns)]
+            for metric, columns in table.items()
+        ]
+        title = f"{setup}, {request.episodes} episodes, seed {request.seed}"
+        console.print(report.table(heading, rows, title))
+        by = setup.task.METRIC
+        against = best(table, [r.policy for r in results], by, metrics[by].better)
+        apart = differences(results, against) if len(results) > 1 else {}
+        pages = markdown(heading, rows) + _sections(heading, results, table, apart, against, by)
+        write_page(
+            out / f"{command}.md", str(setup), pages, source, _notes(request, results, table)
         )
+        write_json(out / f"{command}.json", _data(source, setup, results, table, against, apart))
+        draw(out / f"{command}.png", str(setup), results, table)
+        written = f"{out / command}.md, .json and .png"
+        if early.picture:
+            write_bytes(out / f"{command}_trace.png", early.picture)
+            written = f"{out / command}.md, .json, .png and _trace.png"
+        console.print(written)
+    return 0
+
+
+def _sections(
+    heading: Sequence[str], results: Sequence[Evaluation],
+    table: Mapping[str, Sequence[Summary | None]],
+    apart: Mapping[str, Sequence[Difference | None]], against: str, by: str,
+) -> str:  # fmt: skip
+    """The tables of the page below the first: differences, pairs, the worst."""
+    metrics = {"score": SCORE, **results[0].metrics}
+    judged = [metric for metric in table if metrics[metric].better]
+    pages = ""
+    if apart:
+        rows = [
+            [
+                metrics[metric].heading,
+                *(
+                    _apart(metric, found, metrics[metric].better, result.policy)
+                    for result, found in zip(results, apart[metric], strict=True)
+                ),
+            ]
+            for metric in judged if metric in apart
+        ]  # fmt: skip
+        pages += f"\n## Against {column_of(against)}, on the same episodes\n\n"
+        pages += markdown(heading, rows)
     if apart and metrics[by].better:
         pages += _pairs_page(results, against, by, metrics[by])
-    pages += "\n## Worst training, worst 5 % of the episodes\n\n" + markdown(
-        heading,
-        [
-            [metrics[metric].heading, *(_worst(metric, s) for s in table[metric])]
-            for metric in sorted_out
-        ],
-    )
+    rows = [[metrics[name].heading, *(_worst(name, s) for s in table[name])] for name in judged]
+    return pages + "\n## Worst training, worst 5 % of the episodes\n\n" + markdown(heading, rows)
+
+
+def _notes(
+    request: Request, results: Sequence[Evaluation], table: Mapping[str, Sequence[Summary | None]]
+) -> str:
+    metrics, count = {"score": SCORE, **results[0].metrics}, request.episodes
     notes = (
         f"Interquartile mean [95 % interval, {RESAMPLES} resamples of trainings and episodes] over "
-        f"{episodes} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[episodes - 1]}; "
-        f"{_trainings(results)}{_needs(policies)}shares are means. Differences are those of the "
-        "(interquartile) means, in bold where the interval is on the better side of 0. "
-        f"Score: {_scale(env, results)}.\n\n"
+        f"{count} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[count - 1]}; "
+        f"{_trainings(results)}{_needs(request.policies)}shares are means. Differences are those "
+        "of the (interquartile) means, in bold where the interval is on the better side of 0. "
+        f"Score: {_scale(request.setup.task.REFERENCE, results)}.\n\n"
     )
-    notes += "\n".join(
+    return notes + "\n".join(
         f"- {metrics[metric].heading}: {metrics[metric].what}"
-        for metric in table
-        if metrics[metric].what
-    )
-    write_page(out / f"{command}.md", title, pages, source, notes)
-    write_json(out / f"{command}.json", _data(source, env, drive, results, table, against, apart))
-    draw(out / f"{command}.png", title, results, table)
-    written = f"{out / command}.md, .json and .png"
-    if early.picture:
-        write_bytes(out / f"{command}_trace.png", early.picture)
-        written = f"{out / command}.md, .json, .png and _trace.png"
-    console.print(written)
-    work.clear(comparison.jobs, out)
-    return 0
+        for metric in table if metrics[metric].what
+    )  # fmt: skip
 
 
 def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: Metric) -> str:
@@ -231,24 +225,13 @@ def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: M
     return f"\n## {row.heading}, in pairs with {column_of(against)}\n\n" + markdown(heading, rows)
 
 
-def folder_of(env: str) -> str:
-    """The id of a task as a part of a folder's name."""
-    return short(task(env).ID).replace("/", "-")
-
-
 def _moving(traces: Sequence[Recording]) -> list[Recording]:
     """By their labels; of idle policies only where there is no other."""
     moving = [trace for trace in traces if trace.policy not in IDLE] or traces
     return [trace._replace(policy=column_of(trace.policy)) for trace in moving]
 
 
-def _quoted(name: str, value: Any) -> str:
-    """As typed in a shell: ``NAME=VALUE``, a text as it is, all else in JSON."""
-    return shlex.quote(f"{name}={value if isinstance(value, str) else json.dumps(value)}")
-
-
-def _scale(env: str, results: Sequence[Evaluation]) -> str:
-    one = task(env).REFERENCE
+def _scale(one: str, results: Sequence[Evaluation]) -> str:
     if not one:
         return "none, the task has no reference"
     if all(result.by_training("score") is None for result in results):
@@ -261,7 +244,7 @@ def _scale(env: str, results: Sequence[Evaluation]) -> str:
 def _needs(policies: Sequence[str]) -> str:
     rows = [(policy, needed(policy)) for policy in policies]
     return "".join(
-        f"{policy} in an environment with {', '.join(_quoted(*one) for one in own.items())}; "
+        f"{policy} in an environment with {', '.join(quoted(*one) for one in own.items())}; "
         for policy, own in rows if own
     )  # fmt: skip
 
@@ -271,11 +254,11 @@ def _trainings(results: Sequence[Evaluation]) -> str:
     return f"trainings: {', '.join(several)}; " if several else ""
 
 
-def _data(source, env, drive, results, table, against, apart) -> dict[str, Any]:
+def _data(source, setup: Setup, results, table, against, apart) -> dict[str, Any]:
     return {
         **source,
-        "env": env,
-        "drive": drive,
+        "env": setup.name,
+        "drive": setup.drive,
         "seeds": sorted(set(results[0].seeds)),
         "against": against,
         "policies": {

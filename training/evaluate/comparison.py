@@ -4,17 +4,23 @@ Score: 0 is holding still, 1 the reference of the task, both as the interquartil
 returns over the same episodes.
 """
 
+import json
+import shlex
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
-from ...envs.environment.registry import task
+from ...envs.environment.servo_env import ServoEnv
 from ..pictures.recording import Recording
 from ..policies import POLICIES, needed
 from ..scale.job import Result
 from ..scale.work import ALONE, Work
+from ..setup import Setup
 from .episodes import Evaluation, fixed
+from .grid import played
 from .metrics import iqm
 from .parts import Episodes, warm
 from .tables import summaries
@@ -31,47 +37,89 @@ def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray
     return (returns - low) / span if span > 0.0 else np.full_like(returns, np.nan)
 
 
-class Comparison:
-    """Policies on the fixed episodes: the jobs that play them, and the evaluations they give.
+@dataclass(frozen=True)
+class Request:
+    """Policies to be played on fixed episodes: what a user asks of `eval` and `compare`.
 
     Args:
-        env: id of the environment.
+        setup: of the environments.
         policies: by name, each in an environment with the arguments it needs; or classes and
-            functions (`policies.file.policy_of`).
-        drive: drive model.
+            functions (`policies.file.policy_of`). One that is named twice is played once.
         episodes: how many, 1..1000.
         seed: of the episodes.
-        arguments: of the environment; the ends of the score keep the way they command.
         traced: the episode to be recorded, 0 being the first.
-        console: a terminal shows there how far it is.
-
-    Raises:
-        ValueError: an unknown environment, drive or policy, before the first episode.
     """
 
-    def __init__(
-        self, env: str, policies: Sequence[Any], drive: str, episodes: int, seed: int,
-        arguments: Mapping[str, Any] | None = None, traced: int = 0,
-    ):  # fmt: skip
-        given = dict(arguments or {})
-        common = {name: value for name, value in given.items() if name not in COMMANDING}
-        kind = task(env)
-        ends = [ZERO, kind.REFERENCE] if kind.REFERENCE else []
-        seeds = fixed(seed, episodes)
-        if not 0 <= traced < episodes:
+    setup: Setup
+    policies: Sequence[Any]
+    episodes: int
+    seed: int = 0
+    traced: int = 0
+
+    @property
+    def seeds(self) -> list[int]:
+        """Seeds of the episodes. Raises ValueError for numbers out of range."""
+        return fixed(self.seed, self.episodes)
+
+    @property
+    def each(self) -> list[Any]:
+        """The policies, each once."""
+        return list(dict.fromkeys(self.policies))
+
+    def needed(self, policy: Any) -> Setup:
+        """Where a policy plays: the arguments it needs, and those that are given."""
+        return self.setup.having(needed(policy) | dict(self.setup.arguments))
+
+    def command(self, name: str, more: str = "") -> str:
+        """The command that asks for it."""
+        option = "policy" if name == "eval" else "policies"
+        return (
+            f"servogym {name} {self.setup.name} --{option} {','.join(self.policies)} "
+            f"--drive {self.setup.drive} --episodes {self.episodes} --seed {self.seed}"
+            + (f" --trace {self.traced}" if self.traced else "")
+            + more
+            + "".join(f" --argument {quoted(*one)}" for one in self.setup.arguments.items())
+        )
+
+
+def quoted(name: str, value: Any) -> str:
+    """``NAME=VALUE`` as typed in a shell: a text as it is, anything else in JSON."""
+    return shlex.quote(f"{name}={value if isinstance(value, str) else json.dumps(value)}")
+
+
+class Comparison:
+    """Policies on the fixed episodes: a cell whose jobs play them, and its evaluations.
+
+    The ends of the score are played as well; they keep the way they command. The jobs that record
+    the traced episode come first.
+
+    Args:
+        request: policies, episodes and environments.
+
+    Raises:
+        ValueError: an unknown drive or policy, before the first episode.
+    """
+
+    def __init__(self, request: Request):
+        setup, seeds = request.setup, request.seeds
+        common = {n: value for n, value in setup.arguments.items() if n not in COMMANDING}
+        ends = [ZERO, setup.task.REFERENCE] if setup.task.REFERENCE else []
+        if not 0 <= request.traced < request.episodes:
             raise ValueError(
-                f"--trace = {traced} is out of range 0..{episodes - 1}: "
+                f"--trace = {request.traced} is out of range 0..{request.episodes - 1}: "
                 "choose one of the episodes, counted from 0"
             )
-        self._played = [(policy, needed(policy) | given) for policy in dict.fromkeys(policies)]
-        self._bounds = [(policy, common | needed(policy)) for policy in ends]
+        asked = [(policy, request.needed(policy)) for policy in request.each]
+        bounds = [(policy, setup.having(common | needed(policy))) for policy in ends]
+        self._played = [(policy, repr(own)) for policy, own in asked]
+        self._bounds = [(policy, repr(own)) for policy, own in bounds]
         self._episodes = {
-            (policy, repr(own)): Episodes(env, policy, drive, seeds, own, traced)
-            for policy, own in (*self._played, *self._bounds)
+            (policy, repr(own)): Episodes(own, policy, seeds, request.traced)
+            for policy, own in (*asked, *bounds)
         }
         jobs = [(key, job) for key, each in self._episodes.items() for job in each.jobs]
-        first = [i for i, (_, job) in enumerate(jobs) if job.arguments["traced"] is not None]
-        order = [*first, *(i for i in range(len(jobs)) if i not in first)]  # `Early` waits for them
+        late = [job.arguments["traced"] is None for _, job in jobs]
+        order = sorted(range(len(jobs)), key=late.__getitem__)  # `Early` waits for the traced ones
         self.jobs = [jobs[i][1] for i in order]
         self._places = {
             key: [order.index(i) for i, (owner, _) in enumerate(jobs) if owner == key]
@@ -81,11 +129,9 @@ class Comparison:
     def results(self, found: Sequence[Result]) -> list[Evaluation]:
         """Of each policy, from the results of the jobs; `score` where the task has a reference."""
         done = {key: self._evaluation(key, found) for key in self._episodes}
-        results = [done[policy, repr(own)] for policy, own in self._played]
+        results = [done[key] for key in self._played]
         if self._bounds:
-            ends = [
-                done[policy, repr(own)].values["episode_return"] for policy, own in self._bounds
-            ]
+            ends = [done[key].values["episode_return"] for key in self._bounds]
             for result, score in [
                 (result, scores(result.values["episode_return"], *ends)) for result in results
             ]:
@@ -102,13 +148,12 @@ class Comparison:
     def _evaluation(
         self, key: tuple[Any, str], found: Sequence[Result] | Mapping[int, Result]
     ) -> Evaluation:
-        return self._episodes[key].evaluation([found[k] for k in self._places[key]])
+        return self._episodes[key].results([found[k] for k in self._places[key]])
 
     def traces(self, found: Mapping[int, Result]) -> list[Recording] | None:
         """Of the traced episode under each policy that recorded it; None while one is missing."""
         traces = []
-        for policy, own in self._played:
-            key = policy, repr(own)
+        for key in self._played:
             (k,) = (k for k in self._places[key] if self.jobs[k].arguments["traced"] is not None)
             if k not in found:
                 return None
@@ -140,9 +185,14 @@ class Early:
 
 
 def evaluate(
-    env: str, policies: Sequence[Any], drive: str, episodes: int, seed: int,
+    env: str | type[ServoEnv], policies: Sequence[Any], drive: str, episodes: int, seed: int,
     arguments: Mapping[str, Any] | None = None, traced: int = 0, work: Work = ALONE,
 ) -> list[Evaluation]:  # fmt: skip
-    """Each policy on the fixed episodes; what is given is that of `Comparison`, and who works."""
-    comparison = Comparison(env, policies, drive, episodes, seed, arguments, traced)
-    return comparison.results(work.map(comparison.jobs, warm=[warm(env, drive)]))
+    """Each policy on the fixed episodes of a task, given by its id or class.
+
+    Further arguments are those of `Setup` and `Request`, and who does the jobs.
+    """
+    setup = Setup.of(env, drive, arguments)
+    comparison = Comparison(Request(setup, policies, episodes, seed, traced))
+    with played(comparison, work, Console(quiet=True), warm=[warm(setup)]) as results:
+        return results

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from ...drive.model.model import load, model_names
 from ...drive.model.names import hint
 from ...envs import FAMILY
-from ...envs.environment.servo_env import ServoEnv
+from ..setup import Setup
 
 VERSION = "v1"
 NOMINAL = "nominal"
@@ -65,18 +65,15 @@ TRANSFER = tuple(
 TABLES = {"all": CONDITIONS, "transfer": TRANSFER}
 
 
-def suiting(
-    kind: type[ServoEnv], drive: str, arguments: Mapping[str, Any],
-    table: Sequence[Condition] = CONDITIONS,
-) -> Iterator[Condition]:  # fmt: skip
+def suiting(setup: Setup, table: Sequence[Condition] = CONDITIONS) -> Iterator[Condition]:
     """The rows that mean something for a task; of `CONDITIONS` those that make it another one."""
-    env = kind(drive=drive, **arguments)
+    env, kind = setup.make(), setup.task
     ranges, own = env.randomisation.ranges, inspect.signature(kind.__init__).parameters
     nominal = env.datasheet
     env.close()
     for row in table:
         known = not row.drive or {*kind.MODES} <= {*load(row.drive).modes}
-        same = row.axis == "drive" and row.drive == drive
+        same = row.axis == "drive" and row.drive == setup.drive
         same |= row.axis == "mechanics" and FAMILY[str(row.value)] == nominal
         if (
             known
@@ -106,14 +103,10 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
     return picked
 
 
-def setting(
-    kind: type[ServoEnv], drive: str, arguments: Mapping[str, Any], row: Condition
-) -> dict[str, Any]:
-    """The arguments of the environment in a condition."""
-    nominal = kind(drive=drive, **arguments)
-    ranges: dict[str, Any] = dict(nominal.randomisation.ranges)
-    nominal.close()
-    drawn = ranges | dict(row.randomise)
-    drawn |= {name: share * ranges[name][1] for name, share in row.beyond.items()}
-    plain = {name: value for name, value in arguments.items() if name != "randomise"}
-    return plain | dict(row.arguments) | {"randomise": drawn}
+def applied(setup: Setup, row: Condition) -> Setup:
+    """The setup in a condition."""
+    drawn = {**setup.ranges, **row.randomise}
+    drawn |= {name: share * setup.ranges[name][1] for name, share in row.beyond.items()}
+    plain = {name: value for name, value in setup.arguments.items() if name != "randomise"}
+    given = plain | dict(row.arguments) | {"randomise": drawn}
+    return setup.having(given, row.drive)

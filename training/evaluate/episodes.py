@@ -5,7 +5,7 @@ small seeds, does not meet them. All episodes run side by side in a vector envir
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any
@@ -84,13 +84,14 @@ class Evaluator:
     """The fixed episodes of one environment.
 
     Args:
-        name: id of the environment.
+        env: id of the environment, or the class of its task.
         drive: drive model.
         episodes: how many, 1..1000.
         seed: evaluation seed.
         seeds: of the episodes, a part of the fixed ones; instead of `episodes` and `seed`.
         options: of the reset of each episode, shape ``(n,)``; none if not given.
         traced: the episode that is recorded, counted from 0; None: none is.
+        prepare: called with each environment before the first episode, as `Setup.prepare`.
         **arguments: of the environment.
 
     Raises:
@@ -99,7 +100,7 @@ class Evaluator:
 
     def __init__(
         self,
-        name: str,
+        env: str | type[ServoEnv],
         *,
         drive: str | DriveModel = "generic",
         episodes: int = 50,
@@ -107,9 +108,10 @@ class Evaluator:
         seeds: Sequence[int] | None = None,
         options: Sequence[dict[str, Any]] = (),
         traced: int | None = 0,
+        prepare: Callable[[ServoEnv], None] | None = None,
         **arguments: Any,
     ):
-        self.task = task(name)
+        self.task = task(env)
         self.metrics = metrics(self.task)
         self.seeds = fixed(seed, episodes) if seeds is None else list(seeds)
         episodes = len(self.seeds)
@@ -127,8 +129,10 @@ class Evaluator:
         self._actions = math.prod(self.env.action_space.shape or ())
         self.steps = self.vector.max_episode_steps
         self.duration = self.steps * self.env.step_time
-        for env in self.vector.envs:
-            env.machine.probe()
+        for each in self.vector.envs:
+            each.machine.probe()
+            if prepare is not None:
+                prepare(each)
 
     def close(self) -> None:
         """Stop the threads."""

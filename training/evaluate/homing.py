@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from ...drive.kernel.encoder import Event
 from ...drive.kernel.homing import HERE, METHODS
@@ -22,12 +21,12 @@ from ...drive.model.model import load
 from ...envs import FAMILY, Machine, linear_axis
 from ...envs.masters.homing_figures import FIGURES, built_in, look, prepare, true_home
 from ...envs.masters.port import MachinePort
-from ..pictures.heat_map import draw
 from ..pictures.homing_gallery import fit_home_switch, home_switch
 from ..policies.file import from_file
-from ..report import markdown, number, origin, write_csv, write_page
+from ..report import number
 from ..scale.job import Job, Result
-from ..scale.work import ALONE, Work
+from .benchmark import Benchmark, Row, Told, known_mechanics
+from .grid import Grid
 
 RUNS, QUICK_RUNS = 50, 2  # of a cell
 SPAN = (0.03, 0.47)  # m, of the starts
@@ -52,30 +51,23 @@ AXES = {  # what is changed of the axis, and of the objects (µm/s)
 AS_DELIVERED = "as delivered"
 VARIANT = {AS_DELIVERED: ""}  # in the table
 
-Row = dict[str, Any]
-OPTIONS = {  # of the command line, where an argument of `jobs` has another name
-    "strategies": "policy", "payloads": "payload", "distances": "distance", "methods": "method",
-    "parameter_file": "parameter-file",
-}  # fmt: skip
+Key = tuple[str, int | str, str]  # axis, method, variant
 
 
-def written(chosen: Mapping[str, Any]) -> str:
-    """Further arguments of `jobs` as the command line has them."""
-    words = []
-    for name, value in chosen.items():
-        values = value if isinstance(value, list | tuple) else [value]
-        own = [v for v in values if name == "methods" and isinstance(v, str)]
-        rest = [v for v in values if v not in own]
-        words += [f"--policy {','.join(own)}"] if own else []
-        text = ",".join(f"{v:g}" if isinstance(v, float) else str(v) for v in rest)
-        words += [f"--{OPTIONS.get(name, name)} {text}"] if rest else []
-    return " ".join(words)
+class Searches:
+    """A cell: one method on one axis, from every start, in one job."""
 
+    def __init__(self, drive: str, key: Key, **given: Any):
+        mechanics, method, variant = key
+        self.jobs = [
+            Job(f"method {method} on {mechanics}, {variant}", searches,
+                {"drive": drive, "mechanics": mechanics, "method": method, "variant": variant,
+                 **given}, (drive,))
+        ]  # fmt: skip
 
-def made_by(what: str, drive: str, quick: bool, chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Origin of the files of a benchmark: the command that makes them again."""
-    part = " --quick" if quick else ""
-    return origin(f"servogym benchmark {what} --drive {drive}{part} {written(chosen)}".rstrip())
+    def results(self, found: Sequence[Result]) -> list[Row]:
+        """A row a run."""
+        return [row for result in found for row in result["rows"]]
 
 
 def searches(
@@ -98,18 +90,16 @@ def searches(
     return {"rows": rows}
 
 
-def jobs(
+def cells(
     drive: str, quick: bool, methods: Sequence[int | str] = (), mechanics: Sequence[str] = (),
     payload: float | None = None, parameter_file: Path | None = None, runs: int | None = None,
-) -> list[Job]:  # fmt: skip
+) -> Grid[Key, list[Row]]:  # fmt: skip
     """One for each axis, method and variant. Raises ValueError for a drive without searches."""
     model = load(drive)
     known = [method for method in model.homing_methods if method not in HERE]
     if not known:
         raise ValueError(f"drive {model.name!r} has no homing method that searches")
-    for name in mechanics:
-        if name not in FAMILY:
-            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join(FAMILY)}")
+    known_mechanics(mechanics)
     for method in methods:
         if isinstance(method, int) and method not in known:
             raise ValueError(f"--method = {method}: drive {model.name!r} has {known}")
@@ -119,27 +109,23 @@ def jobs(
     places = np.linspace(*SPAN, count) + generator.uniform(-0.004, 0.004, count)
     starts = [round(float(x), 6) for x in places]
     file = str(parameter_file) if parameter_file else None
-
-    def job(name: str, method: int | str, variant: str) -> Job:
-        seeds = [int(generator.integers(1, 2**63)) for _ in starts]
-        return Job(
-            f"method {method} on {name}, {variant}", searches,
-            {"drive": drive, "mechanics": name, "method": method, "variant": variant,
-             "starts": starts, "seeds": seeds, "payload": payload, "parameter_file": file},
-            (drive,),
-        )  # fmt: skip
-
     family = mechanics or (QUICK_FAMILY if quick else FAMILY)
-    todo = [job(name, m, AS_DELIVERED) for name in family for m in (*methods, *chosen)]
+    keys: list[Key] = [(name, m, AS_DELIVERED) for name in family for m in (*methods, *chosen)]
     if not quick and BESIDE in known:
-        others = [variant for variant in AXES if variant != AS_DELIVERED]
-        todo += [
-            job(name, BESIDE, variant)
+        keys += [
+            (name, BESIDE, variant)
             for name in mechanics or BESIDE_ON
-            for variant in others
-            if not (name == "vertical" and variant.startswith("inclined"))
+            for variant in AXES
+            if variant != AS_DELIVERED
+            and not (name == "vertical" and variant.startswith("inclined"))
         ]
-    return todo
+    grid = Grid[Key, list[Row]]()
+    for key in dict.fromkeys(keys):
+        seeds = [int(generator.integers(1, 2**63)) for _ in starts]
+        grid.cells[key] = Searches(
+            drive, key, starts=starts, seeds=seeds, payload=payload, parameter_file=file
+        )
+    return grid
 
 
 def _run(
@@ -260,7 +246,7 @@ def sides(rows: list[Row], edge: float) -> tuple[np.ndarray, np.ndarray]:
     return _of(left, "error_um"), _of(right, "error_um")
 
 
-def sentences(cells: list[Row]) -> list[str]:
+def sentences(cells: Sequence[Row]) -> list[str]:
     """What the table says, with the numbers that carry it."""
     told = []
     for mechanics in dict.fromkeys(cell["mechanics"] for cell in cells):
@@ -286,29 +272,25 @@ def sentences(cells: list[Row]) -> list[str]:
     return told
 
 
-def _cells(rows: list[Row]) -> list[Row]:
-    cells = []
-    keys = list(dict.fromkeys((r["mechanics"], r["method"], r["variant"]) for r in rows))
-    for mechanics, method, variant in keys:
-        runs = [r for r in rows if (r["mechanics"], r["method"], r["variant"])
-                == (mechanics, method, variant)]  # fmt: skip
-        errors = _of(runs, "error_um")
-        left, right = sides(runs, FAMILY[mechanics].home_switch)
-        low, high = interval(two_sided, left, right)
-        turns = _of([r for r in runs if r["index_turn"] is not None], "index_turn")
-        ones = [repeatability(each) for each in (left, right)]
-        cells.append({
-            "mechanics": mechanics, "method": method, "variant": variant, "runs": len(runs),
-            "failures": len(runs) - len(errors), "near": sum(bool(r["index_near"]) for r in runs),
-            "time": _of(runs, "time_s").mean() if len(errors) else np.nan,
-            "worst": errors[np.abs(errors).argmax()] if len(errors) else np.nan,
-            "R": np.nanmax(ones) if np.isfinite(ones).any() else np.nan,
-            "A": two_sided(left, right), "A_low": low, "A_high": high,
-            "impact": _of(runs, "impact_J").max() if len(errors) else np.nan,
-            "index": histogram(turns),
-            "failure": next((r["failure"] for r in runs if r["failure"]), ""),
-        })  # fmt: skip
-    return cells
+def figures(key: Key, runs: list[Row]) -> Row:
+    """What the runs of a cell come to."""
+    mechanics, method, variant = key
+    errors = _of(runs, "error_um")
+    left, right = sides(runs, FAMILY[mechanics].home_switch)
+    low, high = interval(two_sided, left, right)
+    turns = _of([r for r in runs if r["index_turn"] is not None], "index_turn")
+    ones = [repeatability(each) for each in (left, right)]
+    return {
+        "mechanics": mechanics, "method": str(method), "variant": variant, "runs": len(runs),
+        "failures": len(runs) - len(errors), "near": sum(bool(r["index_near"]) for r in runs),
+        "time": _of(runs, "time_s").mean() if len(errors) else np.nan,
+        "worst": errors[np.abs(errors).argmax()] if len(errors) else np.nan,
+        "R": np.nanmax(ones) if np.isfinite(ones).any() else np.nan,
+        "A": two_sided(left, right), "A_low": low, "A_high": high,
+        "impact": _of(runs, "impact_J").max() if len(errors) else np.nan,
+        "index": histogram(turns),
+        "failure": next((r["failure"] for r in runs if r["failure"]), ""),
+    }  # fmt: skip
 
 
 def histogram(turns: np.ndarray) -> str:
@@ -318,25 +300,9 @@ def histogram(turns: np.ndarray) -> str:
     return " ".join(map(str, np.histogram(np.mod(turns, 1.0), 5, (0.0, 1.0))[0]))
 
 
-def run(
-    drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE,
-    chosen: Mapping[str, Any] | None = None,
-) -> int:  # fmt: skip
-    """Measure, and write homing.csv, homing.md and homing.png to `out`; -> exit status.
-
-    Args:
-        drive: drive model.
-        quick: a small part.
-        out: folder.
-        console: where to tell how far it is.
-        work: who does the jobs.
-        chosen: further arguments of `jobs`.
-    """
-    todo = jobs(drive, quick, **(chosen or {}))
-    results = work.map(todo, folder=out, console=console, warm=todo[:1])
-    rows: list[Row] = [row for result in results for row in result["rows"]]
-    source = made_by("homing", drive, quick, chosen or {})
-    cells = _cells(rows)
+def told(found: Mapping[Key, list[Row]]) -> Told:
+    """What a page and a picture tell of the runs of each cell."""
+    cells = [figures(key, runs) for key, runs in found.items()]
     table = [
         [
             c["method"], c["mechanics"] + VARIANT.get(c["variant"], f", {c['variant']}"),
@@ -350,19 +316,17 @@ def run(
         "method", "axis", "time (s)", "worst error (µm)", "R (µm)", "A (µm)",
         "index distance (fifths of a turn)", "largest impact (J)", "failures", "index warnings",
     ]  # fmt: skip
-    count = max(c["runs"] for c in cells)
     notes = (
-        f"{count} runs a cell, from starts over the whole stroke: mean time, error of the largest "
+        f"{max(c['runs'] for c in cells)} runs a cell, from starts over the whole stroke: mean "
+        "time, error of the largest "
         "size (the home found minus the true edge, index pulse or stop; the drive sees its motor, "
         "so what is elastic in between counts). R: repeatability of ISO 230-2 from one side of the "
         "home switch (the larger of both, four standard deviations); A: of both sides together, "
         f"with its {CONFIDENCE:.0%} interval by bootstrap. Index distance: how often the pulse "
         "came in each fifth of a turn from the edge. Index warnings: runs in which the index pulse "
         "lay so near to the edge that home may jump by a turn (warning FF10h of `generic`); then "
-        "the switch belongs half a pitch farther.\n\n"
-    ) + "\n".join(f"- {sentence}" for sentence in sentences(cells))
-    write_csv(out / "homing.csv", source, rows)
-    write_page(out / "homing.md", f"Homing, drive {drive}", markdown(heading, table), source, notes)
+        "the switch belongs half a pitch farther."
+    )
     shown = [c for c in cells if c["variant"] == AS_DELIVERED]
     methods = list(dict.fromkeys(c["method"] for c in shown))
     family = list(dict.fromkeys(c["mechanics"] for c in shown))
@@ -388,10 +352,12 @@ def run(
         "A (µm)": panel("A"),
         "largest impact (J)": panel("impact"),
     }
-    title = f"homing methods, drive {drive}"
-    failures = panel("failures").astype(int)
-    draw(out / "homing.png", title, methods, family, panels, failures, why)
-    done = sum(row["attained"] for row in rows)
-    console.print(f"{done} of {len(rows)} runs found a reference; {out / 'homing'}.csv, .md, .png")
-    work.clear(todo, out)
-    return 0
+    runs = [row for own in found.values() for row in own]
+    done = f"{sum(row['attained'] for row in runs)} of {len(runs)} runs found a reference"
+    return Told(
+        heading, table, notes, sentences(cells), methods, family, panels,
+        panel("failures").astype(int), why, done,
+    )  # fmt: skip
+
+
+HOMING = Benchmark("homing", "Homing", "homing methods", cells, told, lambda drive, jobs: jobs[:1])

@@ -15,15 +15,18 @@ import numpy as np
 from rich.console import Console
 
 from ...drive.model import foreign
-from ...envs.environment.registry import task
+from ...envs.environment.registry import short
 from ...envs.environment.servo_env import ServoEnv
 from ..policies import Bound, make, needed
 from ..report import PACKAGES, markdown, number, origin, write_text
 from ..scale.work import ALONE, Work
-from .matrix import Matrix
+from .comparison import Request
+from .episodes import Evaluation
+from .grid import Grid, played
+from .matrix import matrix
 from .metrics import Summary, metrics, summarise
 from .parts import warm
-from .submission import ENDING, Submission, Table, fits, packed, played, read, write
+from .submission import ENDING, Submission, Table, fits, of_task, packed, read, write
 from .suite import Suite
 
 RETURN, SUCCESS = "episode_return", "success"
@@ -53,53 +56,50 @@ def play(
         folder: where what is done is kept until all is.
     """
     assert suite.seed is not None, "it is drawn from a submission"
-    matrices = {
-        env: Matrix(env, [policy], part.drive, suite.seed, suite.episodes, {}, part.rows)
-        for env, policy in policies.items()
-        for part in [suite.parts[env]]
-    }
-    jobs = [job for matrix in matrices.values() for job in matrix.jobs]
-    warming = [warm(env, suite.parts[env].drive) for env in policies]
-    found = iter(work.map(jobs, folder=folder, console=console, warm=warming))
-    table: dict[str, dict[str, dict[str, list[list[float | None]]]]] = {}
-    for env, matrix in matrices.items():
-        played = matrix.results([next(found) for _ in matrix.jobs])
-        table[env] = {}
-        for condition, (result,) in played.items():
-            kept = {
-                name: None if result is None else result.by_training(name) for name in _told(env)
+    parts = {env: suite.parts[env] for env in policies}
+    grid = Grid({
+        env: matrix(Request(part.setup, [policies[env]], suite.episodes, suite.seed), part.rows)
+        for env, part in parts.items()
+    })  # fmt: skip
+    warming = [warm(part.setup) for part in parts.values()]
+    with played(grid, work, console, folder, warm=warming) as found:
+        return {
+            env: {
+                row.name: _values(part.setup.task, found[env].get((row.name, policies[env])))
+                for row in part.rows
             }
-            table[env][condition] = {
-                name: [[_plain(value) for value in row] for row in values]
-                for name, values in kept.items()
-                if values is not None
-            }
-    if folder is not None:
-        work.clear(jobs, folder)
-    return table
+            for env, part in parts.items()
+        }
 
 
-def _told(env: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((RETURN, SUCCESS, task(env).METRIC)))
+def _values(
+    kind: type[ServoEnv], result: Evaluation | None
+) -> dict[str, list[list[float | None]]]:  # fmt: skip
+    """By metric what a table has of an evaluation; nothing of a gap."""
+    if result is None:
+        return {}
+    names = dict.fromkeys((RETURN, SUCCESS, kind.METRIC))
+    kept = {name: values for name in names if (values := result.by_training(name)) is not None}
+    return {name: [[_plain(value) for value in row] for row in v] for name, v in kept.items()}
 
 
 def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def cell(env: str, values: Mapping[str, Any]) -> Cell:
+def cell(kind: type[ServoEnv], values: Mapping[str, Any]) -> Cell:
     """Summaries of what a table has of a condition. Raises ValueError for what are no values."""
-    known = metrics(task(env))
+    known = metrics(kind)
 
     def summary(metric: str) -> Summary | None:
         if metric not in values:
             return None
         array = np.array(values[metric], float)
         if array.ndim != 2 or not np.isfinite(array).any():
-            raise ValueError(f"{env}: {metric} are no values of trainings and episodes")
+            raise ValueError(f"{short(kind.ID)}: {metric} are no values of trainings and episodes")
         return summarise(array, known[metric].better, share=metric == SUCCESS)
 
-    return Cell(summary(RETURN), summary(task(env).METRIC), summary(SUCCESS))
+    return Cell(summary(RETURN), summary(kind.METRIC), summary(SUCCESS))
 
 
 def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
@@ -112,13 +112,13 @@ def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
     """
     chosen, reasons = {}, {}
     for env, part in suite.parts.items():
-        own = played(policy, env)
+        own = of_task(policy, env)
         try:
-            nominal = task(env)(drive=part.drive, **needed(own))
+            nominal = part.setup.having(needed(own)).make()
             if isinstance(make(own, nominal), Bound):
                 raise ValueError(f"policy {own!r} is a limit and plays nothing")
             nominal.close()
-        except (ValueError, TypeError) as error:  # an argument the task does not have
+        except ValueError as error:
             reasons[env] = str(error)
         else:
             chosen[env] = own
@@ -138,7 +138,7 @@ def enter(
     """
     whole, suite = suite, suite.only(tasks, conditions)
     chosen = suiting(suite, policy, tasks)
-    files = packed(policy, [*chosen])
+    files = packed(policy, {env: suite.parts[env].setup.task.ID for env in chosen})
     file = out / f"{entry}{ENDING}"
     source = origin(command)
     made = Submission(
@@ -224,7 +224,7 @@ def check(
     for env, conditions in found.items():
         for condition, values in conditions.items():
             _same(f"{file}, {env}, {condition}", submission, submission.table[env][condition],
-                  values, task(env))  # fmt: skip
+                  values, suite.parts[env].setup.task)  # fmt: skip
     return replace(submission, table=found)
 
 
@@ -302,9 +302,9 @@ def _lines(
     entries: Mapping[str, Submission] | None = None,
 ) -> str:  # fmt: skip
     """The table of a task, best first."""
-    names = [row.name for row in suite.parts[env].rows]
+    names, kind = [row.name for row in suite.parts[env].rows], suite.parts[env].setup.task
     cells = {
-        entry: [cell(env, conditions.get(name, {})) for name in names]
+        entry: [cell(kind, conditions.get(name, {})) for name in names]
         for entry, conditions in tables.items()
     }
     earned = {
@@ -328,7 +328,7 @@ def _lines(
         ]
         for entry in order
     ]
-    return f"{metrics(task(env))[task(env).METRIC].heading}\n\n" + markdown(heading, rows)
+    return f"{metrics(kind)[kind.METRIC].heading}\n\n" + markdown(heading, rows)
 
 
 def _cell(found: Cell) -> str:

@@ -2,19 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
 
-from ...envs.environment.registry import task
 from ..pictures import heat_map
 from ..policies import label
 from ..report import GRID, kept_folder, markdown, number, origin, write_json, write_page
 from ..scale.work import ALONE, Work
-from .compare import folder_of
+from .comparison import Request
 from .conditions import NOMINAL, TABLES, VERSION, Condition, chosen, suiting
-from .matrix import Matrix
+from .episodes import Evaluation
+from .grid import played
+from .matrix import matrix
 from .metrics import Difference, Summary, difference, metrics
 from .parts import warm
 from .tables import ahead, best, column_of, summaries
@@ -22,103 +23,123 @@ from .tables import ahead, best, column_of, summaries
 GAP = "gap"
 
 
+class Entry(NamedTuple):
+    """Of a policy in a condition; without a summary a gap, or no value."""
+
+    summary: Summary | None = None  # of the task's metric
+    difference: Difference | None = None  # from the best baseline
+    success: float = np.nan
+
+    def shown(self, better: str) -> str:
+        """As the page has it."""
+        s = self.summary
+        if s is None:
+            return GAP
+        text = f"{number(s.iqm)} [{number(s.low)}, {number(s.high)}]"
+        sure = self.difference is not None and ahead(self.difference, better)
+        text = f"**{text}**" if sure else text
+        return f"{text}, {100 * self.success:.0f} %" if np.isfinite(self.success) else text
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """As the JSON file has it."""
+        return {
+            "summary": self.summary and self.summary._asdict(), "success": self.success,
+            "difference": self.difference and self.difference._asdict(),
+        }  # fmt: skip
+
+
+def entry(metric: str, result: Evaluation | None, base: Evaluation | None) -> Entry:
+    """Of an evaluation in a condition; `base` is that of the best baseline there."""
+    if result is None:
+        return Entry()
+    found = summaries([result])
+    own = result.by_training(metric)
+    other = base.by_training(metric) if base else None
+    apart = None if result is base or own is None or other is None else difference(own, other)
+    summary, success = (found.get(name, [None])[0] for name in (metric, "success"))
+    return Entry(summary, apart, success.mean if success else np.nan)
+
+
 def run(
-    env: str, policies: Sequence[str], drive: str, episodes: int, seed: int, out: Path | None,
-    console: Console, arguments: Mapping[str, Any], names: str, work: Work = ALONE,
+    request: Request, names: str, out: Path | None, console: Console, work: Work = ALONE
 ) -> int:  # fmt: skip
     """Evaluate, and write conditions.md, .json, .png and _curves.png; -> exit status."""
-    kind, table_of = task(env), TABLES.get(names, TABLES["all"])
-    rows = chosen(list(suiting(kind, drive, arguments, table_of)), names)
-    metric, row_of = kind.METRIC, metrics(kind)
-    source = origin(
-        f"servogym compare {env} --policies {','.join(policies)} --drive {drive} "
-        f"--episodes {episodes} --seed {seed} --conditions {names}"
-    )
-    name = "-".join(["conditions", folder_of(env), Path(drive).name])
-    out = kept_folder(out, name, "conditions.json", source["command"])
-    matrix = Matrix(env, policies, drive, seed, episodes, arguments, rows)
-    jobs = matrix.jobs
-    played = matrix.results(work.map(jobs, folder=out, console=console, warm=[warm(env, drive)]))
-    labels = [label(policy) for policy in matrix.policies]
-    table: dict[str, list[Summary | None]] = {}
-    apart: dict[str, list[Difference | None]] = {}
-    successes: dict[str, list[float]] = {}
-    against = ""
-    for name, results in played.items():
-        found = [result and summaries([result]) for result in results]
-        table[name] = [each[metric][0] if each and metric in each else None for each in found]
-        successes[name] = [
-            s[0].mean if each and (s := each.get("success")) and s[0] else np.nan for each in found
-        ]
-        against = against or best({metric: table[name]}, labels, metric, row_of[metric].better)
-        base = results[labels.index(against)]
-        other = None if base is None else base.by_training(metric)
-        apart[name] = [
-            None
-            if other is None
-            or result is None
-            or result is base
-            or (values := result.by_training(metric)) is None
-            else difference(values, other)
-            for result in results
-        ]
-        console.print(f"{name}: " + ", ".join(
-            f"{column_of(policy)} {number(s.iqm) if s else GAP}"
-            for policy, s in zip(labels, table[name], strict=True)
-        ), highlight=False)  # fmt: skip
+    setup, metric = request.setup, request.setup.task.METRIC
+    rows = chosen(list(suiting(setup, TABLES.get(names, TABLES["all"]))), names)
+    heading, better, _ = metrics(setup.task)[metric]
+    source = origin(request.command("compare", f" --conditions {names}"))
+    out = kept_folder(out, f"conditions-{setup.stem}", "conditions.json", source["command"])
+    grid, policies = matrix(request, rows), request.each
+    labels = [label(policy) for policy in policies]
     shown = [column_of(policy) for policy in labels]
-    better = row_of[metric].better
-    cells = [
-        [name, *(_cell(*each, better) for each in zip(
-            table[name], apart[name], successes[name], strict=True))]
-        for name in table
-    ]  # fmt: skip
-    off = [name for name in table if name != NOMINAL]
+    with played(grid, work, console, out, warm=[warm(setup)]) as found:
+        first = [entry(metric, found.get((rows[0].name, p)), None).summary for p in policies]
+        against = best({metric: first}, labels, metric, better)
+        table: dict[str, list[Entry]] = {}
+        for row in rows:
+            results = [found.get((row.name, policy)) for policy in policies]
+            base = results[labels.index(against)]
+            table[row.name] = [entry(metric, result, base) for result in results]
+            console.print(f"{row.name}: " + ", ".join(
+                f"{column} {number(e.summary.iqm) if e.summary else GAP}"
+                for column, e in zip(shown, table[row.name], strict=True)
+            ), highlight=False)  # fmt: skip
+        _write(out, request, rows, table, against, source, grid.gaps)
+        title = f"{setup.name} off nominal, drive {setup.drive}"
+        values = np.array(
+            [[e.summary.iqm if e.summary else np.nan for e in table[n]] for n in table]
+        )
+        failures = np.array([[e.success < 1.0 for e in table[name]] for name in table])
+        panels, framed, places = _panels(rows, values, failures, heading)
+        heat_map.draw(out / "conditions.png", title, places, shown, panels, framed)
+        drawn = curves(out / "conditions_curves.png", title, rows, table, shown, heading)
+        console.print(f"{out / 'conditions'}.md, .json, .png{' and _curves.png' if drawn else ''}")
+    return 0
+
+
+def _write(
+    out: Path, request: Request, rows: Sequence[Condition], table: Mapping[str, Sequence[Entry]],
+    against: str, source: Mapping[str, Any], gaps: Mapping[tuple[str, Any], str],
+) -> None:  # fmt: skip
+    """The page and the data."""
+    setup, metric = request.setup, request.setup.task.METRIC
+    heading, better, _ = metrics(setup.task)[metric]
+    labels = [label(policy) for policy in request.each]
+    cells = [[name, *(e.shown(better) for e in entries)] for name, entries in table.items()]
+    off = [entries for name, entries in table.items() if name != NOMINAL]
     cells.append(
         [f"ahead of {column_of(against)}, of {len(off)}"]
         + [
-            "–" if policy == against else _ahead([apart[name][i] for name in off], better)
+            "–" if policy == against else _ahead([entries[i].difference for entries in off], better)
             for i, policy in enumerate(labels)
         ]
     )
     notes = (
-        f"{row_of[metric].heading}, interquartile mean [95 % interval over trainings and "
+        f"{heading}, interquartile mean [95 % interval over trainings and "
         "episodes], and success. In bold: the paired difference from "
         f"{column_of(against)} is on the better side of 0 with its interval. Table of conditions "
         f"{VERSION}. Policies know the data sheet of the drive and the mechanics they meet, and "
         "nothing else of the condition."
     )
-    if matrix.gaps:
-        notes += f"\n\nA {GAP} is a condition that a policy does not fit:\n\n{matrix.told()}"
-    title = f"{env} off nominal, drive {drive}"
-    write_page(out / "conditions.md", title, markdown(["condition", *shown], cells), source, notes)
-    write_json(out / "conditions.json", source | {
-        "env": env, "drive": drive, "version": VERSION, "metric": metric, "against": against,
+    if gaps:
+        lines = (f"- {name}, {policy}: {reason}\n" for (name, policy), reason in gaps.items())
+        notes += f"\n\nA {GAP} is a condition that a policy does not fit:\n\n{''.join(lines)}"
+    title = f"{setup.name} off nominal, drive {setup.drive}"
+    columns = ["condition", *map(column_of, labels)]
+    write_page(out / "conditions.md", title, markdown(columns, cells), source, notes)
+    write_json(out / "conditions.json", {
+        **source, "env": setup.name, "drive": setup.drive, "version": VERSION, "metric": metric,
+        "against": against,
         "conditions": {
-            name: {
-                policy: {
-                    "summary": s._asdict() if s else None, "success": success,
-                    "difference": d._asdict() if d else None,
-                }
-                for policy, s, d, success in zip(
-                    labels, table[name], apart[name], successes[name], strict=True)
-            }
-            for name in table
+            name: {policy: e.data for policy, e in zip(labels, entries, strict=True)}
+            for name, entries in table.items()
         },
         "gaps": [
-            {"condition": condition, "policy": label(policy), "reason": reason}
-            for (condition, policy), reason in matrix.gaps.items()
+            {"condition": name, "policy": label(policy), "reason": reason}
+            for (name, policy), reason in gaps.items()
         ],
     })  # fmt: skip
-    values = np.array([[s.iqm if s else np.nan for s in table[name]] for name in table])
-    failures = np.array([[share < 1.0 for share in successes[name]] for name in table])
-    panels, framed, places = _panels(rows, values, failures, row_of[metric].heading)
-    heat_map.draw(out / "conditions.png", title, places, shown, panels, framed)
-    heading = row_of[metric].heading
-    drawn = curves(out / "conditions_curves.png", title, rows, table, shown, heading)
-    console.print(f"{out / 'conditions'}.md, .json, .png{' and _curves.png' if drawn else ''}")
-    work.clear(jobs, out)
-    return 0
 
 
 def _ahead(apart: Sequence[Difference | None], better: str) -> str:
@@ -128,14 +149,6 @@ def _ahead(apart: Sequence[Difference | None], better: str) -> str:
     sure = sum(ahead(found, better) for found in known)
     of = f" of {len(known)}" if len(known) < len(apart) else ""
     return f"{wins}{of}, by the interval {sure}"
-
-
-def _cell(summary: Summary | None, found: Difference | None, success: float, better: str) -> str:
-    if summary is None:
-        return GAP
-    text = f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]"
-    text = f"**{text}**" if found is not None and ahead(found, better) else text
-    return f"{text}, {100 * success:.0f} %" if np.isfinite(success) else text
 
 
 def _panels(
@@ -154,7 +167,7 @@ def _panels(
 
 def curves(
     path: Path, title: str, rows: Sequence[Condition],
-    table: Mapping[str, Sequence[Summary | None]], policies: Sequence[str], heading: str,
+    table: Mapping[str, Sequence[Entry]], policies: Sequence[str], heading: str,
 ) -> bool:  # fmt: skip
     """The metric over each disturbance that is a number; a panel an axis; -> whether any is."""
     import matplotlib.pyplot as plt
@@ -168,7 +181,7 @@ def curves(
     for panel, axis in zip(panels[0], axes, strict=True):
         own = [row for row in rows if row.axis == axis]
         for i, policy in enumerate(policies):
-            line = [(row.value, s) for row in own if (s := table[row.name][i]) is not None]
+            line = [(row.value, s) for row in own if (s := table[row.name][i].summary) is not None]
             at = [float(value) for value, _ in line]
             panel.plot(at, [s.iqm for _, s in line], "o-", label=policy, color=f"C{i}")
             panel.fill_between(

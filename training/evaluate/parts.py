@@ -2,7 +2,7 @@
 
 import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.engine.checks import words
-from ...envs.environment.registry import task
-from ...envs.environment.servo_env import ServoEnv
 from ..pictures.recording import Recording
 from ..policies import label, make, trainings
 from ..policies.file import SUFFIX
 from ..policies.trained.saved import STATISTICS, ZIP
 from ..scale.job import Job, Result
+from ..setup import Setup
 from .episodes import Evaluation, Evaluator, pooled
 from .metrics import metrics
 
@@ -28,16 +26,19 @@ _last: dict[str, Evaluator] = {}  # what a process played in; the next job may w
 
 
 def play(
-    env: str, drive: str, arguments: Mapping[str, Any], policy: Any, training: int | None,
-    seeds: Sequence[int], traced: int | None, options: Sequence[dict[str, Any]] = (),
+    setup: Setup, policy: Any, training: int | None, seeds: Sequence[int], traced: int | None,
+    options: Sequence[dict[str, Any]] = (),
 ) -> Result:  # fmt: skip
     """The job: some episodes under one policy, of several trainings under one."""
-    key = repr((env, drive, sorted(arguments.items()), len(seeds), options))
+    key = repr((setup, len(seeds), options))
     if key not in _last:
         for evaluator in _last.values():
             evaluator.close()
         _last.clear()
-        _last[key] = Evaluator(env, drive=drive, seeds=seeds, options=options, **arguments)
+        _last[key] = Evaluator(
+            setup.task, drive=setup.drive, seeds=seeds, options=options, prepare=setup.prepare,
+            **setup.arguments,
+        )  # fmt: skip
     evaluator = _last[key]
     evaluator.seeds, evaluator.traced = list(seeds), traced
     chosen = policy if training is None else trainings(policy, evaluator.task.ID)[training]
@@ -51,47 +52,43 @@ def play(
 
 
 class Episodes:
-    """The fixed episodes under one policy: the jobs that play them, and what they found.
+    """The fixed episodes under one policy: a cell whose jobs play some of them each.
 
     Args:
-        env: id of the environment.
+        setup: of the environments.
         policy: by name, or a class or function (`policies.file.policy_of`).
-        drive: drive model.
         seeds: of the episodes.
-        arguments: of the environment.
-        traced: the episode that is recorded, counted from 0.
+        traced: the episode that is recorded, counted from 0; None: none is.
         options: of the reset of each episode; none if not given.
 
     Raises:
-        ValueError: an unknown environment, drive or policy, before the first episode.
+        ValueError: an unknown drive or policy, or one that does not fit, before the first episode.
     """
 
     def __init__(
-        self, env: str, policy: Any, drive: str, seeds: Sequence[int],
-        arguments: Mapping[str, Any], traced: int = 0, options: Sequence[dict[str, Any]] = (),
+        self, setup: Setup, policy: Any, seeds: Sequence[int], traced: int | None = None,
+        options: Sequence[dict[str, Any]] = (),
     ):  # fmt: skip
-        self._policy, self._seeds = policy, list(seeds)
-        self._kind = task(env)
-        try:
-            first = self._kind(drive=drive, **arguments)
-        except TypeError as error:
-            raise ValueError(f"--argument: {words(error)}") from None
+        self._policy, self._seeds, self._setup = policy, list(seeds), setup
+        first = setup.make()
         make(policy, first)
         self._words, self._channels = first.DONE, first.channels()
         self.duration = first.STEPS * first.step_time
         first.close()
-        folders = trainings(policy, self._kind.ID)
+        folders = trainings(policy, setup.task.ID)
         parts = math.ceil(len(self._seeds) / PART)
         edges = np.linspace(0, len(self._seeds), parts + 1).astype(int).tolist()
-        about = f"{label(policy)} on {self._kind.ID.rpartition('/')[2]}"
-        job = partial(Job, function=play, watched=watched(self._kind, drive, policy, folders))
+        about = f"{label(policy)} on {setup.task.ID.rpartition('/')[2]}"
+        job = partial(Job, function=play, watched=watched(setup, policy, folders))
         self.jobs = [
             job(
-                name=f"{about}, drive {drive}, episodes {begin} to {end - 1}",
+                name=f"{about}, drive {setup.drive}, episodes {begin} to {end - 1}",
                 arguments={
-                    "env": env, "drive": drive, "arguments": dict(arguments), "policy": policy,
-                    "training": training, "seeds": self._seeds[begin:end],
-                    "traced": None if training or not begin <= traced < end else traced - begin,
+                    "setup": setup, "policy": policy, "training": training,
+                    "seeds": self._seeds[begin:end],
+                    "traced": traced - begin
+                    if traced is not None and not training and begin <= traced < end
+                    else None,
                     "options": list(options[begin:end]),
                 },
             )
@@ -100,9 +97,9 @@ class Episodes:
         ]  # fmt: skip
         self._parts = parts
 
-    def evaluation(self, results: Sequence[Result]) -> Evaluation:
+    def results(self, found: Sequence[Result]) -> Evaluation:
         """Of the results of the jobs, in their order."""
-        each = [results[i : i + self._parts] for i in range(0, len(results), self._parts)]
+        each = [found[i : i + self._parts] for i in range(0, len(found), self._parts)]
         return pooled(label(self._policy), [self._training(parts) for parts in each])
 
     def _training(self, parts: Sequence[Result]) -> Evaluation:
@@ -116,7 +113,7 @@ class Episodes:
             },
             [fault for part in parts for fault in part["faults"]],
             next((self.trace(part) for part in parts if "time" in part), None),
-            metrics=metrics(self._kind),
+            metrics=metrics(self._setup.task),
         )
 
     def trace(self, part: Result) -> Recording:
@@ -127,30 +124,33 @@ class Episodes:
         )  # fmt: skip
 
 
-def warm(env: str, drive: str) -> Job:
+def warm(setup: Setup) -> Job:
     """A small job that needs all that is compiled for an environment."""
-    return Job(f"compiling for {env}", once, {"env": env, "drive": drive})
+    return Job(f"compiling for {setup.name}", once, {"env": setup.name, "drive": setup.drive})
 
 
 def once(env: str, drive: str) -> Result:
-    """The job: the first step of an episode."""
+    """The job: the first step of an episode, of a task by its id.
+
+    A process that has loaded nothing yet is told of it, before the task can be looked up.
+    """
     evaluator = Evaluator(env, drive=drive, episodes=1)
     evaluator.first_step()
     evaluator.close()
     return {}
 
 
-def watched(
-    kind: type[ServoEnv], drive: str, policy: Any, folders: Sequence[str]
-) -> tuple[str, ...]:
+def watched(setup: Setup, policy: Any, folders: Sequence[str]) -> tuple[str, ...]:
     """Files outside of the package that decide what a policy does."""
     found = [*folders, *(str(Path(f).with_name(STATISTICS)) for f in folders if f.endswith(ZIP))]
     base, _, _ = policy.rpartition(":") if isinstance(policy, str) else ("", "", "")
     if base.endswith(SUFFIX):
         found.append(base)
-    if Path(drive).is_dir():
-        found.append(str(drive))
-    for own in (kind, policy):
+    if Path(setup.drive).is_dir():
+        found.append(str(setup.drive))
+    if setup.parameter_file is not None:
+        found.append(setup.parameter_file)
+    for own in (setup.task, policy):
         if isinstance(own, type) and not own.__module__.startswith(OURS):
             found.append(inspect.getfile(own))
     return tuple(found)

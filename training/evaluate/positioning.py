@@ -13,16 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from ...envs import FAMILY, POINT_TO_POINT
-from ..pictures.heat_map import draw
-from ..report import markdown, number, write_csv, write_page
-from ..scale.job import Job, Result
-from ..scale.work import ALONE, Work
-from .episodes import Evaluator
-from .homing import made_by
-from .parts import warm
+from ..report import number
+from ..scale.job import Result
+from ..setup import Setup
+from .benchmark import Benchmark, Row, Told, known_mechanics
+from .episodes import fixed
+from .grid import Grid
+from .parts import Episodes, warm
 
 STRATEGIES = (
     "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
@@ -58,57 +57,57 @@ SHOWN = (
     "rms_torque_share_of_rated", "rms_jerk_m_s3", "energy_J",
 )  # fmt: skip
 
-Row = dict[str, Any]
+Key = tuple[str, float, str, str]  # axis, payload (kg), condition, strategy
+Means = Mapping[Key, Mapping[str, float]]  # of the figures, over the moves of a cell
 
 
-def moves(
-    drive: str, mechanics: str, payload: float, strategy: str, ways: Any, condition: str,
-    parameter_file: str | None,
-) -> Result:  # fmt: skip
-    """The job: one strategy on one axis in one condition; no rows where it does not suit."""
-    try:
-        evaluator = Evaluator(
-            POINT_TO_POINT.ID, drive=drive, episodes=len(ways), traced=None,
-            options=[{"start": start, "goal": goal} for start, goal in ways],
-            parameters=replace(FAMILY[mechanics], payload=payload), tolerance=TOLERANCE,
-            tuned=True, randomise=CHANGED.get(condition),
-        )  # fmt: skip
-    except ValueError as error:
-        return {"rows": [], "refused": f"{mechanics}, {payload:g} kg: {error}"}
-    try:
-        if parameter_file is not None:
-            for env in evaluator.vector.envs:
-                env.machine.drives["x"].use_parameter_file(parameter_file)
-        found = evaluator.run(strategy)
-    except ValueError as error:  # no spring to shape for, or not enough torque
-        return {"rows": [], "refused": f"{strategy} on {mechanics}, {payload:g} kg: {error}"}
-    finally:
-        evaluator.close()
-    rows = [
-        {
-            "strategy": strategy, "mechanics": mechanics, "payload_kg": payload,
-            "condition": condition, "start_m": start, "goal_m": goal,
-            "settled": int(found.values["settling_time"][i] < evaluator.duration),
-            **{
-                name: round(float(found.values[metric][i]), 6)
-                for name, metric in FIGURES.items()
+class Moves:
+    """A cell: the moves of one strategy on one axis in one condition.
+
+    Raises ValueError where the strategy does not suit: no spring to shape for, not enough torque.
+    """
+
+    def __init__(
+        self, drive: str, key: Key, ways: Sequence[tuple[float, float]],
+        parameter_file: Path | None,
+    ):  # fmt: skip
+        mechanics, payload, condition, strategy = key
+        self._key, self._ways = key, ways
+        options = [{"start": start, "goal": goal} for start, goal in ways]
+        setup = Setup(
+            POINT_TO_POINT, drive,
+            {
+                "parameters": replace(FAMILY[mechanics], payload=payload), "tolerance": TOLERANCE,
+                "tuned": True, "randomise": CHANGED.get(condition),
             },
-        }
-        for i, (start, goal) in enumerate(ways)
-    ]  # fmt: skip
-    return {"rows": rows, "refused": ""}
+            parameter_file=str(parameter_file) if parameter_file else None,
+        )  # fmt: skip
+        self._episodes = Episodes(setup, strategy, fixed(0, len(ways)), options=options)
+        self.jobs = self._episodes.jobs
+
+    def results(self, found: Sequence[Result]) -> list[Row]:
+        """A row a move."""
+        values, longest = self._episodes.results(found).values, self._episodes.duration
+        mechanics, payload, condition, strategy = self._key
+        return [
+            {
+                "strategy": strategy, "mechanics": mechanics, "payload_kg": payload,
+                "condition": condition, "start_m": start, "goal_m": goal,
+                "settled": int(values["settling_time"][i] < longest),
+                **{name: round(float(values[metric][i]), 6) for name, metric in FIGURES.items()},
+            }
+            for i, (start, goal) in enumerate(self._ways)
+        ]  # fmt: skip
 
 
-def jobs(
+def cells(
     drive: str, quick: bool, strategies: Sequence[str] = (), mechanics: Sequence[str] = (),
     payloads: Sequence[float] = (), distances: Sequence[float] = (),
     parameter_file: Path | None = None,
-) -> list[Job]:  # fmt: skip
+) -> Grid[Key, list[Row]]:  # fmt: skip
     """One for each axis, strategy and condition. Raises ValueError as the environment does."""
     POINT_TO_POINT(drive=drive).close()
-    for name in mechanics:
-        if name not in FAMILY:
-            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join(FAMILY)}")
+    known_mechanics(mechanics)
     ways = [
         (start, start + (distance if start < 0.25 else -distance))
         for distance in distances or (QUICK_DISTANCES if quick else DISTANCES)
@@ -117,42 +116,36 @@ def jobs(
     for start, goal in ways:
         if not 0.0 <= goal <= 0.5:
             raise ValueError(f"--distance = {abs(goal - start):g} m: 0.35 m at most")
-    plants = [
-        (name, payload)
+    conditions = [NOMINAL] if quick else [NOMINAL, *CHANGED]
+    grid = Grid[Key, list[Row]]()
+    for key in (
+        (name, payload, condition, strategy)
         for name in mechanics or (QUICK_FAMILY if quick else FAMILY)
         for payload in payloads or (QUICK_PAYLOADS if quick else PAYLOADS)
-    ]
-    file = str(parameter_file) if parameter_file else None
-    conditions = [NOMINAL] if quick else [NOMINAL, *CHANGED]
-    return [
-        Job(
-            f"{strategy} on {name}, {payload:g} kg, {condition}", moves,
-            {"drive": drive, "mechanics": name, "payload": payload, "strategy": strategy,
-             "ways": ways, "condition": condition, "parameter_file": file},
-            (drive,),
-        )
-        for name, payload in plants
         for strategy in dict.fromkeys((*STRATEGIES, *strategies))
         for condition in conditions
         if condition == NOMINAL or payload == CHANGED_PAYLOAD or payloads
-    ]  # fmt: skip
+    ):
+        with grid.tried(key):
+            try:
+                grid.cells[key] = Moves(drive, key, ways, parameter_file)
+            except ValueError as error:
+                raise ValueError(f"{key[0]}, {key[1]:g} kg: {error}") from None
+    return grid
 
 
-def mean(rows: Sequence[Row], name: str, **of: Any) -> float:
-    """Of a figure over the rows that are of it; not a number without any."""
-    found = [row[name] for row in rows if all(row[key] == value for key, value in of.items())]
-    return float(np.mean(found)) if found else math.nan
-
-
-def sentences(rows: Sequence[Row]) -> list[str]:
+def sentences(means: Means) -> list[str]:
     """What the table says, with the numbers that carry it."""
     told = []
-    strategies = list(dict.fromkeys(row["strategy"] for row in rows))
-    plants = list(dict.fromkeys((row["mechanics"], row["payload_kg"]) for row in rows))
+    strategies = list(dict.fromkeys(strategy for *_, strategy in means))
+    plants = list(dict.fromkeys((mechanics, payload) for mechanics, payload, *_ in means))
     rivals = [s for s in strategies if s != INFORMED]
+
+    def of(name: str, *key: Any) -> float:
+        return means.get(key, {}).get(name, math.nan)
+
     for mechanics, payload in plants:
-        of = {"mechanics": mechanics, "payload_kg": payload, "condition": NOMINAL}
-        times = {s: mean(rows, "settling_s", strategy=s, **of) for s in rivals}
+        times = {s: of("settling_s", mechanics, payload, NOMINAL, s) for s in rivals}
         times = {s: t for s, t in times.items() if math.isfinite(t)}
         if len(times) < 2:
             continue
@@ -163,7 +156,7 @@ def sentences(rows: Sequence[Row]) -> list[str]:
                 f", {100 * (1 - times[best] / plain):.0f} % before the drive's own jerk-limited "
                 f"profile ({plain:.3f} s)"
             )
-        torque = mean(rows, "rms_torque_share_of_rated", strategy=best, **of)
+        torque = of("rms_torque_share_of_rated", mechanics, payload, NOMINAL, best)
         told.append(
             f"{text}; it takes {100 * torque:.0f} % of the rated torque (rms), which heats the "
             f"motor by {100 * torque**2:.0f} % of what it bears."
@@ -171,12 +164,11 @@ def sentences(rows: Sequence[Row]) -> list[str]:
     for mechanics in dict.fromkeys(name for name, _ in plants):
         worst = {}
         for s in rivals:
-            of = {"mechanics": mechanics, "payload_kg": CHANGED_PAYLOAD, "strategy": s}
-            there = [
-                mean(rows, "settling_s", condition=c, **of) for c in CHANGED if c[:9] == "frequency"
-            ]
-            here = mean(rows, "settling_s", condition=NOMINAL, **of)
-            if there and np.all(np.isfinite([*there, here])):
+            here, *there = (
+                of("settling_s", mechanics, CHANGED_PAYLOAD, c, s)
+                for c in (NOMINAL, *CHANGED) if c == NOMINAL or c[:9] == "frequency"
+            )  # fmt: skip
+            if np.all(np.isfinite([*there, here])):
                 worst[s] = max(there) - here
         if worst and mechanics not in ("rigid", "linear_motor"):
             calm, touchy = min(worst, key=lambda s: worst[s]), max(worst, key=lambda s: worst[s])
@@ -187,56 +179,30 @@ def sentences(rows: Sequence[Row]) -> list[str]:
     return told
 
 
-def run(
-    drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE,
-    chosen: Mapping[str, Any] | None = None,
-) -> int:  # fmt: skip
-    """Measure, and write positioning.csv, .md and .png to `out`; -> exit status.
-
-    Args:
-        drive: drive model.
-        quick: a small part.
-        out: folder.
-        console: where to tell how far it is.
-        work: who does the jobs.
-        chosen: further arguments of `jobs`.
-    """
-    todo = jobs(drive, quick, **(chosen or {}))
-    results = work.map(todo, folder=out, console=console, warm=[warm(POINT_TO_POINT.ID, drive)])
-    rows: list[Row] = [row for result in results for row in result["rows"]]
-    if not rows:
-        raise ValueError(next(result["refused"] for result in results if result["refused"]))
-    source = made_by("positioning", drive, quick, chosen or {})
-    strategies = list(dict.fromkeys(row["strategy"] for row in rows))
-    cells = list(
-        dict.fromkeys((row["mechanics"], row["payload_kg"], row["condition"]) for row in rows)
-    )
+def told(found: Mapping[Key, list[Row]]) -> Told:
+    """What a page and a picture tell of the moves of each cell."""
+    means = {
+        key: {name: float(np.mean([row[name] for row in rows])) for name in SHOWN}
+        for key, rows in found.items()
+    }
+    strategies = list(dict.fromkeys(strategy for *_, strategy in found))
+    axes = list(dict.fromkeys(key[:3] for key in found))
     columns = [
         f"{m}, {p:g} kg" + ("" if condition == NOMINAL else f", {condition}")
-        for m, p, condition in cells
+        for m, p, condition in axes
     ]
-    shape = len(strategies), len(cells)
-    means = {name: np.full(shape, np.nan) for name in SHOWN}
-    failures = np.zeros(shape, int)
-    for i, strategy in enumerate(strategies):
-        for k, (mechanics, payload, condition) in enumerate(cells):
-            of = {"strategy": strategy, "mechanics": mechanics, "payload_kg": payload,
-                  "condition": condition}  # fmt: skip
-            failures[i, k] = sum(
-                not row["settled"] for row in rows if all(row[x] == y for x, y in of.items())
-            )
-            for name in SHOWN:
-                means[name][i, k] = mean(rows, name, **of)
+    late = {key: sum(not row["settled"] for row in rows) for key, rows in found.items()}
     table = [
-        [columns[k], strategy, *(number(means[name][i, k]) for name in SHOWN), str(failures[i, k])]
-        for k in range(len(cells))
-        for i, strategy in enumerate(strategies)
-        if np.isfinite(means["settling_s"][i, k])
+        [column, s, *(number(means[*axis, s][name]) for name in SHOWN), str(late[*axis, s])]
+        for axis, column in zip(axes, columns, strict=True)
+        for s in strategies
+        if (*axis, s) in found and np.isfinite(means[*axis, s]["settling_s"])
     ]
     heading = [
         "axis", "strategy", "settling (s)", "overshoot (µm)", "residual vibration (µm)",
         "peak torque / rated", "rms torque / rated", "rms jerk (m/s³)", "energy (J)", "not settled",
     ]  # fmt: skip
+    rows = [row for own in found.values() for row in own]
     ways = sorted({round(1e3 * abs(row["goal_m"] - row["start_m"])) for row in rows})
     notes = (
         f"Means over moves of {', '.join(map(str, ways))} mm, in both directions, on axes as they "
@@ -244,25 +210,32 @@ def run(
         f"±{1e6 * TOLERANCE:g} µm; where it does not within the second of an episode, 1 s counts. "
         "Residual vibration: half the span of what is elastic in the last quarter of the episode, "
         "where nothing but its resonance moves it. `informed_ruckig` is told what was drawn. "
-        "Strategies without a row do not suit the axis.\n\n"
-    ) + "\n".join(f"- {sentence}" for sentence in sentences(rows))
-    write_csv(out / "positioning.csv", source, rows)
-    title = f"Positioning, drive {drive}"
-    write_page(out / "positioning.md", title, markdown(heading, table), source, notes)
+        "Strategies without a row do not suit the axis."
+    )
+
+    def panel(name: str) -> np.ndarray:
+        return np.array(
+            [[means.get((*axis, s), {}).get(name, np.nan) for s in strategies] for axis in axes]
+        )
+
+    failures = np.array([[late.get((*axis, s), 0) for s in strategies] for axis in axes])
+    swing = panel("residual_vibration_um")
+
+    def why(name: str, k: int, i: int) -> str:
+        said = f"it swings by {number(swing[k, i])} µm afterwards"
+        return said + (f", and {failures[k, i]} moves did not settle" if failures[k, i] else "")
+
     panels = {
-        "settling (s)": means["settling_s"].T,
-        "overshoot (µm)": means["overshoot_um"].T,
-        "rms torque / rated": means["rms_torque_share_of_rated"].T,
-    }
-    path = out / "positioning.png"
+        "settling (s)": panel("settling_s"), "overshoot (µm)": panel("overshoot_um"),
+        "rms torque / rated": panel("rms_torque_share_of_rated"),
+    }  # fmt: skip
+    return Told(
+        heading, table, notes, sentences(means), columns, strategies, panels, failures, why,
+        f"{len(rows)} moves",
+    )  # fmt: skip
 
-    def why(panel: str, k: int, i: int) -> str:
-        swing, late = means["residual_vibration_um"][i, k], failures[i, k]
-        said = f"it swings by {number(swing)} µm afterwards"
-        return said + (f", and {late} moves did not settle" if late else "")
 
-    title = f"positioning strategies, drive {drive}"
-    draw(path, title, columns, strategies, panels, failures.T, why)
-    console.print(f"{len(rows)} moves; {out / 'positioning'}.csv, .md, .png")
-    work.clear(todo, out)
-    return 0
+POSITIONING = Benchmark(
+    "positioning", "Positioning", "positioning strategies", cells, told,
+    lambda drive, jobs: [warm(Setup.of(POINT_TO_POINT, drive))],
+)  # fmt: skip

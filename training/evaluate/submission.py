@@ -137,13 +137,13 @@ def _text(submission: Submission) -> bytes:
     return json.dumps(head, ensure_ascii=False, sort_keys=True).encode()
 
 
-def packed(policy: str, tasks: list[str]) -> dict[str, bytes]:
+def packed(policy: str, tasks: Mapping[str, str]) -> dict[str, bytes]:
     """The files a policy is made of, by their names in a submission; none of a baseline.
 
     Args:
         policy: name of a baseline, "learned", ``FILE.py:name``, or a folder: of trainings
             ``seed_*`` or one training, or with such a folder for each task.
-        tasks: that it plays, without the name space.
+        tasks: ids of those it plays, by their names in the suite.
 
     Raises:
         ValueError: it cannot be packed into a file that others can check.
@@ -154,8 +154,8 @@ def packed(policy: str, tasks: list[str]) -> dict[str, bytes]:
     if policy.partition(":")[0] in POLICIES:
         return {}
     files: dict[str, bytes] = {}
-    for env in tasks:
-        for one in map(Path, trainings(played(policy, env), task(env).ID)):
+    for env, identity in tasks.items():
+        for one in map(Path, trainings(of_task(policy, env), identity)):
             inner = saved.folder(one)
             about = saved.read(inner)
             place = f"{env}/seed_{about.get('seed', 0)}"
@@ -175,7 +175,7 @@ def packed(policy: str, tasks: list[str]) -> dict[str, bytes]:
     return files
 
 
-def played(policy: str, env: str) -> str:
+def of_task(policy: str, env: str) -> str:
     """Of a folder with one for each task, that of the task."""
     own = Path(policy) / env
     return str(own) if policy not in (*POLICIES, LEARNED) and own.is_dir() else policy

@@ -14,7 +14,8 @@ from ...drive.model import foreign
 from ...drive.model.files import content
 from ...drive.model.foreign import Key
 from ...drive.model.names import hint
-from ...envs.environment.registry import short, task
+from ...envs.environment.registry import short
+from ..setup import Setup
 from .conditions import NOMINAL, Condition, suiting
 from .episodes import LAST_SEED, fixed
 
@@ -33,7 +34,7 @@ OF_A_TASK = {"drive": Key(str), "conditions": Key(list), HELD_OUT: Key(dict)}
 class Part:
     """A task of a suite."""
 
-    drive: str
+    setup: Setup
     rows: tuple[Condition, ...]
 
 
@@ -74,7 +75,7 @@ class Suite:
                 )
         parts = {
             name: Part(
-                part.drive,
+                part.setup,
                 tuple(row for row in part.rows if not conditions or row.name in conditions),
             )
             for name, part in chosen.items()
@@ -113,15 +114,15 @@ def read(name: str) -> Suite:
 
 
 def _part(path: Path, name: str, own: Mapping[str, Any]) -> Part:
-    kind, drive = task(name), own["drive"]
-    known = {row.name: row for row in suiting(kind, drive, {})}
+    setup = Setup.of(name, own["drive"])
+    known = {row.name: row for row in suiting(setup)}
     if HELD_OUT in own:
         drawn = {
             knob: tuple(value) if isinstance(value, list) else value
             for knob, value in own[HELD_OUT].items()
         }
         try:
-            kind(drive=drive, randomise=drawn).close()
+            setup.having({"randomise": drawn}).make().close()
         except ValueError as error:
             raise ValueError(f"suite {path}, {name}, {HELD_OUT}: {error}") from None
         known[HELD_OUT] = Condition(HELD_OUT, "", drawn)
@@ -133,4 +134,4 @@ def _part(path: Path, name: str, own: Mapping[str, Any]) -> Part:
             )
     if NOMINAL not in own["conditions"]:
         raise ValueError(f"suite {path}, {name}: conditions lack {NOMINAL!r}")
-    return Part(drive, tuple(known[condition] for condition in own["conditions"]))
+    return Part(setup, tuple(known[condition] for condition in own["conditions"]))

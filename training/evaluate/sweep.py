@@ -12,16 +12,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ...drive.model.model import load
-from ...envs.engine.checks import words
-from ...envs.environment.registry import short, task
-from ..report import markdown, number, origin, write_csv, write_json, write_page
+from ...envs.environment.registry import short
+from ..report import markdown, number, origin, table, write_csv, write_json, write_page
 from ..scale.job import Job, Result
 from ..scale.work import Work
+from ..setup import ArgumentError, Setup
 from . import conditions
-from .comparison import Comparison
+from .comparison import Comparison, Request
+from .episodes import Evaluation
+from .grid import Grid
 from .metrics import metrics
 from .parts import warm
 from .tables import SCORE, column_of, summaries
@@ -54,25 +55,23 @@ class Sweep:
     """What is gone through.
 
     Args:
-        tasks: ids.
+        setups: tasks, with the arguments of every environment.
         policies: by name; none where each cell trains its own.
         drives: models.
         conditions: names of the table of conditions, separated by commas; empty: nominal.
         seeds: of the episodes, or of the trainings.
         vary: values or a range by name: arguments of the environment, or hyper-parameters.
-        arguments: of every environment.
         episodes: of each cell.
         algorithm: that trains; empty: none does.
         steps: of each training.
     """
 
-    tasks: Sequence[str]
+    setups: Sequence[Setup]
     policies: Sequence[str]
     drives: Sequence[str]
     conditions: str
     seeds: Sequence[int]
     vary: Mapping[str, Any]
-    arguments: Mapping[str, Any]
     episodes: int
     algorithm: str = ""
     steps: int = 0
@@ -93,55 +92,50 @@ class Sweep:
 
 
 class _Cell(NamedTuple):
-    task: str
-    drive: str
+    """Where policies play, or one is trained: a row of the sweep."""
+
+    drive: str  # as asked for; a condition may have another one
     condition: str
     seed: int
     values: dict[str, Any]
-    playing: str  # the drive of the condition
-    arguments: dict[str, Any]  # of the environment
+    setup: Setup
     settings: dict[str, Any]  # hyper-parameters
 
     @property
     def name(self) -> str:
-        parts = [self.task.rpartition("/")[2], Path(self.drive).name, self.condition]
+        parts = [self.setup.name.rpartition("/")[2], Path(self.drive).name, self.condition]
         parts += [str(self.seed), *(f"{name}={value}" for name, value in self.values.items())]
         return "-".join(parts).replace("/", "_")
 
 
 def _cells(sweep: Sweep, values: Mapping[str, Any], left_out: list[str]) -> Iterator[_Cell]:
-    for env, drive in itertools.product(sweep.tasks, sweep.drives):
-        kind, arguments = task(env), dict(sweep.arguments)
+    for task, drive in itertools.product(sweep.setups, sweep.drives):
+        arguments = dict(task.arguments)
         settings: dict[str, Any] = {}
         hyper: Mapping[str, Any] = {}
         if sweep.algorithm:
             from ..learn import hyperparameters
 
-            hyper = hyperparameters.of(kind, sweep.algorithm)
+            hyper = hyperparameters.of(task.task, sweep.algorithm)
         for name, value in values.items():
             (settings if name in hyper else arguments)[name] = value
+        setup = task.having(arguments, drive)
         try:
-            rows = list(conditions.suiting(kind, drive, arguments))
-            rows = conditions.chosen(rows, sweep.conditions or "nominal")
-            for row in rows:
-                with_row = conditions.setting(kind, drive, arguments, row)
-                given = with_row if sweep.conditions else arguments
-                for seed in sweep.seeds:
-                    yield _Cell(
-                        short(kind.ID), drive, row.name, seed, dict(values), row.drive or drive,
-                        given, settings,
-                    )  # fmt: skip
-        except TypeError as error:
-            raise ValueError(
-                f"--vary, --argument: {words(error)}: see the arguments of {env}"
-            ) from None
+            known = list(conditions.suiting(setup))
+            rows = conditions.chosen(known, sweep.conditions or conditions.NOMINAL)
+            each = [conditions.applied(setup, row) if sweep.conditions else setup for row in rows]
+        except ArgumentError as error:
+            raise ValueError(f"--vary, {error}: see the arguments of {setup.name}") from None
         except ValueError as error:
-            left_out.append(f"{env}, drive {drive}: {error}")
+            left_out.append(f"{setup}: {error}")
+            continue
+        for row, own in zip(rows, each, strict=True):
+            for seed in sweep.seeds:
+                yield _Cell(drive, row.name, seed, dict(values), own, settings)
 
 
 def trained(
-    env: str, drive: str, arguments: Mapping[str, Any], algorithm: str,
-    settings: Mapping[str, Any], seed: int, steps: int,
+    setup: Setup, algorithm: str, settings: Mapping[str, Any], seed: int, steps: int
 ) -> Result:  # fmt: skip
     """The job: a training; the files of its best policy, each as an array of bytes."""
     from tempfile import TemporaryDirectory
@@ -149,8 +143,8 @@ def trained(
     from ..learn.train import train
 
     with TemporaryDirectory() as folder:
-        train(env, steps=steps, out=Path(folder, "run"), drive=drive, algorithm=algorithm,
-              seed=seed, arguments=arguments, settings=settings,
+        train(setup.task, steps=steps, out=Path(folder, "run"), drive=setup.drive,
+              algorithm=algorithm, seed=seed, arguments=setup.arguments, settings=settings,
               evaluate_every=max(steps // EVALUATIONS, 1))  # fmt: skip
         files = sorted(Path(folder, "run", POLICY).iterdir())
         return {path.name: np.frombuffer(path.read_bytes(), np.uint8) for path in files}
@@ -161,57 +155,46 @@ def measure(
     left_out: list[str],
 ) -> tuple[list[list[Row]], list[Job]]:  # fmt: skip
     """Rows for each set of values, and the jobs that were done for them."""
-    each = [list(_cells(sweep, values, left_out)) for values in several]
-    cells = [cell for those in each for cell in those]
-    ready = [warm(*pair) for pair in dict.fromkeys((cell.task, cell.playing) for cell in cells)]
-    names: dict[str, list[str]] = {cell.name: list(sweep.policies) for cell in cells}
+    cells = [(k, c) for k, values in enumerate(several) for c in _cells(sweep, values, left_out)]
+    ready = [warm(s) for s in {(c.setup.name, c.setup.drive): c.setup for _, c in cells}.values()]
+    names: dict[str, list[str]] = {cell.name: list(sweep.policies) for _, cell in cells}
     done: list[Job] = []
     if sweep.algorithm:
-        training = [
+        done = [
             Job(f"training {cell.name}", trained, {
-                "env": cell.task, "drive": cell.playing, "arguments": cell.arguments,
-                "algorithm": sweep.algorithm, "settings": cell.settings, "seed": cell.seed,
-                "steps": sweep.steps,
+                "setup": cell.setup, "algorithm": sweep.algorithm, "settings": cell.settings,
+                "seed": cell.seed, "steps": sweep.steps,
             })
-            for cell in cells
+            for _, cell in cells
         ]  # fmt: skip
-        done += training
-        found = work.map(training, folder=out, console=console, warm=ready)
-        for cell, files in zip(cells, found, strict=True):
+        found = work.map(done, folder=out, console=console, warm=ready)
+        for (_, cell), files in zip(cells, found, strict=True):
             folder = out / TRAINED / cell.name
             folder.mkdir(parents=True, exist_ok=True)
             for name, data in files.items():
                 (folder / name).write_bytes(data.tobytes())
             names[cell.name] = [str(folder)]
         work = replace(work, ray=None)  # nodes elsewhere have no such folders
-    played: list[tuple[_Cell, Comparison]] = []
-    for cell in cells:
-        episodes_of = 0 if sweep.algorithm else cell.seed
-        try:
-            comparison = Comparison(
-                cell.task, names[cell.name], cell.playing, sweep.episodes, episodes_of,
-                cell.arguments,
-            )  # fmt: skip
-            played.append((cell, comparison))
-        except ValueError as error:
-            left_out.append(f"{cell.name}: {error}")
-    if not played:
+    grid = Grid[int, list[Evaluation]]()
+    for i, (_, cell) in enumerate(cells):
+        seed = 0 if sweep.algorithm else cell.seed
+        with grid.tried(i):
+            grid.cells[i] = Comparison(Request(cell.setup, names[cell.name], sweep.episodes, seed))
+    left_out += [f"{cells[i][1].name}: {reason}" for i, reason in grid.gaps.items()]
+    if not grid.cells:
         raise ValueError(left_out[0] if left_out else "there is no environment to sweep over")
-    jobs = [job for _, comparison in played for job in comparison.jobs]
-    left = iter(work.map(jobs, folder=out, console=console, warm=ready))
-    rows: dict[int, list[Row]] = {id(those): [] for those in each}
-    of = {id(cell): id(those) for those in each for cell in those}
-    for cell, comparison in played:
-        results = comparison.results([next(left) for _ in comparison.jobs])
-        rows[of[id(cell)]] += _rows(cell, results)
-    return [rows[id(those)] for those in each], done + jobs
+    played = grid.results(work.map(grid.jobs, folder=out, console=console, warm=ready))
+    rows: list[list[Row]] = [[] for _ in several]
+    for i, results in played.items():
+        rows[cells[i][0]] += _rows(cells[i][1], results)
+    return rows, done + grid.jobs
 
 
-def _rows(cell: _Cell, results: Any) -> Iterator[Row]:
-    kind, table = task(cell.task), summaries(results)
+def _rows(cell: _Cell, results: Sequence[Evaluation]) -> Iterator[Row]:
+    kind, table = cell.setup.task, summaries(results)
     known = metrics(kind)
     for i, result in enumerate(results):
-        row: Row = {"task": cell.task, "drive": Path(cell.drive).name}
+        row: Row = {"task": short(kind.ID), "drive": Path(cell.drive).name}
         row |= {"condition": cell.condition, "seed": cell.seed, **cell.values}
         row |= {"policy": column_of(result.policy), "metric": kind.METRIC}
         row["better"] = known[kind.METRIC].better
@@ -244,8 +227,8 @@ def study(
     except ImportError as error:
         raise ImportError(f"{error}: --trials needs pip install 'servogym[sweep]'") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    one = task(sweep.tasks[0])
-    better = metrics(one)[one.METRIC].better if len(sweep.tasks) == 1 else SCORE.better
+    one = sweep.setups[0].task
+    better = metrics(one)[one.METRIC].better if len(sweep.setups) == 1 else SCORE.better
     directions = optuna.study.StudyDirection
     found = optuna.create_study(
         direction=directions.MAXIMIZE if better == "high" else directions.MINIMIZE,
@@ -307,10 +290,8 @@ def run(
     notes += "".join(f"\n\nLeft out: {reason}" for reason in dict.fromkeys(left_out))
     differ = [i for i, name in enumerate(heading)
               if name in ("policy", "value") or len({line[i] for line in cells}) > 1]  # fmt: skip
-    shown = Table(*(heading[i] for i in differ), title="sweep")
-    for line in cells[:40]:
-        shown.add_row(*(line[i] for i in differ))
-    console.print(shown)
+    shown = [[line[i] for i in differ] for line in cells[:40]]
+    console.print(table([heading[i] for i in differ], shown, "sweep"))
     if len(cells) > 40:
         console.print(f"and {len(cells) - 40} more rows in {out / 'sweep.csv'}", highlight=False)
     write_csv(out / "sweep.csv", source, rows)

@@ -29,6 +29,7 @@ from torch.optim import Adam, Optimizer
 from ...drive.model.names import hint
 from ...envs.engine.checks import words
 from ...envs.environment.registry import short, task
+from ...envs.environment.servo_env import ServoEnv
 from ..policies.trained import saved, weights, zipped
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
@@ -90,7 +91,9 @@ class Run:
             raise ValueError(f"arguments of {self.env_id}: {words(error)}") from None
 
 
-def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None) -> Run:
+def _run(
+    env_id: str | type[ServoEnv], asked: Mapping[str, Any], settings: Mapping[str, Any] | None
+) -> Run:
     """A new run of what is asked for, and the defaults."""
     kind = task(env_id)
     algorithm = asked["algorithm"] or "PPO"
@@ -105,7 +108,10 @@ def _run(env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | No
 
 
 def _started(
-    folder: Path, env_id: str, asked: Mapping[str, Any], settings: Mapping[str, Any] | None
+    folder: Path,
+    env_id: str | type[ServoEnv],
+    asked: Mapping[str, Any],
+    settings: Mapping[str, Any] | None,
 ) -> Run:
     """A new run that begins with the weights of a checkpoint: what is not given is as it was there.
 
@@ -134,7 +140,9 @@ def _started(
     )  # fmt: skip
 
 
-def _continued(folder: Path, env_id: str, asked: Mapping[str, Any], console: Console) -> Run:
+def _continued(
+    folder: Path, env_id: str | type[ServoEnv], asked: Mapping[str, Any], console: Console
+) -> Run:
     """The run of a checkpoint. Raises ValueError where something else is asked for."""
     about = saved.read(folder)
     for name, value in {"env_id": task(env_id).ID, **asked}.items():
@@ -164,7 +172,7 @@ def _continued(folder: Path, env_id: str, asked: Mapping[str, Any], console: Con
 
 
 def train(
-    env_id: str,
+    env_id: str | type[ServoEnv],
     *,
     steps: int = hyperparameters.STEPS,
     out: Path | None = None,
@@ -188,7 +196,7 @@ def train(
     """Train a policy -> score of it and of actions of 0, on the fixed episodes.
 
     Args:
-        env_id: of any task, see `servogym.envs.environment.registry.task`.
+        env_id: of any task, see `servogym.envs.environment.registry.task`, or its class.
         steps: of all environments together, from the beginning of the run.
         out: folder of the run; ``out/ENV-DRIVE-ALGORITHM-SEED`` if not given.
         resume: go on from the latest checkpoint; what is not given is as it was.

@@ -1,0 +1,121 @@
+"""What the benchmarks of homing and of positioning have in common: a grid, a page, a picture.
+
+A benchmark says which cells it plays (`cells`) and what is to be told of them (`told`); the rest,
+from the jobs to the files, is here.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from ...envs import FAMILY
+from ..pictures.heat_map import draw
+from ..report import markdown, origin, write_csv, write_page
+from ..scale.job import Job
+from ..scale.work import ALONE, Work
+from .grid import Grid, played
+
+Row = dict[str, Any]  # of the CSV
+OPTIONS = {  # of the command line, where an argument of `cells` has another name
+    "strategies": "policy", "payloads": "payload", "distances": "distance", "methods": "method",
+    "parameter_file": "parameter-file",
+}  # fmt: skip
+
+
+class Told(NamedTuple):
+    """What a benchmark tells: a table, notes below it, and a picture with a panel a figure."""
+
+    heading: Sequence[str]
+    table: Sequence[Sequence[str]]
+    notes: str
+    sentences: Sequence[str]
+    rows: Sequence[str]  # of the picture
+    columns: Sequence[str]
+    panels: Mapping[str, np.ndarray]
+    failures: np.ndarray
+    why: Callable[[str, int, int], str]
+    done: str  # for the terminal
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A kind of benchmark.
+
+    Args:
+        name: of its files.
+        title: of the page.
+        of: what it compares, for the picture.
+        cells: gives the grid for a drive, of all cells or of a small part, and further choices.
+        told: what is told of the rows of each cell.
+        warm: of the drive and the grid's jobs: small ones that need all that is compiled.
+    """
+
+    name: str
+    title: str
+    of: str
+    cells: Callable[..., Grid[Any, list[Row]]]
+    told: Callable[[Mapping[Any, list[Row]]], Told]
+    warm: Callable[[str, Sequence[Job]], Sequence[Job]]
+
+
+def run(
+    kind: Benchmark, drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE,
+    chosen: Mapping[str, Any] | None = None,
+) -> int:  # fmt: skip
+    """Measure, and write a CSV, a page and a picture to `out`; -> exit status.
+
+    Args:
+        kind: of benchmark.
+        drive: drive model.
+        quick: a small part.
+        out: folder.
+        console: where to show progress.
+        work: who does the jobs.
+        chosen: further arguments of `cells`.
+
+    Raises:
+        ValueError: a choice that is none, or cells of which none can be played.
+    """
+    chosen = chosen or {}
+    grid = kind.cells(drive, quick, **chosen)
+    source = origin(written(kind.name, drive, quick, chosen))
+    path = out / kind.name
+    with played(grid, work, console, out, warm=kind.warm(drive, grid.jobs)) as found:
+        if not any(found.values()):
+            raise ValueError(next(iter(grid.gaps.values())))
+        told = kind.told(found)
+        notes = told.notes + "\n\n" + "\n".join(f"- {sentence}" for sentence in told.sentences)
+        rows = [row for own in found.values() for row in own]
+        write_csv(path.with_suffix(".csv"), source, rows)
+        page = markdown(told.heading, told.table)
+        write_page(path.with_suffix(".md"), f"{kind.title}, drive {drive}", page, source, notes)
+        draw(
+            path.with_suffix(".png"), f"{kind.of}, drive {drive}", told.rows, told.columns,
+            told.panels, told.failures, told.why,
+        )  # fmt: skip
+        console.print(f"{told.done}; {path}.csv, .md, .png")
+    return 0
+
+
+def known_mechanics(names: Sequence[str]) -> None:
+    """Raises ValueError for an axis that is not of the family."""
+    for name in names:
+        if name not in FAMILY:
+            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join(FAMILY)}")
+
+
+def written(what: str, drive: str, quick: bool, chosen: Mapping[str, Any]) -> str:
+    """The command that makes the files again."""
+    words = ["servogym benchmark", what, "--drive", drive, *(["--quick"] if quick else [])]
+    for name, value in chosen.items():
+        values = value if isinstance(value, list | tuple) else [value]
+        own = [v for v in values if name == "methods" and isinstance(v, str)]
+        rest = [v for v in values if v not in own]
+        words += [f"--policy {','.join(own)}"] if own else []
+        text = ",".join(f"{v:g}" if isinstance(v, float) else str(v) for v in rest)
+        words += [f"--{OPTIONS.get(name, name)} {text}"] if rest else []
+    return " ".join(words)
