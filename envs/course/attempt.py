@@ -15,6 +15,14 @@ from .condition import Look, holds
 from .exercise import Exercise, Step
 
 START_HOMING = 0x10  # bit 4 of the controlword in mode hm
+JUMP = 0.1  # s between two looks; more was no time that has passed, but another machine
+# what a look depends on: fields of the record, and variables of the object dictionary
+DISCRETE = ("state", "mode", "fault", "refused_command", "homed", "standstill")
+WORDS = ("controlword", "homing_method")
+MEASURED = (
+    "position_actual_value", "velocity_actual_value", "torque_actual_value",
+    "following_error_actual_value",
+)  # fmt: skip
 
 
 class Observer:
@@ -45,37 +53,50 @@ class Observer:
         self._owner = np.repeat(np.arange(len(sizes)), [size for *_, size in sizes])
         self._names = [name for name, *_ in sizes]
         self._bytes = np.frombuffer(slots[0].view, np.uint8)
+        # the record's own attributes take a microsecond each, columns a tenth
+        axes, self._index = np.asarray(self.drive.axes), self.drive.index
+        self._axes = [axes[name] for name in DISCRETE]
+        self._words = [axes["od"][name] for name in WORDS]
+        self._measured = [axes["od"][name] for name in MEASURED]
         self.begin()
 
     def begin(self) -> None:
         """From here on counts what is refused, written and how large the torque gets."""
         self.drive.axis.refused_command = 0
-        self._before = self._bytes[self._places]
+        self._before = self._bytes[self._places].tobytes()
+        self._key: tuple[int, ...] = ()
         self._values = {name: float(slot.get()) for name, slot in self._slots.items()}
         self._peak = 0.0
 
     def look(self) -> Look:
         """The drive as it is now."""
-        drive, axis = self.drive, self.drive.axis
-        od, written = axis.od, frozenset[str]()
-        now = self._bytes[self._places]
-        if not np.array_equal(now, self._before):
-            changed = np.unique(self._owner[now != self._before])
+        index, written = self._index, frozenset[str]()
+        now = self._bytes[self._places].tobytes()
+        if now != self._before:
+            pair = (np.frombuffer(each, np.uint8) for each in (now, self._before))
+            changed = np.unique(self._owner[np.not_equal(*pair)])
             written = frozenset(self._names[i] for i in changed)
             self._values = self._values | {n: float(self._slots[n].get()) for n in written}
             self._before = now
-        torque = float(od.torque_actual_value)
+        key = tuple(int(column.item(index)) for column in (*self._axes, *self._words))
+        if key != self._key:
+            self._key, self._told = key, self._tell()
+        position, velocity, torque, error = (float(column.item(index)) for column in self._measured)
         self._peak = max(self._peak, abs(torque))
-        mode, controlword = drive.mode, int(od.controlword)
-        homing = mode == Mode.HOMING and controlword & START_HOMING and drive.energised
         return Look(
-            self.machine.time, drive.state.name, command_of(controlword).name, mode.name,
-            cause_of(axis), refused(axis), bool(axis.homed),
-            int(od.homing_method) if homing else 0, not axis.standstill,
-            float(od.position_actual_value) * self._position,
-            float(od.velocity_actual_value) * self._velocity,
-            torque, self._peak, float(od.following_error_actual_value) * self._position,
-            written, self._values,
+            self.machine.time, *self._told, position * self._position, velocity * self._velocity,
+            torque, self._peak, error * self._position, written, self._values,
+        )  # fmt: skip
+
+    def _tell(self) -> tuple[str, str, str, str, str, bool, int, bool]:
+        """What goes by names, which changes seldom."""
+        drive, axis = self.drive, self.drive.axis
+        controlword, mode = int(axis.od.controlword), drive.mode
+        homing = mode == Mode.HOMING and controlword & START_HOMING and drive.energised
+        return (
+            drive.state.name, command_of(controlword).name, mode.name, cause_of(axis),
+            refused(axis), bool(axis.homed), int(axis.od.homing_method) if homing else 0,
+            not axis.standstill,
         )  # fmt: skip
 
 
@@ -192,36 +213,39 @@ class Attempt:
 
     def look(self) -> None:
         """Judge the cycle that has passed; call it after each position cycle."""
-        now = self.machine.time
-        restarted, self._last = now < self._last, now
-        self._time += self.machine.cycle_time
         present = self.present
         if present is None or self.wrong:
             return
-        if restarted:
-            self._lose("The machine was switched off and on: what had happened is lost.")
+        now = self.machine.time
+        passed, self._last = now - self._last, now
+        if not 0.0 <= passed < JUMP:
+            self.lose("The machine was switched off and on: what had happened is lost.")
             return
+        self._time += passed
         look = self._observer.look()
         for when, say in present.wrong:
             if holds(look, when):
-                self._lose(say)
+                self.lose(say)
                 return
         if present.throughout and not holds(look, present.throughout):
-            self._lose(f"This has to hold all the time: {_words(present.throughout)}.")
+            self.lose(f"This has to hold all the time: {_words(present.throughout)}.")
             return
         if holds(look, present.goal[self._reached]):
             self._reached += 1
         if self._reached < len(present.goal):
             return
         if self.asks:
-            self._lose("Answer the question before you do the step.")
+            self.lose("Answer the question before you do the step.")
             return
         self.times.append(self._time)
         self.step += 1
         self._tell(f"step {self.step} of {self.exercise.title!r} is done")
         self._enter()
 
-    def _lose(self, why: str) -> None:
+    def lose(self, why: str) -> None:
+        """End the attempt, and say why; what is done or lost already stays so."""
+        if self.done or self.wrong:
+            return
         self.wrong = why
         self._tell(f"{why} Begin the exercise again.")
 

@@ -57,10 +57,18 @@ def _set_friction(machine: Machine, axis: int, value: float) -> None:
     machine.couplings["friction"][axis] = value
 
 
-# what an exercise may put in an axis' way (N or Nm)
+def _set_noise(machine: Machine, axis: int, value: float) -> None:
+    coupling = machine.couplings[axis]
+    coupling.noise = value
+    if not coupling.noise_state:
+        coupling.noise_state = 0x9E3779B97F4A7C15 + axis  # its generator is never at 0
+
+
+# what an exercise may put in an axis' way (N or Nm), and what ails its encoder (m or rad)
 DISTURBANCES: dict[str, Callable[[Machine, int, float], None]] = {
     "cable_drag": _set_drag,
     "friction": _set_friction,
+    "encoder_noise": _set_noise,
 }
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from ...drive.drive import Drive
 from ...drive.master import Master
 from ..masters.port import MachinePort
-from ..plants.catalogue import AXES, power_on
+from ..plants.catalogue import fresh
 from .attempt import Attempt, Report
 from .exercise import Exercise, named
 
@@ -31,9 +31,7 @@ class Laboratory:
 
     def __init__(self, exercise: str | Exercise, drive: str = "generic"):
         chosen = _chosen(exercise)
-        make, self._places = AXES[chosen.axis]
-        self.machine = make(drive)
-        power_on(self.machine, self._places)
+        self.machine = fresh(chosen.axis, drive)
         self._fresh = self.machine.snapshot()
         self.axis = next(iter(self.machine.drives))
         self.begin(chosen)

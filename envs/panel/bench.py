@@ -85,7 +85,8 @@ class Bench:
         self.set_points = SetPoints(self)
         self.masters = {name: Master(port, name) for name in self.axes}
         self.time = 0.0  # s that have passed, over resets and snapshots
-        self.pace: Callable[[], None] = lambda: None
+        self.pace: Callable[[], bool] = lambda: False  # -> whether a single cycle is asked for
+        self.streams = False  # whether each cycle gets a set-point
         self.doing = ""  # the motion under way
         self.carried_through = False  # it does not end for the next one
         self.log = Log()

@@ -16,10 +16,9 @@ from typing import Any
 from .bench import ENDED, Bench, Interrupted
 
 SLOWEST, FASTEST = 0.1, 10.0
-NAP = 0.004  # s, how long the thread sleeps at least when it is ahead of the wall clock
+NAP = 0.004  # s
 SILENT = "the window that has control is closed, cut off or stands still"
 DEBT = 0.1  # s behind the wall clock that are made up for; more are let go
-PICTURE = 0.04  # s between two snapshots
 MEASURED = 1.0  # s over which the speed is measured
 
 
@@ -28,10 +27,12 @@ class Clock:
 
     Args:
         session: is touched by nobody else from `start` on.
+        pictures: a second, at most, that `shown` is made anew.
+        nap: how long the thread sleeps at least when it is ahead of the wall clock (s).
     """
 
-    def __init__(self, session: Bench):
-        self.session = session
+    def __init__(self, session: Bench, pictures: float = 25.0, nap: float = NAP):
+        self.session, self._picture, self._nap = session, 1 / pictures, nap
         self.speed, self.paused = 1.0, False
         self.achieved = 1.0  # speed over the last second
         self.shown: dict[str, Any] = session.shown()
@@ -52,9 +53,13 @@ class Clock:
         self._mark = time.monotonic(), self.session.time
         self._thread.start()
 
-    def stop(self) -> None:
-        """End, in the middle of a motion if there is one."""
+    def end(self) -> None:
+        """End soon, in the middle of a motion if there is one."""
         self._stopping = True
+
+    def stop(self) -> None:
+        """The same, and wait for it."""
+        self.end()
         if self._thread.is_alive():
             self._thread.join(5.0)
 
@@ -131,7 +136,7 @@ class Clock:
                 time.sleep(NAP)
             finally:
                 self._in_motion = False
-        session.pace = lambda: None
+        session.pace = lambda: False
         if session.real_time:  # what is moved is elsewhere and would go on
             with suppress(Exception):
                 session.abandon("the panel ends")
@@ -151,29 +156,29 @@ class Clock:
         except Exception as error:
             future.set_exception(error)
 
-    def _pace(self) -> None:
-        """Wait until the next cycle is due, and look after requests."""
+    def _pace(self) -> bool:
+        """Wait until the next exchange is due, and look after requests; -> it is a single cycle."""
         while True:
             self._serve()
             if self._stopping or self._is_over():
                 raise Interrupted
             now = time.monotonic()
-            if now - self._drawn >= PICTURE:
+            if now - self._drawn >= self._picture:
                 self._show(now)
                 if self.session.control.lost(now):
                     self.stop_motion(lambda s: s.abandon(SILENT))
             if self.session.real_time:
-                return
+                return False
             if self.paused:
                 if self._single:
                     self._single -= 1
                     self._rebase()
-                    return
+                    return True
                 if self._motions:
                     self.paused = False  # who commands a motion wants to see it
                     continue
                 self._rebase()
-                self._wait(NAP * 4)
+                self._wait(self._nap * 4)
                 continue
             if not self._begin:
                 self._rebase()
@@ -181,8 +186,8 @@ class Clock:
             if ahead <= 0:
                 if -ahead / self.speed > DEBT:
                     self._rebase()
-                return
-            self._wait(max(ahead / self.speed, NAP))
+                return False
+            self._wait(max(ahead / self.speed, self._nap))
 
     def _is_over(self) -> bool:
         """Whether the motion under way ends for one that waits."""

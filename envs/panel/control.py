@@ -19,12 +19,12 @@ class Control:
         self.holder: str | None = None
         self.takeovers = 0
         self.who = ""  # whose request is carried out now
-        self._windows: dict[str, str] = {}  # names by tab
+        self.named: dict[str, str] = {}  # by tab
         self._seen: float | None = None  # when the holder was there last (s); None: it never says
 
     def name(self, tab: str) -> str:
         """What the log calls a tab."""
-        return self._windows.setdefault(tab, f"window {len(self._windows) + 1}")
+        return self.named.setdefault(tab, f"window {len(self.named) + 1}")
 
     def take(self, tab: str) -> None:
         """Sit down; the one who sat there before watches from now on."""

@@ -1,7 +1,8 @@
 """Who may ask: the one that knows the token, from a page of our own.
 
 The token is asked for on the loopback, too: other people's programs on this computer reach it. It
-comes as ``?token=`` once and as a cookie from then on. A stranger's page that the same browser has
+comes as ``?token=`` once and as a cookie from then on; the address loses it, for it may be seen on
+a projector. A stranger's page that the same browser has
 open has no cookie of ours, or, as a page of another port of this computer, another origin; a name
 that somebody points here (DNS rebinding) has no cookie either. So the host does not matter: behind
 a proxy, an ``ssh -L`` with another port and by a bare name it is another one, and that is right.
@@ -10,10 +11,11 @@ a proxy, an ``ssh -L`` with another port and by a bare name it is another one, a
 import hmac
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from typing import Any, Protocol
+from urllib.parse import parse_qs, quote, urlsplit
 
 Scope = MutableMapping[str, Any]
+Receive = Send = Callable[..., Awaitable[Any]]
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsewhere
     (b"x-frame-options", b"DENY"),
@@ -23,7 +25,7 @@ HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsew
         b"'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' "
         b"ws: wss:; object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'none'",
     ),
-    (b"referrer-policy", b"no-referrer"),  # the first address has the token
+    (b"referrer-policy", b"same-origin"),  # "no-referrer" would take the origin of a form, too
     (b"x-content-type-options", b"nosniff"),
 )
 
@@ -33,71 +35,130 @@ def is_loopback(host: str) -> bool:
     return host in LOOPBACK
 
 
+PERSON = "servogym.person"  # of a scope: who asks
+LEAVE = "/leave"  # the browser forgets its token
+
+
+class Door(Protocol):
+    """Who has a token, and what strangers get."""
+
+    def person(self, token: str) -> Any:
+        """Whose token it is, None of a stranger."""
+
+    async def answer(
+        self, scope: Scope, receive: Receive, send: Send, cookie: Callable[[str], bytes]
+    ) -> bool:
+        """Answer a stranger's HTTP request; -> whether it was. `cookie` makes one of a token."""
+
+
+class Owner:
+    """Of a panel: the one token, and nothing for strangers."""
+
+    def __init__(self, token: str):
+        self.token = token
+
+    def person(self, token: str) -> "Owner | None":
+        """The owner, or nobody."""
+        return self if hmac.compare_digest(self.token.encode(), token.encode()) else None
+
+    async def answer(
+        self, scope: Scope, receive: Receive, send: Send, cookie: Callable[[str], bytes]
+    ) -> bool:
+        """Nothing."""
+        return False
+
+
 class Guard:
     """Lets pass what may, and answers the rest with 403 and a sentence.
 
     Args:
         app: what is guarded, an ASGI application.
-        token: that has to be known.
+        door: knows tokens.
         name: of the cookie: one for each server, for a browser keeps them by host, not by port.
     """
 
-    def __init__(self, app: Callable[..., Awaitable[None]], token: str, name: str):
-        self.app, self.token, self.name = app, token, name
+    def __init__(self, app: Callable[..., Awaitable[None]], door: Door, name: str):
+        self.app, self.door, self.name = app, door, name
 
-    async def __call__(
-        self, scope: Scope, receive: Callable[..., Any], send: Callable[..., Any]
-    ) -> None:  # fmt: skip
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1")
                    for name, value in scope["headers"]}  # fmt: skip
-        wrong, cookie = self.judge(headers, scope.get("query_string", b"").decode("latin-1"))
-        if not wrong:
-            secure = headers.get("x-forwarded-proto", scope.get("scheme", "")) in ("https", "wss")
-            await self.app(scope, receive, self._sending(send, cookie, secure))
-        elif scope["type"] == "websocket":
+        secure = headers.get("x-forwarded-proto", scope.get("scheme", "")) in ("https", "wss")
+        plain = scope["type"] == "http"
+        wrong, given, person = self.judge(headers, scope.get("query_string", b"").decode("latin-1"))
+        own = _with_headers(send)
+        if not wrong and given and plain and scope["method"] == "GET":
+            place = headers.get("x-forwarded-prefix", "") + scope["path"]
+            where = "/" + place.lstrip("/\\")  # of this server, whatever it looks like
+            await answer(own, 303, "", (b"location", quote(where).encode()),
+                          (b"set-cookie", self._cookie(given, secure)))  # fmt: skip
+        elif not wrong and plain and scope["path"] == LEAVE:
+            gone = self._cookie("", secure) + b"; Max-Age=0"
+            await answer(own, 303, "", (b"location", b"."), (b"set-cookie", gone))
+        elif not wrong:
+            scope[PERSON] = person
+            await self.app(scope, receive, own)
+        elif not plain:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": wrong[:100]})
-        else:
-            body = f"servogym panel: {wrong}\n".encode()
-            kind = (b"content-type", b"text/plain; charset=utf-8")
-            headers_ = [kind, *HEADERS]
-            await send({"type": "http.response.start", "status": 403, "headers": headers_})
-            await send({"type": "http.response.body", "body": body})
+        elif self.stranger(headers) or not await self.door.answer(
+            scope, receive, own, lambda token: self._cookie(token, secure)
+        ):
+            await answer(own, 403, f"servogym panel: {wrong}\n")
 
-    def judge(self, headers: dict[str, str], query: str) -> tuple[str, bool]:
-        """Why a request is refused, empty if it is not; and whether the cookie is to be set."""
+    @staticmethod
+    def stranger(headers: dict[str, str]) -> str:
+        """Why a page that asks is none of ours; empty if it is, or where no page asks."""
         origin = headers.get("origin")
         if origin is not None:
             served = {headers.get("host", "").lower(), headers.get("x-forwarded-host", "").lower()}
             if urlsplit(origin).netloc.lower() not in served - {""}:
                 return (
                     f"origin {origin[:80]!r} is a stranger here; a proxy has to pass the header "
-                    "Host, or X-Forwarded-Host", False,
-                )  # fmt: skip
+                    "Host, or X-Forwarded-Host"
+                )
         if headers.get("sec-fetch-site") == "cross-site" and "upgrade" in headers:
-            return "a stranger's page may not connect", False
+            return "a stranger's page may not connect"
+        return ""
+
+    def judge(self, headers: dict[str, str], query: str) -> tuple[str, str, Any]:
+        """Why a request is refused, empty if it is not; the token in its address; who asks."""
+        if wrong := self.stranger(headers):
+            return wrong, "", None
         given = parse_qs(query).get("token", [""])[0]
-        if given and hmac.compare_digest(given.encode(), self.token.encode()):
-            return "", True
+        if given and (person := self.door.person(given)) is not None:
+            return "", given, person
         try:
             kept = SimpleCookie(headers.get("cookie", "")).get(self.name)
         except CookieError:
             kept = None
-        if kept is not None and hmac.compare_digest(kept.value.encode(), self.token.encode()):
-            return "", False
-        return "the token is missing: open the address that `servogym panel` has printed", False
+        if kept is not None and (person := self.door.person(kept.value)) is not None:
+            return "", "", person
+        return "the token is missing: open the address that the command has printed", "", None
 
-    def _sending(self, send: Callable[..., Any], cookie: bool, secure: bool) -> Callable[..., Any]:
-        kept = f"{self.name}={self.token}; Path=/; HttpOnly; SameSite=Strict" + "; Secure" * secure
+    def _cookie(self, token: str, secure: bool) -> bytes:
+        kept = f"{self.name}={token}; Path=/; HttpOnly; SameSite=Strict" + "; Secure" * secure
+        return kept.encode()
 
-        async def sending(message: MutableMapping[str, Any]) -> None:
-            if message["type"] == "http.response.start":
-                own = [(b"set-cookie", kept.encode())] if cookie else []
-                message["headers"] = [*message.get("headers", []), *HEADERS, *own]
-            await send(message)
 
-        return sending
+def _with_headers(send: Send) -> Send:
+    async def sending(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", []), *HEADERS]
+        await send(message)
+
+    return sending
+
+
+async def answer(
+    send: Send, status: int, text: str, *headers: tuple[bytes, bytes],
+    kind: str = "text/plain",
+) -> None:  # fmt: skip
+    """A page of a few lines."""
+    own = (b"content-type", f"{kind}; charset=utf-8".encode()), (b"cache-control", b"no-store")
+    await send({"type": "http.response.start", "status": status, "headers": [*own, *headers]})
+    await send({"type": "http.response.body", "body": text.encode()})

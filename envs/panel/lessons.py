@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from ..course.attempt import Attempt
 from ..course.exercise import Exercise
+from .journal import Journal
 from .session import Session
 
 
@@ -16,6 +17,8 @@ class Progress(NamedTuple):
         text: of the step; empty when all is done.
         wrong: why the exercise is lost, empty if it is not.
         hints: number of hints given for the step.
+        used: number of hints given for all steps.
+        steps: how many there are.
         asks: whether the step waits for a prediction.
     """
 
@@ -24,6 +27,8 @@ class Progress(NamedTuple):
     text: str
     wrong: str
     hints: int
+    used: int
+    steps: int
     asks: bool
 
 
@@ -43,11 +48,16 @@ class Pupil:
 
     def __init__(self, session: Session, axis: str, exercise: Exercise):
         session.release()
+        if session.pupil is not None:
+            session.pupil.end()
+        session.pupil, self._session, self._told = None, session, False
         session.machine.restore(session.fresh)
-        self.exercise = exercise
+        session.delay = 0.0
+        self.exercise, self.axis = exercise, axis
         self.attempt = Attempt(
             exercise, session.machine, axis, lambda text: session.tell("done", text)
         )
+        self.journal = session.journal = Journal()
 
     @property
     def present(self) -> Progress:
@@ -56,9 +66,55 @@ class Pupil:
         step = attempt.present
         return Progress(
             self.exercise.title, attempt.step, step.text if step else "", attempt.wrong,
-            len(attempt.hinted), attempt.asks,
+            len(attempt.hinted), attempt.hints, len(self.exercise.steps), attempt.asks,
         )  # fmt: skip
 
+    @property
+    def over(self) -> bool:
+        """Whether it is done or lost."""
+        return self.attempt.done or bool(self.attempt.wrong)
+
     def look(self) -> None:
-        """Judge the cycle that has passed."""
-        self.attempt.look()
+        """Judge what has passed."""
+        if not self._told:
+            self.attempt.look()
+            self._tell()
+
+    def _tell(self) -> None:
+        if self.over and not self._told:
+            self.end()
+
+    def end(self) -> None:
+        """The attempt is over, or given up: who keeps results is told, once."""
+        if not self._told:
+            self._told, self._session.journal = True, None
+            self._session.attempted(self)
+
+    def hint(self) -> str:
+        """The next hint; it is counted."""
+        self.journal.enter("hint")
+        return self.attempt.hint()
+
+    def predict(self, option: int) -> bool:
+        """Answer the question of the step. Raises ValueError: there is none."""
+        self.journal.enter("predict", option)
+        return self.attempt.predict(option)
+
+    def lose(self, why: str) -> None:
+        """The exercise ends; nothing that was done already is lost."""
+        if not self.over:
+            self.journal.enter("lose", why)
+            self.attempt.lose(why)
+            self._tell()
+
+
+def begin(session: Session, axis: str, exercise: Exercise) -> None:
+    """Begin an exercise on an axis of a session. Raises ValueError: the machine cannot."""
+    session.pupil = Pupil(session, axis, exercise)
+
+
+def leave(session: Session) -> None:
+    """Leave the exercise; the machine stays as it is."""
+    if session.pupil is not None:
+        session.pupil.end()
+        session.pupil = None

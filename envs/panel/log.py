@@ -46,10 +46,10 @@ class Log:
         writer.writerow(["number", "time (s)", "kind", "axis", "by", "event", "reason", "remedy"])
         for e in self.events:
             row = (e.axis, e.who, e.text, e.reason, e.remedy)
-            writer.writerow([e.number, f"{e.time:.4f}", e.kind, *map(_plain, row)])
+            writer.writerow([e.number, f"{e.time:.4f}", e.kind, *map(plain, row)])
         return text.getvalue()
 
 
-def _plain(text: str) -> str:
-    """No formula where a spreadsheet opens it."""
+def plain(text: str) -> str:
+    """A text for a cell: no formula where a spreadsheet opens it."""
     return f"'{text}" if text[:1] in "=+-@" else text

@@ -1,14 +1,17 @@
-"""Serve the panel of a session: the loopback alone, unless told otherwise."""
+"""Serve the panel of a session, or a class room: the loopback alone, unless told otherwise."""
 
 import os
 import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from .bench import Bench
+from .classroom import Classroom
 from .clock import Clock
-from .guard import Guard, is_loopback
+from .guard import Door, Guard, Owner, is_loopback
+from .reception import Reception
 
 PORT = 8402
 
@@ -53,7 +56,7 @@ def serve(
     session: Bench, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     pictures: int = 25, tell: Callable[[str], object] = print, token: str = "",
 ) -> None:  # fmt: skip
-    """Serve until the process is told to end.
+    """Serve the panel of a session until the process is told to end.
 
     Args:
         session: runs in real time from now on.
@@ -68,37 +71,92 @@ def serve(
         ValueError: the port cannot be had.
         ImportError: nicegui is missing.
     """
-    try:
-        from nicegui import app, ui
-    except ImportError:
-        raise ImportError("the panel needs nicegui: pip install 'servogym[panel]'") from None
-    from .pages.shell import build
-
-    free(host, port)
+    build = _pages().build
     token = token or kept_token()
     clock = Clock(session)
-
-    first = f"/?token={token}"
 
     async def root() -> None:
         await build(clock, pictures)
 
     def begin() -> None:
         clock.start()
-        where = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "::1") else host
-        tell(f"panel of {session.title} on http://{where}:{port}{first}")
+        tell(f"panel of {session.title} on {address(host, port)}?token={token}")
         if not is_loopback(host):
             tell(
                 f"open to whoever reaches {host} and knows the token: they command the machine, "
                 "read and write its parameters; nothing is encrypted"
             )
 
+    _run(root, Owner(token), begin, clock.stop, host=host, port=port,
+         title=f"servogym panel · {session.title}", browser=browser, token=token)  # fmt: skip
+
+
+def serve_class(
+    room: Classroom, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
+    tell: Callable[[str], object] = print, token: str = "",
+) -> None:  # fmt: skip
+    """Serve a class room until the process is told to end; as `serve`.
+
+    Args:
+        room: the class room.
+        host: address to listen on.
+        port: TCP port.
+        browser: whether to open one, on the teacher's wall.
+        tell: is told the addresses and the code of the class.
+        token: of the teacher; this user's own if none is given.
+
+    Raises as `serve` does.
+    """
+    pages = _pages()
+    token = token or kept_token()
+    door = Reception(room, token)
+    where = address(host, port)
+
+    async def root() -> None:
+        await pages.show_class(room, door, where)
+
+    def begin() -> None:
+        tell(f"the teacher's wall: {where}?token={token}")
+        tell(f"pupils open {where} and give the code {room.word} and a name")
+        if is_loopback(host):
+            tell("only this computer reaches it; for pupils on others: --host 0.0.0.0")
+        else:
+            tell(f"open to whoever reaches {host}; nothing is encrypted, see docs/how-to/class.md")
+
+    _run(root, door, begin, room.end, host=host, port=port, title="servogym class room",
+         browser=browser, token=token)  # fmt: skip
+
+
+def address(host: str, port: int) -> str:
+    """Where a browser finds it."""
+    if host in ("0.0.0.0", "::"):
+        return f"http://{socket.gethostname()}:{port}/"
+    name = "localhost" if host in ("127.0.0.1", "::1") else host
+    return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"
+
+
+def _pages() -> Any:
+    try:
+        from .pages import shell
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "nicegui":
+            raise
+        raise ImportError("the panel needs nicegui: pip install 'servogym[panel]'") from None
+    return shell
+
+
+def _run(
+    root: Callable[[], Any], door: Door, begin: Callable[[], None], end: Callable[[], None], *,
+    host: str, port: int, title: str, browser: bool, token: str,
+) -> None:  # fmt: skip
+    from nicegui import app, ui
+
+    free(host, port)
     app.on_startup(begin)
-    app.on_shutdown(clock.stop)
-    app.add_middleware(Guard, token=token, name=f"servogym_panel_{port}")
+    app.on_shutdown(end)
+    app.add_middleware(Guard, door=door, name=f"servogym_panel_{port}")
     ui.run(
-        root, host=host, port=port, title=f"servogym panel · {session.title}",
-        show=first if browser else False, reload=False, tailwind=False, show_welcome_message=False,
-        dark=False,         favicon="⚙️", reconnect_timeout=10.0, uvicorn_logging_level="error",
-        ws_per_message_deflate=False,
+        root, host=host, port=port, title=title, show=f"/?token={token}" if browser else False,
+        reload=False, tailwind=False, show_welcome_message=False, dark=False, favicon="⚙️",
+        reconnect_timeout=10.0, uvicorn_logging_level="error", ws_per_message_deflate=False,
     )  # fmt: skip

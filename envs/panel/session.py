@@ -1,5 +1,6 @@
 """Session: the panel without a browser, on a machine in this process."""
 
+import base64
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from ...drive.trace import reader, unit_of
 from ..engine.machine import Machine
 from ..masters.port import MachinePort
 from .bench import Agent, Bench, Interrupted
+from .journal import ACTS, Journal
 
 __all__ = ["Agent", "Interrupted", "Laboratory", "Session"]
 EVERY = 8  # cycles between two looks for faults
@@ -47,30 +49,65 @@ class Session(Bench):
     Args:
         machine: to be driven, with one drive or several.
         title: what people call it.
+        cycles: position cycles an exchange with the masters, the scope and the judge, as a field
+            bus has several; set-points that are streamed, and a policy, get each cycle.
     """
 
     machine: Machine
 
-    def __init__(self, machine: Machine, title: str = ""):
-        self.machine = machine
+    def __init__(self, machine: Machine, title: str = "", cycles: int = 1):
+        self.machine, self.cycles = machine, cycles
+        self.journal: Journal | None = None  # of the exercise that is being done
+        self.attempted: Callable[[Any], object] = lambda pupil: None  # a `lessons.Pupil` is over
         self._port = _Port(machine, self)
-        self._cycle = 0
+        self._cycle = self._sampled = self._watched = 0
         super().__init__(self._port, title or type(machine).__name__)
-        self.scope = self._scope(machine.cycle_time)
+        self.scope = self._scope(machine.cycle_time * cycles)
+        if cycles > 1:
+            self.sampling = (
+                f"Every {cycles}th position cycle is a sample, {{rate}} a second of the machine."
+            )
         self.fresh = machine.snapshot()  # what an exercise begins with
 
     def exchange(self) -> None:
-        """One position cycle: paced, stepped, recorded, watched."""
-        self.pace()
+        """The next position cycles: paced, stepped, recorded, watched."""
+        single = self.pace()
         self._port.deliver()
-        self.machine.step()
-        self.time += self.machine.cycle_time
-        self.scope.sample(self.time)
-        self._cycle += 1
-        if not self._cycle % EVERY:
+        fine = single or self.streams or self.agent is not None
+        self.pass_cycles(1 if fine else self.cycles)
+
+    def pass_cycles(self, cycles: int) -> None:
+        """Let position cycles pass, and look at what has come of them."""
+        if self.journal is not None:
+            self.journal.passed(cycles)
+        self.machine.step(cycles)
+        self.time += cycles * self.machine.cycle_time
+        self._cycle += cycles
+        if self._cycle >= self._sampled + self.cycles:
+            self._sampled = self._cycle
+            self.scope.sample(self.time)
+        if self._cycle >= self._watched + EVERY:
+            self._watched = self._cycle
             self._watch_faults()
         if self.pupil is not None:
             self.pupil.look()
+
+    def act(self, what: str, *arguments: Any) -> Any:
+        """Act on the machine from outside: each page, master and experiment does it here.
+
+        Args:
+            what: of `journal.ACTS`.
+            arguments: of it. Raises what it raises.
+        """
+        if self.journal is not None:
+            self.journal.enter(what, *arguments)
+        return ACTS[what](self.machine, *arguments)
+
+    def examined(self) -> str:
+        """Why what ails the machine stays as it is, if it does: it belongs to an exercise."""
+        if self.pupil is None or self.pupil.over:
+            return ""
+        return "an exercise is under way, and this belongs to it: finish or leave it first"
 
     # ---------------------------------------------------------------- objects
 
@@ -97,7 +134,7 @@ class Session(Bench):
     def write(self, axis: str, name: int | str, *arguments: float) -> str:
         """Write an object as a master does; -> why it is refused, if it is."""
         try:
-            self.machine.drives[axis].write(name, *arguments)
+            self.act("write", axis, name, *arguments)
         except (SdoAbort, TypeError, ValueError) as error:
             return str(error)
         return ""
@@ -145,11 +182,11 @@ class Session(Bench):
 
     def commission(self, axis: str, values: Mapping[str, float]) -> str:
         """Give a drive gains, all or none; -> why they are refused."""
-        drive, before = self.machine.drives[axis], self.gains(axis, values)
+        before = self.gains(axis, values)
         try:
-            drive.commission(values)
-        except SdoAbort as error:
-            drive.commission(before)
+            self.act("commission", axis, dict(values))
+        except (SdoAbort, ValueError) as error:
+            self.act("commission", axis, before)
             return self._failed(f"{axis}: gains", str(error))
         self.tell("done", f"{axis}: gains set")
         return ""
@@ -166,6 +203,7 @@ class Session(Bench):
         if name not in self.kept:
             return f"there is no snapshot {name!r}"
         self.release()
+        self._lose("back at a snapshot")
         try:
             self.machine.restore(self.kept[name])
         except ValueError as error:
@@ -182,7 +220,7 @@ class Session(Bench):
         drive = self.machine.drives[axis]
         if drive.energised:
             return "the drive has power: disable it before its parameters change as a whole"
-        wrong = drive.use_parameters(content)
+        wrong = self.act("parameters", axis, base64.b64encode(content).decode())
         if not wrong:
             self.tell("done", f"{axis}: parameters loaded")
         return wrong
@@ -190,6 +228,7 @@ class Session(Bench):
     def reset(self) -> None:
         """Power off and on again, the joints where they are."""
         self.release()
+        self._lose("switched off and on")
         self._port.forget()
         positions = {}
         for name, coupling in zip(self.axes, self.machine.couplings, strict=True):
@@ -199,8 +238,17 @@ class Session(Bench):
             return
         self.machine.reset()
 
+    def _lose(self, what: str) -> None:
+        if self.pupil is not None:
+            self.pupil.lose(f"The machine is {what}: what had happened is lost.")
+
     def hand_over(self, agent: Agent) -> None:
-        """Let an agent command from now on. Raises Refused while another one does."""
+        """Let an agent command from now on.
+
+        Raises Refused while another one does, or somebody is doing an exercise.
+        """
+        if why := self.examined():
+            raise Refused("hand over", why)
         if self.agent is not None:
             raise Refused("hand over", f"{self.agent.name} has the machine", "take it back first")
         self.agent = agent
@@ -255,7 +303,7 @@ class _Port(MachinePort):
         if self._session.delay or self._late:
             self._late.append((self._session.time + self._session.delay, axis, name, value))
         else:
-            super().write(axis, name, value)
+            self._session.act("write", axis, name, value)
 
     def exchange(self) -> None:
         """One cycle of the session."""
@@ -266,7 +314,7 @@ class _Port(MachinePort):
         while self._late and self._late[0][0] <= self._session.time:
             _, axis, name, value = self._late.popleft()
             try:
-                super().write(axis, name, value)
+                self._session.act("write", axis, name, value)
             except (SdoAbort, TypeError) as error:
                 self._session.tell("refused", f"{axis}: {error}", axis)
 

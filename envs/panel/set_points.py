@@ -138,10 +138,14 @@ class SetPoints:
         units = self.bench.units(axis)
         unit = {"position": units.position, "velocity": units.velocity, "torque": 0.1}[kind]
         begin = master.port.now()
-        while (now := master.port.now() - begin) < time:
-            master.write(name, round(wave(now) / unit))
-            if master.state is not State.OPERATION_ENABLED:
-                master.follow(self._mode_of(axis, kind))  # says why
+        self.bench.streams = kind == "position"
+        try:
+            while (now := master.port.now() - begin) < time:
+                master.write(name, round(wave(now) / unit))
+                if master.state is not State.OPERATION_ENABLED:
+                    master.follow(self._mode_of(axis, kind))  # says why
+        finally:
+            self.bench.streams = False
         if kind == "position":
             master.write(name, round(wave(time) / unit))
 

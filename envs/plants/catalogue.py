@@ -68,6 +68,23 @@ def axis_for(
     return machine
 
 
+def fresh(axis: str, drive: str = "generic") -> Machine:
+    """A commissioned machine where it stands at power-on, the same bits each time.
+
+    Args:
+        axis: key of `AXES`.
+        drive: model or folder.
+
+    Raises ValueError: unknown model or axis.
+    """
+    if axis not in AXES:
+        raise ValueError(f"axis = {axis!r}: {near(axis, AXES)}")
+    make, places = AXES[axis]
+    machine = make(drive)
+    power_on(machine, places)
+    return machine
+
+
 def power_on(machine: Machine, places: Mapping[str, float]) -> None:
     """Hand over a commissioned machine: its parameters are stored, its loop is compiled.
 

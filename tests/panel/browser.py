@@ -37,25 +37,26 @@ TEXTS = ("snapshot-name", "policy", "search")  # fields for words
 
 
 class Server:
-    """`servogym panel` in a process of its own."""
+    """`servogym panel`, or another command with pages, in a process of its own."""
 
-    def __init__(self, *arguments, prefix=(), log=None):
+    def __init__(self, *arguments, command="panel", prefix=(), log=None):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self.arguments, self.prefix, self.log = arguments, prefix, log
+        self.arguments, self.prefix, self.log = (command, *arguments), prefix, log
         self.url = f"http://localhost:{self.port}/"
         self.start()
 
     def start(self):
         command = [
-            *self.prefix, sys.executable, "-m", "servogym.training.cli", "panel", "--no-browser",
+            *self.prefix, sys.executable, "-m", "servogym.training.cli", *self.arguments,
+            "--no-browser", "--port", str(self.port),
         ]  # fmt: skip
         # nicegui looks whether pytest runs it
         environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
         self.process = subprocess.Popen(
-            [*command, "--port", str(self.port), *self.arguments], stdout=subprocess.PIPE,
-            stderr=self.log, env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
+            command, stdout=subprocess.PIPE, stderr=self.log,
+            env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
         )  # fmt: skip
         for line in self.process.stdout:
             if found := re.search(rf"{self.url}\?token=(\S+)", line):

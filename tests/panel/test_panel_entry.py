@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from servogym.envs.panel.entry import number
-from servogym.envs.panel.guard import Guard
+from servogym.envs.panel.guard import Guard, Owner
 from servogym.envs.panel.server import kept_token
 from servogym.training.cli import main
 
@@ -38,7 +38,7 @@ def test_what_is_no_number_is_said_so(text):
 
 
 def judge(headers, query="", token="secret"):
-    return Guard(None, token, "servogym_panel_8402").judge(headers, query)
+    return Guard(None, Owner(token), "servogym_panel_8402").judge(headers, query)[:2]
 
 
 KNOWN = {"cookie": "servogym_panel_8402=secret"}
@@ -46,8 +46,8 @@ KNOWN = {"cookie": "servogym_panel_8402=secret"}
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8402", "localhost:9", "[::1]:8402", "labpc", "a.b"])
 def test_who_knows_the_token_is_served_by_whatever_name(host):
-    assert judge({"host": host}, "token=secret") == ("", True)
-    assert judge({"host": host, "origin": f"http://{host}"} | KNOWN) == ("", False)
+    assert judge({"host": host}, "token=secret") == ("", "secret")
+    assert judge({"host": host, "origin": f"http://{host}"} | KNOWN) == ("", "")
 
 
 @pytest.mark.parametrize("query", ["", "token=", "token=other", "token=secre", "token=secret%00"])

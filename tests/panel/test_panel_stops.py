@@ -176,13 +176,14 @@ def test_a_commander_that_is_lost_ends_what_it_has_set_in_motion(
     assert room.stands()
 
 
-@pytest.mark.slow  # what waits may run before the stop comes: a motion asked for ends another
 def test_what_waits_is_dropped_by_a_stop_and_what_comes_after_it_is_a_new_command(room):
-    motion = room.run_in(Mode.PROFILE_POSITION)
-    waiting = room.clock.ask(
-        lambda _: [room.clock.move(lambda s: s.home("x", 35)), room.clock.move(lambda s: 1 / 0)]
-    ).result(20)
-    assert asyncio.run(room.desks["there"].stop(lambda s: s.stop())) == ""
+    """All three are asked for between two cycles, so that nothing of it runs before the stop."""
+    motion, clock = room.run_in(Mode.PROFILE_POSITION), room.clock
+    *waiting, stopped = clock.ask(lambda _: [
+        clock.move(lambda s: s.home("x", 35)), clock.move(lambda s: 1 / 0),
+        clock.stop_motion(lambda s: s.stop()),
+    ]).result(20)  # fmt: skip
+    assert stopped.result(20) == ""
     assert over(motion.result(20))
     assert all(over(each.result(20)) for each in waiting)
     assert room.stands()

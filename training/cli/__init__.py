@@ -132,10 +132,16 @@ COMMANDS = {
         "panel", "commission a drive in the browser: state, motion, scope, Bode, lessons",
         "panel --axis vertical --drive festo_cmmp_as",
     ),
+    "classroom": Command(
+        "classroom", "a machine for each pupil in the browser, and a wall for the teacher",
+        "classroom --pupils 24 --host 0.0.0.0 --results out/class",
+        "Pupils open the printed address and give the code of the class and a name.",
+    ),
     "course": Command(
         "course", "list the exercises of the course, show one, or check solutions in Python",
         "course check solution.py",
-        "`check` runs the file: check only solutions whose author you trust.",
+        "`check` runs the file: check only solutions whose author you trust. `replay` plays a run "
+        "that a class room has kept.",
     ),
     "train": Command(
         "train", "train a policy with stable-baselines3",

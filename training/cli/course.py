@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,9 +12,14 @@ from rich.table import Table
 
 def add(command: argparse.ArgumentParser) -> None:
     """Options of `course`."""
-    command.add_argument("action", choices=("list", "show", "check"), nargs="?", default="list")
-    command.add_argument("what", nargs="*", help="exercise to show, or solutions to check")
+    command.add_argument(
+        "action", choices=("list", "show", "check", "replay"), nargs="?", default="list"
+    )
+    command.add_argument(
+        "what", nargs="*", help="exercise to show, solutions to check, runs to replay"
+    )
     command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
+    command.add_argument("--lessons", type=Path, help="folder with the exercises of a run")
     command.add_argument("--json", action="store_true", help="a line of JSON for each solution")
     command.set_defaults(run=_course)
 
@@ -44,6 +50,8 @@ def _course(options: argparse.Namespace, console: Console) -> int:
                     for n, text in enumerate(step.predict.options):
                         tell(f"   {n}: {text}")
         return 0
+    if options.action == "replay":
+        return _replay(options, tell)
     from ...envs.course.laboratory import check
 
     passed = True
@@ -60,3 +68,22 @@ def _course(options: argparse.Namespace, console: Console) -> int:
             why = report.wrong or "its goal was not reached"
             tell(f"{file}: {report.exercise} failed at step {report.step + 1}: {why}")
     return 0 if passed else 1
+
+
+def _replay(options: argparse.Namespace, tell: Callable[[str], None]) -> int:
+    """Play runs on fresh machines; exit status 1 where one comes to something else."""
+    from ...envs.course.exercise import SHIPPED, named
+    from ...envs.panel import journal
+
+    alike = True
+    for file in options.what:
+        run = journal.read(file)
+        exercise = named(str(run["exercise"]), options.lessons or SHIPPED)
+        tell(f"{file}: {run.get('pupil', 'somebody')}, {exercise.title}")
+        attempt = journal.Player(run, exercise).play(lambda at, said: tell(f"{at:9.3f} s  {said}"))
+        report = attempt.report
+        became = "done" if report.done else report.wrong or f"left at step {report.step + 1}"
+        same = journal.same(run, attempt)
+        tell(became if same else f"the replay says: {became}; the run says: {run['report']}")
+        alike &= same
+    return 0 if alike else 1

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from nicegui import ui
 
 from ...course.exercise import Exercise
-from ..lessons import Progress, Pupil
+from ..lessons import Progress, begin, leave
 from ..session import Session
 from .desk import Desk, refuse
 from .widgets import Tag, button, card
@@ -40,11 +40,7 @@ class LessonPage:
     async def _start(self, number: int) -> None:
         axis, lesson = self.desk.axis, self.lessons[number]
 
-        def begin(session: Session) -> None:
-            session.pupil = None
-            session.pupil = Pupil(session, axis, lesson)
-
-        refuse(await self.desk.motion(begin))
+        refuse(await self.desk.motion(lambda session: begin(session, axis, lesson)))
 
     async def _again(self) -> None:
         pupil = self.desk.clock.session.pupil
@@ -52,22 +48,19 @@ class LessonPage:
             await self._start(self.lessons.index(pupil.exercise))
 
     async def _leave(self) -> None:
-        def leave(session: Session) -> None:
-            session.pupil = None
-
         refuse(await self.desk.command(leave))
 
     async def _hint(self) -> None:
         def hint(session: Session) -> None:
             if session.pupil is not None:
-                session.pupil.attempt.hint()
+                session.pupil.hint()
 
         refuse(await self.desk.command(hint))
 
     async def _predict(self, option: int) -> None:
         def predict(session: Session) -> None:
             if session.pupil is not None and session.pupil.attempt.asks:
-                session.pupil.attempt.predict(option)
+                session.pupil.predict(option)
 
         refuse(await self.desk.command(predict))
 

@@ -9,7 +9,9 @@ from typing import Any
 from nicegui import app, ui
 
 from ....drive.diagrams import MODE_ABBREVIATION, State
+from ..classroom import TEACHER, Classroom, Place
 from ..clock import Clock
+from ..guard import LEAVE, PERSON
 from ..log import Event
 from .desk import Desk, in_words, refuse
 from .experiments import ExperimentsPage
@@ -21,6 +23,7 @@ from .motion import MotionPage
 from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
+from .wall import show_wall
 from .widgets import TOGGLE, Readout, Tag, button, card, live, pending, told, two_sided
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
@@ -59,13 +62,15 @@ class Shell:
         kept: what the tab keeps over a reload.
         pictures: a second, at most.
         pages: what there is to see, in this order.
+        place: whose machine it is, in a class room.
+        watches: whether it takes no control by itself.
     """
 
     def __init__(
         self, clock: Clock, tab: str, kept: dict[str, Any], pictures: float,
-        pages: Sequence[type[Any]],
+        pages: Sequence[type[Any]], place: Place | None = None, watches: bool = False,
     ):  # fmt: skip
-        self.clock, self.kept = clock, kept
+        self.clock, self.kept, self.place, self.watches = clock, kept, place, watches
         self.desk = Desk(clock, tab)
         axis = kept.get("axis")
         self.desk.axis = axis if axis in clock.session.axes else self.desk.axis
@@ -97,6 +102,8 @@ class Shell:
                 Tag("h1", "servogym")
                 models = {session.model(axis).name for axis in session.axes}
                 title = f"{session.title} · {', '.join(sorted(models))}"
+                if self.place is not None:
+                    title = f"{self.place.name} · own code {self.place.code}"
                 Tag("span", title, title=title)
             if len(session.axes) > 1:
                 ui.toggle(
@@ -129,6 +136,10 @@ class Shell:
             button("", self._theme, "theme", "icon").props(
                 "icon=contrast aria-label='Dark or light'"
             )
+            if self.place is not None and not self.watches:
+                button("", lambda: ui.navigate.to(LEAVE), "leave-class", "icon").props(
+                    "icon=logout aria-label='Leave the class room' title='Leave the class room'"
+                )
             button("QUICK STOP", self._quick_stop, "quick-stop", "stop").props("title='Esc'")
         with (
             ui.element("div").classes("watching-banner").props("data-test=watching") as self.banner
@@ -313,7 +324,7 @@ class Shell:
         tab = self.desk.tab
 
         def sit(session: Any) -> None:
-            if session.control.holder is None and session.seats_who_comes:
+            if session.control.holder is None and session.seats_who_comes and not self.watches:
                 session.control.take(tab)
 
         await self.desk.ask(sit)
@@ -361,12 +372,40 @@ class _Absent:
         """Nothing changes."""
 
 
-async def build(clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGES) -> None:
-    """The page of a tab that has just come."""
+async def build(
+    clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGES,
+    place: Place | None = None, watches: bool = False,
+) -> None:  # fmt: skip
+    """The page of a tab that has just come; as `Shell`."""
     client = ui.context.client
     await client.connected()
-    shell = Shell(clock, str(client.tab_id), app.storage.tab, pictures, pages)
+    tab = str(client.tab_id)
+    if watches:
+        clock.session.control.named[tab] = TEACHER
+    shell = Shell(clock, tab, app.storage.tab, pictures, pages, place, watches)
     await shell.arrive()
     client.on_disconnect(shell.lose)
     client.on_delete(shell.leave)
     client.on_delete(lambda: pending(client.id))
+
+
+async def show_class(room: Classroom, teacher: Any, address: str) -> None:
+    """The page of a tab of a class room: a pupil's own machine, the wall, or a look at a place.
+
+    Args:
+        room: the class room.
+        teacher: what stands for the teacher in the scope of a request.
+        address: where pupils come in.
+    """
+    request = ui.context.client.request
+    who, path = request.scope[PERSON], request.scope["path"].strip("/")
+    number = path.removeprefix("place/")
+    if who is not teacher:
+        ui.page_title(f"{who.name} · servogym")
+        await build(who.clock, room.pictures, place=who)
+    elif number.isdecimal() and int(number) in room.places:
+        place = room.places[int(number)]
+        ui.page_title(f"{place.name} · servogym class room")
+        await build(place.clock, room.pictures, place=place, watches=True)
+    else:
+        await show_wall(room, address)

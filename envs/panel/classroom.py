@@ -1,0 +1,271 @@
+"""A class room: a place for each pupil, with a machine of its own; a teacher who sees them all.
+
+Places have nothing in common but the process: each has its session, its clock with its thread, its
+token and its results. Who comes with the code of the class and a name that nobody has gets a place;
+who comes again from another browser needs the code of that place as well.
+"""
+
+import csv
+import hmac
+import io
+import json
+import re
+import secrets
+import threading
+from collections.abc import Callable, Iterable
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..course.exercise import Exercise
+from . import journal, lessons
+from .clock import Clock
+from .log import plain
+from .session import Session
+
+MOST = 24
+CYCLES = 4  # position cycles an exchange: 2 ms at a position cycle of 0.5 ms
+NAP = 0.016  # s: many threads that wake seldom cost less than many that wake often
+LONGEST = 32  # characters of a name
+LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none is taken for another one
+TEACHER = "the teacher"
+
+
+class Result(NamedTuple):
+    """What became of an attempt of a pupil at an exercise."""
+
+    pupil: str
+    exercise: str
+    ended: str  # date and time, ISO 8601
+    done: bool
+    steps_done: int
+    steps: int
+    wrong: str
+    hints: int
+    predictions_right: int
+    predictions: int
+    time: float  # s of the machine until its end
+    run: str  # file that can be replayed, empty without --results
+
+
+class Place:
+    """A pupil's machine, and what the pupil has done with it.
+
+    Args:
+        number: of the place, from 1.
+        name: of the pupil.
+        session: of its own.
+        pictures: a second.
+    """
+
+    def __init__(self, number: int, name: str, session: Session, pictures: float):
+        self.number, self.name = number, name
+        self.code = code(4)
+        self.token = secrets.token_urlsafe(24)
+        self.results: list[Result] = []
+        self.clock = Clock(session, pictures, NAP)
+
+    @property
+    def done(self) -> set[str]:
+        """Names of the exercises that are done."""
+        return {result.exercise for result in self.results if result.done}
+
+
+class Classroom:
+    """Places, who sits there, and what they have done.
+
+    Args:
+        make: a session with a fresh machine, position cycles an exchange as given.
+        kind: of the machine, key of `plants.catalogue.AXES`.
+        drive: its model.
+        exercises: that can be given.
+        most: places.
+        pictures: a second.
+        results: folder for ``results.csv`` and the runs; None: they stay in memory.
+        word: the code of the class; one is drawn if none is given.
+
+    Raises:
+        ValueError: no places, a code that is guessed soon, no such folder.
+    """
+
+    def __init__(
+        self, make: Callable[[int], Session], kind: str, drive: str,
+        exercises: Iterable[Exercise] = (), most: int = MOST, pictures: float = 8.0,
+        results: Path | None = None, word: str = "",
+    ):  # fmt: skip
+        if not 1 <= most <= 100:
+            raise ValueError(f"--pupils = {most} is out of range 1..100")
+        if word and not 6 <= len(word) <= LONGEST:
+            raise ValueError(f"--code has {len(word)} characters: give 6..{LONGEST}")
+        self._make, self.kind, self.drive, self.most = make, kind, drive, most
+        self.exercises, self.pictures = tuple(exercises), pictures
+        self.word = word or f"{code(4)}-{code(4)}"
+        self.open = True  # whether new pupils may come
+        self.task: Exercise | None = None  # of all, and of who comes later
+        self.places: dict[int, Place] = {}
+        self._coming: set[str] = set()
+        self._lock = threading.Lock()
+        self._files: Path | None = results
+        if results is not None:
+            (results / "runs").mkdir(parents=True, exist_ok=True)
+
+    # ----------------------------------------------------------------- who comes
+
+    def person(self, token: str) -> Place | None:
+        """Whose token it is."""
+        found = None
+        for place in [*self.places.values()]:  # all of them: time tells nothing
+            if hmac.compare_digest(place.token.encode(), token.encode()):
+                found = place
+        return found
+
+    def named(self, name: str) -> Place | None:
+        """The place of a pupil."""
+        same = (p for p in self.places.values() if p.name.casefold() == name.casefold())
+        return next(same, None)
+
+    def may_enter(self, name: str, word: str, own: str) -> str:
+        """Why somebody may not come in; empty if they may.
+
+        Args:
+            name: of the pupil.
+            word: code of the class.
+            own: code of the place, of who has one.
+        """
+        if not hmac.compare_digest(_simple(word).encode(), _simple(self.word).encode()):
+            return "This is not the code of the class: the teacher has it."
+        if not 1 <= len(name) <= LONGEST or not name.isprintable():
+            return f"Give a name of 1 to {LONGEST} characters."
+        place = self.named(name)
+        if place is not None:
+            if hmac.compare_digest(_simple(own).encode(), place.code.encode()):
+                return ""
+            return (
+                f"{place.name} is here already. If that is you, give your own code as well: it "
+                "stands in the header of your page, and the teacher sees it."
+            )
+        if not self.open:
+            return "The class is closed: nobody new may come."
+        if len(self.places) + len(self._coming) >= self.most or name.casefold() in self._coming:
+            return f"All {self.most} places are taken."
+        return ""
+
+    def enter(self, name: str) -> Place:
+        """The place of who may enter; a new one takes a moment. Raises as the machine does."""
+        if (known := self.named(name)) is not None:
+            return known
+        self._coming.add(name.casefold())
+        try:
+            session = self._make(CYCLES)
+            session.lessons = self.exercises
+            session.control.named[TEACHER] = TEACHER
+            with self._lock:
+                free = (n for n in range(1, self.most + 1) if n not in self.places)
+                place = Place(next(free), name, session, self.pictures)
+                session.attempted = lambda pupil: self._attempted(place, pupil)
+                self.places[place.number] = place
+        finally:
+            self._coming.discard(name.casefold())
+        if self.task is not None:
+            lessons.begin(session, session.axes[0], self.task)
+        place.clock.start()
+        return place
+
+    def remove(self, place: Place) -> None:
+        """Nobody has this place any more; its results stay in the files."""
+        with self._lock:
+            self.places.pop(place.number, None)
+        place.clock.stop()
+
+    def end(self) -> None:
+        """All clocks stand."""
+        for place in self.places.values():
+            place.clock.end()
+        for place in self.places.values():
+            place.clock.stop()
+
+    # -------------------------------------------------------------- what is done
+
+    def give(self, exercise: Exercise | None) -> None:
+        """A task for all: begun at once on a fresh machine each; None: who comes is free."""
+        self.task = exercise
+        if exercise is None:
+            return
+        for place in self.places.values():
+            place.clock.stop_motion(lambda session: _given(session, exercise))
+
+    def reset(self, place: Place) -> None:
+        """A machine as it was at first; an exercise is left."""
+        place.clock.stop_motion(_fresh)
+
+    def stop(self) -> None:
+        """Quick stop of all machines."""
+        for place in self.places.values():
+            place.clock.stop_motion(lambda session: session.quick_stop())
+
+    def _attempted(self, place: Place, pupil: lessons.Pupil) -> None:
+        """An attempt is over."""
+        report, now = pupil.attempt.report, datetime.now().astimezone()
+        with self._lock:
+            run = ""
+            if self._files is not None:
+                stem = f"{now:%Y%m%d-%H%M%S}-{place.number}-{_slug(place.name)}"
+                run = f"runs/{stem}-{report.exercise}-{len(place.results)}.json"
+            place.results.append(Result(
+                place.name, report.exercise, now.isoformat(timespec="seconds"), report.done,
+                report.step, len(pupil.exercise.steps), report.wrong, report.hints,
+                sum(report.predictions), len(report.predictions),
+                round(pupil.journal.cycle * pupil.attempt.machine.cycle_time, 3), run,
+            ))  # fmt: skip
+            if self._files is None:
+                return
+            told = journal.told(self.kind, self.drive, pupil.axis, pupil.attempt, pupil.journal)
+            text = json.dumps({"pupil": place.name, "ended": place.results[-1].ended} | told)
+            (self._files / run).write_text(text, encoding="utf-8")
+            table = self._files / "results.csv"
+            new = not table.exists()
+            with table.open("a", newline="", encoding="utf-8") as file:
+                file.write(_rows(place.results[-1:], head=new))
+
+    def csv(self) -> str:
+        """All results as a table."""
+        with self._lock:
+            return _rows([r for place in self.places.values() for r in place.results], head=True)
+
+
+def code(length: int) -> str:
+    """Letters and digits that are read out without a mistake."""
+    return "".join(secrets.choice(LETTERS) for _ in range(length))
+
+
+def _simple(text: str) -> str:
+    """A code as somebody has typed it."""
+    return "".join(text.split()).replace("-", "").casefold()
+
+
+def _slug(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_") or "pupil"
+
+
+def _rows(results: Iterable[Result], *, head: bool) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text)
+    if head:
+        writer.writerow([name.replace("_", " ") for name in Result._fields])
+    for result in results:
+        writer.writerow([plain(each) if isinstance(each, str) else each for each in result])
+    return text.getvalue()
+
+
+def _given(session: Any, exercise: Exercise) -> None:
+    lessons.begin(session, session.axes[0], exercise)
+    session.tell("info", f"A task for all: {exercise.title}. The page Lessons has it.")
+
+
+def _fresh(session: Any) -> None:
+    lessons.leave(session)
+    session.release()
+    session.machine.restore(session.fresh)
+    session.delay = 0.0
+    session.underway.clear()
+    session.tell("info", "The teacher has given back the machine as it was at first.")

@@ -1,0 +1,179 @@
+"""Journal: all that acts on a machine from outside, by the cycle, so that a run can be replayed.
+
+Pages, masters and experiments reach the drives of a session by `ACTS` alone. What was done since an
+exercise began, at which position cycle, is the run; on a fresh machine of the same kind the same
+acts at the same cycles make the same motion, bit by bit, and the same verdict.
+"""
+
+import base64
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ...drive.objects.abort import SdoAbort
+from ..course.attempt import Attempt
+from ..course.exercise import DISTURBANCES, Exercise
+from ..engine.machine import Machine
+from ..plants.catalogue import fresh
+
+FORM = "servogym run 1"
+
+
+def _ail(machine: Machine, axis: str, name: str, value: float) -> None:
+    DISTURBANCES[name](machine, [*machine.drives].index(axis), value)
+
+
+def _parameters(machine: Machine, axis: str, content: str) -> str:
+    return machine.drives[axis].use_parameters(base64.b64decode(content))
+
+
+# what a journal has is JSON: a name, then the arguments
+ACTS: dict[str, Callable[..., Any]] = {
+    "write": lambda machine, axis, *arguments: machine.drives[axis].write(*arguments),
+    "commission": lambda machine, axis, values: machine.drives[axis].commission(values),
+    "parameters": _parameters,
+    "inject": lambda machine, axis, cause: machine.drives[axis].inject(cause),
+    "clear": lambda machine, axis: machine.drives[axis].clear_injected(),
+    "ail": _ail,
+}
+# what is done to the attempt instead
+ANSWERS: dict[str, Callable[..., Any]] = {
+    "hint": Attempt.hint, "predict": Attempt.predict, "lose": Attempt.lose,
+}  # fmt: skip
+CYCLES = "cycles"  # of an exchange, from here on
+
+
+class Journal:
+    """What was done, by position cycles since it began; `None` of a session keeps none."""
+
+    def __init__(self) -> None:
+        self.cycle = 0
+        self.events: list[list[Any]] = []
+        self._cycles = 0
+
+    def enter(self, what: str, *arguments: Any) -> None:
+        """Something was done now."""
+        self.events.append([self.cycle, what, *map(_plain, arguments)])
+
+    def passed(self, cycles: int) -> None:
+        """So many position cycles pass, which are one exchange."""
+        if cycles != self._cycles:
+            self._cycles = cycles
+            self.events.append([self.cycle, CYCLES, cycles])
+        self.cycle += cycles
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it; numbers keep all their digits."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    return value.item() if hasattr(value, "item") else value
+
+
+def told(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal) -> dict[str, Any]:
+    """A run as its file has it.
+
+    Args:
+        kind: of the machine, key of `plants.catalogue.AXES`.
+        drive: model.
+        axis: that was judged.
+        attempt: at the exercise.
+        journal: since it began.
+    """
+    return {
+        "form": FORM, "exercise": attempt.exercise.name, "machine": kind, "drive": drive,
+        "axis": axis, "cycles": journal.cycle, "report": asdict(attempt.report),
+        "events": journal.events,
+    }  # fmt: skip
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """A run of a file. Raises ValueError for what is none."""
+    try:
+        run = json.loads(Path(path).read_text(encoding="utf-8"))
+        if not isinstance(run, dict) or run.get("form") != FORM:
+            raise ValueError(f"it does not say {FORM!r}")
+        for cycle, what, *_ in run["events"]:
+            if not (isinstance(cycle, int) and what in {*ACTS, *ANSWERS, CYCLES}):
+                raise ValueError(f"{[cycle, what]} is no event")
+        return run
+    except (OSError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no run of an exercise: {error}") from None
+
+
+class Player:
+    """Plays a run on a fresh machine, exchange by exchange.
+
+    Args:
+        run: as `read` gives it.
+        exercise: that it names.
+        machine: to be played on, as it was handed over; a new one if not given.
+
+    Raises:
+        ValueError: the machine is not of that kind.
+    """
+
+    def __init__(self, run: Mapping[str, Any], exercise: Exercise, machine: Machine | None = None):
+        self.run = run
+        self.machine = machine or fresh(str(run["machine"]), str(run["drive"]))
+        self.attempt = Attempt(exercise, self.machine, str(run["axis"]))
+        self.cycle = 0
+        self._events = list(reversed(run["events"]))
+        self._cycles = 1
+
+    @property
+    def over(self) -> bool:
+        """Whether all of it was played."""
+        return self.cycle >= int(self.run["cycles"])
+
+    def due(self) -> list[str]:
+        """Do what was done at this cycle; -> in words."""
+        said = []
+        while self._events and self._events[-1][0] <= self.cycle:
+            _, what, *arguments = self._events.pop()
+            if what == CYCLES:
+                self._cycles = int(arguments[0])
+                continue
+            said.append(f"{what} {', '.join(map(str, arguments))}")
+            try:
+                if what in ACTS:
+                    ACTS[what](self.machine, *arguments)
+                else:
+                    ANSWERS[what](self.attempt, *arguments)
+            except (SdoAbort, ValueError, TypeError) as error:  # as it was then
+                said[-1] += f": {error}"
+        return said
+
+    @property
+    def next(self) -> int:
+        """Position cycles of the next exchange."""
+        return max(min(self._cycles, int(self.run["cycles"]) - self.cycle), 1)
+
+    def passed(self, cycles: int) -> None:
+        """So many have passed on the machine: they are judged."""
+        self.cycle += cycles
+        self.attempt.look()
+
+    def play(self, tell: Callable[[float, str], object] = lambda time, text: None) -> Attempt:
+        """All of it at once; -> the attempt. `tell` is given time (s) and words of each act."""
+        while not self.over:
+            for said in self.due():
+                tell(self.cycle * self.machine.cycle_time, said)
+            cycles = self.next
+            self.machine.step(cycles)
+            self.passed(cycles)
+        for said in self.due():
+            tell(self.cycle * self.machine.cycle_time, said)
+        return self.attempt
+
+
+def same(run: Mapping[str, Any], attempt: Attempt) -> bool:
+    """Whether a replay has come to what the run says."""
+    was, now = dict(run["report"]), asdict(attempt.report)
+    times = zip(was.pop("times"), now.pop("times"), strict=False)
+    return was == now and all(math.isclose(a, b, abs_tol=1e-9) for a, b in times)

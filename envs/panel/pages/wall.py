@@ -1,0 +1,194 @@
+"""The teacher's wall: all places of a class room, live; tasks, results, a look at each."""
+
+from pathlib import Path
+from typing import Any
+
+from nicegui import Client, ui
+
+from ....drive.diagrams import MODE_ABBREVIATION, State
+from ..classroom import Classroom, Place
+from ..guard import PERSON
+from .widgets import Tag, button, card, told
+
+STYLE = Path(__file__).parents[1] / "static" / "panel.css"
+EVERY = 0.5  # s between two pictures
+FREE = "free practice"
+KINDS = {State.OPERATION_ENABLED: "good", State.FAULT: "bad", State.FAULT_REACTION_ACTIVE: "bad"}
+
+
+class PlaceCard:
+    """A place on the wall."""
+
+    def __init__(self, room: Classroom, place: Place):
+        self.room, self.place = room, place
+        name = f"place-{place.number}"
+        with Tag("section", data_test=name, aria_label=place.name).classes(
+            "card place"
+        ) as self.card:
+            with ui.element("div").classes("place-head"):
+                Tag("h2", f"{place.number}. {place.name}")
+                self.here = Tag("span", "").classes("place-here")
+            with ui.element("div").classes("cluster place-state"):
+                self.state = Tag("span", "", data_test=f"{name}-state").classes("state-chip")
+                self.mode = Tag("span", "").classes("mono")
+                self.position = Tag("span", "", data_test=f"{name}-position").classes("mono")
+            self.doing = Tag("p", "").classes("place-doing")
+            self.task = Tag("p", "", data_test=f"{name}-task").classes("place-task")
+            self.more = Tag("p", "", data_test=f"{name}-more").classes("place-more quiet")
+            with ui.element("div").classes("cluster place-buttons"):
+                look = Tag(
+                    "a", "Look", href=f"place/{place.number}", target="_blank",
+                    data_test=f"{name}-look", aria_label=f"Look at {place.name}",
+                )  # fmt: skip
+                look.classes("btn place-look")
+                button("Code", self._code, f"{name}-code").props(
+                    f'aria-label="Own code of place {place.number}"'
+                )
+                button("Reset", self._reset, f"{name}-reset").props(
+                    f'aria-label="Reset the machine of {place.number}"'
+                )
+                button("Remove", self._remove, f"{name}-remove").props(
+                    f'aria-label="Remove place {place.number}"'
+                )
+
+    def _code(self) -> None:
+        """Not on the wall itself, which may be on a projector."""
+        ui.notify(f"{self.place.name} comes in again with the own code {self.place.code}",
+                  position="bottom-left", timeout=8000, close_button="Close")  # fmt: skip
+
+    async def _reset(self) -> None:
+        if await sure(f"Give {self.place.name} the machine as it was at first?"):
+            self.room.reset(self.place)
+
+    async def _remove(self) -> None:
+        if await sure(
+            f"Remove {self.place.name}? The machine is gone, the results stay in the files."
+        ):
+            self.room.remove(self.place)
+            for client in [*Client.instances.values()]:
+                request = client.request
+                if request is not None and request.scope.get(PERSON) is self.place:
+                    client.run_javascript("location.reload()")
+
+    def show(self, here: bool) -> None:
+        """The present of the place."""
+        shown: dict[str, Any] = self.place.clock.shown
+        axes = shown["axes"]
+        worst = max(axes, key=lambda axis: KINDS.get(axes[axis]["state"], "") == "bad")
+        seen = axes[worst]
+        state = State(seen["state"])
+        self.state.say(state.name.replace("_", " ").lower())
+        for kind in ("good", "bad"):
+            self.state.lit(kind, KINDS.get(state) == kind)
+        modes = {int(mode): name for mode, name in MODE_ABBREVIATION.items()}
+        self.mode.say(modes.get(seen["mode"], "no mode"))
+        unit, _ = self.place.clock.session.unit(worst)
+        self.position.say(f"{told(seen['position'], 1)} {unit}")
+        self.here.say("here" if here else "away")
+        self.here.lit("good", here)
+        lesson = shown["lesson"]
+        self.doing.say(seen["fault"] or shown["doing"] or shown["agent"])
+        self.doing.lit("bad", bool(seen["fault"]))
+        if lesson is None:
+            self.task.say("no exercise")
+        else:
+            step = lesson.wrong or lesson.text or "done"
+            at = min(lesson.step + 1, lesson.steps)
+            self.task.say(f"{lesson.title} · {at} of {lesson.steps}: {step}")
+        self.task.lit("bad", lesson is not None and bool(lesson.wrong))
+        self.task.lit("done", lesson is not None and not lesson.text)
+        hints = f"hints {lesson.used}" if lesson is not None else ""
+        done = f"{len(self.place.done)} of {len(self.room.exercises)} done"
+        tries = f"{len(self.place.results)} tries"
+        self.more.say(" · ".join(filter(None, (hints, done, tries))))
+
+
+class Wall:
+    """All places.
+
+    Args:
+        room: the class room.
+        address: where pupils come in.
+    """
+
+    def __init__(self, room: Classroom, address: str):
+        self.room = room
+        self.cards: dict[int, PlaceCard] = {}
+        ui.add_css(STYLE.read_text(encoding="utf-8"))
+        self.dark = ui.dark_mode(False)
+        titles = {each.name: each.title for each in room.exercises}
+        with ui.element("header").classes("top wall-top"):
+            with ui.element("div").classes("brand"):
+                Tag("h1", "servogym")
+                Tag("span", "class room")
+            Tag("span", f"{address} · code ", data_test="where").classes("wall-where")
+            Tag("b", room.word, data_test="word").classes("mono")
+            self.count = Tag("span", "", data_test="count").classes("quiet")
+            ui.space()
+            self.open = ui.switch("New pupils may come", value=room.open, on_change=self._open)
+            self.open.props("data-test=open")
+            button("", lambda: self.dark.toggle(), "theme", "icon").props(
+                "icon=contrast aria-label='Dark or light'"
+            )
+            button("QUICK STOP ALL", room.stop, "stop-all", "stop")
+        with ui.element("div").classes("content wall"):
+            with card("Task for all", "task"), ui.element("div").classes("cluster"):
+                task = room.task.name if room.task else ""
+                self.task = ui.select({"": FREE} | titles, value=task, label="Exercise")
+                self.task.props("dense outlined options-dense data-test=task-name")
+                self.task.classes("entry grow")
+                button("Give", self._give, "give", "main")
+                ui.space()
+                button("Results as CSV", self._csv, "csv")
+            self.grid = ui.element("div").classes("places").props("data-test=places")
+        ui.timer(EVERY, self.show)
+
+    def _open(self) -> None:
+        self.room.open = bool(self.open.value)
+
+    async def _give(self) -> None:
+        chosen = {each.name: each for each in self.room.exercises}.get(str(self.task.value))
+        what = f"Begin “{chosen.title}” on all machines now?" if chosen else "Leave the task?"
+        if await sure(f"{what} What pupils are doing ends." if chosen else what):
+            self.room.give(chosen)
+
+    def _csv(self) -> None:
+        ui.download.content(self.room.csv().encode(), "results.csv", "text/csv")
+
+    def show(self) -> None:
+        """The present."""
+        places = self.room.places.copy()
+        if self.cards.keys() != places.keys() or any(
+            card.place is not places[number] for number, card in self.cards.items()
+        ):
+            self.grid.clear()
+            with self.grid:
+                self.cards = {n: PlaceCard(self.room, places[n]) for n in sorted(places)}
+        here = {
+            id(client.request.scope.get(PERSON))
+            for client in [*Client.instances.values()]
+            if client.request is not None and client.has_socket_connection
+        }
+        for each in self.cards.values():
+            each.show(id(each.place) in here)
+        self.count.say(f"{len(places)} of {self.room.most} places")
+
+
+async def sure(question: str) -> bool:
+    """Whether somebody says yes."""
+    with ui.dialog() as dialog, ui.card():
+        ui.label(question)
+        with ui.element("div").classes("cluster"):
+            button("Yes", lambda: dialog.submit(True), "yes", "main")
+            button("No", lambda: dialog.submit(False), "no")
+    said = bool(await dialog)
+    dialog.delete()
+    return said
+
+
+async def show_wall(room: Classroom, address: str) -> None:
+    """The wall in a tab that has just come."""
+    await ui.context.client.connected()
+    ui.page_title("servogym class room")
+    ui.run_javascript('document.documentElement.lang = "en"')
+    Wall(room, address)

@@ -1,0 +1,99 @@
+"""`servogym classroom`."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+PORT = 8402  # as `envs.panel.server`
+
+
+def add(command: argparse.ArgumentParser) -> None:
+    """Its options."""
+    command.add_argument("--pupils", type=int, default=24, help="places, 1..100 (24)")
+    command.add_argument(
+        "--axis", default="linear",
+        help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
+    )  # fmt: skip
+    command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    command.add_argument("--lessons", type=Path, help="folder with exercises of your own")
+    command.add_argument(
+        "--results", type=Path, metavar="DIR",
+        help="write results.csv there and each run, which `servogym course replay` plays",
+    )  # fmt: skip
+    command.add_argument("--code", default="", help="code of the class; one is drawn if not given")
+    command.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
+    command.add_argument(
+        "--host", default="127.0.0.1",
+        help="listen on this address instead of the loopback; 0.0.0.0 for other computers",
+    )  # fmt: skip
+    command.add_argument("--pictures", type=int, default=8, help="a second, 1..25 (8)")
+    command.add_argument("--no-browser", action="store_true", help="do not open a browser")
+    command.set_defaults(run=_classroom)
+
+
+def _classroom(options: argparse.Namespace, console: Console) -> int:
+    """Serve until Ctrl-C or SIGTERM."""
+    from ...envs.course.exercise import load_all
+    from ...envs.panel import server
+    from ...envs.panel.classroom import Classroom
+    from ...envs.panel.session import Session
+    from ...envs.plants.catalogue import fresh
+    from ...envs.tasks import fitting
+    from ..policies.takeover import Laboratory
+
+    for name, most in (("port", 65535), ("pictures", 25)):
+        if not 1 <= getattr(options, name) <= most:
+            raise ValueError(f"--{name} = {getattr(options, name)} is out of range 1..{most}")
+    server.free(options.host, options.port)
+
+    class Offered(Laboratory):
+        """Only policies that are shipped: a file that a pupil names is no program to be run."""
+
+        def _check(self, axis: str, *names: str) -> None:
+            known = self.fitting(axis).names
+            for name in names:
+                if name not in known:
+                    raise ValueError(f"{name!r}: in a class room use one of {', '.join(known)}")
+
+        def prepare(self, machine: Any, axis: str, name: str, goal: float) -> None:
+            """As the laboratory, for what is offered."""
+            self._check(axis, name)
+            super().prepare(machine, axis, name, goal)
+
+        def agent(self, session: Any, axis: str, name: str, goal: float) -> Any:
+            """The same."""
+            self._check(axis, name)
+            return super().agent(session, axis, name, goal)
+
+        def compare(self, machine: Any, axis: str, names: list[str], goal: float) -> Any:
+            """The same."""
+            self._check(axis, *names)
+            return super().compare(machine, axis, names, goal)
+
+    title = options.axis.replace("-", " ")
+
+    def make(cycles: int) -> Session:
+        session = Session(fresh(options.axis, options.drive), title, cycles)
+        if options.axis in fitting.FITTING:
+            session.laboratory = Offered(lambda axis: fitting.FITTING[options.axis])
+        else:
+            session.no_policies = fitting.NONE[options.axis]
+        return session
+
+    lessons = load_all(options.lessons) if options.lessons else load_all()
+    room = Classroom(
+        make, options.axis, options.drive, [each for each in lessons if each.axis == options.axis],
+        options.pupils, options.pictures, options.results, options.code,
+    )  # fmt: skip
+    with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
+        make(1).exchange()
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    server.serve_class(
+        room, host=options.host, port=options.port, browser=not options.no_browser, tell=tell
+    )
+    return 0
