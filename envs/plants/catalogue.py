@@ -78,7 +78,7 @@ def fresh(axis: str, drive: str = "generic") -> Machine:
     Raises ValueError: unknown model or axis.
     """
     if axis not in AXES:
-        raise ValueError(f"axis = {axis!r}: {near(axis, AXES)}")
+        raise ValueError(f"axis = {axis!r}: {hint(axis, AXES)}")
     make, places = AXES[axis]
     machine = make(drive)
     power_on(machine, places)
