@@ -183,7 +183,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
     act = staticmethod(act)
     judge = staticmethod(judge)
 
-    POLICIES = ("plc_timed", "plc", "informed_plc")
+    POLICIES = ("plc_timed", "plc", "informed_plc", "bound")
     REFERENCE = "plc"
     METRIC = "settling_time"
     DONE = ("in position", "not in position")

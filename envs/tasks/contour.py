@@ -221,7 +221,7 @@ steps × `feed` × step time |
     judge = staticmethod(judge)
     datasheet: GantryParameters
 
-    POLICIES = ("constant_feed", "full_feed", "iterative_learning")
+    POLICIES = ("constant_feed", "full_feed", "iterative_learning", "bound")
     REFERENCE = "full_feed"
     SLOWEST = SLOWEST
     STROKE = tuple(AXES[name][0] for name in DRIVES)

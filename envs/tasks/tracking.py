@@ -199,6 +199,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     POLICIES = (
         "feed_forward", "disturbance_observer", "adaptive_feed_forward", "leading_feed_forward",
         "basis_feed_forward", "iterative_learning", "informed_adaptive_feed_forward",
+        "bound",
     )  # fmt: skip
     REFERENCE = "feed_forward"
     METRIC = "load_error"

@@ -1,8 +1,5 @@
 """Baselines of motion engineering and limits: each against what is known of it in closed form."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,14 +7,12 @@ from servogym.envs import TASKS
 from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
-from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
 from servogym.training.evaluate import comparison, tables
 from servogym.training.policies import ANYWHERE, POLICIES, make
-from servogym.training.policies.bound import least_time
-from servogym.training.policies.datasheet import Vibration, datasheet
+from servogym.training.policies.datasheet import datasheet
 from servogym.training.policies.lqr import gain
 
 MOVE = {"start": 0.1, "goal": 0.3}
@@ -41,34 +36,6 @@ def test_every_task_has_two_classical_baselines_and_a_limit(task):
     assert ANYWHERE == ("hold", "random")
     assert len([name for name in task.POLICIES if not POLICIES[name].told]) >= 2
     assert [name for name in task.POLICIES if POLICIES[name].told]
-
-
-def rigid(**values):
-    known = replace(datasheet(LinearAxisEnv()), tolerance=1e-7)
-    free = {"viscous_friction": 0.0, "coulomb_friction": 0.0, "speed": 1e3}
-    return replace(known.axis, **(free | values)), known
-
-
-def test_the_least_time_of_a_free_mass_is_that_of_full_force_forth_and_back():
-    axis, known = rigid()
-    expected = 2.0 * math.sqrt(0.1 * axis.mass(axis.payload) / axis.force)
-    assert least_time(axis, 0.1, known) == pytest.approx(expected, rel=0.01)
-
-
-def test_with_a_top_speed_the_least_time_is_that_of_a_trapezoid():
-    axis, known = rigid(speed=0.5)
-    ramp = 0.5 * axis.mass(axis.payload) / axis.force
-    assert least_time(axis, -0.1, known) == pytest.approx(0.1 / 0.5 + ramp, rel=0.01)
-
-
-def test_a_load_on_a_soft_spring_takes_longer_than_on_a_stiff_one_and_that_as_long_as_rigid():
-    axis, known = rigid()
-    soft, stiff = (
-        least_time(replace(axis, vibration=Vibration(frequency, 0.01)), 0.1, known)
-        for frequency in (40.0, 4000.0)
-    )
-    assert stiff == pytest.approx(least_time(axis, 0.1, known), rel=0.02)
-    assert soft > 1.1 * stiff
 
 
 def test_a_bound_is_a_row_of_settling_time_alone_and_below_all_others(tmp_path):

@@ -160,7 +160,7 @@ class Evaluator:
         if isinstance(first, BuiltIn):
             return self._built_in(policy, first)
         if isinstance(first, Bound):
-            return self._bound(policy, observations)
+            return self._bound(policy)
         made: list[Any] = [first]
         made += [
             make(policy, self.vector.envs[i], self.seeds[i]) for i in range(1, len(self.seeds))
@@ -273,11 +273,12 @@ class Evaluator:
         faults = [""] * len(self.seeds)
         return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
 
-    def _bound(self, policy: str, observations: np.ndarray) -> Evaluation:
-        """The least times to settle of the same episodes; nothing is played."""
+    def _bound(self, policy: str) -> Evaluation:
+        """What is possible in the same episodes; nothing is played."""
         values = self._empty()
         for i, env in enumerate(self.vector.envs):
-            values["settling_time"][i] = Bound(env).seconds(observations[i])
+            for metric, value in Bound(env).values().items():
+                values[metric][i] = value
         faults = [""] * len(self.seeds)
         return Evaluation(policy, self.seeds, values, faults, None, metrics=self.metrics)
 

@@ -3,7 +3,7 @@
 A policy is made for one environment from what may be known of it (`datasheet.Datasheet`), sees
 observations and gives actions. It never touches the physics nor what was drawn at random. Two are
 no such objects: `BuiltIn` stands for a homing method of the drive, which runs instead of an agent,
-and `Bound` for the least time anything could take.
+and `Bound` for the best that anything could be.
 """
 
 import os
@@ -134,7 +134,7 @@ POLICIES: dict[str, Baseline] = {
         for law, make in INFORMED.items()
     },
     "bound": Baseline(
-        Bound, "least time with all parameters known: a limit, nothing that could act", told=True
+        Bound, "what nothing can be better than: a limit, nothing that could act", told=True
     ),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
     "plc_timed": Baseline(timed_policy, "the same by the clock, without looking", face=PDO),

@@ -1,140 +1,186 @@
-"""A bound on time: how soon any controller could have settled, all parameters known.
+"""Bounds: what no controller can be better than in an episode, told everything that was drawn.
 
-A linear program (`scipy.optimize.linprog`, HiGHS) for each episode: is there a force within the
-maximum torque that brings the load into its window after T, keeps it there and has it at rest, at
-no more than the top speed? T is bisected until it is known to `RESOLUTION`. Friction counts as a
-force that may take any value up to its own, to the controller's advantage; the drive's loops, its
-set-points and what a step of the agent takes do not count. The force is constant over a `PARTS`-th
-of T, so the bound is that of this grid, inferred to be within 1 % of the least time.
+| task | quantity | what it follows from | |
+|------|----------|----------------------|-|
+| LinearAxis, Compliant | settling time | all torques within the limits, lag of the current loop, \
+set-points at their top speed with the axis within the window of the following error | proven |
+| GantrySway | settling time | the same, of the pendulum for small angles | inferred |
+| GantrySync, Commissioning | settling time | set-points at their top speed | proven |
+| Homing | settling time | all torques, and the top speed with `OVER` of overshoot | inferred |
+| LinearAxisTracking | rms error | all torques, where the reference turns sharpest | proven |
+| GantryContour | return | full feed and no error | proven |
+
+"Proven" is for the physics as it is simulated, step by step, up to rounding: `bounds.times` and
+`bounds.errors` give a certificate for each episode that does not depend on a solver. It holds for
+motions whose following error stays within its window (beyond it for 10 ms the drive faults) and
+that meet no end stop. A bound is no promise: what lies between it and the best motion that was
+played is not known.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ...envs.environment.servo_env import ServoEnv
-from .datasheet import Axis, Datasheet, datasheet
+from ...drive.kernel.words import Mode
+from ...envs.engine import probe
+from ...envs.engine.tick import NEGATIVE
+from ...envs.environment.servo_env import METRE, ServoEnv
+from .bounds.errors import SIDE, least_squares
+from .bounds.plant import NotLinear, Plant, plant
+from .bounds.times import Question, least_ticks, scipy
 
-PARTS = 30  # of the time until it has settled
-RESTING = 10  # parts in which it comes to rest within the window
-RESOLUTION = 5e-4  # s
-LONGEST = 10.0  # s
+TAIL, SWINGING = 0.03, 0.2  # s, in the window that is looked at; where a load is on a spring
+PERIOD = 2.0 * math.pi * math.sqrt(0.4 / 9.81)  # s, of the longest pendulum
+HORIZON = 0.3  # s, that is tried first
+OVER = 1.05  # of the top speed, that a velocity loop overshoots (inferred)
+NOISE = 6.0  # standard deviations of the encoder's noise, that the following error may show
+CSP = int(Mode.CYCLIC_SYNC_POSITION)
 
 
 class Bound:
-    """Stands for no controller: the least time to the goal, of an episode that has begun."""
+    """Stands for no controller: what is possible in an episode that has begun.
+
+    Raises:
+        ImportError: scipy is missing.
+        ValueError: nothing is known to bound the task, or its mechanics are not linear.
+    """
 
     def __init__(self, env: ServoEnv, seed: int = 0):
         scipy()
-        self._env = env
-        if not datasheet(env).tolerance:
-            raise ValueError(f"policy 'bound': {env.ID} has no tolerance in which it settles")
+        if env.ID not in BOUNDS:
+            raise ValueError(f"policy 'bound': no bound is known for {env.ID}")
+        self._env, self._of = env, BOUNDS[env.ID]
+        try:
+            plant(env, 1)
+        except NotLinear as error:
+            raise ValueError(f"policy 'bound': {error}") from None
 
-    def seconds(self, observation: np.ndarray) -> float:
-        """Until it has settled, of several axes the last (s)."""
-        known = datasheet(self._env, self._env.parameters)
-        axes = known.axes[: len(known.named_by_axis(observation))] or (known.axis,)
-        return max(
-            least_time(axis, float(seen.distance) * axis.stroke - _sag(axis), known)
-            for axis, seen in zip(axes, known.named_by_axis(observation), strict=True)
-        )
-
-
-def scipy() -> Any:
-    """`scipy.optimize` and `scipy.linalg`. Raises ImportError with the command that installs it."""
-    try:
-        from scipy import linalg, optimize
-    except ModuleNotFoundError as error:
-        raise ImportError(f"bound needs scipy ({error}): pip install 'servogym[lqr]'") from None
-    return optimize, linalg
+    def values(self) -> dict[str, float]:
+        """By metric: the best that it can be."""
+        return self._of(self._env)
 
 
-def _sag(axis: Axis) -> float:
-    """How far the weight bends the spring (m)."""
-    if axis.vibration is None:
-        return 0.0
-    return -axis.weight / (axis.carriage + axis.payload) / axis.vibration.frequency**2
+def _least(make: Callable[[int], Plant], asked: Question, delay: int) -> float:
+    """Seconds until a load has settled, with no longer a horizon than is needed."""
+    steps = min(round(HORIZON / make(1).timestep), asked.last)
+    while True:
+        whole = make(steps)
+        found = least_ticks(whole, asked._replace(last=steps))
+        if steps == asked.last or found + 2 * asked.ticks < steps - asked.tail:
+            return (found + delay) * whole.timestep
+        steps = min(2 * steps, asked.last)
 
 
-def plant(axis: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """``x' = A x + B · force`` of the axis and what swings behind it.
-
-    The state: place and velocity of the axis, deflection of the load and its rate; without anything
-    that swings the first two. Shapes ``(n, n)``, ``(n,)``.
-    """
-    if axis.vibration is None:
-        mass = axis.mass(axis.payload)
-        return np.array([[0.0, 1.0], [0.0, -axis.viscous_friction / mass]]), np.array(
-            [0.0, 1.0 / mass]
-        )
-    frequency, ratio = axis.vibration
-    mass, load = axis.mass(0.0), axis.payload
-    pull = load * np.array([frequency**2, 2.0 * ratio * frequency])  # on the axis, by deflection
-    own = np.array([-axis.viscous_friction, *pull]) / mass  # acceleration by velocity and these
-    a = np.zeros((4, 4))
-    a[0, 1] = a[2, 3] = 1.0
-    a[1, 1:] = own
-    a[3, 1:] = -own
-    a[3, 2:] -= pull / load
-    return a, np.array([0.0, 1.0 / mass, 0.0, -1.0 / mass])
+def _ticks(env: Any, seconds: float) -> int:
+    return round(seconds / float(env.machine.model.opt.timestep))
 
 
-def least_time(axis: Axis, way: float, known: Datasheet) -> float:
-    """For a way (m) from rest into the window of the tolerance (s).
-
-    Args:
-        axis: as it was drawn.
-        way: of the load.
-        known: with the tolerance.
-    """
-    way = abs(way)
-    if way <= known.tolerance:
-        return 0.0
-    low, high = (
-        0.0,
-        max(way / axis.speed, 2.0 * math.sqrt(way * axis.mass(axis.payload) / axis.force)),
-    )
-    while not reached(axis, way, high, known.tolerance):
-        low, high = high, 2.0 * high
-        if high > LONGEST:
-            return math.nan
-    while high - low > RESOLUTION:
-        middle = 0.5 * (low + high)
-        if reached(axis, way, middle, known.tolerance):
-            high = middle
-        else:
-            low = middle
-    return high
+def _delay(env: Any, d: int = 0) -> int:
+    """Physics steps before anything that was commanded arrives; without noise nothing moves."""
+    return 0 if env.machine.couplings[d]["noise"] > 0.0 else int(env.machine.world["delay"][0])
 
 
-def reached(axis: Axis, way: float, time: float, tolerance: float) -> bool:
-    """Whether the load can be in its window from `time` (s) on."""
-    optimize, linalg = scipy()
-    a, b = plant(axis)
-    n = len(b)
-    settle = math.pi / axis.vibration.frequency if axis.vibration else 0.02
-    force = axis.force + axis.coulomb_friction
-    forced = np.zeros((n, PARTS + RESTING))  # the state by the shares of the forces
-    rows, places = [], []  # velocities of the axis, places of the load, by the forces
-    for k in range(PARTS + RESTING):
-        if k in (0, PARTS):
-            dt = time / PARTS if k == 0 else settle / RESTING
-            joint = linalg.expm(np.block([[a, b[:, None]], [np.zeros((1, n + 1))]]) * dt)
-            step, push = joint[:n, :n], force * joint[:n, n]
-        forced = step @ forced
-        forced[:, k] += push
-        rows.append(forced[1].copy())
-        if k >= PARTS - 1:
-            places.append(forced[0] + (forced[2] if n > 2 else 0.0))
-    velocity, place = np.array(rows), np.array(places)
-    found = optimize.linprog(
-        np.zeros(PARTS + RESTING),
-        A_ub=np.vstack([velocity / axis.speed, -velocity / axis.speed, place / way, -place / way]),
-        b_ub=np.concatenate([
-            np.ones(2 * len(velocity)), np.full(len(place), 1.0 + tolerance / way),
-            np.full(len(place), tolerance / way - 1.0),
-        ]),
-        A_eq=forced[1::2] / axis.speed, b_eq=np.zeros(n // 2), bounds=(-1.0, 1.0), method="highs",
+def _set_points(env: Any, d: int = 0) -> dict[str, float]:
+    """Top speed of the set-points, and how far an axis can be ahead of them."""
+    coupling, od = env.machine.couplings[d], env.machine.axes[d]["od"]
+    units = env.units
+    ahead = float(od["following_error_window"]) + 2.0  # of rounding
+    return {
+        "speed": float(env.episode._way) / env.step_time,
+        "ahead": ahead / units + NOISE * float(coupling["noise"]),
+    }
+
+
+def _positioned(env: Any) -> dict[str, float]:
+    """A load behind one axis, physics step by physics step."""
+    aim = env.settling()
+    swings = bool(probe.elastic(env.machine))
+    limits = _set_points(env) if int(env.MODES[0]) == CSP else {}
+    asked = Question(
+        aim["goal"], aim["window"], 1, _ticks(env, env.STEPS * env.step_time),
+        _ticks(env, SWINGING if swings else TAIL), **limits,
     )  # fmt: skip
-    return bool(found.status == 0)
+    return {"settling_time": _least(lambda n: plant(env, n), asked, _delay(env))}
+
+
+def _swayed(env: Any) -> dict[str, float]:
+    """A pendulum behind each axis, agent step by agent step, for small angles."""
+    episode, seconds = env.episode, []
+    for d in range(len(env.drives)):
+        arm = {int(episode._sway_at[d]): float(episode._length)}
+        every = _ticks(env, env.step_time)
+        asked = Question(
+            float(episode._goal[d]), env.tolerance, every, every * env.STEPS,
+            _ticks(env, PERIOD), resting=env.resting, **_set_points(env, d),
+        )  # fmt: skip
+        seconds.append(_least(lambda n, d=d, arm=arm: plant(env, n, d, arm), asked, _delay(env, d)))
+    return {"settling_time": max(seconds)}
+
+
+def _squared(env: Any) -> dict[str, float]:
+    """The middle of the bridge, which the two set-points bring there."""
+    limits = [_set_points(env, d) for d in range(2)]
+    here = float(env.machine.data.qpos[int(env.episode._bridge_at)])
+    way = abs(float(env.episode.goal) - here) - env.tolerance
+    way -= sum(limit["ahead"] for limit in limits) / 2.0
+    step = limits[0]["speed"] * env.step_time
+    return {"settling_time": max(math.ceil(way / step) - 1, 0) * env.step_time}
+
+
+def _homed(env: Any) -> dict[str, float]:
+    """To the true reference, where it is taken a step before the episode ends."""
+    episode = env.episode
+    asked = Question(
+        float(episode._home), env.tolerance, 1, _ticks(env, env.STEPS * env.step_time), 1,
+        speed=OVER * float(episode._max_velocity), ahead=env.tolerance,
+    )  # fmt: skip
+    seconds = _least(lambda n: plant(env, n), asked, _delay(env))
+    return {"settling_time": max(seconds - env.step_time, 0.0)}
+
+
+def _commissioned(env: Any) -> dict[str, float]:
+    """The cause gone, to the switch at the speed of the search, and to the goal at the profile's.
+
+    Ramps count once each; states, edges and the end of the homing take no time.
+    """
+    drive, episode, coupling = env.drive, env.episode, env.machine.couplings[0]
+    ahead = float(env.machine.axes[0]["od"]["following_error_window"]) / METRE
+    edge = float(coupling["switch_to"][NEGATIVE])
+    here = float(env.machine.data.qpos[int(coupling["qpos"])])
+    seconds = episode.outage * env.step_time - env.step_time
+    for way, speed, rate in (
+        (here - edge, "speed_during_search_for_switch", "homing_acceleration"),
+        (float(episode.goal) - env.tolerance, "profile_velocity", "profile_acceleration"),
+    ):
+        top, ramp = drive.read(speed) / METRE, drive.read(rate) / METRE
+        seconds += max(way - ahead, 0.0) / top + 0.5 * top / ramp
+    return {"settling_time": max(float(seconds), 0.0)}
+
+
+def _tracked(env: Any) -> dict[str, float]:
+    """The load along the reference, at the end of each step of the agent."""
+    episode, every = env.episode, _ticks(env, env.step_time)
+    reference = np.array(episode._position[: env.STEPS + 1])
+    whole = plant(env, (2 * SIDE + 1) * every)
+    squares = least_squares(whole, reference, every, float(episode._age))
+    return {"load_error": 1e6 * math.sqrt(squares / env.STEPS)}
+
+
+def _contoured(env: Any) -> dict[str, float]:
+    """Nothing is known to keep the tool from the contour at full feed."""
+    return {"episode_return": float(env.STEPS), "contour_error": 0.0}
+
+
+BOUNDS: dict[str, Callable[[Any], dict[str, float]]] = {
+    "servogym/LinearAxis-v0": _positioned,
+    "servogym/CompliantAxis-v0": _positioned,
+    "servogym/RotaryAxis-v0": _positioned,
+    "servogym/LinearAxisTracking-v0": _tracked,
+    "servogym/GantrySway-v0": _swayed,
+    "servogym/GantrySync-v0": _squared,
+    "servogym/GantryContour-v0": _contoured,
+    "servogym/Homing-v0": _homed,
+    "servogym/Commissioning-v0": _commissioned,
+}

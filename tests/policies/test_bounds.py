@@ -1,0 +1,175 @@
+"""Certified bounds: against closed forms, against the physics, and against every row."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from servogym.envs import TASKS
+from servogym.envs.plants.axis_parameters import LinearAxisParameters
+from servogym.envs.tasks.compliant import CompliantAxisEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.rotary import RotaryAxisEnv
+from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
+from servogym.training.evaluate import comparison
+from servogym.training.policies import SHIPPED, make, names, needed
+from servogym.training.policies.bound import BOUNDS, Bound
+from servogym.training.policies.bounds.errors import least_squares
+from servogym.training.policies.bounds.plant import LOAD, plant
+from servogym.training.policies.bounds.times import Question, least_ticks, outside
+
+MOVE = {"start": 0.1, "goal": 0.3}
+FREE = {"coulomb_friction": 0.0, "viscous_friction": 0.0}
+BOUNDED = [task for task in TASKS if task.ID in BOUNDS]
+
+
+def begun(task=LinearAxisEnv, options=MOVE, **arguments):
+    env = task(**arguments)
+    env.reset(seed=1, options=options)
+    return env
+
+
+def force_and_mass(env):
+    axis, gear = env.machine.axes[0], float(env.machine.couplings[0]["gear"])
+    inertia = np.zeros((env.machine.model.nv,) * 2)
+    data = mujoco.MjData(env.machine.model)
+    mujoco.mj_forward(env.machine.model, data)
+    mujoco.mj_fullM(env.machine.model, data, inertia)
+    return float(axis["torque_limit_positive"]) * gear, float(inertia.sum())
+
+
+def test_a_free_mass_takes_full_force_forth_and_back():
+    env = begun(parameters=LinearAxisParameters(**FREE), tolerance=1e-6)
+    force, mass = force_and_mass(env)
+    expected = 2.0 * math.sqrt(0.2 * mass / force)
+    found = make("bound", env).values()["settling_time"]
+    assert 0.99 * expected < found < expected + 1.5e-3, "the lag of the current loop is 0.3 ms"
+
+
+def test_a_set_point_that_is_slow_takes_its_time_and_half_a_ramp():
+    env = begun(parameters=LinearAxisParameters(**FREE), tolerance=1e-6)
+    force, mass = force_and_mass(env)
+    asked = Question(0.3, 1e-6, 1, 4000, 80, speed=0.5, ahead=1e-6)
+    expected = 0.2 / 0.5 + 0.5 * 0.5 * mass / force
+    found = least_ticks(plant(env, 4000), asked) * env.machine.model.opt.timestep
+    assert 0.99 * expected < found < 1.01 * expected
+
+
+def test_a_soft_spring_takes_longer_and_a_stiff_one_as_long_as_none():
+    times = []
+    for stiffness in (3e3, 3e7):
+        parameters = LinearAxisParameters(stiffness=stiffness, structural_damping=5.0, **FREE)
+        env = begun(CompliantAxisEnv, parameters=parameters, randomise={})
+        times.append(make("bound", env).values()["settling_time"])
+    rigid = begun(parameters=LinearAxisParameters(**FREE), tolerance=100e-6)
+    assert times[1] == pytest.approx(make("bound", rigid).values()["settling_time"], rel=0.02)
+    assert times[0] > 1.1 * times[1]
+
+
+@pytest.mark.parametrize("name", ["rigid", "vertical", "spring"])
+def test_the_plant_is_the_physics(name):
+    """Torques of chance, played by the drive in cst, and the same through the responses."""
+    spring = {"stiffness": 2e4, "structural_damping": 6.3} if name == "spring" else {}
+    slope = 90.0 if name == "vertical" else 0.0
+    parameters = LinearAxisParameters(**(FREE | spring), inclination=slope)
+    env = begun(options={"start": 0.25, "goal": 0.3}, mode="cst", parameters=parameters)
+    steps = 20
+    ticks = round(env.step_time / env.machine.model.opt.timestep)
+    whole = plant(env, steps * ticks)
+    random, torques, places = np.random.default_rng(0), [], []
+    elastic = [env.machine.model.joint("load").qposadr[0]] if spring else []
+    for _ in range(steps):
+        env.step(random.uniform(-0.3, 0.3, 1).astype(np.float32))
+        torques.append(float(env.machine.axes[0]["torque_command"]))
+        places.append(
+            env.machine.data.qpos[0] + sum(float(env.machine.data.qpos[q]) for q in elastic)
+        )
+    at = ticks * (1 + np.arange(steps))
+    command = np.repeat(torques, ticks)
+    predicted = whole.free[at, LOAD] + whole.inputs[0].rows(at, LOAD) @ command[: at[-1]]
+    assert np.abs(predicted - places).max() < 2e-6, "a cycle until the torque is taken over"
+
+
+def test_no_torque_of_chance_is_nearer_than_the_certificate_says():
+    env = begun(CompliantAxisEnv)
+    whole = plant(env, 1200)
+    asked = Question(0.3, 100e-6, 1, 1200, 400)
+    sure = outside(whole, asked, 200)
+    assert sure > 0.0
+    random = np.random.default_rng(2)
+    at = np.arange(200, 601)
+    rows = [response.rows(at, LOAD) for response in whole.inputs]
+    for _ in range(200):
+        place = whole.free[at, LOAD].copy()
+        for response, matrix in zip(whole.inputs, rows, strict=True):
+            width = matrix.shape[1]
+            signs = np.repeat(random.choice((-1.0, 1.0), width // 20 + 1), 20)[:width]
+            place += matrix @ np.where(signs > 0, response.high, response.low)
+        assert np.abs(place - 0.3).max() - 100e-6 >= sure
+
+
+def test_a_jump_of_the_reference_leaves_an_error_and_a_slow_one_none():
+    env = begun(LinearAxisTrackingEnv, {"reference": "step", "start": 0.2}, randomise={})
+    every = round(env.step_time / env.machine.model.opt.timestep)
+    whole = plant(env, 25 * every)
+    jump = np.where(np.arange(100) < 50, 0.2, 0.202)
+    force, mass = force_and_mass(env)
+    found = least_squares(whole, jump, every, 0.0)
+    within = (
+        0.25 * force / mass * env.step_time**2
+    )  # that it moves within a step, from rest to rest
+    assert 0.0 < math.sqrt(found) < 0.002 - within
+    assert least_squares(whole, 0.2 + 1e-3 * np.sin(np.arange(100) / 20), every, 0.0) < 1e-18
+
+
+def test_mechanics_without_a_bound_are_refused():
+    env = RotaryAxisEnv()
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="linear mechanics"):
+        Bound(env)
+
+
+def above(task, rows, episodes, seed):
+    """Rows that are better than the bound in an episode, with how much."""
+    arguments = {}
+    [bound] = comparison.evaluate(task.ID, ["bound"], "generic", episodes, seed, arguments)
+    found = []
+    for row in rows:
+        [result] = comparison.evaluate(task.ID, [row], "generic", episodes, seed, arguments)
+        for metric, limit in bound.values.items():
+            if not np.isfinite(limit).any():
+                continue
+            sign = -1.0 if result.metrics[metric].better == "low" else 1.0
+            fair = np.array([not fault for fault in result.faults])
+            better = sign * (result.values[metric] - limit)
+            if (better[fair] > 1e-9).any():
+                found.append((row, metric, float(better[fair].max())))
+    return found
+
+
+QUICK = {
+    "servogym/LinearAxis-v0": ["ruckig", "informed_ruckig"],
+    "servogym/LinearAxisTracking-v0": ["basis_feed_forward"],
+    "servogym/CompliantAxis-v0": ["informed_ruckig+zvd", "adaptive_lqr"],
+    "servogym/GantrySway-v0": ["informed_ruckig+zv"],
+    "servogym/GantrySync-v0": ["informed_squaring"],
+    "servogym/Homing-v0": ["informed_search", "built_in_fast"],
+    "servogym/Commissioning-v0": ["informed_plc"],
+}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_sample_of_rows_stays_behind_the_bound(name):
+    [task] = [task for task in BOUNDED if name == task.ID]
+    assert not above(task, QUICK[name], 3, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", BOUNDED, ids=lambda task: task.ID)
+def test_no_row_is_above_its_bound_in_any_episode(task):
+    if "bound" not in task.POLICIES:
+        pytest.skip("its mechanics are not linear")
+    rows = [row for row in names(task()) if row != "bound" and not needed(row)]
+    learned = ["learned"] if (SHIPPED / task.ID.rpartition("/")[2]).is_dir() else []
+    assert not above(task, [*rows, *learned], 20, 0)
