@@ -12,11 +12,11 @@ class Machine(Protocol):
 
     @property
     def drives(self) -> Mapping[str, Drive]:
-        """By name, in the order of their axes."""
+        """Drives by name, in the order of their axes."""
 
     @property
     def cycle_time(self) -> float:
-        """Of one `step` (s)."""
+        """Duration of one `step` (s)."""
 
     @property
     def time(self) -> float:

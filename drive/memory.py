@@ -67,7 +67,7 @@ def array_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _tuple(builder: Any, values: list) -> Any:
-    """As shape and strides are."""
+    """Build a tuple of integers in LLVM, as shape and strides are held."""
     made = ir.Constant(ir.ArrayType(values[0].type, len(values)), ir.Undefined)
     for i, value in enumerate(values):
         made = builder.insert_value(made, value, i)

@@ -114,7 +114,7 @@ def _made_by(file: Path) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Of so many significant digits; a dash where there is none."""
+    """Format a number with so many significant digits; a dash if there is none."""
     if not np.isfinite(value):
         return "–"
     if abs(value) < ROUNDING:
@@ -173,7 +173,7 @@ def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str,
 
 
 def write_text(path: Path, text: str) -> None:
-    """As `write_bytes`."""
+    """Write text as `write_bytes` writes bytes."""
     write_bytes(path, text.encode())
 
 

@@ -57,7 +57,7 @@ class Setup:
         return f"{short(self.task.ID).replace('/', '-')}-{Path(self.drive).name}"
 
     def having(self, arguments: Mapping[str, Any], drive: str = "") -> "Setup":
-        """The same with other arguments of the environment, and another drive if one is given."""
+        """Return a copy with other arguments of the environment, and another drive if given."""
         return replace(self, arguments=dict(arguments), drive=drive or self.drive)
 
     def make(self) -> ServoEnv:

@@ -95,7 +95,7 @@ class CanOpenPort:
         return received
 
     def units(self, axis: str) -> Units:
-        """As given."""
+        """Return the units given at construction."""
         return self._units
 
     def nmt(self, command: NmtCommand) -> None:

@@ -34,7 +34,7 @@ class Sync:
             self.stop()
 
     def stop(self) -> None:
-        """As in STOPPED: the producer rests, and begins with counter 1 again."""
+        """Enter STOPPED: the producer pauses and restarts with counter 1."""
         self._next: int | None = None
         self._counter = 0
 

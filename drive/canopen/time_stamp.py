@@ -18,7 +18,7 @@ class TimeOfDay(NamedTuple):
     milliseconds: int  # after midnight
 
     def datetime(self) -> datetime.datetime:
-        """The same as a date of Python."""
+        """Return the time as a `datetime.datetime`."""
         return _EPOCH + datetime.timedelta(days=self.days, milliseconds=self.milliseconds)
 
 

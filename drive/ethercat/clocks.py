@@ -100,7 +100,7 @@ def _entered(ways: Sequence[Way], branch: Branch, time: int) -> dict[int, int]:
 
 
 def _way(slave: Any, unit: int) -> Way:
-    """From the registers, which have 32 bits of the time at a port."""
+    """Read a slave's port times from its registers, which hold 32 bits of the time."""
     status = slave.number(R.DL_STATUS, 2)
     begin = unit - (1 << 31)
     times = {

@@ -215,7 +215,7 @@ class FaultyBus(Bus):
         return not kinds & {"lose", "delay", "truncate", "stale"}
 
     def exchange(self, frame: bytes, now: int = 0, port: int = 0) -> bytes | None:
-        """As that of `Bus`; where nothing comes back, what is late may come instead."""
+        """Exchange a frame as `Bus` does; a delayed answer may take the place of a missing one."""
         reply = super().exchange(frame, now, port)
         if reply is None and self.extra:
             return self.extra.popleft()

@@ -333,7 +333,7 @@ class EtherCatMaster:
             slave.outputs, slave.inputs = bytearray(outputs), inputs
 
     def to_op(self) -> None:
-        """From INIT, or wherever the slaves are on the way, to OPERATIONAL, with process data.
+        """Bring all slaves from any AL state to OPERATIONAL, with process data.
 
         Raises:
             RuntimeError: a slave refuses a state; tells which and its code.

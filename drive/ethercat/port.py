@@ -40,7 +40,7 @@ class SegmentMaster(Protocol):
 
     @property
     def slaves(self) -> Sequence[SlaveSide]:
-        """Those that were found."""
+        """The slaves found by the scan."""
 
     def scan(self) -> Sequence[SlaveSide]:
         """Find them."""
@@ -130,7 +130,7 @@ class EtherCatPort:
         return self.master.cycle()
 
     def units(self, axis: str) -> Units:
-        """As given."""
+        """Return the units given at construction."""
         return self._units
 
 

@@ -160,7 +160,7 @@ class Block(CPUDispatcher):
         return entry(self.py_func)
 
     def __call__(self, *args, **kws):
-        """From Python."""
+        """Call the compiled function from Python."""
         return self._alone(*args, **kws)
 
 

@@ -434,7 +434,7 @@ def _misses(axis: Axis, distance, x, v, first, last, way, end, limits):
 
 @block
 def _over_by_speed(axis: Axis, distance, cruise, end, limits):
-    """The same with whole sin² ramps: to the highest speed up to `cruise` that leads no farther."""
+    """Plan a ramp of whole sin² parts to the highest speed up to `cruise` that fits the way."""
     way = math.copysign(1.0, cruise)
     v, a = axis.velocity_demand, axis.acceleration_demand
     low, high = end, cruise

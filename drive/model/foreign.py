@@ -53,7 +53,7 @@ def table(path: Path, keys: Mapping[str, Key] | None = None) -> dict[str, Any]:
 
 
 def parsed(text: str | bytes, where: str, keys: Mapping[str, Key] | None = None) -> dict[str, Any]:
-    """The same of a text; a name `where` that ends in .toml is TOML, any other JSON."""
+    """Parse text: TOML if the name `where` ends in .toml, otherwise JSON."""
     try:
         decoded = text if isinstance(text, str) else text.decode()
         found = tomllib.loads(decoded) if where.endswith(".toml") else json.loads(decoded)

@@ -149,7 +149,7 @@ class Fault:
 
     @property
     def name(self) -> str:
-        """As the manufacturer's lists and displays call it, ``17-0``."""
+        """Fault number as the maker's lists and displays print it, ``17-0``."""
         return "" if self.main is None else f"{self.main:02d}-{self.sub or 0}"
 
 

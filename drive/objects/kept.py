@@ -69,7 +69,7 @@ def written(drive: Device, n: int) -> None:
 
 
 def kept(drive: Device) -> dict[int, Kept]:
-    """By place what is storable and has not been written since the units changed."""
+    """Return, by place, storable values that have not been written since the units changed."""
     axis = drive.axis
     if not axis.converted:
         return {}

@@ -36,7 +36,7 @@ class Slot:
         self.kept = kept  # `kept.place`
 
     def of(self, views: Mapping[str, memoryview | None]) -> "Slot":
-        """The same object in the memory of one drive, by area."""
+        """Return the object's slot in the memory of one drive, by area."""
         slot = Slot.__new__(Slot)
         slot.row, slot.offset, slot.code, slot.writable = (
             self.row, self.offset, self.code, self.writable

@@ -69,7 +69,7 @@ class EtherCatServer:
 
     @property
     def working_counter(self) -> int:
-        """Of the first datagram of the last frame that began with process data."""
+        """Working counter of the first datagram of the last frame with process data."""
         return self._counter
 
     def run(self, every: float = 0.5, show: Callable[[], None] | None = None) -> None:

@@ -193,7 +193,7 @@ class _Blocks:
         self.held = 0  # bytes since the last frame
 
     def read(self, size: int) -> bytes:
-        """As of a file, no more than a block at once."""
+        """Read as a file does, at most one block at a time."""
         if not 0 <= size <= LARGEST_BLOCK:
             raise ValueError(f"a block of {size} bytes, it has 0 to at most {LARGEST_BLOCK}")
         data = self._file.read(size)

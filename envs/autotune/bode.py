@@ -271,7 +271,7 @@ def _measure(
 def _multisine(
     random: np.random.Generator, lines: np.ndarray, count: int, frequencies: np.ndarray
 ) -> np.ndarray:
-    """Of random phases, rms 1; stronger at high frequencies, where inertia leaves little motion."""
+    """Return a multisine of random phases, rms 1, with more power at high frequencies."""
     spectrum = np.zeros(count // 2 + 1, complex)
     phases = np.exp(2j * np.pi * random.random(len(lines)))
     spectrum[lines] = phases * np.sqrt(1 + frequencies / 100)

@@ -104,7 +104,7 @@ def _shares(drive: Drive, response: Response) -> tuple[float, float]:
 
 
 def _inertia(frequencies: np.ndarray, measured: np.ndarray) -> float:
-    """Of the lowest frequencies, where friction does not count for much."""
+    """Estimate the inertia at the lowest frequencies, where friction has little effect."""
     low = frequencies <= 4 * frequencies[0]
     return float(np.median(1 / (2 * np.pi * frequencies * abs(measured))[low]))
 

@@ -18,7 +18,7 @@ Loop = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Margins:
-    """Of one loop. A margin is infinite where the loop does not come to it."""
+    """Stability margins of one loop; infinite where the loop has no such crossing."""
 
     gain: float  # dB
     phase: float  # degree

@@ -75,7 +75,7 @@ def sampled(
 
 
 def lag_and_filter(frequencies: np.ndarray, cycle: float, lag: float, share: float) -> np.ndarray:
-    """Of the drive: current loop, and filter of the velocity, as shares of a new value."""
+    """Response of current-loop lag and velocity filter, each given as its smoothing share."""
     z = np.exp(2j * np.pi * frequencies * cycle)
     return lag / (1 - (1 - lag) / z) * share / (1 - (1 - share) / z)
 
@@ -84,7 +84,7 @@ def mechanics(
     frequencies: np.ndarray, cycle: float, values: tuple[float, float, float],
     pairs: Iterable[tuple[float, float, float, float]],
 ) -> np.ndarray:  # fmt: skip
-    """Of inertia, viscous friction and delay, and of pairs in Hz with their damping."""
+    """Response of inertia, viscous friction, delay, and damped resonance pairs (Hz)."""
     inertia, viscous, delay = values
     s = 2j * np.pi * frequencies
     z = np.exp(s * cycle)

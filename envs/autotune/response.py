@@ -62,7 +62,7 @@ class Response:
     also: tuple[tuple[str, "Response"], ...] = ()
 
     def with_gains(self, gains: Gains) -> "Response":
-        """The same plant behind other gains."""
+        """Return the response of the same plant with other gains."""
         if not isinstance(gains, Gains):
             raise ValueError(f"gains = {gains!r}: give Gains, as gains_of(drive) has them")
         also = tuple((name, other.with_gains(gains)) for name, other in self.also)
@@ -112,11 +112,11 @@ class Response:
 
     @property
     def _weight(self) -> np.ndarray:
-        """Of what was measured: 1 over its relative variance."""
+        """Weight of the measurement: the inverse of its relative variance."""
         return self.coherence / np.maximum(1 - self.coherence, 1e-3)
 
     def with_earlier(self, other: "Response | None") -> "Response":
-        """The same, with the plant as it was measured another time as well, by weight.
+        """Return the response with the plant averaged with an earlier measurement, by weight.
 
         Behind a stiff loop little is left to see at low frequencies, behind a soft one at none.
         """
@@ -139,11 +139,11 @@ class Response:
 
     @property
     def inertia(self) -> float:
-        """Of the fitted plant (kg·m²); not a number without one."""
+        """Inertia of the fitted plant (kg·m²); NaN without a fit."""
         return self.fitted.inertia if self.fitted else math.nan
 
     def _position_per_velocity(self, frequencies: np.ndarray) -> np.ndarray:
-        """Of the motor's own encoder."""
+        """Response from filtered velocity to position, of the motor's own encoder."""
         z = np.exp(2j * np.pi * frequencies * self.cycle)
         return (
             self.cycle / (1 - 1 / z) * (1 - (1 - self.velocity_filter) / z) / self.velocity_filter
@@ -181,14 +181,14 @@ class Response:
 
     @cached_property
     def velocity_margins(self) -> Margins:
-        """Of the velocity loop."""
+        """Stability margins of the velocity loop."""
         wide = self.wide
         own = self._margins(wide.frequencies, wide.velocity_loop)
         return own.and_of(other.velocity_margins for _, other in self.also)
 
     @cached_property
     def position_margins(self) -> Margins:
-        """Of the position loop; up to its own Nyquist frequency."""
+        """Stability margins of the position loop, up to its own Nyquist frequency."""
         wide = self.wide
         below = wide.frequencies < 0.49 / (self.cycle * self.cycles)
         own = self._margins(wide.frequencies[below], wide.position_loop[below])

@@ -94,12 +94,12 @@ class Stand:
 
     @property
     def period(self) -> float:
-        """Of a step of the machine (s)."""
+        """Duration of a step of the machine (s)."""
         return self.machine.cycle_time
 
     @property
     def place(self) -> float:
-        """Of the joint (m or rad)."""
+        """Position of the joint (m or rad)."""
         return float(self.machine.data.qpos[self.machine.couplings[self.number].qpos])
 
     @property
@@ -122,12 +122,12 @@ class Stand:
         return here - low, high - here
 
     def fastest(self, duration: float) -> float:
-        """Of travel for so long (s), at the joint (m/s or rad/s): of the motor, and in the room."""
+        """Highest travel speed for that long (s) at the joint, by motor and room (m/s or rad/s)."""
         motor = float(self.drive.axis.max_speed) / abs(self.gear)
         return min(motor, ROOM * max(self.room) / duration)
 
     def speed(self, duration: float, share: float = 0.1) -> float:
-        """Of travel at the joint (m/s or rad/s): a share of 6081h, less where there is no room."""
+        """Travel speed at the joint: a share of 6081h, less if there is no room (m/s or rad/s)."""
         wanted = share * float(self.drive.axis.profile_speed) / abs(self.gear)
         free = max(self.room)
         if free * ROOM < wanted * duration * 0.02:

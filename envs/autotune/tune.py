@@ -72,7 +72,7 @@ class Tuned:
 
     @property
     def name(self) -> str:
-        """Of the drive, or of both that move one beam."""
+        """Name of the drive, or of both drives that move one beam."""
         return " and ".join(self.together) or self.drive
 
     def _error(self, of: Trial) -> str:

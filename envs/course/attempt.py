@@ -61,7 +61,7 @@ class Observer:
         self.begin()
 
     def begin(self) -> None:
-        """From here on counts what is refused, written and how large the torque gets."""
+        """Start counting: refusals, writes and the largest torque matter from here on."""
         self.drive.axis.refused_command = 0
         self._before = self._bytes[self._places].tobytes()
         self._key: tuple[int, ...] = ()

@@ -58,7 +58,7 @@ def misfit(function: Any, *arguments: Any) -> str:
 
 
 def cores() -> int:
-    """Of this machine, those that this process may use."""
+    """Number of processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -113,12 +113,12 @@ class Options(dict[str, Any]):
         self._asked: dict[str, None] = {}  # in their order
 
     def get(self, name: str, default: Any = None) -> Any:
-        """As of a dict."""
+        """Return an option as `dict.get` does."""
         self._asked[name] = None
         return super().get(name, default)
 
     def pop(self, name: str, *default: Any) -> Any:
-        """As of a dict."""
+        """Remove and return an option as `dict.pop` does."""
         self._asked[name] = None
         return super().pop(name, *default)
 
@@ -135,11 +135,11 @@ class Options(dict[str, Any]):
         return super().__iter__()
 
     def keys(self) -> Any:
-        """As of a dict."""
+        """Return the names of all options."""
         return list(self)
 
     def items(self) -> Any:
-        """As of a dict."""
+        """Return names and values of all options."""
         return [(name, self[name]) for name in self]
 
     def __ror__(self, other: Any) -> Any:

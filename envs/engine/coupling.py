@@ -13,7 +13,7 @@ SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 
 
 def unit(model: mujoco.MjModel, joint: int) -> str:
-    """Of a joint's position."""
+    """Unit of the joint's position."""
     return "m" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
 
 

@@ -289,7 +289,7 @@ def _cuda() -> Any:
 
 
 def _plain(kind: Any) -> Any:
-    """Of an index: members of an IntEnum are integers."""
+    """Return an index as an integer, also for members of an IntEnum."""
     if isinstance(kind, types.BaseTuple):
         inner: Any = kind
         return types.Tuple([*map(_plain, inner)])

@@ -67,7 +67,7 @@ class _Batch:
 
 
 class _Guarded(threading.local):
-    """Of one thread: the batch its calls go through, their JOB, and whether one is running."""
+    """Per thread: the batch its calls go through, their JOB, and whether one is running."""
 
     def __init__(self) -> None:
         self.running = False

@@ -47,7 +47,7 @@ FIRST_PACE = 64  # physics steps, before it is known how long they take
 
 
 class Status(IntEnum):
-    """Of a machine; all but SOUND keep it from running."""
+    """Status of a machine; any value but SOUND keeps it from running."""
 
     SOUND = 0
     RUNNING = 1

@@ -493,7 +493,7 @@ def _variable(model: mujoco.MjModel) -> list[np.ndarray]:
 
 
 def _checksum(model: mujoco.MjModel) -> int:
-    """Of all that is not variable."""
+    """Return a checksum of everything in the model that does not vary."""
     model = copy.copy(model)
     for array in _variable(model):
         array[:] = 0

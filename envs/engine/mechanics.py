@@ -210,7 +210,7 @@ def numeric(model: mujoco.MjModel, name: str, size: int) -> list[float]:
 
 
 def directions(model: mujoco.MjModel, couplings, joints) -> np.ndarray:
-    """Of the frictions over the degrees of freedom, shape ``(2 n_drives, nv)``."""
+    """Directions of the frictions over the degrees of freedom, shape ``(2 n_drives, nv)``."""
     rows = np.zeros((len(joints), PLACES, model.nv))
     for row, coupling, m in zip(rows, couplings, joints, strict=True):
         row[:, coupling.dof] = 1.0

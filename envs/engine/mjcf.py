@@ -170,7 +170,7 @@ class _Asked:
 
 
 def _product(text: str) -> float:
-    """Of the numbers of an attribute, with the units of memory; what is none counts 1."""
+    """Multiply the numbers of an attribute, with units of memory; other text counts as 1."""
     product = 1.0
     for word in text.split():
         unit = _UNITS.get(word[-1:].upper(), 1)

@@ -78,7 +78,7 @@ class Joint:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Of the machine, whose turn it may have to be."""
+        """MuJoCo model of the machine; loads its state first if the model is shared."""
         return self.machine.model
 
     @property
@@ -104,7 +104,7 @@ class Joint:
         return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name))
 
     def mass(self, name: str) -> float:
-        """Of a body (kg), 0 if there is none."""
+        """Return the mass of a body (kg), 0 if there is none."""
         body = self.body(name)
         return float(self.model.body_mass[body]) if body >= 0 else 0.0
 
@@ -397,7 +397,7 @@ def known(joint: Joint, name: str) -> Parameter:
 
 
 def unit(joint: Joint, name: str) -> str:
-    """Of a parameter, for the joint as it is: that of a hinge has rad for m and Nm for N."""
+    """Return the unit of a parameter for its joint: on a hinge rad for m, and Nm for N."""
     text = PARAMETERS[name].unit
     if joint.unit == "m" or name in ("payload", "carriage_mass"):
         return text

@@ -58,7 +58,7 @@ def begin_step(world, axes, couplings):
 
 @block
 def notice(world, axes, couplings):
-    """Of a step of an agent, after one physics step of it."""
+    """Update the probe after one physics step within an agent's step."""
     words = 0
     for i in range(len(axes)):
         axis, coupling = axes[i], couplings[i]

@@ -9,7 +9,7 @@ from ...drive.kernel.record import accessible
 
 
 def aligned(record: np.dtype) -> np.dtype:
-    """The same fields, each at a multiple of its size."""
+    """Return a dtype with the same fields, each aligned to a multiple of its size."""
     return np.dtype([(name, record[name]) for name in record.names or ()], align=True)
 
 

@@ -119,7 +119,7 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     @property
     def device(self) -> Any:
-        """Of torch, where the observations are."""
+        """Device (of torch) on which the observations are."""
         return self._seen[0].device
 
     def _compiled(self, name: str, *names: str) -> Callable[[], None]:

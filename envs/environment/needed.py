@@ -11,7 +11,7 @@ from ..exchange.batch import JUDGED_NAMES
 
 
 class Need(NamedTuple):
-    """Of one attribute: what it is, and whether a value could be it."""
+    """A required attribute: its meaning, and a check of its value."""
 
     what: str
     fits: Callable[[Any], bool]

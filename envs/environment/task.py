@@ -69,7 +69,7 @@ class Task:
         raise NotImplementedError
 
     def sensor(self) -> Sensor | None:
-        """Of the load; None: nothing is seen of it."""
+        """Return the sensor at the load; None if there is no sensor."""
         return None
 
     def settling(self) -> dict[str, float]:

@@ -45,7 +45,7 @@ def shown(name: str) -> bool:
 
 
 def priced(prices: Mapping[str, float] | None) -> tuple[float, float]:
-    """Those of `PRICES`, 0 where none is given.
+    """Return the prices in the order of `PRICES`, 0 where none is given.
 
     Raises ValueError for another name, or a price out of range.
     """
@@ -91,10 +91,10 @@ class Line(Protocol):
     """A way of process images to the drives of a world, other than by memory."""
 
     def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """As `loop.run`, for one world and its images as bytes."""
+        """Run cycles as `loop.run` does, for one world and its images as bytes."""
 
     def look(self, world: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """The same without a step."""
+        """Fill the TPDO images without running a cycle."""
 
 
 class Part(NamedTuple):
@@ -206,7 +206,7 @@ class Batch:
                 self.charge(part, before)
 
     def torque(self, part: Part) -> np.ndarray:
-        """Of each drive, as a share of the rated one, shape ``(n, drives)``, a copy."""
+        """Torque of each drive as a share of the rated torque, shape ``(n, drives)``, a copy."""
         return 1e-3 * np.asarray(part.tpdos[TORQUE], float)
 
     def charge(self, part: Part, before: np.ndarray) -> None:
@@ -279,12 +279,12 @@ def _with(record: np.dtype, name: str, kind: np.dtype, drives: int) -> np.dtype:
 
 
 def _bytes(records: np.ndarray) -> np.ndarray:
-    """The same memory, shape ``(n, bytes)``."""
+    """View the memory as bytes, shape ``(n, bytes)``."""
     return records.view(np.ndarray).view(np.uint8).reshape(len(records), -1)
 
 
 def _numbers(records: np.ndarray, number: type) -> np.ndarray:
-    """The same memory, shape ``(n, numbers)``."""
+    """View the memory as numbers, shape ``(n, numbers)``."""
     return records.view(np.ndarray).view(number).reshape(len(records), -1)
 
 

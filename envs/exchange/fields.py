@@ -50,7 +50,7 @@ def _number(record: np.dtype) -> np.dtype:
 
 
 def names(record: np.dtype) -> list[str]:
-    """Of its numbers, in order: ``"goal"``, ``"path[3, 1]"``, ``"axes[0].velocity"``."""
+    """Names of all numbers in order: ``"goal"``, ``"path[3, 1]"``, ``"axes[0].velocity"``."""
     found = []
     for name in record.names or ():
         kind, shape = record[name].base, record[name].shape

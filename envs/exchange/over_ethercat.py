@@ -79,7 +79,7 @@ class EtherCatLine:
         self._order(random)
 
     def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """As `loop.run`, for one world and its images as bytes."""
+        """Run cycles as `loop.run` does, for one world and its images as bytes."""
         probe.renew(self._machine)
         delay = min(int(self._machine.world["delay"][0]), ticks)
         self._pass(world, delay)
@@ -98,7 +98,7 @@ class EtherCatLine:
             self.lost += 1
 
     def look(self, world: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """As `run` without a step, from the drives themselves."""
+        """Fill the TPDO images from the drives themselves, without running a cycle."""
         loop.run(world, 0, rpdos[None], tpdos[None])
 
     def _pass(self, world: np.ndarray, ticks: int) -> None:

@@ -384,7 +384,7 @@ class PortLine:
         self._deadline = self._side.pace.now()
 
     def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """As `loop.run`, for one world and its images as bytes. Raises Stopped."""
+        """Run cycles as `loop.run` does, for one world, images as bytes. Raises Stopped."""
         self._exchange(rpdos, tpdos, self._period)
 
     def _exchange(self, rpdos: np.ndarray, tpdos: np.ndarray, period: float) -> None:

@@ -37,7 +37,7 @@ FIGURES = accessible(np.dtype(list(FIELDS), align=True))
 
 
 class HomingFigures(NamedTuple):
-    """Of one run."""
+    """Figures of one homing run."""
 
     method: int
     attained: bool

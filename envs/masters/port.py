@@ -36,7 +36,7 @@ class MachinePort:
 
     @property
     def models(self) -> Mapping[str, DriveModel]:
-        """By drive name."""
+        """Models of the drives by name."""
         return {name: drive.model for name, drive in self._drives.items()}
 
     def now(self) -> float:

@@ -136,7 +136,7 @@ class BusBench(Bench):
             self.scope.sample(self.time)
 
     def _read_next(self) -> None:
-        """By turns: what is always shown, and what a page wants to see."""
+        """Read the next object: alternately of the header and of the visible page."""
         self._turn += 1
         turn = self._turn // 2
         axis = self.axes[turn % len(self.axes)]
@@ -225,11 +225,11 @@ class BusBench(Bench):
         return f"{self.rate:.0f} of {self.asked_rate:g} samples/s"
 
     def rows(self, axis: str) -> list[Object]:
-        """Those of the drive model."""
+        """Objects of the drive model."""
         return self._rows
 
     def value(self, axis: str, name: str) -> float | None:
-        """As it was read last; it is read every now and then from here on."""
+        """Return the value last read, and keep reading the object from now on."""
         row = self._named[name]
         return self._last(axis, row)
 
@@ -241,7 +241,7 @@ class BusBench(Bench):
         return None if isinstance(known, str) else known
 
     def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
-        """As they were read last; an ellipsis where nothing has come yet."""
+        """Return the values last read as text; an ellipsis where none has arrived yet."""
         texts = []
         for row in rows:
             key = axis, row.index, row.subindex
@@ -254,7 +254,7 @@ class BusBench(Bench):
         return texts
 
     def write(self, axis: str, name: int | str, *arguments: float) -> str:
-        """By SDO, and read it back; -> why it is refused, if it is."""
+        """Write an object by SDO and read it back. Returns the reason of a refusal, or nothing."""
         if not self.commands:
             return LISTENS
         try:
@@ -281,7 +281,7 @@ class BusBench(Bench):
         return word is not None and state_of(int(word)) is State.OPERATION_ENABLED
 
     def fault_of(self, axis: str) -> tuple[str, str]:
-        """As statusword and error code were read last."""
+        """Return the fault according to statusword and error code last read."""
         word = self._last(axis, self._named["statusword"], ask=False)
         if word is None or state_of(int(word)) not in FAULTY:
             return "", ""
@@ -292,7 +292,7 @@ class BusBench(Bench):
         return fault_named(model, code) or "unknown fault", remedy
 
     def mapped(self, axis: str, direction: str) -> list[Object]:
-        """Of the PDOs that have passed."""
+        """Return the objects in the PDOs observed so far."""
         return [
             self._named[name] for pdo, _ in self._passed(axis, direction) for name in pdo.places
         ]
@@ -304,7 +304,7 @@ class BusBench(Bench):
         ]  # fmt: skip
 
     def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
-        """Of an object, as it was read last; nan where it cannot be."""
+        """Return a reader of an object's last value; NaN where there is none."""
         row = self._named.get(name)
         if row is None or not row.format:
             raise ValueError(f"there is no channel {name!r}: on a bus name an object of the model")
@@ -316,7 +316,7 @@ class BusBench(Bench):
         return read
 
     def channel_unit(self, axis: str, name: str) -> str:
-        """As the model says."""
+        """Return the unit of a channel according to the model."""
         return self._named[name].unit
 
     def _axis(self, name: str) -> dict[str, Any]:
@@ -376,7 +376,7 @@ class _Tap(CanOpenPort):
     hear: Callable[[Frame], None] = staticmethod(lambda frame: None)
 
     def exchange(self, frames: Iterable[Frame] = (), *, sync: bool = True) -> list[Frame]:
-        """As before."""
+        """Exchange process data once and count it."""
         received = super().exchange(frames, sync=sync)
         for frame in received:
             self.hear(frame)
@@ -393,14 +393,14 @@ class _Port:
         self.now, self.units = bus.now, bus.units
 
     def upload(self, axis: str, name: str) -> int | float:
-        """By SDO."""
+        """Read an object by SDO."""
         self._may()
         return self._bus.upload(axis, name)
 
     read = upload
 
     def write(self, axis: str, name: str, value: int | float) -> None:
-        """By SDO."""
+        """Write an object by SDO and read it back. Returns the reason of a refusal, or nothing."""
         self._may()
         self._bus.write(axis, name, value)
 

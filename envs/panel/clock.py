@@ -58,7 +58,7 @@ class Clock:
         self._stopping = True
 
     def stop(self) -> None:
-        """The same, and wait for it."""
+        """Stop the clock and wait until it has stopped."""
         self.end()
         if self._thread.is_alive():
             self._thread.join(5.0)

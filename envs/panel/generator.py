@@ -38,7 +38,7 @@ class Most(NamedTuple):
 
 
 def travel(way: float, most: Most) -> tuple[Wave, float]:
-    """From 0 to `way` as fast as it may, at rest at both ends; -> the wave and how long it takes.
+    """Plan a rest-to-rest motion from 0 to `way`. Returns the wave and its duration.
 
     The trapezoid of velocity, in closed form.
     """

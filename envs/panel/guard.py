@@ -52,7 +52,7 @@ class Door(Protocol):
 
 
 class Owner:
-    """Of a panel: the one token, and nothing for strangers."""
+    """The owner of a panel with a single token."""
 
     def __init__(self, token: str):
         self.token = token

@@ -67,7 +67,7 @@ class Journal:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it; numbers keep all their digits."""
+    """Return a value as JSON can hold it; numbers keep all their digits."""
     if isinstance(value, Mapping):
         return {str(name): _plain(each) for name, each in value.items()}
     if isinstance(value, bytes):

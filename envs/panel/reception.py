@@ -105,7 +105,7 @@ class Reception:
 
 
 def _prefix(scope: Scope) -> str:
-    """Of a proxy that serves the panel in a folder; nothing that could be another server."""
+    """Return the path under which a proxy serves the panel; empty for anything but a path."""
     given = {name: value for name, value in scope["headers"]}.get(b"x-forwarded-prefix", b"")
     text = given.decode("latin-1").strip("/")
     fine = text and all(letter.isalnum() or letter in "-_./" for letter in text)

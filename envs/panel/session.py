@@ -116,11 +116,11 @@ class Session(Bench):
         return [slot.row for slot in self.machine.drives[axis].objects.slots.values()]
 
     def value(self, axis: str, name: str) -> float | None:
-        """As it is."""
+        """Return the present value of an object."""
         return self.machine.drives[axis].objects.names[name].get()  # type: ignore[return-value]
 
     def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
-        """As a master reads them."""
+        """Return the values of objects as a master reads them, as text."""
         objects, texts = self.machine.drives[axis].objects, []
         for row in rows:
             value: Any = "write only"
@@ -149,13 +149,13 @@ class Session(Bench):
         return int(self.machine.drives[axis].axis.state) == State.OPERATION_ENABLED
 
     def fault_of(self, axis: str) -> tuple[str, str]:
-        """As the drive has it."""
+        """Return the fault of a drive."""
         drive = self.machine.drives[axis]
         record = drive.axis
         return (drive.fault, remedy(record)) if record.fault else ("", "")
 
     def mapped(self, axis: str, direction: str) -> list[Object]:
-        """Of all PDOs that are valid."""
+        """Return the objects in all valid PDOs."""
         return [slot.row for slot, _ in self.machine.drives[axis].mapped(direction)]
 
     def fields(self) -> tuple[str, ...]:
@@ -163,11 +163,11 @@ class Session(Bench):
         return FIELDS
 
     def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
-        """Of an object, or of a field of the record."""
+        """Return a reader of an object or of a field of the record."""
         return reader(self.machine.drives[axis], name)
 
     def channel_unit(self, axis: str, name: str) -> str:
-        """Of an object, or of a field of the record."""
+        """Return the unit of an object or of a field of the record."""
         return unit_of(self.machine.drives[axis], name)
 
     # ------------------------------------------------------------------ gains

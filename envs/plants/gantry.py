@@ -95,7 +95,7 @@ class Gantry(Machine):
     """A `Machine` that knows its bridge and its hanging load."""
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """As `Machine.reset`; the bridge lies on its carriages without tension in their coupling.
+        """Reset as `Machine.reset` does, with the bridge free of tension on its carriages.
 
         Raises ValueError also where `positions` of x1 and x2 are more than 30 mm apart.
         """

@@ -113,7 +113,7 @@ def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
 
 @dataclass(frozen=True)
 class Filters:
-    """Of the torque command, as `kernel.filters` computes them."""
+    """Filters of the torque command, as `kernel.filters` computes them."""
 
     cycle: float  # s, velocity controller
     low_pass: float = 0.0  # s; 0: none
@@ -307,7 +307,7 @@ def fastest_pid(
     allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
-    """The same for a PID controller: that of a cascade, softer until the margins are kept."""
+    """Return the fastest PID position controller that keeps the margins."""
     for share in ease * EASES:
         found = fastest(plants, asked, allowed, share)
         if found is None:

@@ -50,7 +50,7 @@ def commission(drive: Drive, values: Mapping[str, float], per_unit: float) -> No
 
 
 def fitted(drive: Drive, values: Mapping[str, float], per_unit: float) -> dict[str, float]:
-    """The same `values` in units and ranges of the drive."""
+    """Return `values` converted into the units and ranges of the drive."""
     units_changed(drive.axes, drive.index)
     axis = drive.axis
     own = {

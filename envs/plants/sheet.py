@@ -14,7 +14,7 @@ from .sizing import FAST, PEAK, Load, Motor, load_of, motor_of
 
 @dataclass(frozen=True)
 class Sizing:
-    """Of one commissioned drive of a machine; at the joint where nothing else is said."""
+    """Sizing of one commissioned drive, in units at the joint unless stated otherwise."""
 
     drive: str
     model: str
@@ -35,13 +35,13 @@ class Sizing:
 
     @property
     def peak_share(self) -> float:
-        """Of the highest torque at that speed, while the profile accelerates."""
+        """Share of the peak torque at that speed that accelerating by the profile takes."""
         speed, rate = self.velocity * self.gear, self.acceleration * self.gear
         return self.load.peak(rate, speed) / self.motor.torque(speed)
 
     @property
     def continuous_share(self) -> float:
-        """Of the rated torque, at the profile velocity."""
+        """Share of the rated torque at the profile velocity."""
         return self.load.continuous(self.velocity * self.gear) / self.motor.rated
 
     @property

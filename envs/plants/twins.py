@@ -59,7 +59,7 @@ class Twin:
 
     @property
     def values(self) -> dict[str, float]:
-        """Of the parameters."""
+        """Values of the parameters by name."""
         return {name: each.value for name, each in self.parameters.items()}
 
     @property

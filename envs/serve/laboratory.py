@@ -236,7 +236,7 @@ class Laboratory:
 
     @property
     def where(self) -> dict[str, str]:
-        """By bus: the interface it is served on."""
+        """Interface on which each bus is served, by name of the bus."""
         return {name: thread.where for name, thread in self._threads.items()}
 
     # -------------------------------------------------------------- true world

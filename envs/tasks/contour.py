@@ -33,7 +33,7 @@ AXIS = observation("distance", "velocity", "following_error", "torque", "correct
 
 @block
 def length(contour, radius):
-    """Of one lap (m)."""
+    """Length of one lap (m)."""
     return 2.0 * math.pi * radius if contour == CIRCLE else 8.0 * radius
 
 
@@ -307,7 +307,7 @@ steps × `feed` × step time |
         episode._tolerance = self.tolerance
 
     def figures(self) -> dict[str, float]:
-        """Of the contour; there is nothing to settle at."""
+        """Metrics of the contour; nothing settles in this task."""
         episode = self.episode
         square = self.contour == "square"
         return {

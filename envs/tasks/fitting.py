@@ -72,7 +72,7 @@ class Fitting:
     axis: str = ""
 
     def position(self, machine: Machine) -> float:
-        """Of the drive (m or rad)."""
+        """Position of the drive (m or rad)."""
         axis = self.axis or next(iter(machine.drives))
         unit = MachinePort(machine).units(axis).position
         return int(machine.drives[axis].axis.od.position_actual_value) * unit
@@ -82,7 +82,7 @@ class Fitting:
         return self
 
     def options(self, machine: Machine, given: dict[str, float], goal: float) -> dict[str, Any]:
-        """Of the reset.
+        """Options of the reset.
 
         Args:
             machine: as it stands.
@@ -105,7 +105,7 @@ class Fitting:
         return self.position(machine) / UNIT[self.goal.unit]
 
     def away(self, value: np.ndarray, goal: float) -> np.ndarray:
-        """From the goal, in its unit."""
+        """Distance from the goal, in its unit."""
         return value - goal
 
     def judged(self, times: np.ndarray, value: np.ndarray, goal: float, env: Any) -> Judged:
@@ -200,7 +200,7 @@ class _Robot(Fitting):
 
 
 def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
-    """Of a machine of one's own, with a goal for one of its joints."""
+    """Fit `RobotEnv` to a machine of the user's own, with a goal for one of its joints."""
     slides = machine.joint(axis)[1] == "m"
     unit = "mm" if slides else "°"
     low, high = (end / UNIT[unit] for end in machine.range(axis))

@@ -72,7 +72,7 @@ def _terms(error, tolerance, time, impact_energy, greatest_torque):
 
 @block
 def _worth(accuracy, speed, gentleness):
-    """Of a reference taken, without the way there."""
+    """Return the reward of a reference, without that of the search."""
     return TAKEN * accuracy * (0.2 + 0.6 * speed + 0.2 * gentleness)
 
 

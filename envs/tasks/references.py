@@ -64,7 +64,7 @@ def _leg(start: float, goal: float, limits: Limits) -> ruckig.Trajectory:
 def visit(
     goals: Iterator[float], pause: float, start: float, limits: Limits, times: np.ndarray
 ) -> Reference:
-    """From goal to goal with a `pause` (s) before each, as many as end within `times` (s).
+    """Travel from goal to goal, each after a `pause` (s), as far as `times` (s) allow.
 
     The first goal is drawn nearer until it is reached in time; a pause is a tenth of it at most.
     """

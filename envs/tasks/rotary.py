@@ -67,7 +67,7 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 def _degrees(env: Any) -> float:
-    """Of the table or roller, within the range that repeats."""
+    """Return the angle of the table or roller within its repeating range (degree)."""
     return math.degrees(float(env.machine.data.qpos.sum()) % float(env.episode._period))
 
 

@@ -62,7 +62,7 @@ class Free:
 
     @property
     def width(self) -> float:
-        """Of the difference, in the coordinate of the search."""
+        """Width of the difference quotient, in the coordinate of the search."""
         return math.log1p(self.step) if self.log else 1.0
 
 
@@ -129,13 +129,13 @@ class Estimate:
         return free.outer(inner - width), free.outer(inner + width)
 
     def correlation(self) -> np.ndarray:
-        """Of the estimates."""
+        """Correlation matrix of the estimates."""
         sizes = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return self.covariance / np.outer(sizes, sizes)
 
 
 class Search:
-    """Of parameters of one family in one or several experiments.
+    """Search for the parameters of one family in one or several experiments.
 
     Args:
         candidates: machines of the family.
@@ -304,7 +304,7 @@ class Search:
     def _covariance(
         self, free: Sequence[Free], x: np.ndarray, white: np.ndarray, jacobian: np.ndarray
     ) -> np.ndarray:
-        """Of the inner coordinates: of white noise, or by blocks, whichever is wider."""
+        """Covariance of the inner coordinates, for white noise or by blocks: the wider one."""
         gram = jacobian.T @ jacobian
         scale = max(float(np.mean(white**2)), 1e-12)
         size = np.sqrt(np.maximum(np.diag(gram), 1e-30))

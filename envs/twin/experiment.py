@@ -80,7 +80,7 @@ class Experiment:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last (s)."""
+        """Time from the first sample to the last (s)."""
         return float(self.time[-1] - self.time[0])
 
     def until(self, end: float) -> "Experiment":
@@ -104,7 +104,7 @@ class Scale:
 
     @classmethod
     def of(cls, machine: Machine, name: str) -> "Scale":
-        """Of a drive as it is commissioned."""
+        """Return the scale of a drive as it is commissioned."""
         drive, (gear, _) = machine.drives[name], machine.joint(name)
         axis = drive.axis
         if axis.parameters_changed:  # what was commissioned counts from the next cycle on

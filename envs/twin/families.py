@@ -58,7 +58,7 @@ class Family:
     def given(
         self, built: Mapping[str, Any] | None = None, objects: Mapping[str, float] | None = None
     ) -> "Family":
-        """The same, built with values of the user's and commissioned with objects of the drive."""
+        """Return the family with values given by the user, for the plant and for the drive."""
         return replace(
             self, built={**self.built, **(built or {})}, objects={**self.objects, **(objects or {})}
         )
@@ -91,7 +91,7 @@ AUTO = ("rigid", "spring", "toothed_belt")  # that ``auto`` tries, one after the
 
 
 def family(name: str) -> Family:
-    """By name. Raises ValueError for an unknown one."""
+    """Return a family by name. Raises ValueError if it is unknown."""
     if name not in FAMILIES:
         raise ValueError(f"--mechanics = {name!r}: {hint(name, ['auto', *FAMILIES])}")
     return FAMILIES[name]

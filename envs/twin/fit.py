@@ -212,7 +212,7 @@ def _start(chosen: Family, joint: parameters.Joint, rough: Rough) -> dict[str, f
 
 
 def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str, float]) -> float:
-    """Of all whole cycles the one at which simulated and measured positions agree best (s)."""
+    """Return the lag (s, whole cycles) at which simulated and measured positions agree best."""
     cycle, period = experiment.cycle, experiment.period
     first, last = -round(period / cycle) - 2, 6 * round(period / cycle) + 6
     shifts = np.arange(first, last + 1) * cycle
@@ -342,5 +342,5 @@ def _shown(values: Mapping[str, float], chosen: Family) -> str:
 
 
 def after(fitted: Fitted, **changes: Any) -> Fitted:
-    """The same with other fields."""
+    """Return a copy with some fields replaced."""
     return replace(fitted, **changes)

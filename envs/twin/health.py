@@ -15,7 +15,7 @@ WATCHED = (  # in the order they are told
 
 @dataclass(frozen=True)
 class Change:
-    """Of one parameter: in percent of its old value, or in its unit where that was about zero."""
+    """Change of one parameter: percent of its old value, or its unit if that was near zero."""
 
     name: str
     before: float
@@ -37,7 +37,7 @@ class Change:
 
 
 def changes(twin: Twin, now: Fitted) -> list[Change]:
-    """Of the parameters both have, the certain ones first.
+    """Compare the parameters that both twins have; the certain changes come first.
 
     Raises:
         ValueError: the new log is of another family.
@@ -63,7 +63,7 @@ def changes(twin: Twin, now: Fitted) -> list[Change]:
 
 
 def table(found: list[Change]) -> list[dict[str, Any]]:
-    """As rows of numbers, for JSON."""
+    """Return the changes as rows of numbers, for JSON."""
     return [
         {"name": c.name, "before": c.before, "now": c.now, "change": c.change, "low": c.low,
          "high": c.high, "unit": c.unit, "certain": c.certain}

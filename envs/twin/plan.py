@@ -88,7 +88,7 @@ def _sweep(limits: Limits, period: float) -> np.ndarray:
 
 
 def write(path: Path, set_points: np.ndarray, period: float, unit: float) -> None:
-    """As a table for a master: time (s) and target_position (drive units).
+    """Write a table for a master: time (s) and target_position (drive units).
 
     Args:
         path: of the CSV.

@@ -29,7 +29,7 @@ class Rough(NamedTuple):
 
 
 def regress(experiments: list[Experiment], gear: float) -> Rough:
-    """Of all experiments together.
+    """Fit all experiments together.
 
     Args:
         experiments: measured positions and torques.

@@ -90,7 +90,7 @@ def _gains(machine: Machine, nominal: Nominal, share: float) -> None:
 
 
 def _one(machine: Machine) -> float:
-    """Of a share of the nominal."""
+    """Return the nominal value of a factor: 1."""
     return 1.0
 
 

@@ -28,7 +28,7 @@ def in_unit(heading: str, unit: str) -> str:
 
 
 class Sensor(NamedTuple):
-    """Of the load of an axis, which the drive does not see: two observations, and what 1.0 is."""
+    """Sensor at the load, which the drive does not read: two observations and their scales."""
 
     name: str  # of the observation of its deflection from the axis
     rate_name: str  # and of the rate of that

@@ -114,5 +114,5 @@ def floor(model: mujoco.MjModel) -> float | None:
 
 
 def corners(part: Part) -> np.ndarray:
-    """Of a box of the world, ``(8, 3)`` (m)."""
+    """Return the corners of a box in world coordinates, ``(8, 3)`` (m)."""
     return np.array(part.place) + CORNERS * np.array(part.size)

@@ -34,12 +34,12 @@ def joint(env: Any, name: str) -> tuple[float, float]:
 
 
 def position(env: Any) -> float:
-    """Of what a linear axis moves, with all that is elastic behind it (m)."""
+    """Position of the load of a linear axis, behind all elasticity (m)."""
     return float(env.machine.data.qpos.sum())
 
 
 def velocity(env: Any) -> float:
-    """The same, m/s."""
+    """Velocity of the load of a linear axis (m/s)."""
     return float(env.machine.data.qvel.sum())
 
 
@@ -49,17 +49,17 @@ def goal(env: Any) -> float:
 
 
 def tolerance(env: Any) -> float:
-    """Of the task (mm)."""
+    """Return the tolerance of the task (mm)."""
     return MM * float(env.tolerance)
 
 
 def in_mm(quantity: Quantity) -> Quantity:
-    """Of a quantity in m."""
+    """Convert a quantity from m to mm."""
     return lambda env: MM * quantity(env)
 
 
 def linear_axis(what: str, *more: Channel) -> tuple[Channel, ...]:
-    """Of a linear axis that has to reach ``episode.goal`` within ``tolerance`` and stay there."""
+    """Channels of a linear axis that has to settle at ``episode.goal`` within ``tolerance``."""
     return (
         Channel(f"{what}\n(mm)", in_mm(position), goal),
         Channel(
@@ -85,7 +85,7 @@ FIRST_DRIVE = (  # of any machine
 
 
 def _largest(env: Any, values: np.ndarray) -> float:
-    """Of the drives the agent commands the one farthest from 0, with its sign."""
+    """Return the value farthest from 0 among the agent's drives, with its sign."""
     own = values[: len(env.drives)]
     return float(own[np.abs(own).argmax()])
 
@@ -124,6 +124,6 @@ def drives(several: bool) -> tuple[Channel, ...]:
 
 
 def of(env: Any) -> tuple[Channel, ...]:
-    """Those of its task and of its drives, in the unit of its coordinates."""
+    """Return the channels of an environment's task and drives, in the unit of its coordinates."""
     shown = env.CHANNELS + drives(len(env.drives) > 1)
     return tuple(each._replace(label=in_unit(each.label, env.UNIT)) for each in shown)

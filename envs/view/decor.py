@@ -32,7 +32,7 @@ class Part(NamedTuple):
 
 
 def parts(model: mujoco.MjModel) -> list[Part]:
-    """Of a model by its name; none for one that is not known."""
+    """Return the decoration of a model by its name; nothing for an unknown one."""
     make = PLANTS.get(_name(model))
     return [*make(model)] if make else []
 

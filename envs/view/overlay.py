@@ -125,7 +125,7 @@ class Overlay:
 
     @property
     def heights(self) -> tuple[int, int]:
-        """Of the panels above and below (px)."""
+        """Heights of the panels above and below (px)."""
         return HEAD, self._foot.height
 
     def draw(

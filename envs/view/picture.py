@@ -286,7 +286,7 @@ class Picture:
 
 
 def _tip(machine: Machine, body: str) -> np.ndarray:
-    """Of a body the middle of its first geom (m)."""
+    """Return the centre of a body's first geom (m)."""
     model = machine.model
     return machine.data.geom_xpos[model.body_geomadr[model.body(body).id]].copy()
 

@@ -82,7 +82,7 @@ def _moving_machine(drive: str, everything_each_step: bool, friction: bool = Tru
 
 
 def _with_own_friction(machine: Machine) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The same model with the friction of its driven joints as MuJoCo's constraint."""
+    """Return the model with the friction of its driven joints as MuJoCo's constraint."""
     model = copy.copy(machine.model)
     for coupling in machine.couplings:
         model.dof_frictionloss[coupling.dof] = coupling.friction

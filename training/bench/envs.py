@@ -36,7 +36,7 @@ def _seconds(step: Callable[[], Any], steps: int) -> float:
 
 
 def overhead(drive: str, repeat: int) -> dict[str, float]:
-    """Of one environment: a step, the compiled loop alone, and the rest (µs, medians)."""
+    """Measure one environment: a step, the compiled loop alone, and the rest (µs, medians)."""
     env = POINT_TO_POINT(drive)
     action = np.zeros(1, np.float32)
     times = []

@@ -71,7 +71,7 @@ def _raw_client(channel: str) -> Iterator[Client]:
 
 @contextmanager
 def _one_thread(channel: str) -> Iterator[Client]:
-    """The same loop, which also lets the nodes take their frames."""
+    """Run the loop in one thread, which also lets the nodes take their frames."""
     import canopen
 
     with (

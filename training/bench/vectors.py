@@ -54,7 +54,7 @@ def _made(drive: str) -> gym.Env:
 
 
 def vectors(drive: str, stack: ExitStack) -> Iterator[Peer]:
-    """Those that are installed; they are closed with the stack."""
+    """Yield the vectors that are installed; the stack closes them."""
     for mode, n in (("vector_entry_point", MANY), ("sync", FEW), ("async", FEW)):
         vector = gym.make_vec(ID, n, vectorization_mode=mode, drive=drive)
         stack.callback(vector.close)

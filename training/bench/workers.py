@@ -27,7 +27,7 @@ EPISODES = 50
 
 
 def rows() -> list[tuple[str, str]]:
-    """Of each task that something learned comes for, its id and four policies."""
+    """Return the id and four policies of each task with a learned policy."""
     found = [short(each.ID) for each in TASKS if (SHIPPED / each.ID.rpartition("/")[2]).is_dir()]
     return [(env, ",".join([ZERO, LEARNED, *task(env).POLICIES[:2]])) for env in found]
 

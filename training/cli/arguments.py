@@ -112,7 +112,7 @@ def named(text: str) -> tuple[str, Any]:
 
 
 def _argument(text: str) -> tuple[str, Any]:
-    """The same, of an environment."""
+    """Parse ``NAME=VALUE`` as an argument of an environment."""
     name, value = named(text)
     if name == "drive":
         raise argparse.ArgumentTypeError(f"the drive model is an option: --drive {value}")

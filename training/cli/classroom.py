@@ -58,17 +58,17 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
                     raise ValueError(f"{name!r}: in a class room use one of {', '.join(known)}")
 
         def prepare(self, machine: Any, axis: str, name: str, goal: float) -> None:
-            """As the laboratory, for what is offered."""
+            """Prepare the machine as the laboratory does, if the policy is one that is offered."""
             self._check(axis, name)
             super().prepare(machine, axis, name, goal)
 
         def agent(self, session: Any, axis: str, name: str, goal: float) -> Any:
-            """The same."""
+            """Make an agent as the laboratory does, if the policy is one that is offered."""
             self._check(axis, name)
             return super().agent(session, axis, name, goal)
 
         def compare(self, machine: Any, axis: str, names: list[str], goal: float) -> Any:
-            """The same."""
+            """Compare policies as the laboratory does, if all of them are offered."""
             self._check(axis, *names)
             return super().compare(machine, axis, names, goal)
 

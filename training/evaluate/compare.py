@@ -207,7 +207,7 @@ def _notes(
 
 
 def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: Metric) -> str:
-    """Of the metric of the task, in pairs of the same episode."""
+    """Write the comparison in pairs of episodes by the task's metric."""
     (other,) = (result for result in results if result.policy == against)
     base, rows = other.by_training(metric), []
     for result in results:
@@ -226,7 +226,7 @@ def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: M
 
 
 def _moving(traces: Sequence[Recording]) -> list[Recording]:
-    """By their labels; of idle policies only where there is no other."""
+    """Return the policies that move, by label; idle ones only if there are no others."""
     moving = [trace for trace in traces if trace.policy not in IDLE] or traces
     return [trace._replace(policy=column_of(trace.policy)) for trace in moving]
 

@@ -31,7 +31,7 @@ COMMANDING = {name for row in POLICIES.values() for name in row.arguments}
 
 
 def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
-    """Of each episode; not a number where `one` earns no more than `zero`."""
+    """Return the score of each episode; NaN where `one` earns no more than `zero`."""
     low, high = float(iqm(zero)), float(iqm(one))
     span = high - low
     return (returns - low) / span if span > 0.0 else np.full_like(returns, np.nan)
@@ -127,7 +127,7 @@ class Comparison:
         }
 
     def results(self, found: Sequence[Result]) -> list[Evaluation]:
-        """Of each policy, from the results of the jobs; `score` where the task has a reference."""
+        """Return the results of each policy; with `score` if the task has a reference."""
         done = {key: self._evaluation(key, found) for key in self._episodes}
         results = [done[key] for key in self._played]
         if self._bounds:
@@ -139,7 +139,7 @@ class Comparison:
         return results
 
     def ready(self, found: Mapping[int, Result], k: int) -> Evaluation | None:
-        """Of the policy that the k-th job belongs to, where it was the last of them."""
+        """Return the evaluation of the policy whose last job is k; None while jobs are open."""
         key = next(key for key, places in self._places.items() if k in places)
         if any(place not in found for place in self._places[key]):
             return None
@@ -151,7 +151,7 @@ class Comparison:
         return self._episodes[key].results([found[k] for k in self._places[key]])
 
     def traces(self, found: Mapping[int, Result]) -> list[Recording] | None:
-        """Of the traced episode under each policy that recorded it; None while one is missing."""
+        """Return the recordings of the traced episode; None while one is missing."""
         traces = []
         for key in self._played:
             (k,) = (k for k in self._places[key] if self.jobs[k].arguments["traced"] is not None)

@@ -85,7 +85,7 @@ def suiting(setup: Setup, table: Sequence[Condition] = CONDITIONS) -> Iterator[C
 
 
 def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
-    """Those of a list of names or axes, separated by commas; all: every one.
+    """Return the conditions in a comma-separated list of names or axes; "all" means every one.
 
     Raises ValueError for a name that is not in the table or does not suit the task.
     """

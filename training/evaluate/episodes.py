@@ -35,7 +35,7 @@ WITHOUT_POSITION = (
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Of one policy: seeds, and by metric its values, both shape ``(n,)``, training by training."""
+    """Evaluation of one policy: seeds and values of each metric, shape ``(n,)``."""
 
     policy: str
     seeds: list[int]
@@ -71,7 +71,7 @@ def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
 
 
 def fixed(seed: int, episodes: int) -> list[int]:
-    """Of the fixed episodes. Raises ValueError for numbers out of range."""
+    """Return the fixed episodes. Raises ValueError for numbers out of range."""
     if not (isinstance(episodes, Integral) and 1 <= episodes <= SEEDS_APART):
         raise ValueError(f"--episodes = {episodes!r} is out of range 1..{SEEDS_APART}")
     if not (isinstance(seed, Integral) and 0 <= seed <= LAST_SEED):
@@ -227,7 +227,7 @@ class Evaluator:
         return observations, infos
 
     def _measured(self, env: ServoEnv, fault: str) -> dict[str, float]:
-        """Of an episode that has ended: the largest of all drives, work is a sum."""
+        """Return the figures of a finished episode: the largest of all drives; work is a sum."""
         probes = env.machine.probes
         ticks = max(int(probes["ticks"][0]), 1)
         rated = env.machine.axes["rated_torque"]

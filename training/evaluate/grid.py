@@ -53,7 +53,7 @@ class Grid(Generic[Key, Found]):
 
     @property
     def jobs(self) -> list[Job]:
-        """Those of all cells."""
+        """Jobs of all cells."""
         return [job for cell in self.cells.values() for job in cell.jobs]
 
     def results(self, found: Sequence[Result]) -> dict[Key, Found]:

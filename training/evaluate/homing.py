@@ -229,7 +229,7 @@ def two_sided(one: np.ndarray, other: np.ndarray) -> float:
 def interval(
     of: Callable[..., float], *samples: np.ndarray, seed: int = SEED
 ) -> tuple[float, float]:  # fmt: skip
-    """Of a figure of samples, by bootstrap with `CONFIDENCE`."""
+    """Return the bootstrap interval of a figure of samples, with `CONFIDENCE`."""
     if any(len(sample) < 3 for sample in samples):
         return np.nan, np.nan
     random = np.random.default_rng(seed)

@@ -35,7 +35,7 @@ GAP = "gap"
 
 
 class Cell(NamedTuple):
-    """Of an entry in a condition; without values a gap."""
+    """Result of an entry in a condition; a gap if it has no values."""
 
     earned: Summary | None
     metric: Summary | None
@@ -75,7 +75,7 @@ def play(
 def _values(
     kind: type[ServoEnv], result: Evaluation | None
 ) -> dict[str, list[list[float | None]]]:  # fmt: skip
-    """By metric what a table has of an evaluation; nothing of a gap."""
+    """Return the values that a table shows of an evaluation, by metric; nothing for a gap."""
     if result is None:
         return {}
     names = dict.fromkeys((RETURN, SUCCESS, kind.METRIC))
@@ -103,7 +103,7 @@ def cell(kind: type[ServoEnv], values: Mapping[str, Any]) -> Cell:
 
 
 def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
-    """By task of the suite: the policy for it. Raises ValueError where it fits none, or one asked.
+    """Return the policy for each task that it fits. Raises ValueError if there is none.
 
     Args:
         suite: of which.

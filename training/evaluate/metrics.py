@@ -92,7 +92,7 @@ def _ratio(total: np.ndarray, count: np.ndarray) -> np.ndarray:
 
 
 class Summary(NamedTuple):
-    """Of the values of one metric."""
+    """Summary of the values of one metric."""
 
     mean: float
     iqm: float  # interquartile mean
@@ -103,7 +103,7 @@ class Summary(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """Of two policies on the same episodes, the first less the second, and its 95 % interval."""
+    """Difference of two policies on the same episodes, with its 95 % interval."""
 
     value: float
     low: float
@@ -142,7 +142,7 @@ def summarise(values: np.ndarray, better: str = "high", *, share: bool = False) 
 
 
 def difference(one: np.ndarray, other: np.ndarray, *, share: bool = False) -> Difference:
-    """Of the (interquartile) means of two policies, paired by the episodes.
+    """Return the difference of two policies' (interquartile) means, paired by episode.
 
     Both are resampled with the same episodes, each with trainings of its own.
 
@@ -204,7 +204,7 @@ def paired(one: np.ndarray, other: np.ndarray, better: str) -> Paired:
 
 
 def _estimates(values: np.ndarray, stream: int, share: bool) -> np.ndarray:
-    """Of each resample, shape ``(RESAMPLES,)``; each stream draws other trainings.
+    """Estimate each resample, shape ``(RESAMPLES,)``; each stream draws other trainings.
 
     Kept, since the interval of a policy and its differences from others want the same.
     """

@@ -24,14 +24,14 @@ GAP = "gap"
 
 
 class Entry(NamedTuple):
-    """Of a policy in a condition; without a summary a gap, or no value."""
+    """Result of a policy in a condition; a gap if it has no summary."""
 
     summary: Summary | None = None  # of the task's metric
     difference: Difference | None = None  # from the best baseline
     success: float = np.nan
 
     def shown(self, better: str) -> str:
-        """As the page has it."""
+        """Return the result as the page shows it."""
         s = self.summary
         if s is None:
             return GAP
@@ -42,7 +42,7 @@ class Entry(NamedTuple):
 
     @property
     def data(self) -> dict[str, Any]:
-        """As the JSON file has it."""
+        """Return the result as the JSON file holds it."""
         return {
             "summary": self.summary and self.summary._asdict(), "success": self.success,
             "difference": self.difference and self.difference._asdict(),
@@ -50,7 +50,7 @@ class Entry(NamedTuple):
 
 
 def entry(metric: str, result: Evaluation | None, base: Evaluation | None) -> Entry:
-    """Of an evaluation in a condition; `base` is that of the best baseline there."""
+    """Return the result of an evaluation in a condition; `base` is the best baseline's."""
     if result is None:
         return Entry()
     found = summaries([result])
@@ -154,7 +154,7 @@ def _ahead(apart: Sequence[Difference | None], better: str) -> str:
 def _panels(
     rows: Sequence[Condition], values: np.ndarray, failures: np.ndarray, heading: str
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], list[str]]:
-    """Of the heat map, and its rows: a panel a disturbance where machines are the rows."""
+    """Return the panels of the heat map with their rows; one per disturbance of machines."""
     if not all(row.drive and row.arguments for row in rows):
         return {heading: values}, {heading: failures}, [row.name for row in rows]
     places = [*dict.fromkeys(row.axis for row in rows)]

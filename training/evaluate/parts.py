@@ -98,7 +98,7 @@ class Episodes:
         self._parts = parts
 
     def results(self, found: Sequence[Result]) -> Evaluation:
-        """Of the results of the jobs, in their order."""
+        """Collect the results of the jobs in their order."""
         each = [found[i : i + self._parts] for i in range(0, len(found), self._parts)]
         return pooled(label(self._policy), [self._training(parts) for parts in each])
 
@@ -117,7 +117,7 @@ class Episodes:
         )
 
     def trace(self, part: Result) -> Recording:
-        """Of the episode that was recorded in a part."""
+        """Return the recording of the episode recorded in a part."""
         return Recording(
             label(self._policy), self._channels, self._words, part["time"], part["samples"],
             part["done"], part["ended"],

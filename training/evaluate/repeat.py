@@ -29,7 +29,7 @@ CORES = 2  # of the machine for which the sum is told
 
 
 def folders(folder: Path) -> list[Path]:
-    """Those of tasks. Raises ValueError where there are none."""
+    """Return the folders of tasks. Raises ValueError if there are none."""
     found = sorted(path for path in folder.glob("*-v*") if path.is_dir())
     if not found:
         raise ValueError(f"{folder} has no folder of a task, such as CompliantAxis-v0")
@@ -37,7 +37,7 @@ def folders(folder: Path) -> list[Path]:
 
 
 def text(path: Path, name: str, maker: str) -> str:
-    """Of a file of a folder. Raises ValueError naming what makes it where it is not there."""
+    """Read a file of a folder. Raises ValueError naming the command that makes a missing one."""
     if not (path / name).is_file():
         raise ValueError(f"{path} has no {name}: write it there with {maker}")
     return foreign.text(path / name)
@@ -61,7 +61,7 @@ def table_of(path: Path, name: str, maker: str, *, run_code: bool = False) -> di
 
 
 class Training(NamedTuple):
-    """Of one seed: commands one after the other, and what they took."""
+    """A training with one seed: its commands in order, and what they cost."""
 
     task: str
     seed: str
@@ -106,7 +106,7 @@ def _trainings(path: Path, data: dict[str, Any], out: Path) -> Iterator[Training
 
 
 def _cpu_seconds(folder: Path, stages: Sequence[int], rate: float | None) -> tuple[float, bool]:
-    """Of all stages to their end: the checkpoint kept is the best one, which may be earlier."""
+    """Return the CPU time of all stages to their end; the best checkpoint may be earlier."""
     if rate is not None:
         return 1e-6 * rate * sum(stages), True
     about: dict[str, Any] | None = read(folder)

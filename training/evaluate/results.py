@@ -143,7 +143,7 @@ def _pairs(own: _Policy, baseline: _Policy, better: str) -> list[str]:
 
 
 def _values(policy: Mapping[str, Any], metric: str) -> np.ndarray | None:
-    """Of each episode; None where an older file does not have them."""
+    """Return the value of each episode; None if an older file lacks them."""
     values = policy.get("episodes", {}).get(metric)
     return None if values is None else np.array(values, float).reshape(policy["trainings"], -1)
 

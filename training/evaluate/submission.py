@@ -80,7 +80,7 @@ class Submission:
 
     @cached_property
     def checkpoints(self) -> dict[str, list[dict[str, Any]]]:
-        """By task what the checkpoints say, of weights only."""
+        """Return the content of the checkpoints by task, for weights only."""
         found: dict[str, list[dict[str, Any]]] = {}
         for name, data in sorted(self.files.items()):
             if name.endswith(ABOUT):
@@ -176,13 +176,13 @@ def packed(policy: str, tasks: Mapping[str, str]) -> dict[str, bytes]:
 
 
 def of_task(policy: str, env: str) -> str:
-    """Of a folder with one for each task, that of the task."""
+    """Return the policy for a task from a folder with one for each task."""
     own = Path(policy) / env
     return str(own) if policy not in (*POLICIES, LEARNED) and own.is_dir() else policy
 
 
 def write(path: Path, submission: Submission) -> None:
-    """The same bytes for the same submission."""
+    """Write a submission; equal submissions give equal bytes."""
     head = json.loads(_text(submission)) | {"hash": submission.hash}
     text = json.dumps(head, ensure_ascii=False, sort_keys=True)
     members = {HEAD: text.encode()} | {

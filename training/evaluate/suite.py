@@ -85,7 +85,7 @@ class Suite:
 
 
 def versions() -> list[str]:
-    """Of the suites that come with the laboratory."""
+    """Return the names of the suites in this package."""
     return sorted(path.stem for path in SUITES.glob("*.toml"))
 
 

@@ -37,7 +37,7 @@ Row = dict[str, Any]
 
 
 class Range(NamedTuple):
-    """Of a value that a study looks for."""
+    """Range of a value that a study searches."""
 
     low: float
     high: float
@@ -208,7 +208,7 @@ def _rows(cell: _Cell, results: Sequence[Evaluation]) -> Iterator[Row]:
 
 
 def worth(rows: Sequence[Row]) -> tuple[float, str]:
-    """Of one set of values, and which is better: its metric, of several tasks the score."""
+    """Return mean metric (mean score for several tasks) of a set of values, and which is better."""
     name = "value" if len({row["task"] for row in rows}) == 1 else "score"
     values = [row[name] for row in rows]
     better = rows[0]["better"] if name == "value" and rows else SCORE.better

@@ -19,7 +19,7 @@ def column_of(policy: str) -> str:
 
 
 def summaries(results: Sequence[Evaluation]) -> dict[str, list[Summary | None]]:
-    """By metric that applies to any: a summary for each policy, None where it does not apply."""
+    """Summarise each applicable metric of each policy; None where it does not apply."""
     table = {}
     for metric in ("score", *results[0].metrics):
         better = _row(results, metric).better
@@ -37,7 +37,7 @@ def _row(results: Sequence[Evaluation], metric: str) -> Metric:
 
 
 def _base(name: str) -> str:
-    """Of a policy, without what stands behind the colon."""
+    """Return the name of a policy without the part behind the colon."""
     return name.partition(":")[0]
 
 
@@ -67,7 +67,7 @@ def best(
 
 
 def differences(results: Sequence[Evaluation], against: str) -> dict[str, list[Difference | None]]:
-    """By metric: each policy less the one it is compared with, None where one has no value."""
+    """Return each policy's difference from its opponent by metric; None without a value."""
     (other,) = (result for result in results if result.policy == against)
     table: dict[str, list[Difference | None]] = {}
     for metric in ("score", *results[0].metrics):

@@ -36,7 +36,7 @@ STEPS_COLUMN = "time/total_timesteps"
 
 
 def versions() -> dict[str, str]:
-    """Of the packages a result depends on."""
+    """Return the versions of the packages on which a result depends."""
     return {name: version(name) for name in VERSIONED}
 
 

@@ -21,7 +21,7 @@ EPISODES_SEED = 20_000_000  # they are the same for every run
 
 
 class Score(NamedTuple):
-    """Of the fixed episodes: mean return, its standard deviation, mean length (steps)."""
+    """Result on the fixed episodes: mean return, standard deviation, mean length (steps)."""
 
     reward: float
     deviation: float

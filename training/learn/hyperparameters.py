@@ -118,7 +118,7 @@ def checked(settings: Mapping[str, Any]) -> None:
 def of(
     task: type[ServoEnv], algorithm: str, envs: int | None = None, *, residual: bool = False
 ) -> dict[str, Any]:
-    """Those of an algorithm on a task; with `envs`, PPO's batches divide its rollout.
+    """Return an algorithm's hyper-parameters on a task; with `envs`, PPO's batch fits it.
 
     With `residual`, those of a correction of another policy.
 

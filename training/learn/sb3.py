@@ -68,7 +68,7 @@ def make(
 
 
 def learning_rate(rate: float | Sequence[float]) -> float | LinearSchedule:
-    """As SB3 takes it: a number, or what falls from the first of two to the second.
+    """Return a learning rate as SB3 takes it: a number, or a linear schedule of two.
 
     Raises ValueError for any other number of numbers.
     """

@@ -150,7 +150,7 @@ def load_replay(model, folder: Path) -> None:
 
 
 def _names(model) -> tuple[list[str], list[str]]:
-    """Of the optimizers, and of the variables outside the policy."""
+    """Return the names of the optimizers and of the variables outside the policy."""
     modules, variables = model._get_torch_save_params()
     return [name for name in modules if name != "policy"], variables
 

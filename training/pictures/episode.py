@@ -33,7 +33,7 @@ def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
 
 
 def drawn(title: str, traces: Sequence[Recording]) -> bytes:
-    """The same as the bytes of a PNG."""
+    """Draw an episode and return the bytes of a PNG."""
     shown = traces[0].channels
     figure = Figure((9.5, 0.9 + 0.22 * len(traces) + 1.35 * len(shown)), 110, layout="constrained")
     canvas = FigureCanvasAgg(figure)

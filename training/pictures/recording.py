@@ -14,7 +14,7 @@ from ...envs.view.channels import Channel
 
 
 class Recording(NamedTuple):
-    """Of one episode.
+    """Recording of one episode.
 
     `time` (s) has shape ``(n,)``; `samples` has shape ``(n, channels, 3)``: value, aim and half
     window of each channel, not a number where there is none. `done` (s) is when what the task asks

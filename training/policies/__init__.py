@@ -160,7 +160,7 @@ def declared() -> list[str]:
 
 
 def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
-    """Of the policies for a task, and then of those that other packages declare.
+    """Return the policies for a task, followed by those declared by other packages.
 
     Of an environment without those that shape for a resonance which its machine does not have.
     """

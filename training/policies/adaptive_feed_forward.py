@@ -100,7 +100,7 @@ class AdaptiveFeedForward(FeedForward):
 
 
 class LeadingFeedForward(AdaptiveFeedForward):
-    """The same, with a set-point that leads by the lag that is found."""
+    """Adaptive feed-forward with a set-point that leads by the identified lag."""
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin with no lag."""

@@ -24,7 +24,7 @@ from ...envs.view.about import Sensor
 
 
 class Bounds(NamedTuple):
-    """Of a profile."""
+    """Limits of a profile."""
 
     velocity: float  # m/s
     acceleration: float  # m/s²
@@ -32,7 +32,7 @@ class Bounds(NamedTuple):
 
 
 class Vibration(NamedTuple):
-    """Of what swings behind an axis that is held, nominal."""
+    """Nominal vibration of the load behind an axis at rest."""
 
     frequency: float  # undamped (rad/s)
     ratio: float  # damping ratio
@@ -67,7 +67,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Datasheet:
-    """Of one environment."""
+    """Data sheet of one environment: what a controller may know before an episode."""
 
     task: str  # its id
     action_record: np.dtype  # the names of an action
@@ -84,7 +84,7 @@ class Datasheet:
     constants: tuple[tuple[str, float], ...] = ()  # of the task, and its arguments
 
     def constant(self, name: str) -> float:
-        """Of the task, by its name in the class, or of an argument. Raises KeyError otherwise."""
+        """Return a constant of the task's class or an argument. Raises KeyError otherwise."""
         return dict(self.constants)[name]
 
     @property
@@ -253,7 +253,7 @@ def _rotary(env: ServoEnv, p: RotaryParameters, truth: Mapping[str, float]) -> A
 
 
 def _joint(env: ServoEnv, d: int, half: float) -> Axis:
-    """Of somebody's robot, of which only the drive is known: rad or m."""
+    """Return the data of a joint of a user's robot, known from its drive alone: rad or m."""
     drive = env.drives[d]
     speed, rate = (_object(drive, f"profile_{of}") / METRE for of in ("velocity", "acceleration"))
     profile = Bounds(speed, rate, math.inf)
@@ -313,7 +313,7 @@ def _of_gantry(env: ServoEnv, p: GantryParameters, truth: Mapping[str, float], d
 
 
 def _moved(model: Any, joint: str) -> float:
-    """By the drive of a joint, without payload (kg): one of a pair also moves half the bridge."""
+    """Return the mass behind a drive without payload (kg); one of a pair moves half the bridge."""
     return _carried(model, joint) + (0.5 * _carried(model, "x") if joint in PAIR else 0.0)
 
 
@@ -345,7 +345,7 @@ def _torque(drive: Drive) -> float:
 
 
 def _lag(env: ServoEnv, d: int, truth: Mapping[str, float] = UNTOLD) -> float:
-    """Of the position loop behind the share of the velocity that is not fed forward (s).
+    """Return the lag of the position loop due to velocity that is not fed forward (s).
 
     With the gain the drive was built with: what it has now was drawn for an episode.
     """
@@ -357,5 +357,5 @@ def _lag(env: ServoEnv, d: int, truth: Mapping[str, float] = UNTOLD) -> float:
 
 
 def _object(drive: Drive, name: str) -> int:
-    """Of the object dictionary; 0 where a drive without set-point modes does not have it."""
+    """Read an object; 0 if a drive without set-point modes does not have it."""
     return drive.read(name) if name in drive.objects.names else 0

@@ -43,7 +43,7 @@ class DisturbanceObserver(FeedForward):
         self.force = min(max(self.force, -most), most)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """As `feed_forward`, and the disturbance."""
+        """Act as `feed_forward` does, and compensate the estimated disturbance."""
         seen, axis = self._known.named(observation), self._axis
         self.observe(
             float(seen.reference_acceleration) * axis.profile.acceleration,

@@ -69,7 +69,7 @@ class Squaring:
 
 
 class SlowSquaring(Squaring):
-    """As a gantry is commissioned: a quarter of the speed over the switches and on the ramps."""
+    """Square at the commissioned speeds: a quarter over the switches and on the ramps."""
 
     OVER, SHARE = 0.25 * OVER, 0.1
 
@@ -84,7 +84,7 @@ class ConstantFeed:
         """Nothing is remembered."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The same action always."""
+        """Return the same action in every step."""
         return self._action
 
 

@@ -17,7 +17,7 @@ class Hold:
         """Begin an episode."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The same action always."""
+        """Return the same action in every step."""
         return self._action
 
 

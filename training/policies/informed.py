@@ -39,7 +39,7 @@ class Told:
         self._policy.reset(observation, info)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """As that policy does."""
+        """Return the action of the informed law."""
         return self._policy.act(observation)
 
 
@@ -73,7 +73,7 @@ class KnownSkew(Squaring):
         self._square = -float(self._env.episode.skew)
 
     def apart(self, seen: Any) -> float:
-        """As it has been from the beginning (m)."""
+        """Return the initial skew (m)."""
         return self._square
 
 

@@ -38,7 +38,7 @@ def model(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def weights(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the state and of the input in a step, and the cost of a state from then on.
+    """Return the weights of state and input in a step, and the cost-to-go matrix.
 
     Shapes ``(5, 5)``, ``(1, 1)``, ``(5, 5)``.
 
@@ -59,7 +59,7 @@ def weights(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray, np
 
 
 def gain(vibration: Vibration, dt: float) -> np.ndarray:
-    """Of the state, shape ``(5,)``: change of velocity per state. Raises as `weights` does."""
+    """Return the state feedback, shape ``(5,)``: change of velocity per state."""
     a, b = model(vibration, dt)
     _, r, p = weights(vibration, dt)
     return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)[0]

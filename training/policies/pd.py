@@ -64,7 +64,7 @@ class Proportional:
         self._velocities = [0.0] * len(self._axes)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """From the distance."""
+        """Return torque or velocity from distance and velocity."""
         shares = np.zeros(len(self._axes), np.float32)
         named_by_axis = self._known.named_by_axis(observation)
         for d, (axis, seen) in enumerate(zip(self._axes, named_by_axis, strict=True)):

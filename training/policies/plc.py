@@ -53,7 +53,7 @@ def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
 
 
 def timed(datasheet: Datasheet) -> Steps:
-    """The same chain by the clock, never looking: long enough for each step."""
+    """Run the step chain by the clock alone, with ample time for each step."""
     seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     for _ in range(int(datasheet.constant("outage"))):
         yield action(datasheet, 0, Mode.HOMING, seen.goal)

@@ -233,7 +233,7 @@ def ruckig_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
 
 
 def ruckig_zv_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """The same, shaped."""
+    """Follow a ruckig trajectory through a ZV shaper."""
     return Profile(datasheet, of_the_drive, shapers=1)
 
 

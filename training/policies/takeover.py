@@ -46,7 +46,7 @@ class _Line:
         self.env, self.pilot, self.cycle, self.late = env, pilot, cycle, late
 
     def run(self, worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """As `loop.run`, for one world."""
+        """Run cycles as `loop.run` does, for one world."""
         machine, drives = self.env.machine, self.env.drives
         cycles = ticks // machine.physics_steps
         late = min(round(self.late() / machine.cycle_time), cycles - 1)
@@ -61,7 +61,7 @@ class _Line:
             image[:] = np.frombuffer(drive.collect(), np.uint8)
 
     def look(self, worlds: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
-        """The same without a step."""
+        """Fill the TPDO images without running a cycle."""
         loop.run(worlds, 0, rpdos[None], tpdos[None])
 
 

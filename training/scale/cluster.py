@@ -52,7 +52,7 @@ def cluster(
 
 
 def _answer(ray: Any, reference: Any, name: str, where: str) -> Done:
-    """Of a job. Raises RuntimeError in one line where Ray could not do it."""
+    """Return the answer of a job. Raises RuntimeError in one line if Ray failed."""
     try:
         return ray.get(reference)
     except ray.exceptions.RayError as error:

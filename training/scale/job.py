@@ -51,11 +51,11 @@ class Job(NamedTuple):
 
     @property
     def place(self) -> str:
-        """Of the function: ``module:name``."""
+        """Place of the function: ``module:name``."""
         return f"{self.function.__module__}:{self.function.__qualname__}"
 
     def digest(self) -> str:
-        """Of all that its result depends on."""
+        """Return a digest of everything that determines the result."""
         arguments = sorted(self.arguments.items())
         found = hashlib.sha256(repr((stamp(), self.name, self.place, arguments)).encode())
         for path in map(Path, self.watched):
@@ -74,7 +74,7 @@ class Job(NamedTuple):
 
 
 def encoded(result: Result) -> bytes:
-    """As it travels and as it is kept."""
+    """Encode a result for transfer and storage."""
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     rest = {name: value for name, value in result.items() if name not in arrays}
     text = np.frombuffer(json.dumps(rest).encode(), np.uint8)
@@ -122,7 +122,7 @@ def type_of(error: Exception) -> type[Exception]:
 
 
 def result(done: Done, where: str) -> bytes:
-    """Of an answer.
+    """Decode the result from an answer.
 
     Raises:
         RuntimeError: the worker has another version.

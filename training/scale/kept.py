@@ -9,7 +9,7 @@ FOLDER = "jobs"  # in the folder of the results
 
 
 class Kept:
-    """Of one run, or of none.
+    """Stored results of one run, or of none.
 
     Args:
         folder: in which to keep them; nothing is kept if not given.

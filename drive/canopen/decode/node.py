@@ -71,7 +71,7 @@ class Node:
         self.reset()
 
     def reset(self) -> None:
-        """As after power-on: the stored parameters, else the defaults of the model."""
+        """Return to the state after power-on: stored parameters, else the model's defaults."""
         self._seen = dict(self._stored)
         self._mode: int | None = None  # last seen of 6060h and 6061h
         self._guarded = False

@@ -18,7 +18,7 @@ FARTHEST = 2.0**33  # beyond what any object shows
 
 @block
 def show_own(axis: Axis, new):
-    """The same for objects of the model that only stand in its bytes."""
+    """Show kept values of objects whose bytes belong to the model alone."""
     for j in range(OWN_STORED):
         size = abs(int(axis.own_size[j]))
         if not 0 < size <= 8 or axis.own_kind[j] >= KINDS:

@@ -75,7 +75,7 @@ def fraction(od: Objects):
 
 @block
 def older_fraction(od: Objects):
-    """The same from 6093h: internal positions have 65536 increments a revolution (DSP 402 V2)."""
+    """Return the fraction from 6093h, with 65536 increments a revolution (DSP 402 V2)."""
     a, b = 65536 * int(od.position_encoder_resolution[1]), int(od.position_encoder_resolution[0])
     c, d = int(od.position_factor[1]), int(od.position_factor[0])
     a, b = reduced(a, b)
@@ -87,7 +87,7 @@ def older_fraction(od: Objects):
 
 @block
 def reduced(numerator, denominator):
-    """The same fraction in lowest terms."""
+    """Return a fraction in lowest terms."""
     common = math.gcd(numerator, denominator)
     return numerator // common, denominator // common
 

@@ -68,7 +68,7 @@ UNITS = {f"od.{row.field}": row.unit for row in OBJECTS} | {
 
 @functools.cache
 def accessible(dtype: np.dtype) -> np.dtype:
-    """The same dtype, whose elements have their fields as attributes, as the kernel needs them.
+    """Return a dtype whose elements have their fields as attributes, as the kernel needs them.
 
     Always the same object: compiled functions take arrays of another one, though it is equal, only
     after a comparison of all fields, which takes 2 µs a call.

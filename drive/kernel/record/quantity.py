@@ -49,7 +49,7 @@ class Quantity(NamedTuple):
 
     @property
     def elements(self) -> int:
-        """Of an array; 0: a single value."""
+        """Number of elements of an array; 0 for a single value."""
         return self.type[1][0] if isinstance(self.type, tuple) else 0
 
     @property

@@ -356,7 +356,7 @@ def leave(session: Any, tab: str) -> None:
 
 
 def leave_if_gone(clock: Clock, session: Any, tab: str) -> None:
-    """The same of a window that is closed; only then is anything stopped."""
+    """Release the window if its browser has closed; only then stop anything."""
     if session.control.holds(tab):
         clock.stop_motion(lambda session: leave(session, tab))
 

@@ -23,7 +23,7 @@ def _opened(place: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, 
 
 
 def _stamp(place: Path) -> tuple[int, ...]:
-    """By which a checkpoint that was written anew is known (ns)."""
+    """Return the modification time by which a rewritten checkpoint is recognised (ns)."""
     files = (place / ABOUT, place / weights.WEIGHTS, place, place.with_name(STATISTICS))
     return tuple(file.stat().st_mtime_ns for file in files if file.is_file())
 

@@ -24,7 +24,7 @@ B0, B1, B2, B3 = np.array([
 
 @block
 def tanh(z):
-    """Of each number of an array, in its place."""
+    """Replace each number of an array by its hyperbolic tangent."""
     for i in range(z.shape[0]):
         x = min(max(z[i], -FLAT), FLAT)
         s = x * x

@@ -47,7 +47,7 @@ def stable_baselines3() -> ModuleType:
 
 
 def folder(of: Path) -> Path:
-    """Of a checkpoint, or of a run its best one. Raises ValueError where there is neither."""
+    """Return the checkpoint folder, of a run its best one. Raises ValueError without one."""
     if (of / ABOUT).is_file():
         return of
     if not (of / BEST).is_dir():
@@ -72,7 +72,7 @@ INSTEAD = "remove its folder, and the one before is taken"
 
 
 def about(data: bytes, where: str) -> dict[str, Any]:
-    """The same of its bytes.
+    """Parse the bytes of a checkpoint's description.
 
     Raises ValueError where they are damaged, or name an algorithm or a policy to be corrected that
     is none of the tables: nothing a file names is imported.

@@ -81,7 +81,7 @@ class Weights(NamedTuple):
         return lambda seen: policy.predict(self.normalised(seen), deterministic=True)[0]
 
     def played(self, kind: Kind) -> Callable[[np.ndarray], np.ndarray]:
-        """The same, of a network built so. Raises ValueError where the arrays do not fit."""
+        """Return the policy of a network. Raises ValueError if the arrays do not fit."""
         try:
             mean = compiled(kind, self.network, self.shape)
         except ValueError as error:
