@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from canopen.objectdictionary import datatypes
 
@@ -45,6 +45,10 @@ PDO_TYPES = {1: "UNSIGNED32", 2: "UNSIGNED8", 3: "UNSIGNED16", 5: "UNSIGNED16", 
 PREDEFINED = {"rx": (0x200, 0x300, 0x400, 0x500), "tx": (0x180, 0x280, 0x380, 0x480)}
 SECOND = 0x6090  # shares its bytes with 608Fh in the profile, and says something else in a file
 RESOLUTION, GEAR, FEED = 0x608F, 0x6091, 0x6092
+PERIOD, LONGEST_PERIOD = 0x60C2, 0.1  # s; inferred: a bus is quicker
+# set-point in an RPDO -> mode (inferred)
+SET_POINTS = {0x607A: Mode.CYCLIC_SYNC_POSITION, 0x60FF: Mode.CYCLIC_SYNC_VELOCITY,
+              0x6071: Mode.CYCLIC_SYNC_TORQUE}  # fmt: skip
 VELOCITY_UNIT, VELOCITY_FACTOR, REVOLUTIONS_PER_MINUTE = 0x60A9, 0x6096, 0xB447
 # where 0 says that the maker's tool has not set it yet, and nothing moves with it
 UNSET = (0x6072, 0x6073, 0x6075, 0x6076, RESOLUTION, GEAR, FEED, 0x6096, 0x6097, 0x60C2)
@@ -104,6 +108,8 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
 class _Import:
     """One file on its way to a model."""
 
+    needs: ClassVar = NEEDS  # objects of each mode
+
     def __init__(self, sheet: Sheet):
         self.sheet = sheet
         self.base: DriveModel = load("generic")
@@ -132,6 +138,7 @@ class _Import:
         for entry in sheet.entries.values():
             self._take(entry)
         self._factors()
+        self._period()
         self._pdos()
         self._place()
         made.objects = [self.rows[address] for address in sorted(self.rows)]
@@ -395,6 +402,18 @@ class _Import:
             fixed["velocity_factor"] = [increments, 60 * 10**-power]
             self.rpm = True
 
+    def _period(self) -> None:
+        """Of the set-points (60C2h); one that no master keeps was not set."""
+        value, index = self._default(PERIOD, 1), self._default(PERIOD, 2)
+        if value is None or index is None or value * 10.0**index <= LONGEST_PERIOD:
+            return
+        for subindex in (1, 2):
+            usual = int(self.base.objects[PERIOD, subindex].default)
+            if self._default(PERIOD, subindex) != usual:
+                self._set(
+                    PERIOD, subindex, usual, f"nobody sends set-points every {value}e{index} s"
+                )
+
     # ------------------------------------------------------------------ PDOs
 
     def _pdos(self) -> None:
@@ -404,6 +423,7 @@ class _Import:
             found = [index & 0x1FF for index in there if index & 0xFC00 == first & 0xFC00]
             numbers = [n for n in found if n < MAX_PDOS]
             for n in range(max(numbers, default=-1) + 1):
+                self._mapping(direction, first, n)
                 self._pdo(direction, first, n)
         if not there:  # CompactPDO, or none is described: the predefined connection set
             for direction, key in (("rx", "NrOfRXPDO"), ("tx", "NrOfTXPDO")):
@@ -414,6 +434,18 @@ class _Import:
                 for n, identifier in enumerate(PREDEFINED[direction][:count]):
                     self.pdos.append((direction, n + 1, f"0x{identifier:X}+node_id", 255, 0,
                                              "", "", "", "", "empty", "inferred"))  # fmt: skip
+
+    def _mapping(self, direction: str, first: int, n: int) -> None:
+        """A PDO whose mapping the file does not have carries nothing, and can be mapped."""
+        mapping = first + 0x200 + n
+        if (first + n, 1) not in self.rows or (mapping, 0) in self.rows:
+            return
+        self.result.tell(0, f"{mapping:04X}h", f"nothing, and {first + n:04X}h is there", "empty",
+                         "a master reads both of a PDO")  # fmt: skip
+        for subindex in range(9):
+            code = 0x07 if subindex else 0x05
+            self._take(Entry(mapping, subindex, f"{direction} mapping", "RECORD", code, "rw",
+                             False, "0", "", "", 0))  # fmt: skip
 
     def _pdo(self, direction: str, first: int, n: int) -> None:
         def value(subindex: int, otherwise: int) -> int:
@@ -512,18 +544,32 @@ class _Import:
         indices = {index for index, _ in self.rows}
         self.modes_said = bool(modes)
         if not modes:
-            modes = [m for m in self.base.modes if indices.issuperset(NEEDS.get(m, ()))]
+            modes = [m for m in self.base.modes if indices.issuperset(self.needs.get(m, ()))]
         said = {
             self._default(0x60E3, n) for n in range(1, 255) if (0x60E3, n) in self.rows
         }  # fmt: skip
         methods = [method for method in self.base.homing_methods if method in said]
         self.methods_said = bool(methods)
+        if (mode := self._mode(modes)) is not None:
+            modes = sorted({*modes, mode})
         table: dict[str, Any] = {}
         if modes:
             table["modes"] = [MODE_ABBREVIATION[mode] for mode in modes]
         if methods:
             table["homing_methods"] = methods
         self.result.toml["capabilities"] = table
+
+    def _mode(self, modes: list[int]) -> Mode | None:
+        """The mode of a drive whose 6060h nobody can write, of the set-point in its RPDOs."""
+        row = self.rows.get((0x6060, 0))
+        if row is None or row["access"] not in ("ro", "const"):
+            return None
+        mapped = {int(pdo[6], 0) for pdo in self.pdos if pdo[0] == "rx" and pdo[6] != ""}
+        mode = next((mode for index, mode in SET_POINTS.items() if index in mapped), None)
+        if mode is None or int(row["default"]) in modes:
+            return None
+        self._set(0x6060, 0, int(mode), "it is read-only, and its PDO has this set-point")
+        return mode
 
     def _notes(self) -> None:
         made, node_id = self.result, self.sheet.node_id

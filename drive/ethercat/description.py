@@ -4,12 +4,12 @@ Both are made from it and parsed back into it, so that what a master reads from 
 the file and from the dictionary is the same (ETG.2000, ETG.2010).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..model.ethercat import PROTOCOLS
 from ..model.model import DriveModel
 from ..model.pdo import Mapping
-from ..objects.hooks.ethercat import FLEXIBLE
+from ..objects.hooks.ethercat import excluded, mappable
 from .sdo_info import DATA_TYPES
 
 UNASSIGNED = 0xFF  # sync manager of a PDO that is not assigned by default
@@ -38,6 +38,8 @@ class Pdo:
     sync_manager: int  # `UNASSIGNED` where the default assignment leaves it out
     flags: int
     entries: tuple[Entry, ...]
+    # PDOs that it cannot be assigned with; ESI alone says so, so it is no difference to an EEPROM
+    excludes: tuple[int, ...] = field(default=(), compare=False)
 
     @property
     def bits(self) -> int:
@@ -182,7 +184,8 @@ def _pdos(
     model: DriveModel, mappings: tuple[Mapping, ...], manager: int, assignment: int
 ) -> tuple[Pdo, ...]:
     """PDOs by index; the names of their entries are those of the objects."""
-    assigned = default_assignment(model, assignment)
+    assigned, apart = default_assignment(model, assignment), excluded(model, assignment)
+    flexible = mappable(model)[manager - OUTPUTS]
     letter = "R" if manager == OUTPUTS else "T"
     pdos = []
     for place, mapping in enumerate(mappings):
@@ -197,8 +200,9 @@ def _pdos(
                 index,
                 f"{letter}xPDO {index:04X}h",
                 manager if index in assigned else UNASSIGNED,
-                0 if place < FLEXIBLE else FIXED,
+                0 if place < flexible else FIXED,
                 tuple(entries),
+                tuple(sorted(apart[index])),
             )
         )
     return tuple(sorted(pdos, key=lambda pdo: pdo.index))

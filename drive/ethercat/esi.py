@@ -1,13 +1,11 @@
-"""ESI: the device description file of a slave, written from its description and parsed back.
+"""ESI: the device description file of a slave, written from its description.
 
 Format: EtherCATInfo of ETG.2000. The dictionary in it is that of the model, so what a
-configuration tool knows offline is what the drive answers online.
+configuration tool knows offline is what the drive answers online. `esi_reader` reads such files.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from xml.etree import ElementTree
-from xml.parsers import expat
 
 from ..model.ethercat import DATA_LINK_LAYER, IDENTIFICATION
 from ..model.ethercat import PROTOCOLS as PROTOCOL_NAMES
@@ -19,10 +17,7 @@ from .description import (
     UNASSIGNED,
     DcMode,
     Description,
-    Entry,
-    Mailboxes,
     Pdo,
-    SyncManager,
     describe,
 )
 from .sdo_info import DATA_TYPES, bits, members, object_name
@@ -32,19 +27,16 @@ TYPES = {
     0x01: "BOOL", 0x02: "SINT", 0x03: "INT", 0x04: "DINT", 0x05: "USINT", 0x06: "UINT",
     0x07: "UDINT", 0x08: "REAL", 0x15: "LINT", 0x1B: "ULINT",
 }  # fmt: skip
-_NUMBERS = {name: number for number, name in TYPES.items()}
 _STRING, _DOMAIN = 0x09, 0x0F
 SM_KINDS = {1: "MBoxOut", 2: "MBoxIn", 3: "Outputs", 4: "Inputs"}
 FMMU_KINDS = {0: "Unused", 1: "Outputs", 2: "Inputs", 3: "MBoxState"}
 # bits of the CoE details -> attribute of the element CoE
 COE = {0x02: "SdoInfo", 0x04: "PdoAssign", 0x08: "PdoConfig", 0x10: "PdoUpload",
        0x20: "CompleteAccess"}  # fmt: skip
-_SDO = 0x01
 PROTOCOLS = {name: 1 << PROTOCOL_NAMES.index(name) for name in ("EoE", "CoE", "FoE")}
 PROFILE = 402
 CONFIG = 14  # bytes of the SII that the slave controller loads
 _MAPPABLE = {"": "", "rx": "R", "tx": "T", "rxtx": "RT"}
-LONGEST = 16 << 20  # characters of a file that is parsed
 
 
 @dataclass(frozen=True)
@@ -190,6 +182,8 @@ def _pdo(parent: ElementTree.Element, tag: str, pdo: Pdo) -> None:
     element = _sub(parent, tag, **attributes)
     _sub(element, "Index", _hex(pdo.index))
     _sub(element, "Name", pdo.name)
+    for other in pdo.excludes:
+        _sub(element, "Exclude", _hex(other))
     for entry in pdo.entries:
         line = _sub(element, "Entry")
         _sub(line, "Index", _hex(entry.index))
@@ -263,219 +257,3 @@ def _flags(parent: ElementTree.Element, entry: EsiEntry) -> None:
     _sub(flags, "Access", entry.access)
     if entry.pdo:
         _sub(flags, "PdoMapping", entry.pdo)
-
-
-# ------------------------------------------------------------------------ parse
-
-
-def parse(text: str | bytes) -> Esi:
-    """What a file says of its first device.
-
-    Raises ValueError where it is no such file; document types and entities are refused.
-    """
-    root = _tree(text)
-    if root.tag != "EtherCATInfo":
-        raise ValueError(f"the root of an ESI file is EtherCATInfo, not {root.tag}")
-    try:
-        return _esi(root)
-    except (AttributeError, KeyError, IndexError, OverflowError) as error:
-        raise ValueError(f"the ESI file lacks something: {error}") from None
-
-
-def _tree(text: str | bytes) -> ElementTree.Element:
-    if len(text) > LONGEST:
-        raise ValueError(f"an ESI file of {len(text)} bytes is too long")
-    builder = ElementTree.TreeBuilder()
-    parser = expat.ParserCreate()
-    parser.buffer_text = True
-
-    def refuse(*_: object) -> None:
-        raise ValueError("an ESI file has no document type and no entities of its own")
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        builder.start(tag, attributes)
-
-    def end(tag: str) -> None:
-        builder.end(tag)
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CharacterDataHandler = builder.data
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        raise ValueError(f"the ESI file is no XML: {error}") from None
-    return builder.close()
-
-
-def _number(text: str | None) -> int:
-    """``#x1C12`` or ``7186``."""
-    text = (text or "").strip()
-    return int(text[2:], 16) if text[:2].lower() == "#x" else int(text or "0")
-
-
-def _text(element: ElementTree.Element, path: str) -> str:
-    return (element.findtext(path) or "").strip()
-
-
-def _find(element: ElementTree.Element, path: str) -> ElementTree.Element:
-    found = element.find(path)
-    if found is None:
-        raise ValueError(f"the ESI file has no {path} in {element.tag}")
-    return found
-
-
-def _esi(root: ElementTree.Element) -> Esi:
-    device = _find(root, "Descriptions/Devices/Device")
-    kind = _find(device, "Type")
-    managers = tuple(
-        SyncManager(
-            _number(sm.get("StartAddress")),
-            _number(sm.get("DefaultSize")),
-            _number(sm.get("ControlByte")),
-            _number(sm.get("Enable")),
-            _key(SM_KINDS, sm.text),
-        )
-        for sm in device.iterfind("Sm")
-    )
-    mailbox = device.find("Mailbox")
-    offered = {child.tag: child for child in mailbox} if mailbox is not None else {}
-    coe = offered.get("CoE")
-    details = 0
-    if coe is not None:
-        details = _SDO | sum(_flag(coe, name, bit) for bit, name in COE.items())
-    config = bytes.fromhex(_text(device, "Eeprom/ConfigData"))
-    boot = bytes.fromhex(_text(device, "Eeprom/BootStrap")).ljust(8, b"\0")
-    words = [int.from_bytes(boot[at : at + 2], "little") for at in range(0, 8, 2)]
-    ports = {" ": 0, "Y": 1, "K": 3}
-    physics = device.get("Physics") or ""
-    described = Description(
-        vendor_id=_number(_text(root, "Vendor/Id")),
-        product_code=_number(kind.get("ProductCode")),
-        revision_number=_number(kind.get("RevisionNo")),
-        serial_number=0,
-        name=_text(device, "Name"),
-        order=(kind.text or "").strip(),
-        group=_text(device, "GroupType"),
-        mailbox=_mailboxes(managers),
-        bootstrap=Mailboxes(*words),
-        protocols=sum(bit for name, bit in PROTOCOLS.items() if name in offered),
-        coe_details=details,
-        foe_details=int("FoE" in offered),
-        eoe_details=int("EoE" in offered),
-        flags=_flag(mailbox, "DataLinkLayer", DATA_LINK_LAYER)
-        | IDENTIFICATION * (_text(device, "Info/IdentificationReg134").lower() in _TRUE),
-        physical_ports=sum(ports.get(port, 0) << 4 * n for n, port in enumerate(physics[:4])),
-        fmmus=tuple(_key(FMMU_KINDS, fmmu.text) for fmmu in device.iterfind("Fmmu")),
-        sync_managers=managers,
-        tpdos=tuple(_parse_pdo(pdo) for pdo in device.iterfind("TxPdo")),
-        rpdos=tuple(_parse_pdo(pdo) for pdo in device.iterfind("RxPdo")),
-        dc_modes=tuple(_parse_dc(mode) for mode in device.iterfind("Dc/OpMode")),
-        pdi_control=int.from_bytes(config[:2], "little"),
-        pdi_configuration=int.from_bytes(config[2:4], "little"),
-        size=_number(_text(device, "Eeprom/ByteSize")),
-    )
-    dictionary, names = _parse_dictionary(device)
-    return Esi(
-        device=described,
-        vendor=_text(root, "Vendor/Name"),
-        profile=_number(_text(device, "Profile/ProfileNo")),
-        dictionary=dictionary,
-        names=names,
-        eeprom=config,
-    )
-
-
-_TRUE = ("1", "true")
-
-
-def _flag(element: ElementTree.Element | None, name: str, value: int) -> int:
-    """`value` where an attribute is true."""
-    return value if element is not None and (element.get(name) or "").lower() in _TRUE else 0
-
-
-def _mailboxes(managers: tuple[SyncManager, ...]) -> Mailboxes:
-    by_kind = {manager.kind: manager for manager in managers}
-    out, in_ = by_kind.get(1), by_kind.get(2)
-    if out is None or in_ is None:
-        return Mailboxes(0, 0, 0, 0)
-    return Mailboxes(out.start, out.length, in_.start, in_.length)
-
-
-def _key(names: dict[int, str], text: str | None) -> int:
-    for number, name in names.items():
-        if name == (text or "").strip():
-            return number
-    raise ValueError(f"{text!r} is none of {', '.join(names.values())}")
-
-
-def _parse_pdo(element: ElementTree.Element) -> Pdo:
-    manager = element.get("Sm")
-    entries = []
-    for line in element.iterfind("Entry"):
-        bits = _number(line.findtext("BitLen"))
-        index = _number(line.findtext("Index"))
-        data_type = _type_number(_text(line, "DataType")) if index else 0
-        subindex = _number(line.findtext("SubIndex"))
-        entries.append(Entry(index, subindex, bits, data_type, _text(line, "Name")))
-    return Pdo(
-        _number(element.findtext("Index")),
-        _text(element, "Name"),
-        UNASSIGNED if manager is None else _number(manager),
-        _flag(element, "Fixed", FIXED),
-        tuple(entries),
-    )
-
-
-def _type_number(name: str) -> int:
-    if name.startswith("STRING("):
-        return _STRING
-    if name.startswith("OCTET_STRING("):
-        return _DOMAIN
-    if name not in _NUMBERS:
-        raise ValueError(f"data type {name!r} of the ESI file is unknown")
-    return _NUMBERS[name]
-
-
-def _parse_dc(element: ElementTree.Element) -> DcMode:
-    def factor(path: str) -> int:
-        found = element.find(path)
-        return 0 if found is None else _number(found.get("Factor"))
-
-    return DcMode(
-        _text(element, "Name"),
-        _number(element.findtext("AssignActivate")),
-        _number(element.findtext("CycleTimeSync0")),
-        _number(element.findtext("ShiftTimeSync0")),
-        _number(element.findtext("ShiftTimeSync1")),
-        factor("CycleTimeSync0"),
-        factor("CycleTimeSync1"),
-    )
-
-
-def _parse_dictionary(
-    device: ElementTree.Element,
-) -> tuple[dict[tuple[int, int], EsiEntry], dict[int, str]]:
-    types = {
-        _text(kind, "Name"): kind
-        for kind in device.iterfind("Profile/Dictionary/DataTypes/DataType")
-    }
-    entries: dict[tuple[int, int], EsiEntry] = {}
-    names: dict[int, str] = {}
-    for element in device.iterfind("Profile/Dictionary/Objects/Object"):
-        index = _number(element.findtext("Index"))
-        names[index] = _text(element, "Name")
-        kind = types.get(_text(element, "Type"))
-        items: Iterable[ElementTree.Element] = () if kind is None else kind.findall("SubItem")
-        for item in items or (element,):
-            subindex = _number(item.findtext("SubIdx"))
-            entries[index, subindex] = EsiEntry(
-                index,
-                subindex,
-                _text(item, "Name"),
-                _type_number(_text(item, "Type")),
-                _number(item.findtext("BitSize")),
-                _text(item, "Flags/Access"),
-                _text(item, "Flags/PdoMapping"),
-            )
-    return entries, names

@@ -1,8 +1,8 @@
 """ESI files as makers write them (ETG.2000), read leniently: what departs is told, not refused.
 
-`esi` writes and parses our own files; here a file of anybody is read: several devices, data types
-of the maker's own, arrays, defaults as bytes, sync managers without a name, another encoding than
-the one declared. What cannot be read at all is refused with file and line.
+A file of anybody is read, those that `esi` writes as well: several devices, data types of the
+maker's own, arrays, defaults as bytes, sync managers without a name, another encoding than the one
+declared. What cannot be read at all is refused with file and line.
 """
 
 from collections.abc import Iterator
@@ -27,6 +27,9 @@ TYPES = {
     "BYTE": 0x05, "WORD": 0x06, "DWORD": 0x07, "LWORD": 0x1B, "BITARR8": 0x05, "BITARR16": 0x06,
     "BITARR32": 0x07, "TIME_OF_DAY": 0x0C, "TIME_DIFFERENCE": 0x0D, "STRING": 0x09,
     "VISIBLE_STRING": 0x09, "OCTET_STRING": 0x0F, "UNICODE_STRING": 0x0F,
+    # as `ethercat xml` of IgH's master names them
+    "INT8": 0x02, "INT16": 0x03, "INT32": 0x04, "INT64": 0x15,
+    "UINT8": 0x05, "UINT16": 0x06, "UINT32": 0x07, "UINT64": 0x1B,
 }  # fmt: skip
 UNSIGNED = {8: 0x05, 16: 0x06, 32: 0x07, 64: 0x1B}
 TEXT = 0x09
@@ -65,7 +68,6 @@ class EsiFile:
     device: Description
     vendor: str
     objects: list[EsiObject]
-    excluded: dict[int, list[int]]  # PDO -> those it cannot be assigned with
     repairs: list[Repair] = field(default_factory=list)
 
 
@@ -179,15 +181,9 @@ class _Reader:
             raise self.error(getattr(self.root, "line", 1), "there is no Device in it")
         device = self._chosen(devices, wanted)
         described = self._describe(device)
-        excluded: dict[int, list[int]] = {}
-        for pdo in [*device.iterfind("RxPdo"), *device.iterfind("TxPdo")]:
-            index = self._number(pdo.findtext("Index"), pdo, "PDO")
-            others = [self._number(e.text, e, f"{index:04X}h") for e in pdo.iterfind("Exclude")]
-            if others:
-                excluded[index] = others
         vendor = (self.root.findtext("Vendor/Name") or "").strip()
         objects = [*self._objects(device)]
-        return EsiFile(described, vendor, objects, excluded, self.repairs)
+        return EsiFile(described, vendor, objects, self.repairs)
 
     def _chosen(self, devices: list[ElementTree.Element], wanted: str | None):
         def called(device: ElementTree.Element) -> list[str]:
@@ -318,6 +314,7 @@ class _Reader:
             index, _text(element, "Name"),
             UNASSIGNED if manager is None else self._number(manager, element, where, UNASSIGNED),
             _flag(element, "Fixed", FIXED), tuple(entries),
+            tuple(self._number(e.text, e, where) for e in element.iterfind("Exclude")),
         )  # fmt: skip
 
     def _mode(self, element: ElementTree.Element) -> DcMode:

@@ -7,12 +7,12 @@ from typing import Any, Protocol
 from ..master.port import Units
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry, places
+from ..objects.hooks.ethercat import mappable
 from .al import AlState
 
 LATENCY = 0.01  # s; inferred: by then a drive has seen a start bit and its status bits are new
 OUTPUTS = ("controlword", "target_position", "modes_of_operation")
 INPUTS = ("statusword", "position_actual_value", "modes_of_operation_display")
-FLEXIBLE = (0x1600, 0x1A00)  # the first PDOs that can be mapped
 ASSIGNMENTS = (0x1C12, 0x1C13)
 PDO_BYTES = 8
 
@@ -144,15 +144,26 @@ class RemoteObjects:
         self._inputs: dict[str, int] = {}
 
     def map(self, outputs: Sequence[str], inputs: Sequence[str]) -> None:
-        """Map objects to the first flexible PDOs, as many as they fill, and assign these."""
+        """Map objects to the first flexible PDOs, as many as they fill, and assign these.
+
+        Where the drive has too few of them, its PDOs stay as it has them; `read` and `write` take
+        what these do not carry by SDO.
+        """
+        shares = [self._shared_out(names) for names in (outputs, inputs)]
+        all_pdos, free = (self._model.rpdos, self._model.tpdos), mappable(self._model)
+        pdos = [
+            [int(pdo.cob_id, 0) for pdo in found[:count]]
+            for found, count in zip(all_pdos, free, strict=True)
+        ]
+        if any(len(wanted) > len(there) for wanted, there in zip(shares, pdos, strict=True)):
+            return
         download = self.slave.mailbox.download
         for index in ASSIGNMENTS:
             download(index, 0, b"\0")
         assigned: list[list[int]] = []
-        for first, names in zip(FLEXIBLE, (outputs, inputs), strict=True):
-            shares = self._shared_out(names)
-            assigned.append([*range(first, first + len(shares))])
-            for pdo, words in zip(assigned[-1], shares, strict=True):
+        for there, wanted in zip(pdos, shares, strict=True):
+            assigned.append(there[: len(wanted)])
+            for pdo, words in zip(assigned[-1], wanted, strict=True):
                 download(pdo, 0, b"\0")
                 for n, word in enumerate(words, 1):
                     download(pdo, n, word.to_bytes(4, "little"))

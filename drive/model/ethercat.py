@@ -15,6 +15,7 @@ PROTOCOLS = ("AoE", "EoE", "CoE", "FoE", "SoE", "VoE")  # a bit of word 1Ch of t
 # flags of the category general: the mailbox can be repeated, 0134h shows the identification
 DATA_LINK_LAYER, IDENTIFICATION = 0x04, 0x08
 MAILBOX_HEADER = 16  # bytes before the data of a normal SDO: the shortest mailbox has more
+MAPPABLE = [4, 4]  # Kollmorgen AKD 5.5
 MEMORY = 0x1000, 0x3000  # process data memory of the slave controller, first and behind
 
 
@@ -71,6 +72,9 @@ class EtherCat:
     hop_delay_ns: int  # from one port to the other
     modes: tuple[DcMode, ...]
     al: Al
+    mappable: tuple[int, int]  # RPDOs and TPDOs that a master may map; they come first
+    fixed_alone: bool  # a PDO that cannot be mapped is assigned without another
+    excludes: dict[int, tuple[int, ...]]  # PDO -> those it cannot be assigned with
 
     @property
     def complete_access(self) -> bool:
@@ -97,6 +101,7 @@ TABLES: dict[str, tuple[str, ...]] = {
         "flags",
         "ds402_channels",
     ),
+    "pdo": ("mappable", "fixed_alone", "excludes"),
     "dc": ("cycle_ns", "exact_period", "late_limit", "hop_delay_ns", "error_settings", "modes"),
     "al": ("bootstrap", "by_edge", "init_acknowledges", "codes"),
 }
@@ -136,9 +141,11 @@ class _Reader:
             raise self.error(f"{place} = {value!r} is no {what}")
         return value
 
-    def numbers(self, table: str, key: str, count: int | None = None) -> tuple[int, ...]:
+    def numbers(
+        self, table: str, key: str, count: int | None = None, default: list[int] | None = None
+    ) -> tuple[int, ...]:
         """A list of numbers."""
-        values = self.get(table, key, list)
+        values = self.get(table, key, list, default)
         right = all(isinstance(v, int) and 0 <= v <= 0xFFFF for v in values)
         if not right or (count is not None and len(values) != count):
             wanted = "numbers" if count is None else f"{count} numbers"
@@ -175,6 +182,10 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
     strings = reader.keyed(get("sii", "strings", dict, {}), "sii.strings")
     without = tuple(get("", "without", list, []))
     codes = get("al", "codes", dict, {})
+    excludes = reader.keyed(get("pdo", "excludes", dict, {}), "pdo.excludes")
+    for others in excludes.values():
+        if not isinstance(others, list) or not all(type(other) is int for other in others):
+            raise reader.error(f"pdo.excludes: {others!r} is no list of PDOs")
     for place, values, kind in (
         ("sii.strings", strings.values(), str),
         ("without", without, str),
@@ -219,6 +230,9 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
             init_acknowledges=get("al", "init_acknowledges", bool, True),
             codes=codes,
         ),
+        mappable=numbers("pdo", "mappable", 2, MAPPABLE),  # type: ignore[arg-type]
+        fixed_alone=get("pdo", "fixed_alone", bool, True),
+        excludes={pdo: tuple(others) for pdo, others in excludes.items()},
     )
     _check(reader, ethercat)
     return ethercat, without

@@ -8,7 +8,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..kernel.process_data import DUMMY, DUMMY_BITS, ENTRIES, INVALID, MAX_BITS, parameter_place
+from ..kernel.process_data import (
+    DUMMY,
+    DUMMY_BITS,
+    ENTRIES,
+    INVALID,
+    MAX_BITS,
+    PDO,
+    parameter_place,
+)
 from ..kernel.record import OD
 from ..model.model import DriveModel
 from ..model.pdo import Mapping, mapping_entry
@@ -16,7 +24,7 @@ from ..model.rows import Object
 from .abort import Abort
 from .communication import PDO_COB_ID, sdo_server
 from .device import Dictionary
-from .hooks.ethercat import FLEXIBLE
+from .hooks.ethercat import mappable
 
 RECEIVE = ((0x1400, 0x1600), "rpdo", "rx")
 LAST_PDO_OBJECT = 0x1BFF
@@ -44,7 +52,7 @@ def pdo_objects(n_rpdo: int, n_tpdo: int) -> list[Object]:
             name = f"{area}{i + 1}"
             rows.append(_constant(communication + i, f"{name}_entries", parameters[-1][0]))
             for index, names in ((communication + i, parameters), (mapping + i, MAPPING)):
-                rows += _placed(index, name, names)
+                rows += _placed(index, index, name, names)
     return rows
 
 
@@ -54,11 +62,11 @@ MAPPING = [
 ]  # sub-index, name, data type
 
 
-def _placed(index: int, name: str, names: list[tuple[int, str, str]]) -> list[Object]:
-    """Rows of a PDO parameter object, which live in its record."""
+def _placed(index: int, of: int, name: str, names: list[tuple[int, str, str]]) -> list[Object]:
+    """Rows of a PDO parameter object; they live in the record of the PDO that has `of` on CAN."""
     rows = []
     for subindex, label, data_type in names:
-        place = parameter_place(index, subindex)
+        place = parameter_place(of, subindex)
         assert place is not None
         rows.append(_row(index, subindex, f"{name}_{label}", data_type, *place))
     return rows
@@ -70,11 +78,13 @@ def ethercat_pdo_objects(model: DriveModel) -> list[Object]:
     A PDO has no communication parameters there, and its index stands where CAN has the identifier.
     """
     rows = []
-    for area, pdos in (("rpdo", model.rpdos), ("tpdo", model.tpdos)):
+    for ((_, first), area, _), pdos, flexible in zip(
+        (RECEIVE, TRANSMIT), (model.rpdos, model.tpdos), mappable(model), strict=True
+    ):
         for i, pdo in enumerate(pdos):
             index = int(pdo.cob_id, 0)
-            if i < FLEXIBLE:
-                rows += _placed(index, f"{area}{i + 1}", MAPPING)
+            if i < flexible:
+                rows += _placed(index, first + i, f"{area}{i + 1}", MAPPING)
                 continue
             name = f"{area}_{index:04X}h"
             rows.append(_constant(index, f"{name}_{MAPPING[0][1]}", len(pdo.entries)))
@@ -108,7 +118,7 @@ def _with_default(row: Object, model: DriveModel) -> Object:
     """A row of a PDO with the default of `pdo.csv`."""
     if row.area not in ("rpdo", "tpdo"):
         return row
-    pdo: Mapping = (model.rpdos if row.area == "rpdo" else model.tpdos)[row.index & 0x1FF]
+    pdo: Mapping = (model.rpdos if row.area == "rpdo" else model.tpdos)[_number(row)]
     if row.index & 0x200:  # 1600h, 1A00h: mapping
         entries = [i << 16 | s << 8 | bits for i, s, bits in pdo.entries]
         values = dict(enumerate([len(entries), *entries]))
@@ -135,10 +145,15 @@ def _constant(index, name, value) -> Object:
 WriteHook = Callable[[Dictionary, Object, int], Abort]
 
 
+def _number(row: Object) -> int:
+    """Of the PDO whose record a row lies in, or that it belongs to by its index."""
+    return row.offset // PDO.itemsize if row.area in ("rpdo", "tpdo") else row.index & 0x1FF
+
+
 def _pdo(od: Dictionary, row: Object):
     receive = row.index < 0x1800
     pdos = od.drive.rpdos if receive else od.drive.tpdos
-    return pdos[row.index & 0x1FF], receive
+    return pdos[_number(row)], receive
 
 
 def _communication(od: Dictionary, row: Object, value: int) -> Abort:

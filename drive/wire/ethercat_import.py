@@ -13,12 +13,13 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from ..canopen.eds_import import NEEDED, _Import
+from ..canopen.eds_import import NEEDED, NEEDS, PERIOD, _Import
 from ..canopen.sheet import Entry, Sheet
 from ..drive import Drive
 from ..ethercat import sii
+from ..ethercat.controller.record import SII_BYTES
 from ..ethercat.description import FIXED, Description, Mailboxes, Pdo, SyncManager
 from ..ethercat.esi_reader import EsiObject, read_esi
 from ..ethercat.segment import Segment
@@ -29,12 +30,12 @@ from ..model.ethercat import MEMORY, PROTOCOLS
 from ..model.made import PDO_COLUMNS, Made, Repair, check_place, line, write
 from ..model.model import load
 from ..model.rows import FORMATS, SIZES
-from ..objects.hooks.ethercat import FLEXIBLE
 from ..statements import data_sheet
 
 SOURCE = "EtherCAT"
 LONGEST = BUSES["ethercat"]  # bits of a PDO
-LARGEST = 4096  # bytes of an EEPROM
+LARGEST = SII_BYTES  # of an EEPROM
+ENOUGH = 4096  # bytes for what a model writes into one
 NAMED = 16  # bytes that an entry and its name take in it, about
 COMMUNICATION = (range(0x1400, 0x1C40), range(0x10F1, 0x10F2))  # made from the PDOs and `generic`
 PADDING = 0x5FF0  # our object for bits of a PDO that no object of ours has (inferred)
@@ -67,7 +68,6 @@ class _Source:
     device: Description
     vendor: str
     objects: list[EsiObject]
-    excluded: dict[int, list[int]]
     repairs: list[Repair]
     name: str
     command: str
@@ -93,7 +93,7 @@ def import_esi(
     file = read_esi(path, device)
     notes = [f"Slave controller: `inferred`, {chip}; the file does not say. --chip names another."]
     return _made(
-        _Source(file.device, file.vendor, file.objects, file.excluded, file.repairs, path.name,
+        _Source(file.device, file.vendor, file.objects, file.repairs, path.name,
                 "servogym drives --from-esi", CHIPS[chip], notes), folder, path,
     )  # fmt: skip
 
@@ -108,7 +108,7 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
     device = _unpacked(image, path)
     notes = [f"Slave controller: `inferred`, {chip}; the image does not say. --chip names another."]
     return _made(
-        _Source(device, f"vendor {device.vendor_id:08X}h", [], {}, [], path.name,
+        _Source(device, f"vendor {device.vendor_id:08X}h", [], [], path.name,
                 "servogym drives --from-sii", CHIPS[chip], notes), folder, path,
     )  # fmt: skip
 
@@ -144,7 +144,7 @@ def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported
         "Its dictionary does not tell itself (no SDO information).",
     ]  # fmt: skip
     return _made(
-        _Source(device, f"vendor {device.vendor_id:08X}h", found, {}, [],
+        _Source(device, f"vendor {device.vendor_id:08X}h", found, [],
                 f"slave {position} on {interface}", "servogym drives --from-slave", registers,
                 notes), folder, Path(interface),
     )  # fmt: skip
@@ -169,7 +169,7 @@ def _made(source: _Source, folder: Path, path: Path) -> Imported:
     except ValueError as error:
         if "set sii.size" not in str(error):
             raise ValueError(f"{path}: {error}") from None
-        maker.least = LARGEST  # our names of PDOs and objects are longer than the maker's
+        maker.least = ENOUGH  # our names of PDOs and objects are longer than the maker's
         made.more["ethercat.toml"] = maker.ethercat_toml()
         try:
             write(made, folder, _check)
@@ -188,6 +188,9 @@ def _check(place: Path) -> str:
 class _Maker(_Import):
     """One description on its way to a model."""
 
+    # the cycle of process data is the period of set-points; makers leave 60C2h out (inferred)
+    needs: ClassVar = {mode: tuple({*indices} - {PERIOD}) for mode, indices in NEEDS.items()}
+
     def __init__(self, source: _Source, title: str):
         sheet = Sheet(Path(source.name), repairs=source.repairs)
         for row in source.objects:
@@ -201,6 +204,7 @@ class _Maker(_Import):
         self._padding = 0
         self.least = 0  # bytes of the EEPROM
         self._assigned: dict[int, list[int]] = {}
+        self._mappable_pdos: list[int] = []  # of each direction
 
     def made(self) -> Made:
         """The model."""
@@ -226,10 +230,6 @@ class _Maker(_Import):
             "ethercat_pdo.csv": _table(self.pdos),
         }
         made.notes += self.source.notes
-        for pdo, others in self.source.excluded.items():
-            names = ", ".join(f"{other:04X}h" for other in others)
-            made.notes.append(f"{pdo:04X}h excludes {names}: a master's tool sees to that, the "
-                              "model does not refuse it.")  # fmt: skip
         return made
 
     def _identity(self) -> dict[str, int]:
@@ -252,14 +252,8 @@ class _Maker(_Import):
         for direction, manager, pdos in (("rx", 2, device.rpdos), ("tx", 3, device.tpdos)):
             kept = [(pdo, entries) for pdo in pdos
                     if (entries := self._mapped(direction, pdo)) is not None]  # fmt: skip
-            flexible = [row for row in kept if not row[0].flags & FIXED]
-            order = flexible[:FLEXIBLE] + [row for row in kept if row not in flexible[:FLEXIBLE]]
-            for n, (pdo, _) in enumerate(order):
-                fixed = bool(pdo.flags & FIXED)
-                if fixed != (n >= FLEXIBLE):
-                    said, taken = ("fixed", "can be mapped") if fixed else ("mappable", "fixed")
-                    self._repair(f"{pdo.index:04X}h", said, taken,
-                                 f"the first {FLEXIBLE} of a direction are mappable")  # fmt: skip
+            order = sorted(kept, key=lambda row: row[0].flags & FIXED)  # those that are mappable
+            self._mappable_pdos.append(sum(not pdo.flags & FIXED for pdo, _ in kept))
             self._write(direction, order)
             self._assigned[manager] = self._chosen(manager, order)
             counts.append(len(order))
@@ -276,35 +270,59 @@ class _Maker(_Import):
             self._repair(where, "a PDO", "left out", "no PDO of this direction lies there")
             return None
         entries: list[tuple[int, int, int]] = []
-        loose = 0  # bits that no object of ours carries, up to the next byte
-        for entry in pdo.entries:
-            whole = not loose and entry.index and entry.bits % 8 == 0
-            if whole and self._mappable(direction, entry):
-                entries.append((entry.index, entry.subindex, entry.bits))
-                continue
-            loose += entry.bits
-            if loose % 8 == 0:
-                entries += self._padded(direction, loose // 8)
+        loose = 0  # bits that no object of ours carries, before the next that one does
+
+        def fill() -> None:
+            nonlocal loose
+            if loose:
+                entries.extend(self._padded(direction, -(-loose // 8)))
                 self._repair(where, f"{loose} bits: gaps or parts of bytes", "objects that do "
                              "nothing", "PDOs are whole objects here")  # fmt: skip
-                loose = 0
-        if loose:
-            entries += self._padded(direction, loose // 8 + 1)
-            self._repair(where, f"{loose} bits at its end", "whole bytes", "as its buffer has them")
+            loose = 0
+
+        for entry in pdo.entries:
+            whole = loose % 8 == 0 and entry.index and entry.bits % 8 == 0
+            if whole and self._mappable(direction, entry):
+                fill()
+                entries.append((entry.index, entry.subindex, entry.bits))
+            else:
+                loose += entry.bits
+        fill()
+        if len(entries) > ENTRIES:
+            entries = self._shorter(direction, where, entries)
         if len(entries) > ENTRIES or sum(bits for *_, bits in entries) > LONGEST:
             self._repair(where, f"{len(entries)} entries", "left out",
                          f"at most {ENTRIES} entries and {LONGEST} bits here")  # fmt: skip
             return None
         return entries
 
+    def _shorter(
+        self, direction: str, where: str, entries: list[tuple[int, int, int]]
+    ) -> list[tuple[int, int, int]]:
+        """As many entries as a PDO can have: objects of the maker in a row become one gap."""
+        own = [entry[:2] not in self.base.objects for entry in entries]
+        at = len(entries)
+        while at and len(entries) > ENTRIES:
+            end = at
+            while at and own[at - 1]:
+                at -= 1
+            if end - at > 1:
+                bits = sum(bits for *_, bits in entries[at:end])
+                names = ", ".join(f"{i:04X}h:{s:02X}h" for i, s, _ in entries[at:end])
+                entries[at:end] = self._padded(direction, bits // 8)
+                self._repair(where, names, "objects that do nothing",
+                             f"at most {ENTRIES} entries here")  # fmt: skip
+            at -= bool(at)
+        return entries
+
     def _padded(self, direction: str, size: int) -> list[tuple[int, int, int]]:
         entries = []
         while size:
-            part = 4 if size >= 4 else 2 if size >= 2 else 1
+            part = next(part for part in (8, 4, 2, 1) if part <= size)
             size -= part
             self._padding += 1
             index, subindex = PADDING + self._padding // 255, self._padding % 255 + 1
-            code = {1: 0x05, 2: 0x06, 4: 0x07}[part]
+            code = {1: 0x05, 2: 0x06, 4: 0x07, 8: 0x1B}[part]
             self._take(Entry(index, subindex, f"padding {self._padding}", "RECORD", code,
                              "rw" if direction == "rx" else "ro", True, "", "", "", 0))  # fmt: skip
             entries.append((index, subindex, 8 * part))
@@ -360,9 +378,10 @@ class _Maker(_Import):
             index = order[0][0].index
             self._repair(where, "PDOs that were left out", f"{index:04X}h", "the first is left")
             return [index]
-        if len(found) > FLEXIBLE or (len(found) > 1 and places[found[-1]] >= FLEXIBLE):
+        apart = {row.index: row.excludes for row, _ in order}
+        if wrong := [i for i in found if {*apart[i]} & {*found}]:
             self._repair(where, ", ".join(f"{i:04X}h" for i in found), f"{found[0]:04X}h",
-                         f"one fixed PDO, or {FLEXIBLE} mappable ones, here")  # fmt: skip
+                         f"{wrong[0]:04X}h excludes others of them")  # fmt: skip
             return found[:1]
         return found
 
@@ -416,6 +435,9 @@ class _Maker(_Import):
             f"ds402_channels = {device.ds402_channels}",
             "", "[registers]",
             *(f'0x{address:04X} = "{value.hex().upper()}"' for address, value in registers.items()),
+            "", "[pdo]",
+            f"mappable = {self._mappable_pdos}", "fixed_alone = false",
+            f"excludes = {{ {self._excludes()} }}",
             "", "[dc]",
             "cycle_ns = 500_000 # inferred, that of generic",
             "late_limit = 7 # inferred, that of generic",
@@ -424,6 +446,11 @@ class _Maker(_Import):
             "", "[al]", f"bootstrap = {json.dumps(has_boot)}",
         ]  # fmt: skip
         return "\n".join(lines) + "\n"
+
+    def _excludes(self) -> str:
+        rows = [(pdo.index, pdo.excludes) for pdo in (*self.source.device.rpdos,
+                *self.source.device.tpdos) if pdo.excludes]  # fmt: skip
+        return ", ".join(f"0x{index:04X} = {[*others]}" for index, others in rows)
 
     def _mailboxes(
         self, boxes: Mailboxes, usual: tuple[int, ...], name: str
@@ -481,14 +508,14 @@ class _Maker(_Import):
     def _eeprom(self) -> int:
         """A size that holds what is made; never less than the description's."""
         device = self.source.device
-        size = device.size if 256 <= device.size <= 4096 and device.size % 128 == 0 else 0
+        size = device.size if 256 <= device.size <= LARGEST and device.size % 128 == 0 else 0
         image = replace(device, size=1 << 16)
         try:
             used = len(sii.pack(image).rstrip(b"\xff")) + NAMED * self._padding
         except ValueError:
-            used = LARGEST
+            used = ENOUGH
         taken = (
-            max(size, self.least, min(-(-used // 1024) * 1024, LARGEST))
+            max(size, self.least, min(-(-used // 1024) * 1024, ENOUGH))
             if (used > size or self.least)
             else size
         )

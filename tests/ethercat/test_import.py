@@ -13,6 +13,7 @@ from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
 from servogym.drive.model.model import load
+from servogym.drive.objects.abort import Abort, SdoAbort
 from servogym.drive.wire.ethercat_import import CHIPS, import_esi, import_sii
 from servogym.envs import linear_axis
 from servogym.training import cli
@@ -201,7 +202,6 @@ def test_each_departure_of_a_makers_file_is_a_row_of_its_readme(foreign, tmp_pat
     readme = (tmp_path / "sd1" / "README.md").read_text("utf-8")
     for repair in made.repairs:
         assert repair.says[:40] in readme
-    assert "1600h excludes 1601h" in readme
     rows = dict(re.findall(r"^\| (\d+) \| (\S+)", readme, re.M))
     assert all(FOREIGN.splitlines()[int(line) - 1] for line in rows), "lines of the file"
 
@@ -214,6 +214,96 @@ def test_defaults_and_arrays_of_a_makers_file_are_read_by_sdo(foreign, tmp_path)
     assert [slave.upload(0x2100, n) for n in range(4)] == [3, 0xFF9C, 16, 0]
     assert slave.upload(0x1000) == 0x00020192
     assert slave.upload(0x1018, 1) == 0xABC
+
+
+# of each direction fixed ones; more than 16 entries; bits of the maker's
+MANY = "".join(
+    f"<Entry><Index>#x{0x2600 + n:X}</Index><BitLen>16</BitLen></Entry>"
+    f"<Entry><Index>#x{0x2500 + n:X}</Index><BitLen>1</BitLen></Entry>"
+    "<Entry><Index>0</Index><BitLen>7</BitLen></Entry>" for n in range(18)
+)  # fmt: skip
+PDOS = f"""<EtherCATInfo><Vendor><Id>1</Id></Vendor><Descriptions><Devices><Device>
+<Type ProductCode="#x1">D</Type><Sm>MBoxOut</Sm><Sm>MBoxIn</Sm><Sm>Outputs</Sm><Sm>Inputs</Sm>
+<RxPdo Fixed="1" Sm="2"><Index>#x1600</Index><Exclude>#x1605</Exclude><Entry><Index>#x6040</Index>
+ <BitLen>16</BitLen></Entry></RxPdo>
+<RxPdo Fixed="1" Sm="2"><Index>#x1601</Index><Entry><Index>#x607A</Index><BitLen>32</BitLen></Entry>
+</RxPdo>
+<RxPdo><Index>#x1605</Index><Entry><Index>#x6060</Index><BitLen>8</BitLen></Entry></RxPdo>
+<TxPdo Fixed="1" Sm="3"><Index>#x1A03</Index><Entry><Index>#x6041</Index><BitLen>16</BitLen></Entry>
+ {MANY}<Entry><Index>#x6064</Index><BitLen>32</BitLen></Entry></TxPdo>
+<Mailbox><CoE SdoInfo="1" PdoAssign="1"/></Mailbox></Device></Devices></Descriptions></EtherCATInfo>
+"""
+
+
+@pytest.fixture
+def alternatives(tmp_path):
+    """The one slave of a file with fixed, mappable and excluding PDOs, in PRE_OP."""
+    file = tmp_path / "pdos.xml"
+    file.write_text(PDOS)
+    import_esi(file, tmp_path / "pdos")
+    master = EtherCatMaster(Bus(Segment([Slave(Drive(tmp_path / "pdos"))])))
+    (slave,) = master.scan()
+    master.to_preop()
+    return slave
+
+
+def assigned(slave, pdos):
+    """What the slave says of an assignment of RPDOs: 0, or the abort code."""
+    try:
+        slave.assign(pdos, [0x1A03])
+    except SdoAbort as refused:
+        return refused.code
+    return 0
+
+
+def test_fixed_pdos_stay_fixed_and_several_are_assigned_at_once(alternatives):
+    assert [alternatives.upload(0x1C12, n) for n in range(3)] == [2, 0x1600, 0x1601]
+    assert (alternatives.size(2), alternatives.size(3)) == (6, 2 + 18 * 3 + 4)
+    for pdo in (0x1600, 0x1601):
+        with pytest.raises(SdoAbort) as refused:
+            alternatives.mailbox.download(pdo, 0, b"\0")
+        assert refused.value.code == Abort.READ_ONLY
+
+
+def test_a_mappable_pdo_that_is_not_the_first_is_mapped(alternatives):
+    alternatives.mailbox.download(0x1C12, 0, b"\0")
+    alternatives.mailbox.download(0x1605, 0, b"\0")
+    alternatives.mailbox.download(0x1605, 1, (0x60FF0020).to_bytes(4, "little"))
+    alternatives.mailbox.download(0x1605, 0, b"\1")
+    assert assigned(alternatives, [0x1605]) == 0
+    assert alternatives.upload(0x1605, 1) == 0x60FF0020
+    assert alternatives.upload(0x1600, 1) == 0x60400010
+    assert alternatives.size(2) == 4
+
+
+def test_pdos_that_exclude_one_another_are_refused(alternatives):
+    assert assigned(alternatives, [0x1605, 0x1600]) == Abort.PARAMETER_INCOMPATIBLE
+    assert assigned(alternatives, [0x1605, 0x1601]) == 0
+
+
+def test_where_6060h_is_read_only_the_mode_is_that_of_the_set_point(tmp_path):
+    rows = "".join(
+        f"<Object><Index>#x{index:X}</Index><Type>{kind}</Type><BitSize>{bits}</BitSize>"
+        f"<Info><DefaultData>00</DefaultData></Info><Flags><Access>ro</Access></Flags></Object>"
+        for index, kind, bits in ((0x6040, "UINT", 16), (0x6041, "UINT", 16), (0x6060, "SINT", 8),
+                                  (0x6064, "UDINT", 32), (0x607A, "UDINT", 32))
+    )  # fmt: skip
+    file = tmp_path / "one_mode.xml"
+    profile = f"<Profile><Dictionary><Objects>{rows}</Objects></Dictionary></Profile>"
+    file.write_text(PDOS.replace("<Sm>MBoxOut", f"{profile}<Sm>MBoxOut", 1))
+    made = import_esi(file, tmp_path / "mine")
+    assert ("6060h:00h", "default 0", "8") in {(r.where, r.says, r.taken) for r in made.repairs}
+    machine = linear_axis(load(tmp_path / "mine", "ethercat"))
+    master = EtherCatMaster(Bus(Segment([Slave(machine.drives["x"])]), [machine]))
+    (slave,) = master.scan()
+    master.to_op()
+    drive, begin = machine.drives["x"], machine.drives["x"].read("position_actual_value")
+    for n in range(1500):
+        word = COMMANDS.get(drive.read("statusword") & 0x6F, 6)
+        target = begin + max(n - 500, 0) * 20
+        slave.outputs[:] = word.to_bytes(2, "little") + target.to_bytes(4, "little", signed=True)
+        assert master.cycle()
+    assert drive.read("position_actual_value") - begin > 15_000
 
 
 def test_another_device_of_the_file_is_named(foreign, tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 
 REGISTERS = 0x1000  # RAM begins here (byte address)
 MEMORY = 0x3000  # end of the RAM: 8 KiB, as an ET1100 has
-SII_BYTES = 4096  # room for a SII image
+SII_BYTES = 1 << 14  # room for a SII image
 SYNC_MANAGERS = 9  # at most; 0004h and 0005h say how many FMMUs and sync managers a slave has
 FMMUS = 8
 PORTS = 4

@@ -1,23 +1,47 @@
 """Objects of an EtherCAT drive: assignment of PDOs (1C12h, 1C13h), synchronisation (1C32h, 1C33h).
 
-Assignment: Kollmorgen AKD 5.5, 5.6. One fixed PDO, or up to four flexible ones; the number is
-written last, and only a number of 0 opens list and mapping to changes. The process image has the
-PDOs in the order of their indices, so a list in another order is refused (inferred), as is every
-change while process data are exchanged (ETG.1000.6: in PRE_OP only).
+Assignment: Kollmorgen AKD 5.5, 5.6, unless ethercat.toml says otherwise: one fixed PDO, or up to
+four flexible ones; the number is written last, and only a number of 0 opens list and mapping to
+changes. The process image has the PDOs in their order in pdo.csv, so a list in another order is
+refused (inferred), as is every change while process data are exchanged (ETG.1000.6: in PRE_OP
+only), and PDOs that exclude one another (ETG.2000, Exclude).
 
 Synchronisation: ETG.1020, tables of 1C32h and 1C33h; both show the same, as outputs and inputs are
 exchanged at the same moment.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from ...model.model import DriveModel
 from ...model.rows import Object
 from ..abort import Abort
 from ..device import Dictionary
 from .hook import Hook
 
 ASSIGNMENTS = (0x1C12, 0x1C13)  # sync manager 2: outputs, 3: inputs
-FLEXIBLE = 4  # PDOs of each direction that a master may map; they come first
+
+
+def mappable(model: DriveModel) -> tuple[int, int]:
+    """How many RPDOs and TPDOs a master may map; they come first."""
+    return (0, 0) if model.ethercat is None else model.ethercat.mappable
+
+
+def excluded(model: DriveModel, manager: int) -> Mapping[int, frozenset[int]]:
+    """By PDO of an assignment object (1C12h, 1C13h) those that it cannot be assigned with."""
+    ethercat, direction = model.ethercat, ASSIGNMENTS.index(manager)
+    if ethercat is None:
+        return {}
+    indices = [int(pdo.cob_id, 0) for pdo in (model.rpdos, model.tpdos)[direction]]
+    apart = {index: set(ethercat.excludes.get(index, ())) for index in indices}
+    if ethercat.fixed_alone:
+        for index in indices[ethercat.mappable[direction] :]:
+            apart[index].update(indices)
+    return {
+        index: frozenset(n for n in indices if n != index and (n in own or index in apart[n]))
+        for index, own in apart.items()
+    }
 
 
 def _pdos(od: Dictionary, index: int) -> np.ndarray:
@@ -32,8 +56,8 @@ def assign(od: Dictionary, index: int, count: int) -> Abort:
     if any(pdo not in known for pdo in wanted):
         return Abort.INVALID_VALUE
     numbers = [known.index(pdo) for pdo in wanted]
-    fixed = any(number >= FLEXIBLE for number in numbers)
-    if numbers != sorted(set(numbers)) or (fixed and count > 1):
+    apart = excluded(od.drive.model, index) if count > 1 else {}
+    if numbers != sorted(set(numbers)) or any(apart.get(pdo, set()) & {*wanted} for pdo in wanted):
         return Abort.PARAMETER_INCOMPATIBLE
     pdos["valid"] = 0
     pdos["valid"][numbers] = 1
