@@ -12,6 +12,7 @@ from servogym.training.policies import make
 
 imitate = Later("servogym.training.learn.imitate")
 train = Later("servogym.training.learn.train", "train")
+Training = Later("servogym.training.learn.training", "Training")
 pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 ID = "LinearAxis-v0"
 SHORT = {"max_episode_steps": 50, "mode": "cst"}
@@ -19,7 +20,7 @@ SHORT = {"max_episode_steps": 50, "mode": "cst"}
 
 def test_it_acts_as_the_policy_did_in_episodes_it_has_not_seen(tmp_path, monkeypatch):
     monkeypatch.setattr(imitate, "UPDATES", 500)
-    train(ID, out=tmp_path, steps=3200, envs=16, arguments=SHORT, demonstrate="pd")
+    train(Training(ID, out=tmp_path, steps=3200, envs=16, arguments=SHORT, demonstrate="pd"))
     about = json.loads((tmp_path / "best" / "checkpoint.json").read_text(encoding="utf-8"))
     assert about["demonstrate"] == "pd"
     env = LinearAxisEnv(mode="cst")
@@ -36,7 +37,7 @@ def test_it_acts_as_the_policy_did_in_episodes_it_has_not_seen(tmp_path, monkeyp
             seen, *_ = env.step(one)
     assert np.std(off) < 0.4 * np.std(size)
     with pytest.raises(ValueError, match="in one go: --start"):
-        train(ID, out=tmp_path, steps=6400, resume=True)
+        train(Training(ID, out=tmp_path, steps=6400, resume=True))
 
 
 @pytest.mark.parametrize(

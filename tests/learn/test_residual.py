@@ -16,6 +16,7 @@ from servogym.training.policies.trained.residual import ResidualVectorEnv, corre
 
 sb3 = Later("servogym.training.learn.sb3")
 train = Later("servogym.training.learn.train", "train")
+Training = Later("servogym.training.learn.training", "Training")
 pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 ID = "LinearAxisTracking-v0"
 BOUNDS = [0.05, 0.02]
@@ -74,11 +75,11 @@ def test_a_correction_is_bounded_and_clipped():
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("residual")
-    train(
+    train(Training(
         ID, out=out, steps=256, envs=8, residual="feed_forward", bounds=BOUNDS, settings=SMALL,
         arguments={"max_episode_steps": 10, "previous_action": True}, checkpoint_every=128,
         evaluate_every=128,
-    )  # fmt: skip
+    ))  # fmt: skip
     return out
 
 
@@ -119,8 +120,8 @@ def test_it_is_evaluated_as_it_was_trained(made):
 
 def test_a_run_goes_on_with_its_residual(made, tmp_path):
     with pytest.raises(ValueError, match="has residual = 'feed_forward', asked for is 'hold'"):
-        train(ID, out=made, resume=True, residual="hold", bounds=BOUNDS)
-    train(ID, out=made, resume=True, steps=384)
+        train(Training(ID, out=made, resume=True, residual="hold", bounds=BOUNDS))
+    train(Training(ID, out=made, resume=True, steps=384))
     latest = sorted((made / "checkpoints").iterdir())[-1]
     about = json.loads((latest / "checkpoint.json").read_text(encoding="utf-8"))
     assert about["residual"] == "feed_forward"

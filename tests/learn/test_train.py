@@ -33,6 +33,7 @@ HoldStill = Later("servogym.training.learn.evaluation", "HoldStill")
 score = Later("servogym.training.learn.evaluation", "score")
 ALGORITHMS = Later("servogym.training.learn.train", "ALGORITHMS")
 train = Later("servogym.training.learn.train", "train")
+Training = Later("servogym.training.learn.training", "Training")
 pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 
 ID = "LinearAxis-v0"
@@ -44,11 +45,12 @@ SAC_SMALL = {
 }  # fmt: skip
 
 
-def brief(out, steps=256, **arguments):
+def brief(out, steps=256, *, console=None, progress=False, **arguments):
     """A run of a few updates of 128 steps: 8 environments, 16 steps."""
     fresh = {} if arguments.get("resume") else {"envs": 8, "arguments": SHORT, "settings": SMALL}
     every = {"checkpoint_every": 128, "evaluate_every": 128}
-    return train(ID, out=out, steps=steps, **(fresh | every | arguments))
+    asked = Training(ID, out=out, steps=steps, **(fresh | every | arguments))
+    return train(asked, console, progress=progress)
 
 
 def counts(out):
@@ -67,7 +69,7 @@ def made(tmp_path_factory):
 def test_ppo_brings_the_axis_to_its_goal_far_better_than_holding_still(tmp_path):
     coarse = {"policy_kwargs": {"log_std_init": -1.0, "net_arch": [64, 64]}}  # finds the way soon
     policy, still = train(
-        ID, out=tmp_path, steps=60_000, seed=1, evaluate_every=60_000, settings=coarse
+        Training(ID, out=tmp_path, steps=60_000, seed=1, evaluate_every=60_000, settings=coarse)
     )
     assert policy.length > 180, "hardly a fault, so short a training as it is"
     assert policy.reward > 2 * still.reward
@@ -260,7 +262,7 @@ def test_the_state_of_another_network_is_refused(learners, tmp_path):
 )  # fmt: skip
 def test_a_checkpoint_of_something_else_is_refused_naming_both(made, env_id, arguments, says):
     with pytest.raises(ValueError, match=r"checkpoint .*another --out") as refusal:
-        train(env_id, out=made, resume=True, **arguments)
+        train(Training(env_id, out=made, resume=True, **arguments))
     assert says in str(refusal.value)
 
 

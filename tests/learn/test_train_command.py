@@ -16,6 +16,7 @@ from servogym.training.policies.trained import saved
 
 checkpoint = Later("servogym.training.learn.checkpoint")
 train = Later("servogym.training.learn.train", "train")
+Training = Later("servogym.training.learn.training", "Training")
 pytestmark = only_with("stable_baselines3", reason="needs pip install 'servogym[train]'")
 
 ID = "LinearAxis-v0"
@@ -81,7 +82,7 @@ def test_a_killed_run_continues_from_its_last_checkpoint(tmp_path, command):
         file.write("1,2")  # a row cut off
     (tmp_path / ".evaluations.npz").write_bytes(b"PK\x03\x04 half of them")
     (tmp_path / "checkpoints" / ".0000009999.1").mkdir()
-    train(ID, out=tmp_path, steps=steps + 256, evaluate_every=256, resume=True)
+    train(Training(ID, out=tmp_path, steps=steps + 256, evaluate_every=256, resume=True))
     assert saved.read(checkpoint.numbered(tmp_path)[-1])["steps"] == steps + 256
     with (tmp_path / "progress.csv").open() as file:
         seen = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]

@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from rich import get_console
 from rich.console import Console
@@ -50,33 +51,20 @@ def add_curves(curves: argparse.ArgumentParser) -> None:
 
 
 def _train(options: argparse.Namespace, console: Console) -> int:
-    from ...drive.model.model import load
-    from ...envs.environment.registry import task
-    from ..learn import hyperparameters
+    from ..learn.training import OPTIONS, Training
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)
-    task(options.env)  # refused before torch is loaded, which takes seconds
-    if options.drive:
-        load(options.drive)
-    hyperparameters.counted({name: getattr(options, name) for name in hyperparameters.OF_A_RUN})
+    given: dict[str, Any] = {name: getattr(options, name, None) for name in OPTIONS}
+    given |= {
+        "arguments": dict(options.argument) if options.argument else None,
+        "settings": dict(options.setting) if options.setting else None,
+    }
+    asked = Training(**{name: value for name, value in given.items() if value is not None})
     from ..learn import train
 
     console = get_console()  # on which the bar lives: what is printed comes above it
-    given = {
-        name: getattr(options, name)
-        for name in ("steps", "checkpoint_every", "evaluate_every")
-        if getattr(options, name) is not None
-    }
-    return train.run(
-        options.env, options.out, console, resume=options.resume, drive=options.drive,
-        algorithm=options.algorithm, seed=options.seed, envs=options.envs,
-        arguments=dict(options.argument) if options.argument else None,
-        settings=dict(options.setting) if options.setting else None,
-        residual=options.residual, bounds=options.bounds, start=options.start,
-        demonstrate=options.demonstrate, device=options.device,
-        progress=console.is_terminal, **given,
-    )  # fmt: skip
+    return train.run(asked, console, progress=console.is_terminal)
 
 
 def _bounds(text: str) -> list[float]:

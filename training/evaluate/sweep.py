@@ -140,12 +140,15 @@ def trained(
     """The job: a training; the files of its best policy, each as an array of bytes."""
     from tempfile import TemporaryDirectory
 
-    from ..learn.train import train
+    from ..learn.train import Training, train
 
     with TemporaryDirectory() as folder:
-        train(setup.task, steps=steps, out=Path(folder, "run"), drive=setup.drive,
-              algorithm=algorithm, seed=seed, arguments=setup.arguments, settings=settings,
-              evaluate_every=max(steps // EVALUATIONS, 1))  # fmt: skip
+        asked = Training(
+            setup.task, steps, Path(folder, "run"), drive=setup.drive, algorithm=algorithm,
+            seed=seed, arguments=setup.arguments, settings=settings,
+            evaluate_every=max(steps // EVALUATIONS, 1),
+        )  # fmt: skip
+        train(asked)
         files = sorted(Path(folder, "run", POLICY).iterdir())
         return {path.name: np.frombuffer(path.read_bytes(), np.uint8) for path in files}
 

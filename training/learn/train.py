@@ -5,9 +5,8 @@ and `best/`, the policy of the best evaluation.
 """
 
 import inspect
-import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,14 +27,14 @@ from torch.optim import Adam, Optimizer
 
 from ...drive.model.names import hint
 from ...envs.engine.checks import words
-from ...envs.environment.registry import short, task
-from ...envs.environment.servo_env import ServoEnv
-from ..policies.trained import saved, weights, zipped
+from ..policies.trained import saved, zipped
 from ..report import interrupted
 from . import checkpoint, hyperparameters, imitate, state
 from .evaluation import EPISODES, EvaluationCallback, HoldStill, Score, score
 from .hyperparameters import CONSECUTIVE, INDEPENDENT
+from .training import Training
 
+DEFAULTS: dict[str, Any] = {"drive": "generic", "algorithm": "PPO", "seed": 0, "arguments": {}}
 ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 
@@ -91,28 +90,16 @@ class Run:
             raise ValueError(f"arguments of {self.env_id}: {words(error)}") from None
 
 
-def _run(
-    env_id: str | type[ServoEnv], asked: Mapping[str, Any], settings: Mapping[str, Any] | None
-) -> Run:
+def _run(training: Training) -> Run:
     """A new run of what is asked for, and the defaults."""
-    kind = task(env_id)
-    algorithm = asked["algorithm"] or "PPO"
-    residual = asked["residual"]
-    table = hyperparameters.of(kind, algorithm, asked["envs"], residual=bool(residual))
-    chosen = hyperparameters.divided(table, settings or {})
-    return Run(
-        kind.ID, asked["drive"] or "generic", algorithm, asked["seed"] or 0,
-        chosen.pop("n_envs"), asked["arguments"] or {}, chosen, residual, asked["bounds"],
-        demonstrate=asked["demonstrate"], device=asked["device"],
-    )  # fmt: skip
+    given, algorithm = training.given, training.algorithm or "PPO"
+    residual = bool(training.residual)
+    table = hyperparameters.of(training.task, algorithm, training.envs, residual=residual)
+    chosen = hyperparameters.divided(table, training.settings or {})
+    return Run(**DEFAULTS | given | {"envs": chosen.pop("n_envs"), "hyperparameters": chosen})
 
 
-def _started(
-    folder: Path,
-    env_id: str | type[ServoEnv],
-    asked: Mapping[str, Any],
-    settings: Mapping[str, Any] | None,
-) -> Run:
+def _started(training: Training, folder: Path) -> Run:
     """A new run that begins with the weights of a checkpoint: what is not given is as it was there.
 
     A correction may go on top of another policy than the one it began with, by name.
@@ -120,33 +107,31 @@ def _started(
     Raises ValueError where what the weights mean would be another: task, algorithm, bounds, a
     correction or not.
     """
-    about = saved.read(folder)
-    wanted = {"env_id": task(env_id).ID, **asked}
+    about, given = saved.read(folder), training.given
     fixed = ["env_id", "algorithm", "bounds", *(["residual"] if not about.get("residual") else [])]
     for name in fixed:
-        if wanted[name] is not None and wanted[name] != about.get(name):
+        if name in given and given[name] != about.get(name):
             raise ValueError(
                 f"--start {folder} has {name} = {about.get(name)!r}, asked for is "
-                f"{wanted[name]!r}: leave it out, or start from another checkpoint"
+                f"{given[name]!r}: leave it out, or start from another checkpoint"
             )
-    table = {"n_envs": asked["envs"] or about["envs"]} | about["hyperparameters"]
+    table = {"n_envs": training.envs or about["envs"]} | about["hyperparameters"]
     table.pop(hyperparameters.COMPILED, None)  # its weights are weights
-    chosen = hyperparameters.divided(table, settings or {})
-    return Run(
-        about["env_id"], asked["drive"] or about["drive"], about["algorithm"], asked["seed"] or 0,
-        chosen.pop("n_envs"), about["arguments"] | (asked["arguments"] or {}), chosen,
-        asked["residual"] or about.get("residual"), about.get("bounds"), about,
-        device=asked["device"],
-    )  # fmt: skip
+    chosen = hyperparameters.divided(table, training.settings or {})
+    kept = "env_id", "drive", "algorithm", "residual", "bounds"
+    then = {name: about[name] for name in kept if name in about}
+    own: dict[str, Any] = {
+        "arguments": about["arguments"] | given.get("arguments", {}), "start": about,
+        "envs": chosen.pop("n_envs"), "hyperparameters": chosen,
+    }  # fmt: skip
+    return Run(**DEFAULTS | then | given | own)
 
 
-def _continued(
-    folder: Path, env_id: str | type[ServoEnv], asked: Mapping[str, Any], console: Console
-) -> Run:
+def _continued(training: Training, folder: Path, console: Console) -> Run:
     """The run of a checkpoint. Raises ValueError where something else is asked for."""
     about = saved.read(folder)
-    for name, value in {"env_id": task(env_id).ID, **asked}.items():
-        if value is not None and value != about.get(name):
+    for name, value in training.given.items():
+        if value != about.get(name):
             raise ValueError(
                 f"checkpoint {folder} has {name} = {about.get(name)!r}, asked for is {value!r}: "
                 "leave it out, or begin a new run with another --out"
@@ -172,106 +157,70 @@ def _continued(
 
 
 def train(
-    env_id: str | type[ServoEnv],
-    *,
-    steps: int = hyperparameters.STEPS,
-    out: Path | None = None,
-    resume: bool = False,
-    drive: str | None = None,
-    algorithm: str | None = None,
-    seed: int | None = None,
-    envs: int | None = None,
-    arguments: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    residual: str | None = None,
-    bounds: Sequence[float] | None = None,
-    start: Path | None = None,
-    demonstrate: str | None = None,
-    device: str | None = None,
-    checkpoint_every: int = 50_000,
-    evaluate_every: int = 25_000,
-    progress: bool = False,
-    console: Console | None = None,
-) -> tuple[Score, Score]:
+    training: Training, console: Console | None = None, *, progress: bool = False
+) -> tuple[Score, Score]:  # fmt: skip
     """Train a policy -> score of it and of actions of 0, on the fixed episodes.
 
     Args:
-        env_id: of any task, see `servogym.envs.environment.registry.task`, or its class.
-        steps: of all environments together, from the beginning of the run.
-        out: folder of the run; ``out/ENV-DRIVE-ALGORITHM-SEED`` if not given.
-        resume: go on from the latest checkpoint; what is not given is as it was.
-        drive: drive model (generic).
-        algorithm: PPO or SAC (PPO).
-        seed: of environments, weights and actions (0).
-        envs: number of environments; if not given, that of the hyper-parameters.
-        arguments: others of the environment, in JSON's types; `max_episode_steps` too.
-        settings: hyper-parameters that differ from the table, for a new run.
-        residual: a policy whose actions are corrected by what is learned.
-        bounds: the largest correction of each component of an action, 0..1.
-        start: a training or a checkpoint whose weights this run begins with; what is not given is
-            as it was there, arguments one by one.
-        demonstrate: a policy that is imitated in all `steps`; rewards are not looked at.
-        device: of warp, on which the environments it learns in are stepped, "cuda" or "cpu"; it is
-            judged on the cores.
-        checkpoint_every: steps from one to the next.
-        evaluate_every: steps from one to the next; a shorter run is evaluated at its end.
+        training: what is asked for.
+        console: where to report.
         progress: show a bar, where tqdm is installed.
-        console: where to tell.
 
     Raises:
-        ValueError: naming what is wrong; where `out` has a run already, or another one.
+        ValueError: naming what is wrong; where the folder has a run already, or another one.
     """
-    console = console or Console(quiet=True)
-    hyperparameters.counted({
-        "steps": steps, "checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every,
-        "envs": envs, "seed": seed,
-    })  # fmt: skip
-    arguments = None if arguments is None else json.loads(json.dumps(dict(arguments)))
-    asked = {"drive": drive, "algorithm": algorithm, "seed": seed, "envs": envs,
-             "arguments": arguments, "residual": residual,
-             "bounds": None if bounds is None else [float(bound) for bound in bounds],
-             "demonstrate": demonstrate, "device": device,
-    }  # fmt: skip
-    if out is None:
-        name = short(task(env_id).ID).replace("/", "-")
-        parts = [name, Path(drive or "generic").name, algorithm or "PPO", str(seed or 0)]
-        out = Path("out", "-".join(parts if residual is None else [*parts, "residual"]))
+    console, out = console or Console(quiet=True), training.folder
     found = checkpoint.numbered(out)
-    if resume and not found:
+    if training.resume and not found:
         raise ValueError(f"no checkpoint in {out}: leave out --resume to begin there")
-    if found and not resume:
+    if found and not training.resume:
         raise ValueError(
             f"{out} has a run already: --resume continues it, another --out begins a new one"
         )
-    if resume and start is not None:
-        raise ValueError("--start is for a new run, --resume goes on with one: give one of them")
-    if demonstrate and (resume or start or residual or device or algorithm not in (None, "PPO")):
-        raise ValueError(
-            f"--demonstrate {demonstrate} is for a new run of PPO, done in one go, on the cores: "
-            "leave out --resume, --start, --residual, --device and --algorithm"
-        )
-    if resume and settings:
-        raise ValueError(
-            f"{', '.join(settings)}: the hyper-parameters of a run stay as they are, leave out "
-            "--setting, or begin a new run with --start"
-        )
-    last = found[-1] if found else None
+    last, start = found[-1] if found else None, training.start and saved.folder(training.start)
     if last:
-        run, first = _continued(last, env_id, asked, console), None
-    elif start is not None:
-        start = saved.folder(start)
-        run, first = _started(start, env_id, asked, settings), zipped.of(start)
+        run = _continued(training, last, console)
+    elif start:
+        run = _started(training, start)
     else:
-        run, first = _run(env_id, asked, settings), None
+        run = _run(training)
     with checkpoint.alone(out), sb3.one_thread():
-        return _train(run, last, out, int(steps), checkpoint_every, evaluate_every, progress,
-                      console, first)  # fmt: skip
+        env, judged, settings = _environments(run)
+        model = _model(run, env, settings)
+        if start and run.start:
+            state.begin(model, zipped.of(start), run.start["steps"])
+        evaluation = EvaluationCallback(
+            judged, asdict(run), out, training.evaluate_every, console
+        )  # fmt: skip
+        if last:
+            _go_on(run, model, evaluation, last, console)
+        model.cpu_begin = time.process_time() - (saved.read(last)["cpu_seconds"] if last else 0.0)
+        out.mkdir(parents=True, exist_ok=True)
+        model.set_logger(_logger(out, model.num_timesteps))
+        try:
+            if training.steps > model.num_timesteps:
+                if run.demonstrate:
+                    _imitate(run, model, evaluation, training)
+                else:
+                    _learn(run, model, evaluation, training, console, progress)
+            if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
+                judged.obs_rms = env.obs_rms
+            scores = score(model, judged), score(HoldStill(env.action_space), judged)
+            best = saved.read(out / "best") if (out / "best").is_dir() else {}
+            if best and best["steps"] < model.num_timesteps:
+                console.print(
+                    f"{out} plays the best evaluated, {best['mean_reward']:.1f} after "
+                    f"{best['steps']} steps; the last is {checkpoint.numbered(out)[-1]}"
+                )
+        finally:
+            model.logger.close()
+            env.close()
+            judged.close()
+    return scores
 
 
-def _train(
-    run: Run, last: Path | None, out: Path, steps: int, checkpoint_every: int,
-    evaluate_every: int, progress: bool, console: Console, first: weights.Weights | None,
-) -> tuple[Score, Score]:  # fmt: skip
+def _environments(run: Run) -> tuple[VecEnv, VecEnv, dict[str, Any]]:
+    """Those it learns in, those it is judged in, and the settings of the algorithm."""
     settings = dict(run.hyperparameters)
     streams = settings.pop("streams", CONSECUTIVE)  # an older one does not say it
     env, judged = run.vector(run.envs, run.device, streams), run.vector(EPISODES)
@@ -279,10 +228,14 @@ def _train(
     if settings.pop("normalize"):
         judged = VecNormalize(judged, training=False, norm_reward=False)
         env = VecNormalize(env, gamma=settings["gamma"])
+    return env, judged, settings
+
+
+def _model(run: Run, env: VecEnv, settings: Mapping[str, Any]) -> Any:
+    """The algorithm. Raises ValueError for settings it does not take."""
     kind = ALGORITHMS[run.algorithm]
-    model: Any
     try:
-        model = kind("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
+        return kind("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
     except Exception as error:  # SB3 and torch raise anything
         known = inspect.signature(kind).parameters
         for name in settings.keys() - known.keys():
@@ -290,75 +243,66 @@ def _train(
                 f"{run.algorithm} has no hyper-parameter {name!r}: {hint(name, known)}"
             ) from None
         raise ValueError(f"hyper-parameters of {run.algorithm}: {error}") from None
-    if first and run.start:
-        state.begin(model, first, run.start["steps"])
-    evaluation = EvaluationCallback(judged, asdict(run), out, evaluate_every, console)
-    if last:
-        state.load(model, last)
-        # not the episodes of the beginning once more
-        seeds = np.random.SeedSequence([run.seed, model.num_timesteps])
-        model.set_random_seed(int(seeds.generate_state(1)[0]) % 2**31)
-        if isinstance(model, SAC):
-            if (last / state.REPLAY).is_file():
-                state.load_replay(model, last)
-            else:  # only the latest checkpoint had it
-                console.print(f"note: {last} has no {state.REPLAY}, it is filled anew")
-        evaluation.go_on(model.num_timesteps)
-        checkpoint.tidy(out)
-        console.print(f"{run.env_id}: from step {model.num_timesteps} on")
-    model.cpu_begin = time.process_time() - (saved.read(last)["cpu_seconds"] if last else 0.0)
-    out.mkdir(parents=True, exist_ok=True)
-    model.set_logger(_logger(out, model.num_timesteps))
-    callbacks = [evaluation, checkpoint.Checkpoints(asdict(run), out, checkpoint_every)]
+
+
+def _go_on(
+    run: Run, model: Any, evaluation: EvaluationCallback, last: Path, console: Console
+) -> None:  # fmt: skip
+    """Be where the run was at its last checkpoint."""
+    state.load(model, last)
+    # not the episodes of the beginning once more
+    seeds = np.random.SeedSequence([run.seed, model.num_timesteps])
+    model.set_random_seed(int(seeds.generate_state(1)[0]) % 2**31)
+    if isinstance(model, SAC):
+        if (last / state.REPLAY).is_file():
+            state.load_replay(model, last)
+        else:  # only the latest checkpoint had it
+            console.print(f"note: {last} has no {state.REPLAY}, it is filled anew")
+    evaluation.go_on(model.num_timesteps)
+    checkpoint.tidy(evaluation.out)
+    console.print(f"{run.env_id}: from step {model.num_timesteps} on")
+
+
+def _imitate(run: Run, model: Any, evaluation: EvaluationCallback, training: Training) -> None:
+    """Learn from demonstrations, in one go. Raises ValueError for a run that goes on."""
+    if training.resume:
+        raise ValueError(
+            f"{training.folder} was learned from demonstrations, in one go: --start "
+            f"{training.folder} goes on by rewards, in another --out"
+        )
+    shown = bool(run.arguments.get("previous_action"))
+    given = model, str(run.demonstrate), training.steps - model.num_timesteps, run.seed
+    for _ in imitate.learn(*given, previous_action=shown):
+        evaluation.now(model)
+    checkpoint.save_numbered(model, asdict(run), training.folder)
+
+
+def _learn(
+    run: Run, model: Any, evaluation: EvaluationCallback, training: Training, console: Console,
+    progress: bool,
+) -> None:  # fmt: skip
+    """Learn by rewards; Ctrl-C leaves a checkpoint."""
+    out, every = training.folder, training.checkpoint_every
+    callbacks: list[Any] = [evaluation, checkpoint.Checkpoints(asdict(run), out, every)]
     bar = ProgressBarCallback() if progress and find_spec("tqdm") is not None else None
-    remaining = steps - model.num_timesteps
+    callbacks += [bar] if bar else []
     try:
-        if remaining > 0 and run.demonstrate:
-            if last:
-                raise ValueError(
-                    f"{out} was learned from demonstrations, in one go: --start {out} goes on by "
-                    "rewards, in another --out"
-                )
-            for _ in imitate.learn(
-                model,
-                run.demonstrate,
-                steps,
-                run.seed,
-                previous_action=bool(run.arguments.get("previous_action")),
-            ):
-                evaluation.now(model)  # fmt: skip
-            checkpoint.save_numbered(model, asdict(run), out)
-        elif remaining > 0:
-            try:
-                model.learn(
-                    remaining, [*callbacks, *([bar] if bar else [])], reset_num_timesteps=not last
-                )
-            except BaseException as error:
-                if bar and hasattr(bar, "pbar"):  # or it may wait at the end, for ever
-                    bar.pbar.close()
-                if not interrupted(error):
-                    raise
-                checkpoint.save_numbered(model, asdict(run), out)
-                console.print(
-                    f"a checkpoint of {model.num_timesteps} steps is kept in {out}: "
-                    "the same command with --resume goes on from there"
-                )
-                raise KeyboardInterrupt from None
-            checkpoint.save_numbered(model, asdict(run), out)
-        if isinstance(judged, VecNormalize) and isinstance(env, VecNormalize):
-            judged.obs_rms = env.obs_rms
-        scores = score(model, judged), score(HoldStill(env.action_space), judged)
-        best = saved.read(out / "best") if (out / "best").is_dir() else {}
-        if best and best["steps"] < model.num_timesteps:
-            console.print(
-                f"{out} plays the best evaluated, {best['mean_reward']:.1f} after {best['steps']} "
-                f"steps; the last is {checkpoint.numbered(out)[-1]}"
-            )
-    finally:
-        model.logger.close()
-        env.close()
-        judged.close()
-    return scores
+        model.learn(
+            training.steps - model.num_timesteps, callbacks,
+            reset_num_timesteps=not training.resume,
+        )  # fmt: skip
+    except BaseException as error:
+        if bar and hasattr(bar, "pbar"):  # or it may wait at the end, for ever
+            bar.pbar.close()
+        if not interrupted(error):
+            raise
+        checkpoint.save_numbered(model, asdict(run), out)
+        console.print(
+            f"a checkpoint of {model.num_timesteps} steps is kept in {out}: "
+            "the same command with --resume goes on from there"
+        )
+        raise KeyboardInterrupt from None
+    checkpoint.save_numbered(model, asdict(run), out)
 
 
 def _logger(out: Path, steps: int) -> Logger:
@@ -381,10 +325,10 @@ def _without_compiler() -> None:
             vars(plain).setdefault("__dynamo_disable", plain)
 
 
-def run(env_id: str, out: Path | None, console: Console, **options: Any) -> int:
+def run(training: Training, console: Console, *, progress: bool = False) -> int:
     """The command; -> exit status."""
     _without_compiler()
-    scores = train(env_id, out=out, console=console, **options)
-    still = f"{options['residual']} alone" if options.get("residual") else "holding still"
+    scores = train(training, console, progress=progress)
+    still = f"{training.residual} alone" if training.residual else "holding still"
     console.print(f"trained policy: {scores[0]}; {still}: {scores[1]}")
     return 0
