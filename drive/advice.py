@@ -1,5 +1,8 @@
 """What a drive shows in words: its faults, and what keeps it from obeying."""
 
+import math
+
+from .kernel.cascade import Structure
 from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import (
@@ -118,6 +121,10 @@ REMEDIES = {
 }
 
 
+# faults behind which the loops may be
+OF_LOOPS = (Cause.FOLLOWING_ERROR, Cause.POSITION_ERROR, Cause.OVERSPEED, Cause.I2T)
+
+
 def describe(statusword: int, mode: int) -> str:
     """The statusword by name."""
     return f"{statusword:04X}h {' '.join(decode_statusword(statusword, mode))}"
@@ -169,12 +176,52 @@ def remedy_of(model: DriveModel, code: int) -> str:
     return next(known, "look it up in the manual of the drive")
 
 
+def structure(axis: Axis) -> list[str]:
+    """What stands between position error and torque beside P over PI, and what that means."""
+    od, said = axis.od, []
+    if od.control_structure == Structure.PID:
+        p, i, d = od.pid_gain * 1e-6, od.pid_integral_gain * 1e-3, od.pid_derivative_gain * 1e-6
+        said.append(
+            f"a PID position controller gives the torque (P {p:.3g} Nm/rad, I {i:.3g} Nm/(rad·s), "
+            f"D {d:.3g} Nm·s/rad): in position modes the velocity controller's gains do nothing"
+        )
+    for tenths in od.notch_frequency.tolist():
+        if tenths > 0:
+            said.append(
+                f"a notch filter at {0.1 * tenths:g} Hz shapes the torque: it takes phase from "
+                "loops that cross over below it, and helps only at the resonance it was set to"
+            )
+    if od.torque_command_filter_time > 0:
+        said.append(
+            f"a low-pass of {od.torque_command_filter_time} µs smooths the torque and delays it by "
+            "as much: lower the gains with it"
+        )
+    if od.observer_bandwidth > 0:
+        inertia = od.observer_inertia * 1e-12 or od.acceleration_feed_forward * 1e-9
+        said.append(
+            f"the speed is that of an observer of {0.1 * od.observer_bandwidth:g} Hz, told "
+            f"{inertia:.3g} kg·m²: with another inertia at the shaft it errs in acceleration"
+        )
+    constant = (od.motor_voltage_constant or od.motor_torque_constant) * 1e-6
+    if od.motor_resistance > 0 and constant > 0.0:
+        no_load = od.supply_voltage * 1e-3 / constant * 30 / math.pi
+        said.append(
+            f"the winding on {od.supply_voltage * 1e-3:.0f} V gives less torque the faster it "
+            f"turns, and none at {no_load:.0f} 1/min"
+        )
+    return said
+
+
 def refusal(axis: Axis) -> str:
-    """Why the last command was refused: command, state, and what is missing."""
+    """Why the last command was refused: command, state, and what is missing.
+
+    Where none was: what holds the drive back, and what its loops have beside P over PI.
+    """
     command = Command(int(axis.refused_command))
     if command is Command.NONE:
         held = [words for limit, words in HELD_BACK.items() if axis.od.active_limits & limit]
-        return "; ".join(["no command has been refused", *(f"held back by {h}" for h in held)])
+        held = [f"held back by {words}" for words in held]
+        return "; ".join(["no command has been refused", *held, *structure(axis)])
     state = State(int(axis.refused_state))
     needed = OBEYED[command]
     if not axis.sto_input or not axis.enable_input:
@@ -202,7 +249,8 @@ def remedy(axis: Axis) -> str:
     step = (
         "the cause is still present, so a reset is refused" if present else "then reset the fault"
     )
-    return f"{REMEDIES.get(cause, 'look it up in the manual of the drive')}; {step}"
+    loops = structure(axis) if cause in OF_LOOPS else []
+    return "; ".join([REMEDIES.get(cause, "look it up in the manual of the drive"), *loops, step])
 
 
 def cause_of(axis: Axis) -> str:

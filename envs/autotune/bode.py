@@ -14,6 +14,7 @@ sampled once a position cycle, in which d is held for n velocity cycles: h = (1 
 z^(n-1)) / n accounts for it.
 """
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 
@@ -36,9 +37,11 @@ from .stand import (
     Stand,
 )  # fmt: skip
 
-PERIOD = 1.0  # s, of the multisine: a line each Hz
+PERIOD = 1.0  # s, of the multisine, at least: a line each Hz
+USUAL, LOWEST = 2.0, 0.2  # Hz, lowest frequency of an axis that is not slow, and of any
+BELOW = 0.5  # of the position crossover to be expected, where that is slower
 SETTLE = 0.4  # s, of its beginning, until what is transient has gone
-LEG = PERIOD + SETTLE + 0.1  # s, of travel in one direction
+LEG = SETTLE + 0.1  # s, of travel in one direction beside the multisine
 BLOCKS = 4  # pairs of runs, two in each direction
 RESERVE = 4.0  # of the gain to one that only just does not oscillate
 LEAST_AMPLITUDE = 0.005  # share of the rated torque
@@ -59,7 +62,7 @@ def bode(
     *,
     amplitude: float = 0.1,
     speed: float | None = None,
-    lowest: float = 2.0,
+    lowest: float | None = None,
     highest: float | None = None,
     seed: int = 0,
 ) -> Response:
@@ -79,7 +82,8 @@ def bode(
         amplitude: rms of the excitation, share of the rated torque 0.005..1. Halved as long as the
             axis turns round or reaches its torque limit.
         speed: of travel (m/s or rad/s); a tenth of the profile velocity if not given.
-        lowest: frequency (Hz).
+        lowest: frequency (Hz), 0.2 at least; 2 if not given, or half of where a slower position
+            loop is expected to cross over.
         highest: frequency (Hz); 0.3 of the position-controller rate if not given.
         seed: of the random phases.
 
@@ -94,17 +98,31 @@ def bode(
     nyquist = 0.5 / stand.period
     highest = HIGHEST / stand.period if highest is None else highest
     in_range("highest", highest, 10.0, nyquist, "Hz")
-    in_range("lowest", lowest, 1 / PERIOD, highest / 2, "Hz")
     gains = gains_of(stand.drive)
+    lowest = lowest_of(gains) if lowest is None else lowest
+    in_range("lowest", lowest, LOWEST, highest / 2, "Hz")
     try:
         stand.start()
         if speed is not None:
             unit = f"{stand.unit}/s, what motor and room allow"
-            in_range("speed", speed, 1e-6, stand.fastest(LEG), unit)
+            in_range("speed", speed, 1e-6, stand.fastest(_span(lowest) + LEG), unit)
         note = calm(stand)
         return measured(stand, gains, note, amplitude, speed, lowest, highest, seed)
     finally:
         stand.put_back()
+
+
+def lowest_of(gains: Gains) -> float:
+    """The lowest frequency (Hz) that loops with these gains are measured at."""
+    rate = gains.position_gain
+    if gains.pid is not None and gains.pid[2] > 0.0:
+        rate = gains.pid[0] / gains.pid[2]
+    return max(min(USUAL, BELOW * rate / (2 * math.pi)), LOWEST) if rate > 0.0 else USUAL
+
+
+def _span(lowest: float) -> float:
+    """Period (s) of the multisine."""
+    return max(PERIOD, math.ceil(1 / lowest))
 
 
 def possible(amplitude: float, seed: int) -> None:
@@ -208,17 +226,18 @@ def _measure(
     lowest: float, highest: float, seed: int, against: bool,
 ) -> Response:  # fmt: skip
     random = np.random.default_rng(seed)
-    count = round(PERIOD / stand.period)
+    span = _span(lowest)
+    count = round(span / stand.period)
     lines = np.unique(np.rint(np.geomspace(lowest, highest, LINES) * count * stand.period))
     lines = lines.astype(int)
     frequencies = lines / (count * stand.period)
     settle = round(SETTLE / stand.period)
-    speed = stand.speed(LEG) if speed is None else speed
+    speed = stand.speed(span + LEG) if speed is None else speed
     rated = float(stand.drive.axis.rated_torque)
     blocks: list[np.ndarray] = []
     begin = stand.machine.snapshot()
     while len(blocks) < BLOCKS:
-        direction = stand.direction(speed * LEG)
+        direction = stand.direction(speed * (span + LEG))
         waves = [_multisine(random, lines, count, frequencies) * amplitude * rated for _ in "+-"]
         stand.travel(-direction * speed)
         stand.settle(speed)

@@ -13,7 +13,7 @@ from typing import Any
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..plants.loops import gains_of, in_units, ranges
-from .bode import HIGHEST, calm, measured, possible
+from .bode import HIGHEST, calm, lowest_of, measured, possible
 from .fit import Asked, fit, why_not
 from .needs import scipy
 from .response import Response
@@ -205,8 +205,8 @@ def _look(
     stand.start()
     note = calm(stand)
     response = measured(
-        stand, gains, note, amplitude, None, 2.0, HIGHEST / stand.period, seed, earlier,
-        small=ride,
+        stand, gains, note, amplitude, None, lowest_of(gains), HIGHEST / stand.period, seed,
+        earlier, small=ride,
     )  # fmt: skip
     return response, friction(stand) if ride else None
 

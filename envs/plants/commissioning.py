@@ -65,6 +65,21 @@ def commission_joint(
         ValueError: a name without a drive, an argument that is not above 0, or a value the drive
             cannot take, with what to change.
     """
+    try:
+        commission_shaft(
+            machine, name, max_velocity=max_velocity, max_acceleration=max_acceleration,
+            position_unit=position_unit, tuned=tuned,
+        )  # fmt: skip
+    except tuning.Unmovable as error:
+        gear = abs(machine.joint(name)[0])
+        raise tuning.Unmovable(f"{error}; {_other(name, gear)}") from None
+
+
+def commission_shaft(
+    machine: Machine, name: str, *, max_velocity: float | None, max_acceleration: float | None,
+    position_unit: float, tuned: bool,
+) -> None:  # fmt: skip
+    """The same; a motor that cannot move its load is told without what a robot could change."""
     if not isinstance(machine, Machine):
         raise ValueError(f"machine = {machine!r}: give a Machine, as Machine.from_mjcf makes one")
     if name not in machine.drives:
@@ -107,8 +122,8 @@ def commission_joint(
             )  # fmt: skip
         else:
             drive.commission(gains(drive, inertia))
-    except tuning.Unmovable as error:
-        raise tuning.Unmovable(f"{error}; {_other(name, gear)}") from None
+    except tuning.Unmovable:
+        raise
     except (ValueError, OverflowError) as error:
         raise ValueError(
             f"drive {name!r} ({drive.model.name}) cannot take a value: {error}; inertia at the "

@@ -167,27 +167,33 @@ def gantry(
             f"coupling_stiffness = {parameters.coupling_stiffness:g} N/m is too stiff for "
             f"timestep = {timestep:g} s: use {stiffest:.3g} N/m at most, or a shorter timestep"
         )
-    plant = _plant(parameters, model, timestep, names)
-    machine = Gantry(plant, dict.fromkeys(names, model))
     try:
-        for name, axis in machine.drives.items():
-            _commission(machine, name, axis, parameters, tuned)
+        machine = _made(model, parameters, timestep, names, tuned)
     except Unmovable as error:
-        mass = largest(lambda payload: _takes(model, parameters, payload), parameters.payload)
+
+        def moves(payload: float) -> bool:
+            try:
+                _made(model, replace(parameters, payload=payload), timestep, names, tuned)
+            except Unmovable:
+                return False
+            return True
+
         raise ValueError(
-            f"payload = {parameters.payload:g} kg: {error}; it takes {mass:.3g} kg"
+            f"payload = {parameters.payload:g} kg: {error}; "
+            f"it takes {largest(moves, parameters.payload):.3g} kg"
         ) from None
     machine.reset()
     return machine
 
 
-def _takes(drive: DriveModel, p: GantryParameters, payload: float) -> bool:
-    """Whether motors and drives move a gantry with this payload (kg)."""
-    try:
-        gantry(drive, parameters=replace(p, payload=payload))
-    except ValueError:
-        return False
-    return True
+def _made(
+    drive: DriveModel, p: GantryParameters, timestep: float, names: tuple[str, ...], tuned: bool
+) -> Gantry:
+    """Built and commissioned. Raises Unmovable where a motor or a drive cannot move it."""
+    machine = Gantry(_plant(p, drive, timestep, names), dict.fromkeys(names, drive))
+    for name, axis in machine.drives.items():
+        _commission(machine, name, axis, p, tuned)
+    return machine
 
 
 def _plant(

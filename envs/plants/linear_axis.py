@@ -15,11 +15,11 @@ from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units, tuning, twins
-from .axis_parameters import LinearAxisParameters, chosen, family
+from .axis_parameters import RANGES, LinearAxisParameters, chosen, family
 from .motor import MOTOR, motor_and_encoder
-from .sizing import Profile, largest
+from .sizing import Profile, first, largest, least
 from .transmission import MOTOR_SIDE_MASS, TooFast, drive_elastically, slow_enough, spring
-from .tuning import Unmovable, gains, inertia_at_shaft, inertia_of_motor_side
+from .tuning import TooLight, Unmovable, gains, inertia_at_shaft, inertia_of_motor_side
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
@@ -85,8 +85,10 @@ def linear_axis(
     try:
         commission(machine, "x", parameters, tuned)
     except Unmovable as error:
-        payload = f"payload = {parameters.payload:g} kg"
-        raise ValueError(f"{payload}: {error}; {_would_do(drive_model, parameters)}") from None
+        raise ValueError(
+            f"payload = {parameters.payload:g} kg: {error}; "
+            f"{_would_do(drive_model, parameters, error)}"
+        ) from None
     if parameter_file is not None:
         machine.drives["x"].use_parameter_file(parameter_file)
     machine.reset()
@@ -163,8 +165,10 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
     Raises Unmovable where motor or drive cannot move it.
     """
     x = machine.drives[name]
-    if not x.model.positions:
-        return  # its motor and its ramps are parameters of its own
+    if not x.model.positions:  # its motor and its ramps are parameters of its own
+        if tuned:
+            tuning.turned(machine, name)
+        return
     micro = 1e6  # drive units per m
     coupling = machine.couplings[list(machine.drives).index(name)]
     per_unit = abs(float(coupling.gear)) / micro  # rad of the shaft
@@ -210,7 +214,7 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
     own_units.commission(x, tuned_values, per_unit)
 
 
-def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:
+def _would_do(model: DriveModel, p: LinearAxisParameters, refusal: Unmovable) -> str:
     """Which payload, and which feed constant, this motor takes."""
 
     def moves(**changed: float) -> bool:
@@ -223,11 +227,15 @@ def _would_do(model: DriveModel, p: LinearAxisParameters) -> str:
             return False
         return True
 
+    if isinstance(refusal, TooLight):
+        mass = least(lambda payload: moves(payload=payload), p.payload, RANGES["payload"][1])
+        return f"it takes {mass:.3g} kg and more" if mass < math.inf else "it takes no payload"
     mass = largest(lambda payload: moves(payload=payload), p.payload)
-    feeds = (p.feed_constant / factor for factor in FINER)
-    feed = next((feed for feed in feeds if moves(feed_constant=feed)), None)
+    finer = first(FINER, lambda factor: moves(feed_constant=p.feed_constant / factor))
     said = f"it takes {mass:.3g} kg" if mass > 0.0 else "it takes no payload"
-    return said + (f"; with a feed_constant of {feed:.2g} m it takes this one" if feed else "")
+    if finer is None:
+        return said
+    return f"{said}; with a feed_constant of {p.feed_constant / finer:.2g} m it takes this one"
 
 
 def factor_group(drive: Drive, units: float, turns: int = 1) -> dict[str, float]:

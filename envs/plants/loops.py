@@ -207,7 +207,8 @@ class Seen:
         z = np.exp(2j * np.pi * self.frequencies * self.cycle)
         kp, time = np.asarray(kp)[:, None], np.asarray(time)[:, None]
         filtered = 1.0 if self.filters is None else self.filters(self.frequencies)
-        return filtered * kp * (1 + self.cycle / np.maximum(time, self.cycle) / (z - 1))
+        integral = np.where(time > 0.0, self.cycle / np.maximum(time, self.cycle), 0.0)
+        return filtered * kp * (1 + integral / (z - 1))
 
     def margins(self, gains: Gains) -> tuple[Margin, Margin]:
         """Gain (dB), phase (degree) and stability of the velocity and of the position loop."""

@@ -15,13 +15,13 @@ from ...drive.model.names import hint
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import twins
-from .commissioning import commission_joint
-from .linear_axis import tune
+from .commissioning import commission_shaft
+from .linear_axis import FINER, tune
 from .motor import motor_and_encoder
 from .rotary_parameters import ROTARY_FAMILY, RotaryParameters
-from .sizing import largest
+from .sizing import first, largest
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough
-from .tuning import Unmovable, inertia_at_shaft, inertia_of_motor_side
+from .tuning import Unmovable, inertia_at_shaft, inertia_of_motor_side, turned
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "rotary_axis.xml"
 TABLE_MASS = 10.0  # kg; only its inertia counts
@@ -78,23 +78,31 @@ def rotary_axis(
     try:
         _commission(machine, parameters, tuned)
     except Unmovable as error:
-        carried = largest(lambda i: _takes(model, parameters, i), parameters.inertia)
         raise ValueError(
-            f"inertia = {parameters.inertia:g} kg·m²: {error}; it takes {carried:.3g} kg·m²"
+            f"inertia = {parameters.inertia:g} kg·m²: {error}; {_would_do(model, parameters)}"
         ) from None
     machine.reset()
     return machine
 
 
-def _takes(drive: DriveModel, p: RotaryParameters, inertia: float) -> bool:
-    """Whether motor and drive move a table or roller with this inertia (kg·m²)."""
-    machine = Machine(_plant(replace(p, inertia=inertia), drive, drive.cycle_time["velocity"]),
-                      {"x": drive})  # fmt: skip
-    try:
-        _commission(machine, replace(p, inertia=inertia), True)
-    except Unmovable:
-        return False
-    return True
+def _would_do(drive: DriveModel, p: RotaryParameters) -> str:
+    """Which inertia, and which gear ratio, this motor takes."""
+
+    def moves(**changed: float) -> bool:
+        other = replace(p, **changed)  # type: ignore[arg-type]
+        machine = Machine(_plant(other, drive, drive.cycle_time["velocity"]), {"x": drive})
+        try:
+            _commission(machine, other, True)
+        except Unmovable:
+            return False
+        return True
+
+    carried = largest(lambda inertia: moves(inertia=inertia), p.inertia)
+    higher = first(FINER, lambda factor: moves(gear_ratio=p.gear_ratio * factor))
+    said = f"it takes {carried:.3g} kg·m²"
+    if higher is None:
+        return said
+    return f"{said}; with a gear_ratio of {p.gear_ratio * higher:.4g} it takes this one"
 
 
 def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.MjModel:
@@ -123,10 +131,12 @@ def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.Mj
 
 def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
     x = machine.drives["x"]
-    if x.model.quirk("inverter"):
-        return  # its motor and its ramps are parameters of its own
+    if not x.model.positions:  # its motor and its ramps are parameters of its own
+        if tuned:
+            turned(machine, "x")
+        return
     x.commission(motor_and_encoder(p, x))
-    commission_joint(
+    commission_shaft(
         machine, "x", max_velocity=p.max_velocity, max_acceleration=p.max_acceleration,
         position_unit=p.unit, tuned=tuned,
     )  # fmt: skip

@@ -2,8 +2,10 @@
 
 One velocity cycle is a linear system: the physics step as MuJoCo linearises it, the speed as the
 filtered difference of the shaft angle, and the lag of the current loop. Dry friction keeps its sign
-in motion and is left out, backlash is on one flank, the other drives hold their joints. What
-vibrates without damping has no finite response at its frequency: it gets `LEAST`.
+in motion and is left out, backlash is on one flank, the other drives hold their joints. What a gear
+loses is in proportion to what it carries: while the motor pushes, its load is felt the heavier, and
+while the load pushes the lighter. What vibrates without damping has no finite response at its
+frequency: it gets `LEAST`.
 """
 
 import math
@@ -29,13 +31,14 @@ WITHOUT = (
 )  # fmt: skip
 
 
-def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
+def seen(machine: Machine, names: str | Mapping[str, float], *, pushes: float = 1.0) -> Seen:
     """The plant of a drive, at the present place of the machine.
 
     Args:
         machine: commissioned or not; nothing of it changes.
         names: of the drive; of several that move one beam a sign each, ``{"x1": 1, "x2": -1}``:
             torque and motion are then half the sum.
+        pushes: 1 while the motor does, -1 while the load does, 0 for a gear without losses.
     """
     signs = {names: 1.0} if isinstance(names, str) else dict(names)
     numbers = {name: [*machine.drives].index(name) for name in signs}
@@ -53,6 +56,7 @@ def seen(machine: Machine, names: str | Mapping[str, float]) -> Seen:
         place[int(coupling.dof)] += share
         if drive.axis.od.position_source and mechanics["guide"] >= 0:
             place[int(mechanics["elastic_dof"])] += share
+        a += pushes * _lost(machine, numbers[name], b[:, int(coupling.ctrl)])
     torque = sum(np.linalg.matrix_power(a, k) for k in range(steps)) @ torque
     filters = filters_of(drive)
     filtered = _share(period, float(drive.axis.od.velocity_filter_time) * 1e-6)
@@ -108,6 +112,22 @@ def _observer(drive: Drive, period: float) -> tuple[np.ndarray, np.ndarray, np.n
     gain = np.array([1 - p**3, 1.5 * (1 - p) ** 2 * (1 + p) / period, (1 - p) ** 3 / period**2])
     ahead = np.array([[1.0, period, period**2 / 2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
     return gain, ahead, np.array([period**2 / 2, period, 0.0]) / max(inertia, 1e-15)
+
+
+def _lost(machine: Machine, number: int, torque: np.ndarray) -> np.ndarray:
+    """What the losses of a gear add to a state matrix, of `engine.mechanics`, while it is pushed.
+
+    `torque` is what 1 Nm at the shaft does to the state.
+    """
+    m, model = machine.mechanics[number], machine.model
+    lost = np.zeros((len(torque), len(torque)))
+    if m["guide"] >= 0 and m["gear_loss"] > 0.0:
+        dof = int(m["elastic_dof"])
+        share = float(m["gear_loss"]) / float(machine.couplings[number].gear)
+        stiffness = float(model.jnt_stiffness[model.dof_jntid[dof]])
+        lost[:, dof] = share * stiffness * torque
+        lost[:, len(torque) // 2 + dof] = share * float(model.dof_damping[dof]) * torque
+    return lost
 
 
 def _mechanics(

@@ -97,7 +97,8 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
     plant = seen(machine, dict.fromkeys(beam, 1.0))
     gear, unit = machine.joint(name)
     gear = abs(gear)
-    motor, load, gains = motor_of(drive), load_of(machine, name, plant.inertia), gains_of(drive)
+    inertia = seen(machine, dict.fromkeys(beam, 1.0), pushes=0.0).inertia
+    motor, load, gains = motor_of(drive), load_of(machine, name, inertia), gains_of(drive)
     dof = int(machine.couplings[[*machine.drives].index(name)].dof)
     own = float(machine.model.dof_armature[dof]) / gear**2
     if not drive.axis.cycle_count:
@@ -106,7 +107,7 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
     velocity, position = plant.margins(gains)
     return Sizing(
         drive=name, model=drive.model.name, unit=unit, gear=gear, motor=motor, load=load,
-        inertia_ratio=(plant.inertia - own) / own if own > 0.0 else np.inf,
+        inertia_ratio=(inertia - own) / own if own > 0.0 else np.inf,
         velocity=speed / gear, acceleration=rate / gear,
         highest_velocity=FAST * motor.speed / gear,
         highest_acceleration=load.acceleration(PEAK * motor.torque(speed), speed) / gear,

@@ -8,7 +8,8 @@ the rated torque.
 """
 
 import math
-from collections.abc import Callable
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -160,6 +161,23 @@ def largest(takes: Callable[[float], bool], refused: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if takes(middle) else (low, middle)
     return float(f"{low:.2g}") if takes(float(f"{low:.2g}")) else low
+
+
+def least(takes: Callable[[float], bool], refused: float, highest: float) -> float:
+    """The smallest payload above a refused one that is taken; infinite: none up to `highest`."""
+    if not takes(highest):
+        return math.inf
+    low, high = refused, highest
+    while high - low > 0.02 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if takes(middle) else (middle, high)
+    return float(f"{high:.3g}") if takes(float(f"{high:.3g}")) else high
+
+
+def first(ascending: Sequence[float], takes: Callable[[float], bool]) -> float | None:
+    """The smallest of some factors that is taken, as all above it are; None: there is none."""
+    place = bisect_left(ascending, True, key=takes)
+    return ascending[place] if place < len(ascending) else None
 
 
 def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:

@@ -14,6 +14,7 @@ the plant as the model has it (`shaft`), in the ranges of the drive's own object
 """
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -31,6 +32,7 @@ from .loops import (
     Seen,
     fastest,
     fastest_pid,
+    gains_of,
     in_units,
     ranges,
 )
@@ -49,6 +51,10 @@ ASKED = Asked()
 
 class Unmovable(ValueError):
     """A motor or a drive cannot move what it is to move."""
+
+
+class TooLight(Unmovable):
+    """A motor with a fixed slip line oscillates with so little inertia."""
 
 
 def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear: float) -> float:
@@ -91,11 +97,13 @@ def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict
     }
 
 
-def fitting(plant: Seen, drive: Drive, by_rule: Gains, stiffness: float) -> Gains | None:
+def fitting(
+    plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: float
+) -> Gains | None:
     """Gains of a drive for a plant: those of the rule where they do.
 
     Args:
-        plant: of `shaft.seen`.
+        plants: of `shaft.seen`, in all situations.
         drive: whose ranges count.
         by_rule: of `rule`.
         stiffness: that they need to do (Nm/rad).
@@ -114,13 +122,13 @@ def fitting(plant: Seen, drive: Drive, by_rule: Gains, stiffness: float) -> Gain
     )
     pid = drive.axis.od.control_structure == Structure.PID
     if taken and not pid and by_rule.stiffness >= stiffness:
-        found = plant.margins(by_rule)
+        found = [margin for plant in plants for margin in plant.margins(by_rule)]
         if all(
             stable and gain >= ASKED.gain + RESERVE_GAIN and phase >= ASKED.phase + RESERVE_PHASE
             for gain, phase, stable in found
         ):
             return by_rule
-    return (fastest_pid if pid else fastest)([plant], ASKED, allowed)
+    return (fastest_pid if pid else fastest)(plants, ASKED, allowed)
 
 
 def tuned(
@@ -147,12 +155,13 @@ def tuned(
     can = possible(load, motor, wanted)
     # what friction and a wrong inertia leave to the controller
     left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
-    plant = seen(machine, name)
-    found = fitting(plant, drive, rule(drive, inertia, motor_side), left / (SOFT * window))
+    pushes = (1.0, -1.0) if load.loss > 0.0 else (1.0,)
+    plants = [seen(machine, name, pushes=each) for each in pushes]
+    found = fitting(plants, drive, rule(drive, inertia, motor_side), left / (SOFT * window))
     if found is None:
         raise Unmovable(
             f"drive {name!r} ({drive.model.name}) has no gains that keep {ASKED.gain:g} dB and "
-            f"{ASKED.phase:g}° with {inertia:.3g} kg·m² at its shaft: {_missing(plant, drive)}"
+            f"{ASKED.phase:g}° with {inertia:.3g} kg·m² at its shaft: {_missing(plants, drive)}"
         )
     window = max(window, RESERVE * left / found.stiffness)
     return {
@@ -170,9 +179,29 @@ def tuned(
     }
 
 
-def _missing(plant: Seen, drive: Drive) -> str:
+def turned(machine: Machine, name: str) -> None:
+    """Refuse what a frequency inverter cannot turn: its motor has the slip line that it has.
+
+    Raises:
+        Unmovable: a load above its rated torque, or (`TooLight`) one it would oscillate with.
+    """
+    drive, plant = machine.drives[name], seen(machine, name)
+    _bears(drive, motor_of(drive), load_of(machine, name, plant.inertia))
+    slip = gains_of(drive)
+    (gain, _, stable), _ = plant.margins(slip)
+    if not stable or gain < RESERVE_GAIN:
+        raise TooLight(
+            f"the asynchronous motor of drive {name!r} ({drive.model.name}), "
+            f"{slip.velocity_gain:.3g} Nm a rad/s of slip, oscillates with "
+            f"{plant.inertia:.3g} kg·m² at its shaft: a rotor_inertia of "
+            f"{drive.model.rotor_inertia:.3g} kg·m², that of such a motor, or a lower gear ratio "
+            "would do"
+        )
+
+
+def _missing(plants: Sequence[Seen], drive: Drive) -> str:
     """Why no gains of the drive do, with the objects whose range they leave, and what would."""
-    needed, light = fastest([plant], ASKED, ANY), False
+    needed, light = fastest(plants, ASKED, ANY), False
     out: list[str] = []
     for name, (of, per) in OBJECTS.items() if needed else ():
         (low, high), value, unit = ranges(drive)[of], getattr(needed, of), per(drive.axis)

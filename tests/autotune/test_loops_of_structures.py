@@ -5,7 +5,7 @@ from later import only_with
 from matrix import in_the_middle
 
 from servogym.drive.master import Master
-from servogym.envs import bode, linear_axis, tune
+from servogym.envs import bode, linear_axis, rotary_axis, tune
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.plants.loops import gains_of
 from servogym.envs.plants.shaft import seen
@@ -70,3 +70,28 @@ def test_a_position_pid_is_tuned_to_its_margins(pid):
     tuned = tune(machine)
     assert tuned.reached
     assert {"pid_gain", "pid_integral_gain", "pid_derivative_gain"} <= tuned.objects.keys()
+
+
+def test_what_a_gear_loses_is_felt_as_inertia_while_the_motor_pushes():
+    """A worm gear with an efficiency of 65 % makes its load 1 / 0.65 as heavy."""
+    machine = in_the_middle(rotary_axis(mechanics="rotary_table"))
+    gains = gains_of(machine.drives["x"])
+    pushing, lossless = (seen(machine, "x", pushes=share) for share in (1.0, 0.0))
+    motor = 0.6e-4  # kg·m²
+    assert pushing.inertia - motor == pytest.approx((lossless.inertia - motor) / 0.65, rel=0.02)
+    measured = bode(machine)
+    assert measured.inertia == pytest.approx(pushing.inertia, rel=0.02)
+    velocity, position = pushing.margins(gains)
+    assert measured.velocity_margins.phase == pytest.approx(velocity[1], abs=LIKE[1])
+    assert measured.position_margins.phase == pytest.approx(position[1], abs=LIKE[1])
+    assert measured.position_margins.gain == pytest.approx(position[0], abs=LIKE[0])
+
+
+def test_loops_slower_than_the_usual_frequencies_are_measured_below_them():
+    """50 kg·m² on a soft gear: the position loop crosses over at half a hertz."""
+    machine = in_the_middle(rotary_axis(mechanics="rotary_table", inertia=50.0))
+    _, (gain, phase, _) = seen(machine, "x").margins(gains_of(machine.drives["x"]))
+    found = bode(machine)
+    assert found.frequencies[0] < 0.5
+    assert found.position_margins.phase == pytest.approx(phase, abs=LIKE[1])
+    assert found.position_margins.gain == pytest.approx(gain, abs=2 * LIKE[0])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from later import Later
 
+from servogym.drive.advice import remedy
 from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
 from servogym.envs import linear_axis, rotary_axis
@@ -235,3 +236,22 @@ def test_a_velocity_feed_forward_filter_delays_the_command_by_its_time():
     behind = float(x.axis.velocity_demand) - float(x.axis.feed_forward)
     gear = machine.joint("x")[0]
     assert behind == pytest.approx(10.0 * gear * 5e-3, rel=0.06)  # 10 m/s² for 5 ms
+
+
+def test_why_says_what_stands_between_position_error_and_torque():
+    machine, x = turning()
+    assert x.why() == "no command has been refused", "a cascade is no news"
+    machine, x = turning(
+        **PID, notch_frequency_2=455, torque_command_filter_time=800, observer_bandwidth=300,
+        observer_inertia=3e8, motor_resistance=2_000_000, motor_torque_constant=500_000,
+    )  # fmt: skip
+    for words in (
+        "PID position controller gives the torque (P 6 Nm/rad, I 90 Nm/(rad·s), D 0.12 Nm·s/rad)",
+        "notch filter at 45.5 Hz", "low-pass of 800 µs", "observer of 30 Hz, told 0.0003 kg·m²",
+        "325 V gives less torque the faster it turns, and none at 6207 1/min",
+    ):  # fmt: skip
+        assert words in x.why()
+    x.inject("following_error")
+    machine.step(20)
+    assert "PID position controller" in remedy(x.axis)
+    x.clear_injected()

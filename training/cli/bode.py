@@ -15,7 +15,7 @@ def add(bode: argparse.ArgumentParser) -> None:
         "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"
     )
     bode.add_argument("--speed", type=float, help="of travel, m/s or rad/s (a tenth of 6081h)")
-    bode.add_argument("--lowest", type=float, default=2.0, help="frequency in Hz (2)")
+    bode.add_argument("--lowest", type=float, help="frequency in Hz (2, less of a slow axis)")
     bode.add_argument("--highest", type=float, help="frequency in Hz")
     bode.add_argument("--seed", type=int, default=0, help="of the excitation's phases (0)")
     bode.add_argument("--out", type=Path, default=Path("out"), help="folder: bode.png, .csv (out)")
