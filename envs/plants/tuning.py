@@ -97,9 +97,7 @@ def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict
     }
 
 
-def fitting(
-    plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: float
-) -> Gains | None:
+def fitting(plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: float) -> Gains | None:
     """Gains of a drive for a plant: those of the rule where they do.
 
     Args:

@@ -87,7 +87,7 @@ class Loop:
         return possible
 
     def pid(self, position, demand, speed, acceleration):
-        error = demand - self.named(position)
+        error = demand - self.seen(position)
         self.difference += self.low_pass * ((error - self.error) / PERIOD - self.difference)
         self.error = error
         wanted = GAIN * error + self.integral + DERIVATIVE * self.difference
