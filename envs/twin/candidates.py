@@ -1,10 +1,13 @@
 """Machines that repeat an experiment side by side, each with parameters of its own."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...drive.drive import Drive
+from ...drive.kernel.words import State
 from ..engine import parameters
 from ..engine.machine import Machine
 from ..engine.replay import Replay
@@ -13,9 +16,15 @@ from .experiment import Experiment
 LAG = "lag"  # s, from a set-point on the bus to a sample on it: of no machine, found beside it
 SEED = "seed"  # of the encoder's noise: of no machine either
 BESIDE = (LAG, SEED)
-READ = ("od.position_actual_internal_value", "torque", "position_demand", "shaft_angle",
-        "zero_counts")  # fmt: skip
+READ = ("torque", "position_demand", "shaft_angle", "zero_counts")
 COARSE = 2000  # increments a motor revolution, below which a place within one is looked at
+UNWATCHED = {  # the machine of the log has run on: what would stop its twin stands down
+    "following_error_window": (2**31 - 1,), "undervoltage": (0,), "overvoltage": (2**31 - 1,),
+}  # fmt: skip
+SMOOTH = 1 << 24  # increments a revolution: derivatives of what they round are noise
+UNITS = ("rad_per_position_unit", "rad_s_per_velocity_unit", "velocity_gain_unit",
+         "position_gain_unit")  # fmt: skip
+UNLIMITED = (2**31 - 1, 32767)  # 1/min, the first that the model takes
 MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
 
 
@@ -42,6 +51,13 @@ class Candidates:
         for machine in self.machines:  # what was commissioned counts from the first cycle on
             machine.step()
         self.joints = [parameters.Joint(m, self.drive) for m in self.machines]
+        axis = self.joint.drive.axis
+        self.increment = float(axis.rad_per_increment) / abs(self.joint.gear)
+        self.coarse = 2 * np.pi / float(axis.rad_per_increment) < COARSE
+        if not self.coarse:
+            for machine in self.machines:
+                _smooth(machine, self.drive)
+        self.smooth = 2 * np.pi / float(axis.rad_per_increment) >= SMOOTH / 2
         self.runs = 0
         self._starts: dict[int, tuple[Experiment, list[bytes], np.ndarray]] = {}
 
@@ -49,6 +65,13 @@ class Candidates:
     def joint(self) -> parameters.Joint:
         """The first one's."""
         return self.joints[0]
+
+    @property
+    def fault(self) -> int:
+        """Error code (603Fh) of the first machine where its last run ended in a fault, else 0."""
+        axis = self.joint.drive.axis
+        stopped = State(int(axis.state)) in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        return int(axis.od.error_code) if stopped else 0
 
     def _start(self, experiment: Experiment) -> tuple[list[bytes], np.ndarray]:
         """Snapshots of the machines, off and at rest where the rows begin, and the rows."""
@@ -102,21 +125,18 @@ class Candidates:
         found = self._layout(experiment).run(self.machines[:count], rows, experiment.arrives)
         axis = self.joint.drive.axis
         gear, begins = self.joint.gear, experiment.begins
-        position = found[READ[0]] * (float(axis.rad_per_increment) / gear)
+        zero = found["zero_counts"] * (float(axis.rad_per_increment) / gear)
         torque = found["torque"]
         torque = np.concatenate([torque[:, :1], torque[:, :-1]], axis=1)  # as 6077h shows it
         demand = found["position_demand"] / gear
         at = np.array([experiment.time - given.get(LAG, 0.0) for given in values])
         at = at / experiment.cycle + begins - 1.0
-        place = _at(position, at)
-        if 2 * np.pi / float(axis.rad_per_increment) < COARSE:
-            # between increments, as far as the last sample of the row is behind its first
-            fine = found["shaft_angle"] / gear - (found["zero_counts"] + 0.5) * (
-                float(axis.rad_per_increment) / gear
-            )
-            behind = 1.0 - float(axis.velocity_period) / experiment.cycle
-            place = _at(fine, at - behind)
-        return Simulated(place, *(_at(column, at) for column in (torque, demand)))
+        # of the shaft: between increments, as far as the last sample of the row is behind its first
+        fine = found["shaft_angle"] / gear - zero
+        if self.coarse:
+            fine -= 0.5 * self.increment
+        behind = 1.0 - float(axis.velocity_period) / experiment.cycle
+        return Simulated(_at(fine, at - behind), *(_at(column, at) for column in (torque, demand)))
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
@@ -139,7 +159,10 @@ def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -
     first, last = sorted(float(limit) / machine.joint(drive)[0] for limit in limits)
     if shift or least < first or most > last:  # the log has been there
         x.commission({"min_position_limit": 0, "max_position_limit": 0})
-    x.commission({"following_error_window": 2**31 - 1})
+    for name, values in UNWATCHED.items():
+        _first(x, name, values)
+    if _fastest(experiment, x.axis, machine.joint(drive)[0]) > 0.9 * float(x.axis.max_speed):
+        _first(x, "max_motor_speed", UNLIMITED)
     units = round(experiment.period * 1e6)
     if experiment.mode in (7, 8, 9, 10):
         index = -6 if units <= 255 else -4 if units % 1000 else -3
@@ -157,6 +180,38 @@ def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -
     axis.homed = 1
     machine.step()
     return machine.snapshot()
+
+
+def _smooth(machine: Machine, drive: str) -> None:
+    """Give it an encoder of many increments, where no unit of the drive depends on it."""
+    x = machine.drives[drive]
+    before = [float(getattr(x.axis, name)) for name in UNITS]
+    increments = 2 * np.pi / float(x.axis.rad_per_increment)
+    if increments >= SMOOTH:
+        return
+    _first(x, "encoder_increments", (SMOOTH,))
+    machine.step()
+    if [float(getattr(x.axis, name)) for name in UNITS] != before:
+        _first(x, "encoder_increments", (round(increments),))
+        machine.step()
+
+
+def _first(drive: Drive, name: str, values: Sequence[int]) -> None:
+    """Write the first of some values that the drive takes, if it has the object at all."""
+    for value in values:
+        with suppress(ValueError, KeyError):
+            drive.commission({name: value})
+            return
+
+
+def _fastest(experiment: Experiment, axis: Any, gear: float) -> float:
+    """Speed (rad/s) of the shaft that set-points or motion of an experiment ask for."""
+    target = experiment.rows.get("target_position")
+    asked = 0.0
+    if target is not None and experiment.arrives.mean() > 0.01:  # cyclic
+        asked = float(np.abs(np.diff(target)).max()) * float(axis.rad_per_position_unit)
+    moved = np.abs(np.diff(experiment.position)) / np.diff(experiment.time)
+    return max(asked / experiment.period, float(moved.max()) * abs(gear))
 
 
 def _places(machine: Machine) -> dict[str, float]:

@@ -21,7 +21,9 @@ from .experiment import Experiment
 ORDER = 6  # of the autoregression
 BLOCK = 0.05  # s, of the sandwich
 TRIES = (0.03, 1.0, 30.0)  # of the damping, side by side
-SMALL = 1e-4  # of the cost, a step that gains less is the last one
+SMALL = 1e-4  # of the cost, a step that gains less is the last one of a search from far away
+CLOSE = 0.05  # of the sum of squares of white residuals; near the end the same
+FINEST = 1e-5  # shortest difference of a derivative, of the value or of the first difference
 REPLICAS = 24
 CORRECTIONS = 2  # of the bias that noise brings
 DIFFERENCES = 3  # order that leaves noise and little of a model error
@@ -42,6 +44,8 @@ class Free:
         high: highest value.
         step: of the difference that the derivative is taken over.
         log: the search goes in ratios.
+        whole: the drive keeps it in whole numbers of its own.
+        share: of the step that the derivative is taken over.
     """
 
     name: str
@@ -50,6 +54,8 @@ class Free:
     high: float
     step: float
     log: bool = False
+    whole: bool = False
+    share: float = 1.0
 
     def inner(self, value: float) -> float:
         """In the coordinate of the search."""
@@ -63,7 +69,17 @@ class Free:
     @property
     def width(self) -> float:
         """Width of the difference quotient, in the coordinate of the search."""
-        return math.log1p(self.step) if self.log else 1.0
+        return self.share * (math.log1p(self.step) if self.log else 1.0)
+
+    def finer(self, error: float) -> "Free":
+        """With differences as long as the standard error, in which the machine is linear.
+
+        What a drive keeps in whole numbers keeps its first one.
+        """
+        if self.whole:
+            return self
+        full = math.log1p(self.step) if self.log else 1.0
+        return replace(self, share=min(max(error / full, FINEST / self.step), 1.0))
 
 
 @dataclass
@@ -117,6 +133,16 @@ class Estimate:
     noise: Noise
     jacobian: np.ndarray  # of the white residuals by the inner coordinates
     residuals: list[np.ndarray] = field(default_factory=list)
+
+    def finer(self, smooth: bool = True) -> list[Free]:
+        """What is looked for, with differences as long as the standard errors.
+
+        As they were where the machine is not `smooth`: its increments hide short differences.
+        """
+        if not smooth:
+            return self.free
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return [f.finer(float(error)) for f, error in zip(self.free, errors, strict=True)]
 
     def interval(self, name: str, quantile: float = 2.07) -> tuple[float, float]:
         """Low and high of a parameter, 95 % by default (t of 23 degrees of freedom)."""
@@ -175,7 +201,14 @@ class Search:
         ]  # fmt: skip
 
     def start_noise(self) -> Noise:
-        """Before anything is known: what high differences of the measured values leave."""
+        """Before anything is known: what high differences of the measured values leave.
+
+        Of a coarse encoder an increment, and a tenth of the highest torque: what differs from run
+        to run of one machine, as an edge comes a cycle sooner or later, has no such colour.
+        """
+        if self.candidates.coarse:
+            highest = max(float(np.abs(each.torque).max()) for each in self.experiments)
+            return Noise((self.candidates.increment, 0.1 * highest))
         parts = [(_rough(each.position), _rough(each.torque)) for each in self.experiments]
         p, t = (math.sqrt(np.mean(np.square(column))) for column in zip(*parts, strict=True))
         q_p, q_t = self.experiments[0].quanta
@@ -191,8 +224,13 @@ class Search:
 
     def descend(
         self, free: Sequence[Free], values: Mapping[str, float], noise: Noise, steps: int = 10,
+        close: bool = False,
     ) -> Estimate:  # fmt: skip
-        """Levenberg and Marquardt, candidates side by side; the last Jacobian is central."""
+        """Levenberg and Marquardt, candidates side by side; the last Jacobian is central.
+
+        With `close` it ends where the sum of squares stands still, of which one is a standard
+        error; else where its ratio does.
+        """
         free = list(free)
         x = np.array([f.inner(max(values[f.name], f.low)) for f in free])
         damping, best = 1.0, math.inf
@@ -222,9 +260,9 @@ class Search:
                     white, jacobian = self._linear(free, x, noise, central=True)
                     break
                 continue
-            gained = 1.0 - float(costs[winner]) / best
+            gained = best - float(costs[winner])
             x, damping = trials[winner], damping * TRIES[winner]
-            if gained < SMALL:
+            if gained < (CLOSE / len(white) if close else SMALL * best):
                 white, jacobian = self._linear(free, x, noise, central=True)
                 best = float(np.mean(white**2))
                 break

@@ -10,7 +10,7 @@ import numpy as np
 from ...drive.model.model import DriveModel
 from ..engine import parameters
 from ..plants.tuning import inertia_at_shaft
-from .candidates import COARSE, LAG, Candidates, Simulated
+from .candidates import LAG, Candidates, Simulated
 from .estimate import Estimate, Free, Noise, Search, colour
 from .experiment import Experiment, Unusable
 from .families import AUTO, GAINS, Family, family
@@ -24,6 +24,10 @@ TURNING = (1 / 30, 30)  # the same of a rotary axis, times the nominal
 DAMPINGS = (0.03, 0.1)  # ratios a spring begins with
 BEST = 3  # starts that are followed
 GAIN_GRID = [(v, p) for v in (0.45, 0.7, 1.0, 1.5, 2.4) for p in (0.5, 0.75, 1.0, 1.4)]
+PID = ("pid_gain", "pid_integral_gain", "pid_derivative_gain")
+PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.2, 1.0) for d in (0.6, 1.0, 1.3)]
+LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, about the lag that the first run shows
+SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of at least
 UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
 
 
@@ -84,10 +88,15 @@ def fit(
     _usable(experiments, rough, joint)
     training, cuts = _split(experiments)
     search = Search(candidates, training)
-    start = _start(chosen, joint, rough)
-    lag = best_lag(candidates, training[0], start)
-    start[LAG] = lag
-    free = _free(chosen, joint, start, gains_known)
+    start = _start(chosen, joint, rough, experiments)
+    start[LAG] = best_lag(candidates, training[0], start)
+    if candidates.fault:
+        raise Unusable(
+            f"{training[0].name}: the twin ends in fault {candidates.fault:04X}h, where the log "
+            "runs on: its limits or its supply are others, give them with --read-gains or --set"
+        )
+    strongest = max(float(np.abs(each.torque).max()) for each in training) * abs(joint.gear)
+    free = _free(chosen, joint, start, gains_known, strongest)
     search.told = lambda values, cost: told(
         f"{chosen.name}: {_shown(values, chosen)}, misfit {math.sqrt(cost):.3g}"
     )
@@ -100,12 +109,11 @@ def fit(
                   for each in starts]  # fmt: skip
         estimate = min(trials, key=lambda each: each.cost)
         best = estimate.values
-        noise = colour([each[0] for each in search.residuals([best])])
-        estimate = search.descend(free, best, noise, 6)
-        best = estimate.values
-        noise = colour([each[0] for each in search.residuals([best])])
-        estimate = search.descend(free, best, noise, 3)
-        best = estimate.values
+        for steps in () if candidates.coarse else (4, 8):
+            noise = colour([each[0] for each in search.residuals([best])])
+            estimate = search.descend(estimate.finer(candidates.smooth), best, noise, steps,
+                                      close=True)  # fmt: skip
+            best = estimate.values
     except KeyboardInterrupt:
         complete = False
         if estimate is None:
@@ -114,8 +122,11 @@ def fit(
     if complete:
         try:
             all_of_it = Search(candidates, experiments, told=search.told)
-            noise = colour([each[0] for each in all_of_it.residuals([best])])
-            estimate = all_of_it.descend(free, best, noise, 3)
+            if not candidates.coarse:
+                noise = colour([each[0] for each in all_of_it.residuals([best])])
+            estimate = all_of_it.descend(
+                estimate.finer(candidates.smooth), best, noise, 6, close=True
+            )
             if held[-1] > 0.0:
                 estimate = all_of_it.replicate(estimate, held[-1])
         except KeyboardInterrupt:
@@ -191,7 +202,9 @@ def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[fl
     return [only.until(cut)], [cut]
 
 
-def _start(chosen: Family, joint: parameters.Joint, rough: Rough) -> dict[str, float]:
+def _start(
+    chosen: Family, joint: parameters.Joint, rough: Rough, experiments: Sequence[Experiment]
+) -> dict[str, float]:
     """Where the search begins: of the regression, at the joint."""
     gear = joint.gear
     row = parameters.PARAMETERS[chosen.mass]
@@ -208,7 +221,23 @@ def _start(chosen: Family, joint: parameters.Joint, rough: Rough) -> dict[str, f
     }
     for name in (*(chosen.spring or ()), *chosen.extra, *GAINS):
         values[name] = parameters.PARAMETERS[name].get(joint)
+    if "supply_voltage" in values:
+        values["supply_voltage"] = _voltage(experiments, joint) or values["supply_voltage"]
     return values
+
+
+def _voltage(experiments: Sequence[Experiment], joint: parameters.Joint) -> float:
+    """What the winding has on it at the highest speed (V), where it may be what limits it."""
+    axis, found = joint.drive.axis, []
+    constant = float(axis.torque_constant)
+    if float(axis.resistance) <= 0.0 or constant <= 0.0:
+        return 0.0
+    for each in experiments:
+        speed = np.gradient(each.position, each.time) * joint.gear
+        fast = np.abs(speed) > 0.95 * np.percentile(np.abs(speed), 98)
+        drop = float(axis.resistance) * each.torque[fast] / constant
+        found.append(np.abs(float(axis.voltage_constant) * speed[fast] + drop))
+    return float(np.median(np.concatenate(found)))
 
 
 def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str, float]) -> float:
@@ -228,13 +257,14 @@ def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str,
 
 
 def _free(
-    chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool
-) -> list[Free]:
+    chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool,
+    strongest: float,
+) -> list[Free]:  # fmt: skip
     names = [*chosen.unknown, LAG]
     if not gains_known:
         names += [*GAINS]
     found = []
-    friction = max(start["coulomb_friction"], 1e-9)
+    friction = max(start["coulomb_friction"], SLIGHT * strongest, 1e-9)
     for name in names:
         if name == LAG:
             found.append(Free(LAG, start[LAG], -0.02, 0.2, 2e-5))
@@ -246,7 +276,8 @@ def _free(
         elif name == "viscous_friction":
             found.append(Free(name, start[name], low, high, max(0.1 * start[name], 1e-3)))
         else:
-            found.append(Free(name, start[name], max(low, 1e-9), high, 0.02, True))
+            whole = name in (*GAINS, *PID)
+            found.append(Free(name, start[name], max(low, 1e-9), high, 0.02, True, whole))
     return found
 
 
@@ -256,7 +287,14 @@ def _starts(
 ) -> list[dict[str, float]]:  # fmt: skip
     """Several places to begin, where there are local minima."""
     starts = [start]
-    if not gains_known:
+    if "pid_gain" in chosen.extra:
+        grid = [
+            start | {name: start[name] * share for name, share in zip(PID, shares, strict=True)
+                     if name in chosen.extra} | {LAG: start[LAG] + late}
+            for shares in PID_GRID for late in LATE
+        ]  # fmt: skip
+        starts = [grid[n] for n in np.argsort(search.cost(grid, noise))[:2]]
+    elif not gains_known:
         grid = [
             start | {"velocity_gain": start["velocity_gain"] * v,
                      "position_gain": start["position_gain"] * p}
@@ -291,10 +329,8 @@ def _judge(
 ) -> tuple[float, float, float, float, float, float]:  # fmt: skip
     """Errors held out, what noise of the encoder would leave, share explained, the noise."""
     left_p, left_t, quiet_p, quiet_t, wave, sizes = [], [], [], [], [], []
-    increment = float(candidates.joint.drive.axis.rad_per_increment)
-    coarse = 2 * math.pi / increment < COARSE
-    trial = max(experiments[0].quanta[0], 0.2 * float(candidates.joint.drive.axis.rad_per_increment)
-                / abs(candidates.joint.gear))  # fmt: skip
+    coarse, increment = candidates.coarse, candidates.increment
+    trial = max(experiments[0].quanta[0], 0.2 * increment)
     for experiment, cut in zip(experiments, cuts, strict=True):
         held = experiment.time >= cut
         if not held.any():
@@ -313,8 +349,8 @@ def _judge(
         quiet_t.append(share * dt[held])
         wave.append(experiment.position[held] - experiment.position[held].mean())
     quantum = [q**2 / 12 for q in experiments[0].quanta]
-    if coarse:
-        quantum[0] = max(quantum[0], (increment / candidates.joint.gear) ** 2 / 12)
+    if coarse:  # a log and its twin may each be off by half of one
+        quantum[0] = max(quantum[0], increment**2)
 
     def rms(parts: list[np.ndarray]) -> float:
         return math.sqrt(float(np.mean(np.concatenate(parts) ** 2)))
