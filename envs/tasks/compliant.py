@@ -187,8 +187,8 @@ class CompliantAxisEnv(ServoEnv):
 
     POLICIES = (
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch",
-        "ruckig+ff", "lqr", "adaptive_lqr", "mpc", "proportional", "informed_lqr",
-        "informed_ruckig+zvd", "bound",
+        "ruckig+ff", "lqr", "adaptive_lqr", "identified+zv", "identified+zvd", "mpc",
+        "proportional", "informed_lqr", "informed_ruckig+zvd", "bound",
     )  # fmt: skip
     REFERENCE = "ruckig"
     METRIC = "settling_time"

@@ -166,7 +166,7 @@ class LinearAxisEnv(ServoEnv):
 
     POLICIES = (
         "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
-        "ruckig+notch", "proportional", "pd",
+        "ruckig+notch", "tuned_ruckig", "proportional", "pd",
         "informed_ruckig", "bound",
     )  # fmt: skip
     REFERENCE = "ruckig"

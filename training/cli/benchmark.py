@@ -10,14 +10,14 @@ from rich.console import Console
 
 from . import arguments
 
-SUITE, POLICY = "v1", "learned"
+SUITE, POLICY, EPISODES = "v1", "learned", 20
 OF_SUITES = ("suite", "entry", "tasks", "conditions")
 OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file")
 
 
 def add(benchmark: argparse.ArgumentParser) -> None:
     """Its options."""
-    benchmark.add_argument("what", choices=("homing", "positioning", "learned"))
+    benchmark.add_argument("what", choices=("homing", "positioning", "learned", "headroom"))
     benchmark.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
     benchmark.add_argument("--quick", action="store_true", help="a small part of it")
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
@@ -38,6 +38,9 @@ def add(benchmark: argparse.ArgumentParser) -> None:
     learned.add_argument("--entry", metavar="NAME", help="on the leaderboard (that of the policy)")
     learned.add_argument("--tasks", help="of the suite, separated by commas (all it fits)")
     learned.add_argument("--conditions", help="a part of them, to try; nothing is submitted")
+    possible = benchmark.add_argument_group("headroom: every row beside what is possible")
+    possible.add_argument("--episodes", type=int, help="of each task (20)")
+    possible.add_argument("--seed", type=int, help="of the episodes (0)")
     arguments.add_work(benchmark)
     benchmark.set_defaults(run=_benchmark, folders=("out",))
 
@@ -45,6 +48,8 @@ def add(benchmark: argparse.ArgumentParser) -> None:
 def _benchmark(options: argparse.Namespace, console: Console) -> int:
     if options.what == "learned":
         return _learned(options, console)
+    if options.what == "headroom":
+        return _headroom(options, console)
     if given := [name for name in OF_SUITES if getattr(options, name) is not None]:
         raise ValueError(f"--{given[0]} is for `servogym benchmark learned`")
     drive = options.drive or "generic"
@@ -94,6 +99,17 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
             ],
         }
     return {name: value for name, value in chosen.items() if value}
+
+
+def _headroom(options: argparse.Namespace, console: Console) -> int:
+    from ..evaluate import headroom
+
+    for name in ("drive", "quick", "suite", "policy", "entry", "conditions", *OF_AXES):
+        if getattr(options, name):
+            raise ValueError(f"--{name.replace('_', '-')} is not for `servogym benchmark headroom`")
+    tasks, work = arguments.listed(options.tasks), arguments.work(options)
+    episodes, seed = options.episodes or EPISODES, options.seed or 0
+    return headroom.run(tasks, episodes, seed, options.out, console, work)
 
 
 def _learned(options: argparse.Namespace, console: Console) -> int:

@@ -30,6 +30,7 @@ from .feed_forward import FeedForward, RuckigFeedForward
 from .file import SUFFIX, from_file, policy_of
 from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring
 from .homing import BuiltIn, search_policy
+from .identified import IdentifiedZv, IdentifiedZvd
 from .idle import Chance, Hold
 from .informed import INFORMED, PREFIX
 from .lqr import Lqr
@@ -39,6 +40,7 @@ from .predictive import Predictive
 from .profiles import (
     SCurve,
     Trapezoid,
+    TunedRuckig,
     jerk_limited_policy,
     ruckig_ei_policy,
     ruckig_notch_policy,
@@ -93,6 +95,13 @@ POLICIES: dict[str, Baseline] = {
     ),
     "ruckig+notch": Baseline(
         ruckig_notch_policy, "through a notch filter at that resonance", shapes=True
+    ),
+    "tuned_ruckig": Baseline(TunedRuckig, "ruckig with torque and jerk fitted by the tuner"),
+    "identified+zv": Baseline(
+        IdentifiedZv, "shaped for the resonance identified in the first motion", shapes=True
+    ),
+    "identified+zvd": Baseline(
+        IdentifiedZvd, "the same, shaped twice, less particular about it", shapes=True
     ),
     "ruckig+ff": Baseline(RuckigFeedForward, "ruckig with inertia and friction feed-forward"),
     "lqr": Baseline(Lqr, "state feedback from the sensor of the load"),

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.view.about import Sensor
 from .datasheet import Axis, Datasheet, Vibration
 from .profiles import of_the_drive, resonance, shaped, time_optimal
 
@@ -65,16 +66,21 @@ def gain(vibration: Vibration, dt: float) -> np.ndarray:
     return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)[0]
 
 
+def sensed(datasheet: Datasheet, axis: Axis) -> Sensor:
+    """The sensor of the load. Raises ValueError where there is none."""
+    if axis.sensor is None:
+        raise ValueError(
+            "this policy needs the sensor of the load, as 'lqr' does: make "
+            f"{datasheet.task} with {datasheet.sensor}=True"
+        )
+    return axis.sensor
+
+
 class Regulated:
     """One axis: its path, the state that belongs to it, and the feedback of the rest."""
 
     def __init__(self, datasheet: Datasheet, axis: Axis):
-        if axis.sensor is None:
-            raise ValueError(
-                f"policy 'lqr' needs the sensor of the load: make {datasheet.task} with "
-                f"{datasheet.sensor}=True"
-            )
-        self._axis, self._sensor, self._dt = axis, axis.sensor, datasheet.step_time
+        self._axis, self._sensor, self._dt = axis, sensed(datasheet, axis), datasheet.step_time
         self._vibration = resonance(datasheet, axis)
         self._bounds = of_the_drive(axis)
         self._change = self._bounds.acceleration * datasheet.step_time

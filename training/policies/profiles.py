@@ -20,6 +20,7 @@ import numpy as np
 import ruckig
 
 from .datasheet import Axis, Bounds, Datasheet, Vibration
+from .numbers import Range, Tunable
 
 Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the move (m)
 # What the controller needs to hold the path is left to it.
@@ -230,6 +231,26 @@ def jerk_limited_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
 def ruckig_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
     """Time-optimal at the drive's limits."""
     return Profile(datasheet, of_the_drive)
+
+
+class TunedRuckig(Profile, Tunable):
+    """Time-optimal, with the share of the torque and the jerk that a tuner found."""
+
+    NAME = "tuned_ruckig"
+    RANGES = {  # noqa: RUF012
+        "share": Range(0.4, 1.0, TORQUE_SHARE),  # of the maximum torque
+        "jerk_time": Range(0.002, 0.04, JERK_TIME),  # s, in which the acceleration builds up
+    }
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        found = self.numbers(datasheet.task)
+
+        def of_the_tuner(axis: Axis) -> Bounds:
+            rate = max(found["share"] * axis.force - axis.lost, 0.05 * axis.force)
+            rate /= axis.mass(axis.heaviest)
+            return Bounds(axis.speed, rate, rate / found["jerk_time"])
+
+        super().__init__(datasheet, of_the_tuner)
 
 
 def ruckig_zv_policy(datasheet: Datasheet, seed: int = 0) -> Profile:

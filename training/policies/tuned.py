@@ -6,7 +6,7 @@ time, and the choices that a person made on episodes of their own.
 
 import io
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,13 +40,16 @@ TUNINGS = {
 }  # fmt: skip
 
 
-def run(policy: str, episodes: int | None, out: Path, console: Console) -> int:
+def run(
+    policy: str, episodes: int | None, out: Path, console: Console, others: Sequence[str] = ()
+) -> int:  # fmt: skip
     """Fit, write the numbers, and say what it took; -> exit status.
 
     Raises ValueError for a policy whose numbers are not fitted, with near names.
     """
     if policy not in TUNINGS:
-        raise ValueError(f"policy {policy!r} is not tuned by a command: {hint(policy, TUNINGS)}")
+        known = [*TUNINGS, *others]
+        raise ValueError(f"policy {policy!r} is not tuned by a command: {hint(policy, known)}")
     row = TUNINGS[policy]
     count = whole("--episodes", row.episodes if episodes is None else episodes, 1, MOST)
     begin = time.process_time()

@@ -1,0 +1,215 @@
+"""`servogym benchmark headroom`: every row of every task beside what is possible.
+
+The page has for each task the bound, the best that any row played in each episode, and each row as
+a share of both; which of them keep limits of following error, I²t and jerk; and over all tasks
+performance profiles and probabilities of improvement (Agarwal et al. 2021, Deep reinforcement
+learning at the edge of the statistical precipice).
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from ...envs import TASKS
+from ...envs.environment.registry import short
+from ...envs.environment.servo_env import ServoEnv
+from ...envs.view.about import Metric
+from ..policies import LEARNED, POLICIES, SHIPPED, names, needed
+from ..policies.bound import BOUNDS
+from ..report import markdown, number, origin, write_csv, write_page
+from ..scale.work import ALONE, Work
+from ..setup import Setup
+from .episodes import Evaluation, fixed
+from .grid import Grid, played
+from .metrics import metrics, summarise
+from .parts import Episodes, warm
+
+BOUND = "bound"
+INFERRED = ("GantrySway-v0", "Homing-v0")  # what `policies.bound` says of them
+STEPS = (0.2, 0.4, 0.6, 0.8, 0.9)  # of what is possible, in the profile
+ROUGHER = 1.3  # times the jerk of the reference of the task
+HEADING = (
+    "row", "of", "metric", "of what is possible", "of the best played", "success",
+    "rms jerk (m/s³)", "rms torque / rated", "keeps the limits",
+)  # fmt: skip
+NOTES = f"""A row is the interquartile mean [95 % interval] of the metric of the task. *Of what is
+possible* is the mean of the bound over the mean of the row (of a return the other way round), *of
+the best played* the same of the best that any row, told or not, reached in each episode: the best
+path that is known to exist, because it was played. What lies between bound and best played is not
+known. Rows *told* what was drawn, or that rehearse, are no rivals. *Keeps the limits*: share of the
+episodes without a fault, within the rated torque (rms, I²t) and at most {ROUGHER} times the mean
+jerk of the reference of the task; a fault is what a following error beyond its window ends in."""
+
+
+class Row(NamedTuple):
+    """A policy of a task."""
+
+    name: str
+    found: Evaluation
+    share: np.ndarray  # of what is possible, by training and episode; empty without a bound
+
+
+def rows_of(env: type[ServoEnv]) -> list[str]:
+    """The policies of a task in its own way to command, the bound first."""
+    one = env()
+    found = [name for name in names(one) if name != BOUND and not needed(name)]
+    one.close()
+    learned = [LEARNED] if (SHIPPED / short(env.ID)).is_dir() else []
+    bound = [BOUND] if BOUND in env.POLICIES else []
+    return [*bound, *(name for name in found if name in POLICIES), *learned]
+
+
+def chosen(tasks: Sequence[str]) -> list[type[ServoEnv]]:
+    """Those of a list of ids without name space; all with a bound if it is empty."""
+    bounded = [env for env in TASKS if env.ID in BOUNDS and BOUND in env.POLICIES]
+    known = {short(env.ID): env for env in bounded}
+    for name in tasks:
+        if name not in known:
+            raise ValueError(f"--tasks {name}: no bound is known there, only of {', '.join(known)}")
+    return [known[name] for name in tasks] or bounded
+
+
+def run(
+    tasks: Sequence[str], episodes: int, seed: int, out: Path, console: Console,
+    work: Work = ALONE,
+) -> int:  # fmt: skip
+    """Play all rows, and write a page and a CSV; -> exit status."""
+    kinds = chosen(tasks)
+    grid: Grid[tuple[str, str], Evaluation] = Grid()
+    for env in kinds:
+        setup = Setup.of(env)
+        for name in rows_of(env):
+            with grid.tried((short(env.ID), name)):
+                cell = Episodes(setup.having(needed(name)), name, fixed(seed, episodes))
+                grid.cells[short(env.ID), name] = cell
+    command = "servogym benchmark headroom"
+    command += f" --tasks {','.join(tasks)}" if tasks else ""
+    source = origin(f"{command} --episodes {episodes} --seed {seed}")
+    warming = [warm(Setup.of(env)) for env in kinds]
+    path = out / "headroom"
+    with played(grid, work, console, out, warm=warming) as found:
+        text, table = "", []
+        shares: dict[str, list[Row]] = {}
+        for env in kinds:
+            own = {name: one for (task, name), one in found.items() if task == short(env.ID)}
+            lines, rows = section(env, own)
+            text += lines
+            shares[short(env.ID)] = rows
+            table += [
+                {"task": short(env.ID), "row": row.name, "training": k, "episode": i,
+                 "metric": env.METRIC, "value": float(value)}
+                for row in rows
+                for k, values in enumerate(_values(row.found, env.METRIC))
+                for i, value in enumerate(values)
+            ]  # fmt: skip
+        text += across(shares)
+        write_csv(path.with_suffix(".csv"), source, table)
+        write_page(path.with_suffix(".md"), "What is possible", text, source, NOTES)
+        console.print(f"{path}.md, .csv")
+    return 0
+
+
+def _values(found: Evaluation, metric: str) -> np.ndarray:
+    values = found.by_training(metric)
+    assert values is not None
+    return values
+
+
+def share_of(values: np.ndarray, limit: np.ndarray, metric: Metric) -> np.ndarray:
+    """Of what is possible, by episode: 1 is all of it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        parts = limit / values if metric.better == "low" else values / limit
+    return np.where((values == limit) | (values == 0.0), 1.0, parts)
+
+
+def _mean_share(values: np.ndarray, limit: np.ndarray, metric: Metric) -> str:
+    one, other = float(np.mean(values)), float(np.mean(limit))
+    if metric.better == "high":
+        one, other = other, one
+    return f"{100 * other / one:.0f} %" if one > 0.0 else "–"
+
+
+def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, list[Row]]:
+    """The table of a task, best first, and its rows."""
+    name, known = env.METRIC, metrics(env)
+    metric = known[name]
+    limit = found[BOUND].by_training(name)
+    rivals = {n: one for n, one in found.items() if n != BOUND}
+    sign = -1.0 if metric.better == "high" else 1.0
+    every = [row for one in rivals.values() for row in sign * _values(one, name)]
+    best = sign * np.min(every, axis=0)
+    jerk = np.mean(rivals[env.REFERENCE].values["rms_jerk"])
+    rows = []
+    for n, one in rivals.items():
+        share = np.empty(0) if limit is None else share_of(_values(one, name), limit[0], metric)
+        rows.append(Row(n, one, share))
+    rows.sort(key=lambda row: sign * summarise(_values(row.found, name), metric.better).iqm)
+    lines = []
+    for row in rows:
+        values, faults = _values(row.found, name), row.found.values["faults"]
+        rough, heat = row.found.values["rms_jerk"], row.found.values["rms_torque"]
+        with np.errstate(invalid="ignore"):
+            keeps = (faults == 0.0) & ~(heat > 1.0) & ~(rough > ROUGHER * jerk)
+        told = row.name in POLICIES and POLICIES[row.name].told
+        kind = "told" if told else "learned" if row.name == LEARNED else "row"
+        summary = summarise(values, metric.better)
+        success = float(np.mean(row.found.values["success"]))
+        lines.append([
+            row.name, kind,
+            f"{number(summary.iqm)} [{number(summary.low)}, {number(summary.high)}]",
+            "–" if limit is None else _mean_share(values, limit, metric),
+            _mean_share(values, best, metric),
+            f"{100 * success:.0f} %" if np.isfinite(success) else "–",
+            number(float(np.nanmean(rough))) if np.isfinite(rough).any() else "–",
+            number(float(np.nanmean(heat))) if np.isfinite(heat).any() else "–",
+            f"{100 * np.mean(keeps):.0f} %",
+        ])  # fmt: skip
+    task = short(env.ID)
+    sure = "inferred" if task in INFERRED else "proven"
+    whole = "" if limit is None else _mean_share(best[None], limit, metric)
+    where = (
+        f"Bound ({sure}): {number(float(np.mean(limit)))}, best played in each episode: "
+        f"{number(float(np.mean(best)))} ({whole} of what is possible), means."
+        if limit is not None
+        else "No bound is known of this metric; best played in each episode: "
+        f"{number(float(np.mean(best)))}, mean."
+    )
+    return f"## {task}: {metric.heading}\n\n{where}\n\n{markdown(HEADING, lines)}\n", rows
+
+
+def across(shares: Mapping[str, Sequence[Row]]) -> str:
+    """Profiles over the tasks, and how probably `learned` is better than the best other row."""
+    groups: dict[str, list[np.ndarray]] = {"best row": [], LEARNED: [], "best told": []}
+    improvement = []
+    for rows in shares.values():
+        if not all(row.share.size for row in rows):
+            continue
+        told = [row for row in rows if row.name in POLICIES and POLICIES[row.name].told]
+        others = [row for row in rows if row not in told and row.name != LEARNED]
+        learned = [row for row in rows if row.name == LEARNED]
+        for key, own in (("best row", others), (LEARNED, learned), ("best told", told)):
+            groups[key] += [own[0].share.ravel()] if own else []
+        if learned:
+            a, b = learned[0].share.ravel(), others[0].share.ravel()
+            order = np.sign(a[:, None] - b[None, :])
+            improvement.append(0.5 + 0.5 * float(np.mean(order)))
+    heading = ["share of the episodes", *(f"≥ {100 * step:.0f} %" for step in STEPS), "tasks"]
+    lines = [
+        [key, *(
+            f"{100 * np.mean([np.mean(one >= step) for one in parts]):.0f} %" for step in STEPS
+        ), str(len(parts))]
+        for key, parts in groups.items() if parts
+    ]  # fmt: skip
+    text = (
+        "## Over the tasks\n\nThe share of episodes that reach so much of what is possible, mean "
+    )
+    text += f"of the tasks, each with its best row:\n\n{markdown(heading, lines)}\n"
+    if improvement:
+        text += (
+            f"Probability of improvement, `{LEARNED}` over the best row, mean of "
+            f"{len(improvement)} tasks: {np.mean(improvement):.2f}.\n"
+        )
+    return text

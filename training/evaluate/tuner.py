@@ -1,0 +1,119 @@
+"""`servogym tune-policy`: one tuner with one budget for every row that has numbers.
+
+The budget counts steps of the environment, as that of a training does. Two thirds of it try points
+that fill the ranges evenly (the additive recurrence R_d, Roberts 2018, after the untuned numbers)
+on `FEW` training episodes; the rest tries the best of them on `MANY` further ones. What has the
+best interquartile mean of the task's metric there is written. No choice is left to a person.
+"""
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from ...drive.model.names import hint
+from ...envs.environment.registry import short, task
+from ...envs.environment.servo_env import ServoEnv
+from ..policies import POLICIES
+from ..policies.numbers import Tunable
+from ..report import write_bytes
+from .episodes import Evaluator
+from .metrics import iqm, metrics
+
+BUDGET = 300_000  # steps
+FEW, MANY = 16, 48  # episodes, with seeds from 1 on; no evaluation has them
+
+
+def points(ranges: Mapping[str, Any], count: int) -> list[dict[str, float]]:
+    """The untuned numbers, and points that fill the ranges evenly; widths count as ratios."""
+    root = 1.5
+    for _ in range(60):  # of x ** (d + 1) = x + 1
+        root = (1.0 + root) ** (1.0 / (len(ranges) + 1))
+    steps = np.array([root ** -(k + 1) for k in range(len(ranges))])
+    found = [{name: one.untuned for name, one in ranges.items()}]
+    for i in range(1, count):
+        shares = (0.5 + i * steps) % 1.0
+        found.append(
+            {
+                name: float(one.low * (one.high / one.low) ** share)
+                for (name, one), share in zip(ranges.items(), shares, strict=True)
+            }
+        )
+    return found
+
+
+def tunable(policy: str) -> type[Tunable] | None:
+    """The class of a row with numbers; None for another row or name."""
+    row = POLICIES.get(policy)
+    kind = row.make if row else None
+    return kind if isinstance(kind, type) and issubclass(kind, Tunable) else None
+
+
+def offered() -> list[str]:
+    """The rows with numbers."""
+    return [name for name in POLICIES if tunable(name)]
+
+
+def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict[str, Any]:
+    """-> its numbers for a task, the metric with them and untuned, and the budget taken."""
+    begin, steps = time.process_time(), 0
+    metric = env.METRIC
+    sign = -1.0 if metrics(env)[metric].better == "high" else 1.0
+
+    def tried(candidates: list[dict[str, float]], seeds: list[int]) -> list[float]:
+        nonlocal steps
+        evaluator = Evaluator(env, seeds=seeds, traced=None)
+        scores = []
+        for given in candidates:
+            trial = type(kind.__name__, (kind,), {"GIVEN": given})
+            values = evaluator.run(trial).values[metric]
+            scores.append(sign * float(iqm(values.reshape(1, -1))[0]))
+            steps += len(seeds) * evaluator.steps
+        evaluator.close()
+        return scores
+
+    first = max(2 * budget // 3 // (FEW * env.STEPS), 2)
+    candidates = points(kind.RANGES, first)
+    scores = tried(candidates, list(range(1, FEW + 1)))
+    rest = max((budget - steps) // (MANY * env.STEPS) - 1, 1)
+    order = sorted(range(1, first), key=scores.__getitem__)[:rest]
+    finals = [candidates[0], *(candidates[i] for i in order)]
+    last = tried(finals, list(range(FEW + 1, FEW + MANY + 1)))
+    best = int(np.argmin(last))
+    return {
+        "numbers": {name: round(value, 6) for name, value in finals[best].items()},
+        "metric": metric, "tuned": sign * last[best], "untuned": sign * last[0],
+        "steps": steps, "cpu_seconds": round(time.process_time() - begin, 1),
+        "choices": f"ranges of {len(kind.RANGES)} numbers",
+    }  # fmt: skip
+
+
+def run(policy: str, env: str | None, budget: int, out: Path, console: Console) -> int:
+    """Tune a row for a task, add what was found to the file, and say it; -> exit status.
+
+    Raises ValueError for a policy without numbers, or a task that does not offer it.
+    """
+    kind = tunable(policy)
+    if kind is None:
+        raise ValueError(f"policy {policy!r} has no numbers: {hint(policy, offered())}")
+    if env is None:
+        raise ValueError(f"policy {policy!r}: for which task? add --task, as --task LinearAxis-v0")
+    own = task(env)
+    if policy not in own.POLICIES:
+        raise ValueError(f"{own.ID} does not offer {policy!r}: {hint(policy, own.POLICIES)}")
+    found = tune(kind, own, budget)
+    known = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
+    known.setdefault(policy, {})[short(own.ID)] = found
+    write_bytes(out, (json.dumps(known, indent=1, sort_keys=True) + "\n").encode())
+    numbers = ", ".join(f"{name} {value:g}" for name, value in found["numbers"].items())
+    console.print(
+        f"{policy} on {short(own.ID)}: {numbers}; {found['metric']} {found['untuned']:.4g} -> "
+        f"{found['tuned']:.4g}; {found['steps']:,} steps, {found['cpu_seconds']:.0f} CPU-seconds",
+        highlight=False,
+    )
+    console.print(f"{out}", soft_wrap=True)
+    return 0

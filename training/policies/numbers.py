@@ -1,0 +1,41 @@
+"""Numbers that a tuner found: by policy and task, in one file, with what finding them took.
+
+A policy that can be tuned is a class with `RANGES`, the lowest, highest and untuned value of each
+of its numbers; it takes them over by `numbers`. `servogym tune-policy` writes the file.
+"""
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+FILE = Path(__file__).parents[2] / "assets" / "policies" / "tuned.json"
+
+
+class Range(NamedTuple):
+    """Of a number that can be tuned."""
+
+    low: float
+    high: float
+    untuned: float
+
+
+class Tunable:
+    """A policy with numbers."""
+
+    NAME: ClassVar[str]  # of the policy
+    RANGES: ClassVar[Mapping[str, Range]]
+    GIVEN: ClassVar[Mapping[str, float] | None] = None  # by a tuner that tries them
+
+    def numbers(self, task: str) -> dict[str, float]:
+        """Those it has for a task (its id): tried, tuned, or as they are."""
+        own = {name: one.untuned for name, one in self.RANGES.items()}
+        found = tuned().get(self.NAME, {}).get(task.rpartition("/")[2], {})
+        return own | dict(found.get("numbers", {}) if self.GIVEN is None else self.GIVEN)
+
+
+@lru_cache(maxsize=1)
+def tuned() -> dict[str, Any]:
+    """What comes with the laboratory."""
+    return json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
