@@ -14,10 +14,15 @@ from ...drive.machine import Standing
 from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint
 from ..engine.machine import Machine
+from . import twins
 from .gantry import gantry
 from .linear_axis import linear_axis
 from .rotary import rotary_axis
 
+# what a twin names as that which builds it
+BUILDERS: Mapping[str, Callable[..., Machine]] = {
+    "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
+}  # fmt: skip
 # machine by name, and where its axes stand at power-on (m)
 AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
     "linear": (linear_axis, {"x": 0.12}),
@@ -83,6 +88,20 @@ def fresh(axis: str, drive: str = "generic") -> Machine:
     machine = make(drive)
     power_on(machine, places)
     return machine
+
+
+def of_twin(folder: str | Path, drive: str | Path | DriveModel | None = None) -> Machine:
+    """The machine in a folder of `servogym twin`, commissioned and at rest.
+
+    Args:
+        folder: with a ``twin.json``.
+        drive: a model in place of the twin's own.
+
+    Raises:
+        ValueError: there is no twin in it, it is damaged, or the drive does not fit.
+    """
+    found = twins.read(folder)
+    return found.machine(BUILDERS[found.builder], drive)
 
 
 def power_on(machine: Machine, places: Mapping[str, float]) -> None:

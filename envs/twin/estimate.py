@@ -19,7 +19,7 @@ from .candidates import LAG, SEED, Candidates
 from .experiment import Experiment
 
 ORDER = 6  # of the autoregression
-BLOCK = 0.05  # s, of the sandwich
+BLOCK, MOVE = 0.05, 0.25  # s, of the sandwich; of what is no noise but the same in each move
 TRIES = (0.03, 1.0, 30.0)  # of the damping, side by side
 SMALL = 1e-4  # of the cost, a step that gains less is the last one of a search from far away
 CLOSE = 0.05  # of the sum of squares of white residuals; near the end the same
@@ -193,7 +193,7 @@ class Search:
             )
         return found
 
-    def _white(self, values: Sequence[Mapping[str, float]], noise: Noise) -> list[np.ndarray]:
+    def white(self, values: Sequence[Mapping[str, float]], noise: Noise) -> list[np.ndarray]:
         """White residuals of the samples of motion."""
         return [
             noise.white(r)[:, moving] for r, moving in zip(self.residuals(values), self._moving,
@@ -216,7 +216,7 @@ class Search:
 
     def cost(self, values: Sequence[Mapping[str, float]], noise: Noise) -> np.ndarray:
         """Mean square of white residuals of each set of values."""
-        parts = self._white(values, noise)
+        parts = self.white(values, noise)
         total = sum(np.sum(np.square(part), axis=(1, 2)) for part in parts)
         count = sum(part.shape[1] * 2 for part in parts)
         cost: np.ndarray = np.nan_to_num(total / count, nan=1e30, posinf=1e30)
@@ -226,17 +226,17 @@ class Search:
         self, free: Sequence[Free], values: Mapping[str, float], noise: Noise, steps: int = 10,
         close: bool = False,
     ) -> Estimate:  # fmt: skip
-        """Levenberg and Marquardt, candidates side by side; the last Jacobian is central.
+        """Levenberg and Marquardt, candidates side by side.
 
         With `close` it ends where the sum of squares stands still, of which one is a standard
-        error; else where its ratio does.
+        error, and the last Jacobian is central; else where its ratio does.
         """
         free = list(free)
         x = np.array([f.inner(max(values[f.name], f.low)) for f in free])
         damping, best = 1.0, math.inf
         for n in range(steps + 1):
             last = n == steps
-            white, jacobian = self._linear(free, x, noise, central=last)
+            white, jacobian = self._linear(free, x, noise, central=last and close)
             best = float(np.mean(white**2))
             here = {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
             self.told(self.fixed | here, best)
@@ -257,13 +257,13 @@ class Search:
                 damping *= 100.0
                 if damping > 1e7:
                     steps = n
-                    white, jacobian = self._linear(free, x, noise, central=True)
+                    white, jacobian = self._linear(free, x, noise, central=close)
                     break
                 continue
             gained = best - float(costs[winner])
             x, damping = trials[winner], damping * TRIES[winner]
             if gained < (CLOSE / len(white) if close else SMALL * best):
-                white, jacobian = self._linear(free, x, noise, central=True)
+                white, jacobian = self._linear(free, x, noise, central=close)
                 best = float(np.mean(white**2))
                 break
         values = self.fixed | {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
@@ -292,7 +292,7 @@ class Search:
         inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
         values, spread = dict(estimate.values), np.zeros_like(gram)
         for _ in range(CORRECTIONS):
-            noisy = self._white([values | each for each in seeds], estimate.noise)
+            noisy = self.white([values | each for each in seeds], estimate.noise)
             away = np.concatenate([part.reshape(count, -1) for part in noisy], axis=1)
             steps = -(away @ jacobian) @ inverse
             spread = np.cov(steps.T).reshape(len(free), len(free)) * (1 + 1 / count)
@@ -324,7 +324,7 @@ class Search:
         inner = [
             [f.inner(max(v[f.name], 1e-300) if f.log else v[f.name]) for f in free] for v in sets
         ]
-        parts = self._white(sets, noise)
+        parts = self.white(sets, noise)
         flat = np.concatenate([p.reshape(len(sets), -1) for p in parts], axis=1)
         flat = np.nan_to_num(flat, nan=1e6, posinf=1e6, neginf=-1e6)
         jacobian = np.zeros((flat.shape[1], len(free)))
@@ -351,7 +351,7 @@ class Search:
         meat, blocks, begin = np.zeros_like(gram), 0, 0
         for length, experiment in zip(self._lengths, self.experiments, strict=True):
             period = experiment.duration / max(length // 2 - 1, 1)
-            block = max(int(BLOCK / period), 4) * 2
+            block = max(int((MOVE if self.candidates.coarse else BLOCK) / period), 4) * 2
             for at in range(begin, begin + length, block):
                 part = slice(at, min(at + block, begin + length))
                 score = jacobian[part].T @ white[part]

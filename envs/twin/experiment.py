@@ -39,6 +39,7 @@ SETTLING = 0.25  # s that a machine stands enabled before the log begins
 SHORTEST = 0.3  # s of a log
 REST = 0.02  # s without motion, from which an experiment in profile position may begin
 MOTION = 1e-3  # m/s or rad/s
+ALIKE = 1.6  # most that set-points travel farther than the axis, or less far
 UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrator brought along
 
 
@@ -208,6 +209,14 @@ def experiment(
             f"{log}: the torque does not change in it: map torque_actual_value (6077h), or "
             "current_actual_value (6078h), into a TPDO and record again"
         )
+    if target == "target_position":
+        asked = np.interp(time, clock(raw.time), raw.value * scale.position)
+        _fitting(asked, measured, quantum_p, log)
+    low, high = machine.range(name)
+    if not (low <= measured.min() and measured.max() <= high):
+        notes.append(
+            "positions outside the range of the machine: not homed, or its zero is elsewhere"
+        )
     lost = 1.0 - len(time) / max(
         round(float(time[-1] - time[0]) / (samples.period * stretch)) + 1, 1
     )
@@ -215,6 +224,23 @@ def experiment(
         log, used, step, period, rows, arrives, lead, float(measured[0]), time, measured, torques,
         (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0),
     )  # fmt: skip
+
+
+def _fitting(asked: np.ndarray, measured: np.ndarray, quantum: float, log: str) -> None:
+    """Whether set-points and positions are of one axis and in one unit."""
+    travel = float(np.ptp(measured))
+    ratio = float(np.ptp(asked)) / max(travel, quantum, 1e-12)
+    if not 1 / ALIKE < ratio < ALIKE:
+        raise Unusable(
+            f"{log}: the set-points travel {ratio:.3g} times as far as the axis: their units or "
+            "their axis are others; record 607Ah and 6064h of one node, or mend --columns"
+        )
+    away = float(np.median(measured - asked))
+    if abs(away) > 0.5 * travel:
+        raise Unusable(
+            f"{log}: the axis lies {away:.3g} away from its set-points: home it before, and record "
+            "607Ah and 6064h of one node"
+        )
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,14 @@
 """Families of mechanics a log may come from, and what is unknown of each."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ...drive.model.model import DriveModel
 from ...drive.model.names import hint
 from ..engine.machine import Machine
-from ..plants.gantry import gantry
-from ..plants.linear_axis import linear_axis
-from ..plants.rotary import rotary_axis
+from ..plants.catalogue import BUILDERS
 
-BUILDERS: Mapping[str, Callable[..., Machine]] = {
-    "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
-}  # fmt: skip
 GAINS = ("velocity_gain", "integral_time", "position_gain")
 COMMON = ("coulomb_friction", "viscous_friction", "load_force")
 

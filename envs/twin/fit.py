@@ -29,6 +29,9 @@ PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.2, 1.0) for d in (0.6
 LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, about the lag that the first run shows
 SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of at least
 UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
+NOTHING = 0.1  # the same where the inertia that comes out could be one
+BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
+LIGHT = 0.6  # least inertia over that of the motor and what is known to be on it
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class Fitted:
     noise: float  # standard deviation of the encoder, m or rad
     unit: str
     runs: int
+    increment: float = 0.0  # of a coarse encoder (m or rad), which then is the floor; else 0
     complete: bool = True  # False: interrupted
     candidates: Candidates | None = field(default=None, compare=False, repr=False)
     simulated: list[Simulated] = field(default_factory=list, compare=False, repr=False)
@@ -57,6 +61,29 @@ class Fitted:
     def ratio(self) -> float:
         """Held-out position error over the noise floor."""
         return self.held_position / max(self.floor_position, 1e-12)
+
+    def shares(self, held: bool = True) -> dict[str, float]:
+        """What is left over of position (rms, m or rad), following error and torque (shares).
+
+        Args:
+            held: of what was held out, else of what was fitted.
+        """
+        left: list[list[np.ndarray]] = [[], [], [], []]
+        for experiment, run, cut in zip(self.whole, self.simulated, self.cuts, strict=True):
+            at = (experiment.time >= cut) == held
+            found = (
+                experiment.position - run.position[0], run.demand[0] - experiment.position,
+                experiment.torque - run.torque[0], experiment.torque,
+            )  # fmt: skip
+            for column, values in zip(left, found, strict=True):
+                column.append(values[at])
+        position, error, torque, whole = (
+            math.sqrt(float(np.mean(np.concatenate(column) ** 2))) for column in left
+        )
+        return {
+            "position_rms": position, "following_error": position / max(error, 1e-12),
+            "torque": torque / max(whole, 1e-12),
+        }  # fmt: skip
 
     @property
     def verdict(self) -> str:
@@ -85,7 +112,7 @@ def fit(
     candidates = Candidates(lambda: chosen.make(drive), chosen.axis)
     joint = candidates.joint
     rough = regress(list(experiments), joint.gear)
-    _usable(experiments, rough, joint)
+    refuse(experiments, rough, joint, chosen)
     training, cuts = _split(experiments)
     search = Search(candidates, training)
     start = _start(chosen, joint, rough, experiments)
@@ -119,6 +146,7 @@ def fit(
         if estimate is None:
             raise
     held = _judge(candidates, experiments, cuts, best)
+    worse = _worse(search, Search(candidates, experiments), cuts, best, noise)
     if complete:
         try:
             all_of_it = Search(candidates, experiments, told=search.told)
@@ -129,12 +157,14 @@ def fit(
             )
             if held[-1] > 0.0:
                 estimate = all_of_it.replicate(estimate, held[-1])
+            estimate = replace(estimate, covariance=estimate.covariance * worse)
         except KeyboardInterrupt:
             complete = False
     simulated = [candidates.simulate(each, [estimate.values]) for each in experiments]
     return Fitted(
-        chosen, estimate.values, estimate, rough, *held, joint.unit, candidates.runs, complete,
-        candidates, simulated, list(experiments), cuts,
+        chosen, estimate.values, estimate, rough, *held, joint.unit, candidates.runs,
+        candidates.increment if candidates.coarse else 0.0, complete, candidates, simulated,
+        list(experiments), cuts,
     )  # fmt: skip
 
 
@@ -159,7 +189,10 @@ def choose(
     return min(tried, key=lambda each: each.ratio), tried
 
 
-def _usable(experiments: Sequence[Experiment], rough: Rough, joint: parameters.Joint) -> None:
+def refuse(
+    experiments: Sequence[Experiment], rough: Rough, joint: parameters.Joint, chosen: Family
+) -> None:
+    """Raise Unusable for logs that tell too little, or do not fit together, in one line."""
     name = experiments[0].name
     axis = joint.drive.axis
     limit = 0.995 * min(float(axis.torque_limit_positive), float(axis.torque_limit_negative))
@@ -170,6 +203,20 @@ def _usable(experiments: Sequence[Experiment], rough: Rough, joint: parameters.J
                 f"{each.name}: the torque is at its limit in {100 * at_limit:.0f} % of the motion, "
                 "so the loops are open there: record moves with less acceleration"
             )
+        beyond = float(np.abs(each.torque).max()) / max(limit, 1e-12)
+        if beyond > BEYOND:
+            raise Unusable(
+                f"{each.name}: a torque of {beyond:.2g} times the limit of the drive is in it: "
+                "give its rated torque (6076h), or its current with --torque-constant; record "
+                "again if the limit itself is another"
+            )
+    if rough.explained < NOTHING or (rough.explained < UNEXPLAINED and rough.inertia <= 0.0):
+        raise Unusable(
+            f"{name}: torque and motion do not belong together (inertia and friction explain "
+            f"{100 * max(rough.explained, 0):.0f} % of the torque): is it the torque of this "
+            "axis, are --drive and the units right, and are the signs those of the drive? Record "
+            "6064h and 6077h of one node"
+        )
     if rough.one_way:
         raise Unusable(
             f"{name}: the axis moves in one direction only, so friction and a constant load look "
@@ -180,16 +227,17 @@ def _usable(experiments: Sequence[Experiment], rough: Rough, joint: parameters.J
             f"{name}: there is hardly an acceleration in it, so the mass cannot be told: record "
             "moves with at least half the usual acceleration"
         )
-    if rough.explained < UNEXPLAINED and rough.inertia <= 0.0:
-        raise Unusable(
-            f"{name}: torque and motion do not belong together (inertia and friction explain "
-            f"{100 * max(rough.explained, 0):.0f} % of the torque): is it the torque of this "
-            "axis, are --drive and the units right, and are the signs those of the drive?"
-        )
     if rough.inertia <= 0.0:
         raise Unusable(
             f"{name}: more torque goes with less acceleration: the sign of torque or position is "
-            "turned (polarity 607Eh), or they are of two axes"
+            "turned (polarity 607Eh), or they are of two axes: record 6064h and 6077h of one node"
+        )
+    own = float(joint.coupling.gear) ** -2 * float(joint.model.dof_armature[joint.coupling.dof])
+    if chosen.mass != "rotor_inertia" and rough.inertia < LIGHT * own:
+        raise Unusable(
+            f"{name}: the inertia at the shaft comes out as {rough.inertia:.2g} kg·m², the motor's "
+            f"own is {own:.2g} kg·m²: the units of position or torque do not fit, or the motor is "
+            "another (--set rotor_inertia=...)"
         )
 
 
@@ -321,6 +369,21 @@ def _starts(
             if len(starts) == BEST:
                 break
     return starts
+
+
+def _worse(
+    fitted: Search, whole: Search, cuts: Sequence[float], values: Mapping[str, float], noise: Noise
+) -> float:  # fmt: skip
+    """How much larger the squares of white residuals are where nothing was fitted, at least 1."""
+    inside = float(fitted.cost([values], noise)[0])
+    parts = [
+        white[0][each.time[each.moving] >= cut]
+        for white, each, cut in zip(
+            whole.white([values], noise), whole.experiments, cuts, strict=True
+        )
+    ]
+    outside = np.concatenate(parts)
+    return max(float(np.mean(outside**2)) / max(inside, 1e-12), 1.0) if len(outside) else 1.0
 
 
 def _judge(

@@ -40,6 +40,7 @@ def content(
     noise = fitted.noise
     rows["encoder_noise"] = _row(noise, noise, noise, parameters.unit(joint, "encoder_noise"))
     experiment = fitted.whole[0]
+    held, inside = fitted.shares(), fitted.shares(held=False)
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "drive": drive,
@@ -57,6 +58,10 @@ def content(
             "fit": _short(100 * fitted.share),
             "floor": _short(fitted.floor_position),
             "floor_torque": _short(fitted.floor_torque),
+            "following_error_left": _short(held["following_error"]),
+            "torque_left": _short(held["torque"]),
+            "fitted_position_rms": _short(inside["position_rms"]),
+            "increment": _short(fitted.increment),
         },
         "verdict": fitted.verdict,
         "said": verdict(fitted),

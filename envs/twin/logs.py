@@ -40,7 +40,8 @@ def read(
         if not having:
             raise Unusable(
                 f"{log}: no position in it: map position_actual_value (6064h) into a TPDO and "
-                "record again, with the SDOs that map it, or --columns of a CSV"
+                "record again, with the SDOs that map it (of another drive model they mean "
+                "something else: --drive), or say --columns of a CSV"
             )
         if who is None and len(having) > 1:
             raise Unusable(

@@ -32,7 +32,9 @@ def report(folder: Path, fitted: Fitted, content: Mapping[str, Any]) -> list[Pat
         f"| parameter | value | 95 % from | to | unit |\n|---|---:|---:|---:|---|\n{rows}",
         f"Held out: position {held['position_rms']:.3g} {unit} rms (floor {held['floor']:.3g}), "
         f"torque {held['torque_rms']:.3g} Nm rms (floor {held['floor_torque']:.3g}), "
-        f"{held['fit']:.4g} % of the motion.\n",
+        f"{held['fit']:.4g} % of the motion; {100 * held['following_error_left']:.3g} % of the "
+        f"following error and {100 * held['torque_left']:.3g} % of the torque are left over. "
+        f"Fitted: position {held['fitted_position_rms']:.3g} {unit} rms.\n",
         "".join(f"- {each}\n" for each in (*content["doubts"], *content["notes"])),
         "![measured and simulated](motion.png)\n",
         "![friction](friction.png) ![spectrum](spectrum.png)\n",

@@ -1,5 +1,7 @@
 """What a fit cannot tell, in words, and the move that would."""
 
+import numpy as np
+
 from .candidates import LAG
 from .fit import FAIR, GOOD, Fitted
 
@@ -38,10 +40,7 @@ ALWAYS = (
     "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "
     "constant. A second log with a known payload added would tell it."
 )
-NARROW = (
-    "The intervals of an axis with a spring are too narrow: about half of the true values lie in "
-    "them. Take twice their width."
-)
+SWINGING = 0.05  # torque at rest of the highest one, above which the axis does not stand still
 
 
 def doubts(fitted: Fitted) -> list[str]:
@@ -72,17 +71,35 @@ def doubts(fitted: Fitted) -> list[str]:
             low, high = estimate.interval(name)
             advice = ALONE.get(name, "read it from the drive (--read-gains)")
             said.append(f"{name} is known poorly ({low:.3g} to {high:.3g}): {advice}.")
-    if fitted.family.spring:
-        said.append(NARROW)
-    return said
+    return said + _limit_cycle(fitted)
+
+
+def _limit_cycle(fitted: Fitted) -> list[str]:
+    """A sentence about an axis that swings between increments where it should stand."""
+    if not fitted.increment:
+        return []
+    measured, twin = [], []
+    for experiment, run in zip(fitted.whole, fitted.simulated, strict=True):
+        measured.append(experiment.torque[~experiment.moving])
+        twin.append(run.torque[0][~experiment.moving])
+    there, here = (float(np.std(np.concatenate(each))) for each in (measured, twin))
+    highest = max(float(np.abs(each.torque).max()) for each in fitted.whole)
+    if there < SWINGING * highest:
+        return []
+    return [
+        f"At rest the axis swings between increments of its encoder: torque {there:.3g} Nm rms, "
+        f"{here:.3g} of the twin. When it passes an edge nobody can foretell, so torque at rest is "
+        "not compared."
+    ]
 
 
 def verdict(fitted: Fitted) -> str:
     """In a sentence."""
     scale, unit = (1e6, "µm") if fitted.unit == "m" else (1e6, "µrad")
-    figures = (
-        f"held-out position error {scale * fitted.held_position:.3g} {unit} rms, "
-        f"{fitted.ratio:.2f} times what the encoder's noise alone would leave "
+    figures = f"held-out position error {scale * fitted.held_position:.3g} {unit} rms, " + (
+        f"{fitted.held_position / fitted.increment:.2f} increments of the encoder"
+        if fitted.increment
+        else f"{fitted.ratio:.2f} times what the encoder's noise alone would leave "
         f"({scale * fitted.floor_position:.3g} {unit})"
     )
     if not fitted.complete:

@@ -123,11 +123,13 @@ def hide(machine, rng, names, spread=1.0):
 
 
 def csp_log(machine, file, rng, *, seconds=4.0, period=1e-3, noise=0.5e-6, home=True, dropped=0.0,
-            jitter=0.0, **shape):  # fmt: skip
+            jitter=0.0, places=None, **shape):  # fmt: skip
     """Moves in csp with hidden noise, recorded by a logger with clock jitter; -> the file."""
     parameters.put(machine, {"encoder_noise": noise})
     machine.couplings["noise_state"] = int(rng.integers(1, 2**62))
-    set_points = np.round(moves(rng, seconds, period, **shape) * 1e6).astype(int)
+    if places is None:
+        places = moves(rng, seconds, period, **shape)
+    set_points = np.round(places * 1e6).astype(int)
     machine.reset({"x": set_points[0] * 1e-6})
     node = Node(machine, file, rng, period=period, dropped=dropped, jitter=jitter)
     drive = machine.drives["x"]

@@ -19,7 +19,7 @@ from servogym.envs.twin import logs
 from servogym.envs.twin.estimate import Noise, colour
 from servogym.envs.twin.experiment import Unusable, experiment
 from servogym.envs.twin.families import FAMILIES
-from servogym.envs.twin.fit import fit
+from servogym.envs.twin.fit import fit, refuse
 from servogym.envs.twin.folder import save
 from servogym.envs.twin.health import changes
 from servogym.envs.twin.plan import Limits, plan
@@ -158,9 +158,10 @@ def streams(log, **other):
     return {name: signal for name, signal in signals.items() if signal is not None}
 
 
-def twin_of(signals):
-    found = experiment(signals, linear_axis(), "x")
-    return fit([found], "generic", FAMILIES["rigid"], gains_known=True)
+def usable(found):
+    """What a fit asks of an experiment before it begins."""
+    joint = parameters.Joint(FAMILIES["rigid"].make("generic"), "x")
+    refuse([found], regress([found], joint.gear), joint, FAMILIES["rigid"])
 
 
 def still(s):
@@ -190,27 +191,79 @@ def test_a_log_that_lacks_something_says_what_and_how_to_record_it(recorded, oth
     assert "record" in str(error.value) or "map" in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"torque_actual_value": lambda s: Signal(s.time, -s.value, s.unit)}, "turned"),
-        ({"torque_actual_value": lambda s: Signal(s.time, 0 * s.value + 3000 * (
-            np.arange(len(s.value)) % 2 * 2 - 1), s.unit)}, "limit|turned|belong|change"),
-    ],
-)  # fmt: skip
-def test_torque_that_is_not_of_this_motion_is_refused(recorded, change, said):
-    with pytest.raises(Unusable, match=said):
-        twin_of(streams(recorded[0], **change))
+def other(change):
+    return lambda s: Signal(s.time, change(s.value), s.unit)
 
 
-def test_moves_in_one_direction_are_refused(recorded):
-    found = experiment(streams(recorded[0]), linear_axis(), "x")
-    speed = np.diff(found.position)
-    ends = np.flatnonzero(speed * np.sign(speed[np.argmax(np.abs(speed))]) < -2e-6)
-    first = found.until(float(found.time[ends[0]]) if len(ends) else 0.5)
-    if len(first.time) > 100 and abs(np.ptp(first.position)) > 0.01:
-        with pytest.raises(Unusable, match="one direction"):
-            fit([first], "generic", FAMILIES["rigid"], gains_known=True)
+def noise(values):
+    return np.round(np.random.default_rng(1).normal(0, 100, len(values)))
+
+
+BOTH = "position_actual_value", "target_position"
+UNFIT = {
+    "turned": ({"torque_actual_value": other(lambda v: -v)}, "turned"),
+    "torque of another axis": ({"torque_actual_value": other(lambda v: np.roll(v, 700))}, "belong"),
+    "torque of no axis": ({"torque_actual_value": other(noise)}, "belong"),
+    "saturated": (
+        {"torque_actual_value": other(lambda v: np.clip(40 * v, -3000, 3000))}, "at its limit"),
+    "torque in another unit": ({"torque_actual_value": other(lambda v: 10 * v)}, "rated torque"),
+    "torque too small": ({"torque_actual_value": other(lambda v: v / 10)}, "units"),
+    "positions in another unit": (dict.fromkeys(BOTH, other(lambda v: 10 * v)), "units"),
+    "set-points in another unit": ({"target_position": other(lambda v: 1000 * v)}, "travel"),
+    "set-points of another axis": ({"target_position": other(lambda v: v + 7e6)}, "home it"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "said"), UNFIT.values(), ids=UNFIT)
+def test_a_log_that_does_not_fit_together_is_refused_in_one_line(recorded, change, said):
+    with pytest.raises(Unusable, match=said) as error:
+        usable(experiment(streams(recorded[0], **change), linear_axis(), "x"))
+    assert "\n" not in str(error.value)
+
+
+def test_moves_in_one_direction_are_refused(tmp_path):
+    at = np.clip(np.arange(3000) * 1e-3, 0, 2.8) / 0.35
+    steps = np.floor(at) + 0.5 - 0.5 * np.cos(np.pi * (at % 1))  # eight, all to the right
+    log = made.csp_log(linear_axis(), tmp_path / "up.log", np.random.default_rng(1),
+                       places=0.05 + 0.05 * steps)  # fmt: skip
+    with pytest.raises(Unusable, match="one direction"):
+        usable(experiment(streams(log), linear_axis(), "x"))
+
+
+def test_an_axis_that_was_not_homed_is_a_note(recorded):
+    far = dict.fromkeys(BOTH, other(lambda v: v + 7e6))
+    found = experiment(streams(recorded[0], **far), linear_axis(), "x")
+    usable(found)
+    assert any("not homed" in note for note in found.notes)
+
+
+def test_the_log_of_another_drive_is_refused(recorded):
+    for drive in ("kollmorgen_akd", "metronix_ars2000"):
+        with pytest.raises(Unusable, match="--drive"):
+            logs.read([recorded[0]], linear_axis(drive), drive, "x")
+
+
+def test_a_twin_that_faults_where_the_log_runs_on_says_so(recorded):
+    known = FAMILIES["rigid"].given(
+        objects={
+            "motor_temperature_limit": 1,
+            "motor_thermal_resistance": 10**6,
+            "motor_thermal_time": 1,
+            "motor_winding_loss": 10**6,
+        }
+    )
+    (found,) = logs.read([recorded[0]], known.make("generic"), "generic", "x")
+    with pytest.raises(Unusable, match="fault"):
+        fit([found], "generic", known, gains_known=True)
+
+
+def test_a_table_without_its_current_scale_says_which_option(tmp_path):
+    table = tmp_path / "scope.csv"
+    rows = "".join(f"{n},{n % 50},{n % 7}\n" for n in range(400))
+    table.write_text("t,x,i\n" + rows)
+    with pytest.raises(Unusable, match="--torque-constant"):
+        logs.read([table], linear_axis(), "generic", "x", columns="time=t:ms,target_position=x:mm,"
+                  "position_actual_value=x:mm,current_actual_value=i:A")  # fmt: skip
 
 
 def test_a_log_without_a_drive_is_one_line(tmp_path, capsys):

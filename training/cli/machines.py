@@ -122,18 +122,11 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
 
 
 def _of_twin(options: argparse.Namespace) -> Machine:
-    from ...envs import gantry, linear_axis, rotary_axis
-    from ...envs.plants import twins
+    from ...envs.plants.catalogue import of_twin
 
     if options.set or options.machine not in (None, "rigid"):
         raise ValueError("--twin is a machine by itself: leave out --set and the machine's name")
-    found = twins.read(options.twin)
-    makers: dict[str, Callable[..., Machine]] = {
-        "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
-    }  # fmt: skip
-    return found.machine(
-        makers[found.builder], None if options.drive == "generic" else options.drive
-    )
+    return of_twin(options.twin, None if options.drive == "generic" else options.drive)
 
 
 def _middles(machine: Machine) -> dict[str, float]:
