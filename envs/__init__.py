@@ -14,13 +14,14 @@ from .plants.gantry import Gantry, GantryParameters, gantry
 from .plants.linear_axis import linear_axis
 from .plants.rotary import rotary_axis
 from .plants.rotary_parameters import ROTARY_FAMILY, RotaryParameters
-from .tasks import ON_MODELS, POINT_TO_POINT, TASKS
+from .tasks import ON_MODELS, POINT_TO_POINT, SWINGING_LOAD, TASKS
 
 __all__ = [
     "FAMILY",
     "METRE",
     "POINT_TO_POINT",
     "ROTARY_FAMILY",
+    "SWINGING_LOAD",
     "TASKS",
     "Gantry",
     "GantryParameters",

@@ -72,7 +72,7 @@ class Setup:
     def prepare(self, env: ServoEnv) -> None:
         """Have the drives of an environment load the stored parameters, if there are any."""
         if self.parameter_file is not None:
-            env.machine.drives["x"].use_parameter_file(self.parameter_file)
+            env.use_parameter_file(self.parameter_file)
 
     @cached_property
     def ranges(self) -> Mapping[str, Any]:

@@ -179,6 +179,14 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
 
     # ------------------------------------------------------------------- setting up
 
+    def use_parameter_file(self, file: str | Path) -> None:
+        """Load the stored parameters of the first drive, but for the PDO mapping, the task's own.
+
+        Raises ValueError for a file that the drive does not take.
+        """
+        self.drive.use_parameter_file(file)
+        self._configure()
+
     def _configure(self) -> None:
         """PDO mapping and interpolation period, through the objects of the drives."""
         for drive in self.drives:

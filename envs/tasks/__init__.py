@@ -24,3 +24,4 @@ TASKS = (
 )
 ON_MODELS = (RobotEnv,)  # their machine is an argument
 POINT_TO_POINT = LinearAxisEnv  # what speed and positioning are measured with
+SWINGING_LOAD = CompliantAxisEnv  # the same with a sensor at a load on a spring

@@ -101,11 +101,11 @@ def run(
     return 0
 
 
-def known_mechanics(names: Sequence[str]) -> None:
-    """Raises ValueError for an axis that is not of the family."""
+def known_mechanics(names: Sequence[str], others: Sequence[str] = ()) -> None:
+    """Raises ValueError for an axis that is neither of the family nor one of the others."""
     for name in names:
-        if name not in FAMILY:
-            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join(FAMILY)}")
+        if name not in (*FAMILY, *others):
+            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join((*FAMILY, *others))}")
 
 
 def written(what: str, drive: str, quick: bool, chosen: Mapping[str, Any]) -> str:
