@@ -366,8 +366,9 @@ Each drive model on all mechanics with six loads: built, enabled, homed by the s
 two drives in X squared by theirs), moved by 100 mm (1 rad), then over the stroke at its full
 profile. It *moves* if the following error stays in its window, the profile velocity is reached, it
 rests in the position window, and all loops keep 6 dB and 35°, by the model and as `servogym bode`
-measures them. What is refused says in one sentence which load this motor and this drive take, which
-was played as well. Gantries are measured with the usual and the heaviest load. An inverter has no positions: it is enabled and turns to and fro.
+measures them (gantries with the usual and the heaviest load). What is refused says in one sentence
+which load this motor and this drive take; that load was played as well. An inverter has no
+positions: it is enabled and turns to and fro.
 
 ```sh
 python tests/plants/delivered.py docs/results/commissioning.md
