@@ -57,16 +57,26 @@ class LockStep:
             self._own.send(self._sync, self.time)
             self._pass_period()
 
-    def serve(self, link: Link) -> None:
+    def serve(self, link: Link, *, ends: bool = False) -> None:
         """Take the frames of a master's link, let a period pass at each SYNC, send the answers.
 
         The nodes answer a SYNC before its period passes; what happens within it comes after it.
+
+        Args:
+            link: of the master.
+            ends: a SYNC ends its period instead of beginning it. Then what a master has sent
+                since the one before acts for the whole period, and the nodes answer with what
+                came of it.
         """
         for frame in link.receive(self.time):
+            is_sync = frame.id == self._sync.id and not (frame.remote or frame.extended)
+            if is_sync and ends:
+                self._pass_period()
+                self._forward(link)
             self._own.send(frame, self.time)
             self._settle()
             self._forward(link)
-            if frame.id == self._sync.id and not (frame.remote or frame.extended):
+            if is_sync and not ends:
                 self._pass_period()
                 self._forward(link)
         self._settle()

@@ -54,6 +54,9 @@ class SegmentMaster(Protocol):
     def cycle(self) -> bool:
         """Exchange process data."""
 
+    def look(self) -> bool:
+        """Read the inputs alone."""
+
 
 class EtherCatPort:
     """Slaves of one segment, in OPERATIONAL.

@@ -128,4 +128,9 @@ class AdapterPort(CanPort):
     """
 
     def __init__(self, adapter: Adapter, wait: float = 0.002):
-        self._send, self._receive, self._wait = adapter.send, adapter.receive, wait
+        self._send, self._receive, self.patience, self._log = (
+            adapter.send,
+            adapter.receive,
+            wait,
+            None,
+        )

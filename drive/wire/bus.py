@@ -63,7 +63,9 @@ class CanPort:
 
     Args:
         bus: the bus; its owner shuts it down.
-        wait: for the first frame, where none has come yet (s).
+        wait: for the first frame, where none has come yet (s); `patience` from then on.
+        log: takes every message that is sent or has come, as a
+            `servogym.drive.wire.log.LogFile`.
 
     A full transmit buffer is given `PATIENCE` to empty; a bus that takes or gives no frames raises
     `servogym.drive.master.BusError`.
@@ -72,8 +74,13 @@ class CanPort:
     _send: Callable[[can.Message], None]
     _receive: Callable[[float], can.Message | None]
 
-    def __init__(self, bus: can.BusABC, wait: float = 0.002):
-        self._send, self._receive, self._wait = bus.send, bus.recv, wait
+    def __init__(
+        self,
+        bus: can.BusABC,
+        wait: float = 0.002,
+        log: Callable[[can.Message], object] | None = None,
+    ):
+        self._send, self._receive, self.patience, self._log = bus.send, bus.recv, wait, log
 
     def now(self) -> float:
         """The clock (s)."""
@@ -82,13 +89,19 @@ class CanPort:
     def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
         """Send `frames`, -> what has been received since."""
         for frame in frames:
-            give(self._send, to_message(frame))
+            message = to_message(frame)
+            give(self._send, message)
+            if self._log is not None:
+                message.timestamp, message.is_rx = time.time(), False
+                self._log(message)
         received = []
         try:
-            message = self._receive(self._wait)
-            while message is not None:
-                received.append(to_frame(message))
-                message = self._receive(0)
+            heard = self._receive(self.patience)
+            while heard is not None:
+                if self._log is not None:
+                    self._log(heard)
+                received.append(to_frame(heard))
+                heard = self._receive(0)
         except TROUBLE as error:
             raise BusError(
                 "receiving",

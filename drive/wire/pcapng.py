@@ -57,6 +57,10 @@ class Writer:
                            len(frame))  # fmt: skip
         self._block(PACKET, head + _padded(bytes(frame)))
 
+    def flush(self) -> None:
+        """Hand what is written to the operating system: it survives a kill of the process."""
+        self._file.flush()
+
     def close(self) -> None:
         """Finish the file."""
         self._file.close()

@@ -20,6 +20,16 @@ WAIT = 0.0005  # s for a frame; what has a period of 1 ms is then in time
 ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
 
 
+def arrival(message: can.Message | None) -> float:
+    """When a message came (s of `time.monotonic`): its time stamp where that is one of this clock.
+
+    Adapters with a clock of their own, and stamps older than `Server.TOLERANCE`, are not believed.
+    """
+    now = time.monotonic()
+    age = time.time() - message.timestamp if message else 0.0
+    return now - age if 0.0 < age < Server.TOLERANCE else now
+
+
 @dataclass
 class Statistics:
     """What a real-time server has done."""
@@ -34,9 +44,11 @@ class Statistics:
 class Server:
     """Serves machines with one drive each as nodes on one bus.
 
-    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it. The
-    nodes hear each other; what a bus gives back of the server's own frames is dropped. A bus that
-    fails is tried again, see `adapter`.
+    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it. A
+    frame acts at the time at which it came to this computer, where the bus tells it (`arrival`), so
+    a server that other programs hold up answers late but moves nothing else. The nodes hear each
+    other; what a bus gives back of the server's own frames is dropped. A bus that fails is tried
+    again, see `adapter`.
 
     Args:
         bus: the bus; `close` shuts it down.
@@ -62,7 +74,7 @@ class Server:
         self.machines = list(machines)
         self.nodes = [Node(d) for machine in machines for d in machine.drives.values()]
         self.statistics = Statistics()
-        self._begin = time.monotonic()
+        self._begin = self._at = time.monotonic()
         self._stopped = False
         self._cycles_at_request = -1
         self._sent: deque[tuple[int, Frame]] = deque()  # that may still come back
@@ -87,8 +99,9 @@ class Server:
 
     def serve(self, message: can.Message | None) -> None:
         """Handle a received message, let the due cycles pass, send what there is to send."""
-        self._advance()
-        now = int((time.monotonic() - self._begin) * 1e6)
+        at = self._at = max(self._at, arrival(message))
+        self._advance(at)
+        now = int((at - self._begin) * 1e6)
         frame = to_frame(message) if message else None
         if frame and self._is_echo(frame, now):
             frame = None
@@ -135,7 +148,7 @@ class Server:
         """Let the drives see what one SDO request wrote before the next one is answered."""
         while self.statistics.cycles == self._cycles_at_request:
             time.sleep(1e-4)
-            self._advance()
+            self._advance(time.monotonic())
         self._cycles_at_request = self.statistics.cycles
 
     def skip(self, seconds: float) -> None:
@@ -148,9 +161,10 @@ class Server:
             self.log.stop()
         self.adapter.shutdown()
 
-    def _advance(self) -> None:
+    def _advance(self, until: float) -> None:
+        """Let the machines run up to a time of the clock (s)."""
         for machine in self.machines:
-            behind = time.monotonic() - self._begin - machine.time
+            behind = until - self._begin - machine.time
             if behind > self.TOLERANCE:
                 self.statistics.missed += 1
                 self._begin += behind - self.TOLERANCE

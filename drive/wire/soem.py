@@ -17,8 +17,10 @@ from ..objects.abort import SdoAbort
 
 TIMEOUT = 100_000  # µs, for the reply to process data
 STATE_TIMEOUT = 5_000_000  # µs
+AGAIN = 2  # times that a lost frame is sent anew
 TRIES = 200  # cycles until all are in OPERATIONAL
 ASSIGNMENTS = (0x1C12, 0x1C13)
+INPUTS = 0x0818  # register: start and length of sync manager 3
 VISIBLE_STRING = 0x09
 FLOATS = {0x08: "<f", 0x11: "<d"}  # data types of CiA 301
 
@@ -39,6 +41,11 @@ class SoemMailbox:
         self._tried(index, subindex, lambda: self._slave.sdo_write(index, subindex, bytes(data)))
 
     def _tried(self, index: int, subindex: int, action: Any) -> Any:
+        for _ in range(AGAIN):  # SOEM gives a frame up after 2 ms
+            try:
+                return action()
+            except (self._soem.WkcError, self._soem.PacketError):
+                continue
         try:
             return action()
         except self._soem.SdoError as error:
@@ -63,6 +70,7 @@ class SoemSlave:
         self.mailbox = SoemMailbox(soem, slave)
         self.outputs = bytearray()
         self.inputs = b""
+        self._buffer: tuple[int, int] | None = None  # start and length in the slave's memory
 
     @property
     def state(self) -> AlState:
@@ -95,13 +103,21 @@ class SoemSlave:
         """Buffers as long as SOEM has mapped."""
         self.outputs = bytearray(bytes(self._slave.output))
         self.inputs = bytes(self._slave.input)
+        self._buffer = struct.unpack("<HH", self.read(INPUTS, 4))
 
     def read(self, address: int, size: int) -> bytes:
         """Registers of the slave controller. Raises TimeoutError where it does not answer."""
-        try:
-            return bytes(self._slave._fprd(address, size))
-        except self._soem.WkcError:
-            raise TimeoutError(f"the slave does not answer at {address:04X}h") from None
+        for _ in range(AGAIN + 1):
+            try:
+                return bytes(self._slave._fprd(address, size))
+            except self._soem.WkcError:
+                continue
+        raise TimeoutError(f"the slave does not answer at {address:04X}h")
+
+    def read_inputs(self) -> bytes:
+        """The input buffer. Raises TimeoutError where the slave does not answer."""
+        start, length = self._buffer or (0, 0)
+        return self.read(start, length) if length else b""
 
     def read_sii(self) -> bytes:
         """The whole EEPROM, as long as its size word says."""
@@ -222,6 +238,21 @@ class SoemMaster:
         if right:
             for slave in self.slaves:
                 slave.exchanged()
+        return right
+
+    def look(self) -> bool:
+        """Read the inputs alone, slave by slave; -> whether all have answered.
+
+        SOEM has no logical read beside its frame of process data, and that would carry outputs: so
+        each slave's own buffer is read (sync manager 3, 0818h).
+        """
+        right = True
+        for slave in self.slaves:
+            try:
+                slave.inputs = slave.read_inputs()
+            except TimeoutError:
+                right = False
+        self.wrong += not right
         return right
 
     def close(self) -> None:

@@ -36,6 +36,7 @@ class Envelope:
         jerk: of set-points, over three steps.
         torque: of target torque, torque offset and torque limit.
         following_error: of the axis.
+        following_error_time: for which the axis may be beyond it (s).
     """
 
     low: float
@@ -45,6 +46,7 @@ class Envelope:
     jerk: float = math.inf
     torque: float = math.inf
     following_error: float = math.inf
+    following_error_time: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.low < self.high or not math.isfinite(self.high - self.low):
@@ -52,8 +54,9 @@ class Envelope:
                 f"positions {self.low!r}..{self.high!r} limit nothing: set the software position "
                 "limits of the drive (607Dh), or give limits"
             )
-        for field in fields(self)[2:]:
+        for field in fields(self)[2:-1]:
             in_range(field.name, getattr(self, field.name), 1e-12, math.inf)
+        in_range("following_error_time", self.following_error_time, 0.0, 60.0, "s")
 
 
 class Guard:
@@ -64,6 +67,8 @@ class Guard:
         envelope: its limits.
         period: of the steps (s).
         position, speed: what a position or a velocity unit is at the load (m or rad, per s).
+
+    Set-points are whole units, so their differences may be beyond a limit by what rounding makes.
     """
 
     def __init__(self, axis: str, envelope: Envelope, period: float, position: float, speed: float):
@@ -75,6 +80,7 @@ class Guard:
         """At rest at a position (m or rad), before an episode."""
         self._at = position
         self._set_point, self._velocity, self._acceleration = position, 0.0, 0.0
+        self._beyond = 0.0  # s, that the following error has been out of its window
 
     def command(self, values: Mapping[str, float]) -> None:
         """A command (drive units by object) that is about to be sent. Raises Stopped."""
@@ -86,11 +92,12 @@ class Guard:
             set_point = values["target_position"] * self._position
             self._within("set-point", set_point)
             velocity = (set_point - self._set_point) / self.period
-            self._moves(velocity, f"the set-point steps by {set_point - self._set_point:.4g}")
+            step = f"the set-point steps by {set_point - self._set_point:.4g}"
+            self._moves(velocity, self._position / self.period, step)
             self._set_point = set_point
         elif "target_velocity" in values:
             velocity = values["target_velocity"] * self._speed
-            self._moves(velocity, f"target velocity {velocity:.4g}")
+            self._moves(velocity, self._speed, f"target velocity {velocity:.4g}")
             if math.isfinite(limits.acceleration):
                 way = velocity * abs(velocity) / (2.0 * limits.acceleration)
                 self._within("the place where it could stop", self._at + way)
@@ -112,25 +119,30 @@ class Guard:
         if abs(velocity) > MARGIN * limits.velocity:
             raise self._stop(f"velocity {velocity:.4g}, limit {limits.velocity:.4g}")
         error = values.get("following_error_actual_value", 0.0) * self._position
-        if abs(error) > limits.following_error:
-            raise self._stop(f"following error {error:.4g}, limit {limits.following_error:.4g}")
+        beyond = abs(error) > limits.following_error
+        self._beyond = self._beyond + self.period if beyond else 0.0
+        if beyond and self._beyond >= limits.following_error_time:
+            told = f", for {self._beyond:.3g} s" if limits.following_error_time else ""
+            raise self._stop(
+                f"following error {error:.4g}, limit {limits.following_error:.4g}{told}"
+            )
 
     def _within(self, what: str, position: float) -> None:
         low, high = self.envelope.low, self.envelope.high
         if not low <= position <= high:
             raise self._stop(f"{what} {position:.4g} is out of {low:.4g}..{high:.4g}")
 
-    def _moves(self, velocity: float, what: str) -> None:
-        """A velocity of set-points, and its differences."""
+    def _moves(self, velocity: float, unit: float, what: str) -> None:
+        """A velocity of set-points, known to a `unit`, and its differences."""
         limits = self.envelope
         acceleration = (velocity - self._velocity) / self.period
         jerk = (acceleration - self._acceleration) / self.period
-        for name, value, limit in (
-            ("velocity", velocity, limits.velocity),
-            ("acceleration", acceleration, limits.acceleration),
-            ("jerk", jerk, limits.jerk),
+        for name, value, limit, rounding in (
+            ("velocity", velocity, limits.velocity, unit),
+            ("acceleration", acceleration, limits.acceleration, 2.0 * unit / self.period),
+            ("jerk", jerk, limits.jerk, 4.0 * unit / self.period**2),
         ):
-            if abs(value) > limit * (1.0 + 1e-6):
+            if abs(value) > limit * (1.0 + 1e-6) + rounding:
                 raise self._stop(f"{what}: {name} {abs(value):.4g}, limit {limit:.4g}")
         self._velocity, self._acceleration = velocity, acceleration
 

@@ -3,17 +3,24 @@
 >>> bus = can.Bus(interface="socketcan", channel="can0", bitrate=1_000_000)
 >>> env = gymnasium.make("servogym/LinearAxis-v0", port=CanDrives(CanPort(bus), {"x": 1}))
 
-A step sends the set-points, waits until the step is over, asks for the answers and judges them.
-Between answers and set-points lies what the policy takes to think: RPDOs act when they come, not at
-the next SYNC, and TPDOs answer a SYNC, which comes from here. On EtherCAT both are cyclic frames.
+A step of an agent is a period of the bus, by absolute times::
+
+    t            t + phase                          t + period
+    | ask, answers, policy | set-points go out ...  | ask, ...
+
+Set-points go out at one and the same phase of each step, whenever the policy has ended, because a
+drive interpolates from each to the next: what comes late is wrong by its velocity times the delay.
+RPDOs act when they come, and TPDOs answer a SYNC, which comes from here. On EtherCAT outputs go out
+with a frame of process data, and inputs are read alone, so that reading is no new set-point.
 
 What a bus does not tell is taken from what it tells: the load is where the encoder says it is, the
 share of the step at an internal limit is that of its end. The machine of such an environment has
 no time of its own; it keeps what a task reads of its drives.
 """
 
+import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -34,16 +41,30 @@ from ...drive.model.model import DriveModel, load
 from ...drive.objects.abort import SdoAbort
 from ..engine.machine import Machine
 from .envelope import Envelope, Guard, Stopped
+from .timing import Timing
 
 PDOS = 4  # of each direction with an identifier of their own (CiA 301, default connection set)
 RPDO, TPDO = 0x200, 0x180  # identifiers of the first, for node-id 0; the next are 100h apart
 AT_ONCE, AT_SYNC = 255, 1  # transmission types of RPDOs, of TPDOs
 OFF = 0x8000_0000  # COB-ID of a PDO that does not exist
 MASTER, BEAT, WATCH = 127, 0.02, 0.2  # node-id; s between heartbeats, s until drives miss one
+LIVES = 4  # questions of node guarding that may be missed
+WAIT = 2e-3  # s for a frame, while a master waits
+OVERDUE = 0.1  # s, then a SYNC goes out although the last one was not answered
 APART = 4e-3  # s, between SYNCs while a master waits
 HEARTBEAT = Frame(0x700 + MASTER, b"\x05")
-ANSWERS = 5e-3  # s, in which all TPDOs have to come after a SYNC
+PHASE = 0.4  # of a step: until then bus and policy have answered, then set-points go out
+LAST = 0.8  # of a step: what a policy has not said by then takes no part in it
+ANSWERS = 0.7  # of that: what is left is for the policy, or to send the last action again
+LOCK_STEP_PATIENCE = 10.0  # s for an answer or an action, where time waits for both
+NO_LIMIT = 4294967295  # of 60C5h and 60C6h
+REVERSALS = 5.0  # accelerations of the quick stop that set-points may have (inferred)
+REFERENCED = 0x1000  # statusword in homing mode: homing attained (CiA 402-2)
 IDENTITY = ("vendor_id", "product_code")
+COMPARED = (  # objects that decide what a task's numbers mean, or when a drive gives up
+    "following_error_window", "following_error_time_out", "max_profile_velocity", "max_torque",
+    "min_position_limit", "max_position_limit", "quick_stop_deceleration",
+)  # fmt: skip
 INTERPOLATION = ("interpolation_time_period_value", "interpolation_time_index")  # 60C2h
 NEAR = 1e-5  # m or rad from where an episode begins; no motion there
 MISSED = 3  # answers missing one after the other, until the guard stops the drives
@@ -52,6 +73,8 @@ QUICK_STOP = 0x02  # controlword
 
 class Pace:
     """Real time: steps end at absolute times, so that they do not drift."""
+
+    real = True
 
     def now(self) -> float:
         """The clock (s)."""
@@ -62,6 +85,27 @@ class Pace:
         left = deadline - time.monotonic()
         if left > 0.0:
             time.sleep(left)
+
+
+class LockStep(Pace):
+    """Time that passes with the steps, as fast as the drives' machines let it.
+
+    They have to be served by a clock that waits for the bus: ``sync_end`` on CAN, ``frame`` on
+    EtherCAT, see `servogym.envs.serve.description.BusRow`.
+    """
+
+    real = False
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def now(self) -> float:
+        """Steps times their length (s)."""
+        return self.time
+
+    def wait(self, deadline: float) -> None:
+        """It is that time (s)."""
+        self.time = max(self.time, deadline)
 
 
 class DriveSide(Protocol):
@@ -76,36 +120,60 @@ class DriveSide(Protocol):
     ) -> None:
         """Map the objects of each PDO in every drive, and start process data."""
 
-    def arm(self, on: bool) -> None:
-        """Let the drives stop by themselves when nothing comes from here any more."""
+    def arm(self, on: bool) -> list[str]:
+        """Let the drives stop by themselves when nothing comes from here any more.
+
+        Returns: names of those that have no such watchdog.
+        """
 
     def send(self) -> None:
         """Set-points written to the port go out now."""
 
-    def sample(self) -> bool:
-        """Ask for the answers; -> whether all have come."""
+    def sample(self, patience: float) -> bool:
+        """Ask for the answers; -> whether all have come within a time (s)."""
 
 
 class _Beating:
-    """A bus on which a master's heartbeat goes out with the frames, and not too many SYNCs."""
+    """A bus on which a master's heartbeat goes out with the frames, and not too many SYNCs.
 
-    def __init__(self, bus: FramePort):
-        self._bus, self._next, self._synced = bus, 0.0, 0.0
-        self.paced = True  # a master that waits exchanges as fast as the bus gives frames back
+    Args:
+        bus: that of the drives.
+        real: time passes by itself, else with each SYNC.
+    """
+
+    def __init__(self, bus: FramePort, real: bool):
+        self._bus, self._real, self._next, self._synced = bus, real, 0.0, 0.0
+        self.answers: set[int] = set()  # identifiers that follow a SYNC
+        self._owed: set[int] = set()  # of them, what has not come yet
+        self.guarded: list[int] = []  # node-ids that are asked for their state (node guarding)
 
     def now(self) -> float:
         return self._bus.now()
 
+    def wait(self, seconds: float | None = None) -> None:
+        """How long an exchange waits for the first frame (s); the usual time if not given."""
+        if hasattr(self._bus, "patience"):
+            self._bus.patience = WAIT if seconds is None else seconds
+
+    def sync_now(self) -> None:
+        """The next SYNC is not held back."""
+        self._synced = -math.inf
+
     def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
         now, given = self._bus.now(), [*frames]
-        if now >= self._next:
+        if now >= self._next or (not self._real and SYNC in given):
             self._next = now + BEAT
-            given.insert(0, HEARTBEAT)
-        if self.paced and now < self._synced + APART:
+            asked = [Frame(0x700 + node_id, b"", remote=True) for node_id in self.guarded]
+            given[:0] = [HEARTBEAT, *asked]
+        # a master that waits exchanges as fast as the bus gives frames back
+        too_early = now < self._synced + APART if self._real else bool(self._owed)
+        if SYNC in given and too_early and now < self._synced + OVERDUE:
             given = [frame for frame in given if frame != SYNC]
         elif SYNC in given:
-            self._synced = now
-        return self._bus.exchange(given)
+            self._synced, self._owed = now, set(self.answers)
+        received = [*self._bus.exchange(given)]
+        self._owed -= {frame.id for frame in received}
+        return received
 
 
 class CanDrives:
@@ -128,9 +196,9 @@ class CanDrives:
         envelopes: Mapping[str, Envelope] | None = None,
         pace: Pace | None = None,
     ):
-        self._bus = _Beating(bus)
-        self.port = CanOpenPort(self._bus, nodes, model)
         self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
+        self._bus = _Beating(bus, self.pace.real)
+        self.port = CanOpenPort(self._bus, nodes, model)
 
     def connect(
         self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
@@ -151,6 +219,7 @@ class CanDrives:
                     cob_id = base + 0x100 * n + node.node_id
                     self._map(node, first + n, mapping + n, cob_id, kind, names)
             node.use_pdos()
+        self._bus.answers = {pdo.cob_id for node in self.port.nodes.values() for pdo in node.tpdos}
 
     def _map(
         self, node: Any, communication: int, mapping: int, cob_id: int, kind: int,
@@ -175,31 +244,52 @@ class CanDrives:
             put(communication, 2, kind, 1)
             put(communication, 1, cob_id, 4)
 
-    def arm(self, on: bool) -> None:
-        """Watch the heartbeat of this master (1016h); what follows its loss is said by 6007h."""
-        entry = MASTER << 16 | round(1e3 * WATCH) if on else 0
-        for node in self.port.nodes.values():
-            with suppress(SdoAbort):  # a drive without it has no watchdog of this kind
-                node.sdo.download(0x1016, 1, entry.to_bytes(4, "little"))
+    def arm(self, on: bool) -> list[str]:
+        """Watch the heartbeat of this master (1016h), or its questions (100Ch, 100Dh).
+
+        What follows their loss is said by 6007h.
+        """
+        self._bus.guarded = []
+        return [axis for axis, node in self.port.nodes.items() if not self._watches(node, on)]
+
+    def _watches(self, node: Any, on: bool) -> bool:
+        def put(index: int, subindex: int, value: int, size: int) -> bool:
+            data = value.to_bytes(size, "little")
+            with suppress(SdoAbort):
+                node.sdo.download(index, subindex, data)
+                return bool(node.sdo.upload(index, subindex)[:size] == data)
+            return False
+
+        if put(0x1016, 1, MASTER << 16 | round(1e3 * WATCH) if on else 0, 4):
+            return True
+        guard_time = round(1e3 * WATCH / LIVES) if on else 0
+        if put(0x100C, 0, guard_time, 2) and put(0x100D, 0, LIVES if on else 0, 1):
+            self._bus.guarded += [node.node_id] if on else []
+            return True
+        return False
 
     def send(self) -> None:
         """See `DriveSide`."""
+        self._bus.wait(0.0)
         self.port.exchange(sync=False)
+        self._bus.wait()
 
-    def sample(self) -> bool:
+    def sample(self, patience: float) -> bool:
         """See `DriveSide`."""
         pdos = [pdo for node in self.port.nodes.values() for pdo in node.tpdos]
+        self._bus.wait(0.0)
+        self.port.exchange(sync=False)  # what has come too late for the last step is no answer
         for pdo in pdos:
             pdo.heard = False
-        end = self.port.now() + ANSWERS
-        self._bus.paced = False
+        end = self.port.now() + patience
+        self._bus.wait(patience)
+        self._bus.sync_now()
         self.port.exchange()
-        self._bus.paced = True
-        while not all(pdo.heard for pdo in pdos):
-            if self.port.now() >= end:
-                return False
+        while not all(pdo.heard for pdo in pdos) and (left := end - self.port.now()) > 0.0:
+            self._bus.wait(left)
             self.port.exchange(sync=False)
-        return True
+        self._bus.wait()
+        return all(pdo.heard for pdo in pdos)
 
 
 class EtherCatDrives:
@@ -234,19 +324,20 @@ class EtherCatDrives:
         outputs, inputs = ([name for pdo in pdos for name in pdo] for pdos in (rpdos, tpdos))
         self.port = EtherCatPort(
             self._master, dict.fromkeys(self._axes, self._model), outputs=outputs, inputs=inputs,
-            now=self.pace.now,
+            now=self.pace.now if self.pace.real else time.monotonic,
         )  # fmt: skip
 
-    def arm(self, on: bool) -> None:
+    def arm(self, on: bool) -> list[str]:
         """The watchdog of the sync managers always looks."""
+        return []
 
     def send(self) -> None:
         """See `DriveSide`."""
         self.port.exchange()
 
-    def sample(self) -> bool:
-        """See `DriveSide`."""
-        return self.port.exchange()
+    def sample(self, patience: float) -> bool:
+        """See `DriveSide`; reads the inputs alone."""
+        return self._master.look()
 
 
 def _same(wanted: Sequence[str], given: Any) -> None:
@@ -283,15 +374,22 @@ class PortLine:
         side.connect(self._axes, *pdos)
         self.master = Master(side.port, *self._axes)
         self._identify()
+        self.differs = [*self._differing()]  # from the task's own drives, in words
         self.guards = {
             axis: Guard(
                 axis, side.envelopes.get(axis) or self.envelope(axis), period, 1 / units, 1 / units
             )
             for axis in self._axes
         }
-        self.lost = self.late = self._running = 0
-        self.lateness: list[float] = []  # s, of each step: when it went on, after it should have
+        self.timing = Timing(period)
+        self.phase = PHASE  # of a step: when set-points go out
+        self.time_limit = math.inf  # s, from the first episode on
+        self._running = self._behind = 0  # steps one after the other: without answers, too late
+        self._deadline, self._ends = 0.0, math.inf
+        self.unwatched: list[str] = []  # drives without a watchdog for a lost master
+        self.refused: list[str] = []  # of real time, by the system
         self.home: int | None = None  # method 6098h by which drives are referenced, once
+        self._sure = False  # that all drives are referenced
         self.dry = False  # all but the power: controlwords stay 0
         self.stopped: Stopped | None = None
         self.on_step: Callable[[np.ndarray], object] | None = None  # answers of the drives
@@ -312,15 +410,52 @@ class PortLine:
                 if name in own.objects.names:
                     self._side.port.write(axis, name, own.read(name))
 
+    def _differing(self) -> Iterator[str]:
+        """What the drives are set to otherwise than those the task has in memory."""
+        for axis in self._axes:
+            own = self._machine.drives[axis]
+            for name in COMPARED:
+                with suppress(SdoAbort, ValueError):
+                    there, here = self._side.port.upload(axis, name), own.read(name)
+                    if there != here:
+                        yield f"{axis}: {name} is {there:g}, in the task {here:g}"
+
     def envelope(self, axis: str) -> Envelope:
-        """The limits the drive itself has: positions, speed, torque, following error."""
-        read, unit = self._side.port.upload, 1.0 / self._units
+        """The limits the drive itself has: positions, speed, torque, following error.
+
+        Set-points may be accelerated as it says (60C5h, 60C6h), or as its quick stop does, several
+        times over, and turn from one limit to the other within a step.
+        """
+        unit = 1.0 / self._units
+
+        def read(name: str, otherwise: float = math.inf) -> float:
+            with suppress(SdoAbort, ValueError):
+                return self._side.port.upload(axis, name)
+            return otherwise
+
+        most = max(read("max_acceleration"), read("max_deceleration"))
+        if not most < NO_LIMIT:
+            most = REVERSALS * read("quick_stop_deceleration")
+        acceleration = most * unit
         return Envelope(
-            read(axis, "min_position_limit") * unit, read(axis, "max_position_limit") * unit,
-            read(axis, "max_profile_velocity") * unit,
-            torque=1e-3 * read(axis, "max_torque"),
-            following_error=read(axis, "following_error_window") * unit,
+            read("min_position_limit") * unit, read("max_position_limit") * unit,
+            read("max_profile_velocity") * unit, acceleration, 2.0 * acceleration / self._period,
+            torque=1e-3 * read("max_torque"),
+            following_error=read("following_error_window") * unit,
+            following_error_time=1e-3 * read("following_error_time_out", 0.0),
         )  # fmt: skip
+
+    @property
+    def lost(self) -> int:
+        """Steps without all the answers."""
+        return self.timing.lost
+
+    @property
+    def patience(self) -> float:
+        """How long a policy may still think (s): longer than `phase`, late is better than never."""
+        if not self._side.pace.real:
+            return LOCK_STEP_PATIENCE
+        return max(self._deadline + LAST * self._period - self._side.pace.now(), 0.0)
 
     @property
     def time(self) -> float:
@@ -331,7 +466,9 @@ class PortLine:
         """Before an episode."""
         if self.stopped is not None:
             raise self.stopped
-        self._running = 0
+        self._running = self._behind = 0
+        if self._ends == math.inf:
+            self._ends = time.monotonic() + self.time_limit
 
     def place(self, positions: Mapping[str, float], mode: Mode) -> dict[str, float]:
         """Enable the drives and move them to positions (m or rad); -> where they are.
@@ -347,19 +484,31 @@ class PortLine:
             if not limits.low <= position <= limits.high:
                 raise self.stop(Stopped(axis, f"the start {position:.4g} is out of the envelope"))
         try:
+            self._referenced()
             if not self.dry:
                 self._go(positions, mode)
-        except (ServoError, KeyboardInterrupt) as error:
-            self.stop(Stopped("", f"on the way to the start: {error}"))
-            raise
+        except (ServoError, SdoAbort, TimeoutError) as error:
+            raise self.stop(Stopped("", f"on the way to the start: {error}")) from error
         here = {axis: self._at(axis) / self._units for axis in self._axes}
         for axis, position in here.items():
             self.guards[axis].begin(position)
         self._deadline = self._side.pace.now()
         return here
 
+    def _referenced(self) -> None:
+        """Raises ValueError for a drive that does not know where it is, and is not to be homed."""
+        if self.home is not None or self._sure:
+            return
+        self._sure = True
+        self.master.set_mode(Mode.HOMING)
+        for axis in self._axes:
+            if not int(self._side.port.upload(axis, "statusword")) & REFERENCED:
+                raise ValueError(
+                    f"{axis} is not referenced: home it with --home METHOD (6098h), once"
+                )
+
     def _go(self, positions: Mapping[str, float], mode: Mode) -> None:
-        self._side.arm(True)
+        self.unwatched = self._side.arm(True)
         self.master.enable()
         if self.home is not None:
             self.master.home(self.home)
@@ -378,10 +527,18 @@ class PortLine:
     def _at(self, axis: str) -> int:
         return int(self._side.port.upload(axis, "position_actual_value"))
 
+    def idle(self) -> None:
+        """The drives hear that this master is there, while nothing else is to be sent."""
+        if self._side.pace.real:
+            self._side.send()
+
+    def settle(self) -> None:
+        """Steps count from now on: the drives stand, and a policy may have taken its time."""
+        self._deadline = self._side.pace.now()
+
     def look(self, world: np.ndarray, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
         """Set-points out and answers in, without a step."""
         self._exchange(rpdos, tpdos, 0.0)
-        self._deadline = self._side.pace.now()
 
     def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
         """Run cycles as `loop.run` does, for one world, images as bytes. Raises Stopped."""
@@ -391,21 +548,52 @@ class PortLine:
         if self.stopped is not None:
             raise self.stopped
         try:
-            self._command(rpdos.view(self._rpdo).reshape(-1))
-            self._deadline += period
-            self.late += self._side.pace.now() > self._deadline
-            self._side.pace.wait(self._deadline)
-            self.lateness.append(self._side.pace.now() - self._deadline)
-            if self._side.sample():
-                self._running = 0
-                self._answer(tpdos)
+            if period:
+                self._send(rpdos)
             else:
-                self.lost, self._running = self.lost + 1, self._running + 1
-                if self._running >= MISSED:
-                    raise Stopped("", f"{MISSED} answers have not come, one after the other")
+                self._command(rpdos.view(self._rpdo).reshape(-1))
+                self._deadline = self._side.pace.now()
+            self._ask(tpdos, period)
         except BaseException as error:
             self.stop(error)
             raise
+
+    def _send(self, rpdos: np.ndarray) -> None:
+        """Set-points, at their phase of the step."""
+        pace, timing = self._side.pace, self.timing
+        due = self._deadline + (self.phase * self._period if pace.real else 0.0)
+        pace.wait(due)
+        self._command(rpdos.view(self._rpdo).reshape(-1))
+        now = pace.now()
+        timing.sending.append(now - due)
+        missed = now > self._deadline + self._period
+        timing.missed += missed
+        self._behind = self._behind + 1 if missed else 0
+        if self._behind >= MISSED:
+            raise Stopped("", f"{MISSED} set-points came a step too late, one after the other")
+        if missed:
+            self._deadline = now - self.phase * self._period
+        if time.monotonic() >= self._ends:
+            raise Stopped("", f"the time limit of {self.time_limit:g} s is over")
+
+    def _ask(self, tpdos: np.ndarray, period: float) -> None:
+        """Answers, at the end of a step."""
+        pace, timing = self._side.pace, self.timing
+        self._deadline += period
+        pace.wait(self._deadline)
+        begin = pace.now()
+        share = ANSWERS * self.phase * self._period
+        came = self._side.sample(share if pace.real else LOCK_STEP_PATIENCE)
+        if period:
+            timing.waking.append(begin - self._deadline)
+            timing.answers.append(pace.now() - begin)
+        if came:
+            self._running = 0
+            self._answer(tpdos)
+            return
+        timing.lost, self._running = timing.lost + 1, self._running + 1
+        if self._running >= MISSED:
+            raise Stopped("", f"{MISSED} answers have not come, one after the other")
 
     def _command(self, images: np.ndarray) -> None:
         for axis, image in zip(self._axes, images, strict=True):
@@ -453,7 +641,7 @@ class PortLine:
                 lambda: self.master.control(0), self._side.send, lambda: self._side.arm(False),
             )  # fmt: skip
             for act in steps:
-                with suppress(Exception):
+                with suppress(BaseException):  # Ctrl-C as well: a stop always stands
                     act()
         return self.stopped
 

@@ -32,7 +32,7 @@ from ...drive.model.files import content
 from ...drive.model.names import hint
 from ..engine.checks import in_range, whole
 
-CAN_CLOCKS = ("real", "sync")
+CAN_CLOCKS = ("real", "sync", "sync_end")
 ETHERCAT_CLOCKS = ("frame", "dc", "real")
 
 
@@ -42,14 +42,16 @@ class BusRow:
 
     Args:
         kind: ``can`` or ``ethercat``.
-        clock: who lets time pass. On CAN ``real`` (the wall clock) or ``sync`` (each SYNC of the
-            master lets `period_us` pass, so runs are repeatable and as fast as the master). On
-            EtherCAT ``frame``, ``dc`` or ``real``, see `servogym.drive.ethercat.bus`.
+        clock: who lets time pass. On CAN ``real`` (the wall clock), ``sync`` (each SYNC of the
+            master lets `period_us` pass, so runs are repeatable and as fast as the master) or
+            ``sync_end`` (the same, but the SYNC ends its period: what was sent before it acts for
+            all of it, and the answers to it tell what came of it). On EtherCAT ``frame``, ``dc`` or
+            ``real``, see `servogym.drive.ethercat.bus`.
         interface: of CAN, the interface of python-can; of EtherCAT, one network interface or two
             for redundancy.
         channel: of CAN.
         udp: of EtherCAT, the address to listen on at UDP port 88A4h instead of an interface.
-        period_us: of CAN with the clock ``sync`` (µs).
+        period_us: of CAN with the clock ``sync`` or ``sync_end`` (µs); of a task its step, if 0.
         options: of CAN, further keywords of ``can.Bus``.
         faults: of EtherCAT, lines as ``servogym ethercat --fault`` takes them.
         log: file for all frames; ``.pcapng`` on EtherCAT, a format of python-can on CAN.
@@ -64,7 +66,7 @@ class BusRow:
     interface: str | list = ""
     channel: str = ""
     udp: str = ""
-    period_us: int = 1000
+    period_us: int = 0
     options: dict = field(default_factory=dict)
     faults: list = field(default_factory=list)
     log: str = ""
@@ -78,7 +80,7 @@ class BusRow:
             object.__setattr__(self, "clock", allowed[0])
         if self.clock not in allowed:
             raise ValueError(f"clock = {self.clock!r}: {hint(self.clock, allowed)}")
-        whole("period_us", self.period_us, 1, 10**9)
+        whole("period_us", self.period_us, 0, 10**9)
         if self.kind == "can":
             if not isinstance(self.interface, str) or not self.interface:
                 raise ValueError("interface: name one of python-can, such as udp_multicast")
@@ -109,9 +111,11 @@ class MachineRow:
     Args:
         bus: name of the bus that all its drives are on.
         axis: kind of machine, as ``servogym node --axis`` has it; or
-        mjcf: file of a robot of one's own.
+        mjcf: file of a robot of one's own; or
+        task: an environment by its id, whose machine it is, as `servogym deploy` commands it.
         drive: drive model by name or folder; of `mjcf` one for each joint, by its name.
-        parameters: of the machine, as keywords of its factory (mechanics, payload, …).
+        parameters: of the machine, as keywords of its factory (mechanics, payload, …), or of the
+            environment.
         positions: of joints at power-on (m or rad), by drive.
         node_id: of its first drive on CAN; the others follow.
         write: objects that are set before the machine is served, by drive and name.
@@ -124,6 +128,7 @@ class MachineRow:
     bus: str
     axis: str = ""
     mjcf: str = ""
+    task: str = ""
     drive: str | dict = "generic"
     parameters: dict = field(default_factory=dict)
     positions: dict = field(default_factory=dict)
@@ -131,11 +136,13 @@ class MachineRow:
     write: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if bool(self.axis) == bool(self.mjcf):
-            raise ValueError("give axis, a kind of machine, or mjcf, a file of your own")
+        if sum(map(bool, (self.axis, self.mjcf, self.task))) != 1:
+            raise ValueError(
+                "give axis, a kind of machine, mjcf, a file of your own, or task, an environment"
+            )
         if self.mjcf and not isinstance(self.drive, dict):
             raise ValueError('drive: name a model for each joint, as { shoulder = "generic" }')
-        if self.axis and not isinstance(self.drive, str):
+        if not self.mjcf and not isinstance(self.drive, str):
             raise ValueError("drive: a machine of the family has one model; give its name")
         if self.mjcf and self.parameters:
             raise ValueError("parameters are those of a kind of machine, not of mjcf")

@@ -5,8 +5,9 @@ to know or do is done by that thread between two frames, see `Laboratory.do`.
 """
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -32,11 +33,13 @@ from ...drive.wire.pcapng import Writer
 from ...drive.wire.server import WAIT, Server
 from ..engine.checks import in_range
 from ..engine.machine import Machine
+from ..environment.registry import task
 from ..plants.catalogue import AXES, power_on, warm_up
 from ..plants.commissioning import commission_joint
 from .description import BusRow, Description, EventRow, MachineRow, model_of, read
 
 T = TypeVar("T")
+PERIOD = 1000  # µs between SYNCs, where nothing else is said
 PATIENCE = 10.0  # s that a caller waits for the thread of a bus
 
 
@@ -84,11 +87,12 @@ class _CanLockStep:
     def __init__(self, row: BusRow, bus: can.BusABC, machines: list[Machine]):
         self.where = f"{row.interface} {row.channel}".strip()
         self._bus, self._lock_step = bus, LockStep(machines, row.period_us)
+        self._ends = row.clock == "sync_end"
         link = CanLink(bus, wait=WAIT)
         self._link = Traced(link, row.log) if row.log else link
 
     def serve(self) -> None:
-        self._lock_step.serve(self._link)
+        self._lock_step.serve(self._link, ends=self._ends)
 
     def ahead(self, seconds: float) -> None:
         pass  # time of the bus is that of its SYNCs
@@ -188,7 +192,8 @@ class Laboratory:
             if bus.kind == "can":
                 _refuse_twins(own)
             script = [(own[at[0]], at[1], event) for at, event in events if at[0] in own]
-            make = partial(_bench, bus, list(own.values()), seed)
+            timed = replace(bus, period_us=_period(bus, self.description.of(bus)))
+            make = partial(_bench, timed, list(own.values()), seed)
             self._threads[bus.name] = _Thread(bus.name, make, own, script)
 
     def __repr__(self) -> str:
@@ -489,14 +494,16 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
     def model(name: str) -> DriveModel:
         return load(model_of(folder, name), bus)
 
-    if row.mjcf:
+    if row.task:
+        machine, places = _of_task(row, model(str(row.drive)))
+    elif row.mjcf:
         assert isinstance(row.drive, dict)
         machine = Machine.from_mjcf(
             folder / row.mjcf, {joint: model(str(name)) for joint, name in row.drive.items()}
         )
         for name in machine.drives:
             commission_joint(machine, name)
-        places: dict[str, float] = {}
+        places = {}
     else:
         if row.axis not in AXES:
             raise ValueError(f"axis = {row.axis!r}: {hint(row.axis, AXES)}")
@@ -518,6 +525,27 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
         warm_up(next(iter(machine.drives.values())).model)
     power_on(machine, places)
     return machine, places
+
+
+def _of_task(row: MachineRow, model: DriveModel) -> tuple[Machine, dict[str, float]]:
+    """The machine of an environment, where its first episode begins."""
+    env = task(row.task)(model, **row.parameters)
+    machine, delivered = env.machine, env.machine.snapshot()
+    env.reset(seed=0)
+    pairs = zip(machine.drives.values(), machine.drives, strict=True)
+    places = {name: float(_joint(machine, drive, "qpos")) for drive, name in pairs}
+    machine.restore(delivered)
+    return machine, places
+
+
+def _period(row: BusRow, machines: Sequence[MachineRow]) -> int:
+    """Between two SYNCs (µs): what the file says, else the step of its tasks."""
+    steps = {round(1e6 * task(m.task).STEP_TIME) for m in machines if m.task}
+    if len(steps) > 1 and not row.period_us:
+        raise ValueError(
+            f"bus.{row.name}: its tasks have steps of {sorted(steps)} µs: give period_us"
+        )
+    return row.period_us or (steps.pop() if steps else PERIOD)
 
 
 def _refuse_twins(machines: Mapping[str, Machine]) -> None:

@@ -23,7 +23,7 @@ from servogym.drive.model.model import load
 from servogym.envs import TASKS
 from servogym.envs.environment.deployed import play
 from servogym.envs.exchange.envelope import Envelope, Stopped
-from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, Pace
+from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep
 
 NAMES = {task.ID: task for task in TASKS}
 LINEAR, TRACKING, CONTOUR = (
@@ -32,7 +32,7 @@ LINEAR, TRACKING, CONTOUR = (
 DRIVE = {"can": "generic", "ethercat": load("generic", "ethercat")}
 
 
-class Served(Pace):
+class Served(LockStep):
     """The drives of another environment, in lock-step: time passes where the line waits, or always.
 
     Args:
@@ -188,7 +188,7 @@ HOSTILE = {  # policy: what the guard, or the environment, says of it
     "NaN": (at(4, lambda space: np.full(space.shape, np.nan)), "nan"),
     "infinite": (at(4, lambda space: np.full(space.shape, np.inf)), "inf"),
     "wrong shape": (at(4, lambda space: np.zeros(7)), "not in Box"),
-    "words": (at(4, lambda space: ["fast"]), "not in Box"),
+    "words": (at(4, lambda space: ["fast"]), "is no number"),
     "nothing": (at(4, lambda space: None), "not in Box"),
     "beyond 1": (at(4, lambda space: 1.5 * space.high), "not in Box"),
     "raises": (raising(ValueError), "of its own"),

@@ -335,7 +335,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         for kind in ("files", "folders"):
             for name in getattr(options, kind, ()):
-                if (path := getattr(options, name)) is not None:
+                given = getattr(options, name)
+                for path in given if isinstance(given, list) else [given] * (given is not None):
                     from ..report import writable
 
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")

@@ -31,6 +31,23 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_real_time(parser: argparse.ArgumentParser) -> None:
+    """``--real-time``, for what others are not to hold up."""
+    parser.add_argument(
+        "--real-time", action="store_true",
+        help="before all other programs, where the system permits it (SCHED_FIFO, locked memory)",
+    )  # fmt: skip
+
+
+def real_time(options: argparse.Namespace, console: Console) -> None:
+    """Ask for it where it is wanted, and say what is missing."""
+    if options.real_time:
+        from ...drive.wire import real_time as system
+
+        if missing := system.ask():
+            console.print(f"without {' and '.join(missing)}", highlight=False)
+
+
 MODELS = ("drive", "model")  # where the options of a command keep the drive models it is given
 
 

@@ -2,8 +2,10 @@
 
 import argparse
 import csv
-import ctypes
-import os
+import json
+import signal
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ NO_SAFETY = (
     "The guard runs on this computer and is no safety function: keep the emergency stop (STO) of "
     "the machine within reach."
 )
-LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
+CAPTURES = (".pcapng",)
 
 
 def add(deploy: argparse.ArgumentParser) -> None:
@@ -42,105 +44,176 @@ def add(deploy: argparse.ArgumentParser) -> None:
     deploy.add_argument("--slow", type=float, default=1.0, help="share of each action, 0..1 (1)")
     deploy.add_argument("--dry-run", action="store_true", help="all but the power stage")
     deploy.add_argument("--yes", action="store_true", help="move without asking")
-    deploy.add_argument("--log", type=Path, help="file for every step, .csv")
+    deploy.add_argument(
+        "--log", type=Path, action="append", default=[],
+        help="of every step .csv; of every frame .pcapng on EtherCAT, .log (candump), .asc, .blf "
+        "on CAN; repeatable",
+    )  # fmt: skip
+    deploy.add_argument("--report", type=Path, help="episodes and times as .json")
+    deploy.add_argument(
+        "--phase", type=float, help="of a step, when set-points go out, 0..0.9 (0.4)"
+    )
+    deploy.add_argument("--time-limit", type=float, help="of all episodes (s)")
+    deploy.add_argument(
+        "--lock-step", action="store_true",
+        help="time passes with the steps: for served machines whose clock is sync_end or frame",
+    )  # fmt: skip
     buses.add(deploy)
     arguments.add(deploy)
-    deploy.set_defaults(run=_deploy, files=("log",))
+    deploy.set_defaults(run=_deploy, files=("log", "report"))
 
 
 def _deploy(options: argparse.Namespace, console: Console) -> int:
     """Play episodes on the drives of a bus; 1 where the guard has stopped them."""
-    import gymnasium
-
-    from ...envs.engine.checks import in_range, whole
-    from ...envs.environment.deployed import play
-    from ...envs.environment.registry import task
+    from ...envs.environment.deployed import episodes_of
     from ...envs.exchange.envelope import Stopped
-    from ..policies import Bound, BuiltIn, make, needed
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)
+    with ExitStack() as stack:
+        env, make = _made(options, stack)
+        line = env.line
+        for axis, guard in line.guards.items():
+            console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
+        for difference in line.differs:
+            console.print(difference, style="yellow", highlight=False, markup=False)
+        console.print(NO_SAFETY, highlight=False)
+        if not (options.dry_run or options.yes) and not _agreed(console):
+            return 1
+        if hasattr(signal, "SIGHUP"):  # a terminal that is closed, as Ctrl-C and SIGTERM
+            signal.signal(signal.SIGHUP, signal.default_int_handler)
+        played: list[Any] = []
+        reason = ""
+        try:
+            for episode in episodes_of(
+                env, episodes=options.episodes, make=make, slow=options.slow, seed=options.seed,
+                fast=not options.lock_step,
+            ):  # fmt: skip
+                played.append(episode)
+                _tell_episode(len(played), episode, console)
+        except Stopped as stopped:
+            reason = f"{stopped}"
+            console.print(f"stopped: {reason}", style="red", highlight=False, markup=False)
+        if line.refused:
+            console.print(f"without {' and '.join(line.refused)}", highlight=False)
+        for axis in line.unwatched:
+            console.print(f"{axis} has no watchdog for a lost master", style="yellow")
+        _tell_times(line.timing, console)
+        if options.report:
+            told = {"episodes": [_row(e) for e in played], "stopped": reason}
+            told |= {"times": line.timing.as_dict()}
+            options.report.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        return 1 if reason else 0
+
+
+def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
+    """The environment on its bus, and what makes the policy; the stack closes both."""
+    import gymnasium
+
+    from ...envs.engine.checks import in_range, whole
+    from ...envs.environment.registry import task
+    from ..policies import needed
+
     whole("--episodes", options.episodes, 1, 10**6)
     in_range("--slow", options.slow, 1e-3, 1.0)
-    if options.log and options.log.suffix != ".csv":
-        raise ValueError(f"--log = {options.log}: use a name that ends in .csv")
     kind = task(options.env)
     given = needed(options.policy) | dict(options.argument or ())
     example = kind(options.drive, **given)
     axes = [*(example.DRIVES or example.machine.drives)]
-    side, close = _side(options, axes)
-    env: Any = None
-    try:
-        made: Any = gymnasium.make(
-            kind.ID, drive=options.drive, port=side, disable_env_checker=True, **given
-        )
-        env = made.unwrapped
-        line = env.line
-        _limit(line, options, axes)
-        line.dry, line.home = options.dry_run, options.home
-        policy = make(options.policy, env, options.seed)
-        if isinstance(policy, BuiltIn | Bound):
-            raise ValueError(f"policy {options.policy!r} gives no actions at the steps of a task")
-        _rehearse(example, make(options.policy, example, options.seed), options.seed)
-        for axis, guard in line.guards.items():
-            console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
-        console.print(NO_SAFETY, highlight=False)
-        if not (options.dry_run or options.yes) and not _agreed(console):
-            return 1
-        _real_time(console)
-        log = _Log(options.log, line) if options.log else None
-        try:
-            played = play(
-                env, policy.act, options.episodes, begin=policy.reset, slow=options.slow,
-                seed=options.seed,
-            )  # fmt: skip
-        except Stopped as stopped:
-            console.print(f"stopped: {stopped}", style="red", highlight=False, markup=False)
-            return 1
-        finally:
-            if log is not None:
-                log.close()
-            _tell(line, console)
-        for n, episode in enumerate(played, 1):
-            success = "success" if episode.info.get("is_success") else "no success"
-            console.print(
-                f"episode {n}: return {episode.returned:.3f} by the encoder, {success}, "
-                f"{episode.steps} steps, {episode.late} actions late", highlight=False,
-            )  # fmt: skip
-        return 0
-    finally:
-        if env is not None:
-            env.close()
-        close()
+    side = _side(options, axes, stack)
+    made: Any = gymnasium.make(
+        kind.ID, drive=options.drive, port=side, disable_env_checker=True, **given
+    )
+    env = made.unwrapped
+    stack.callback(env.close)
+    line = env.line
+    _limit(line, options, axes)
+    line.dry, line.home = options.dry_run, options.home
+    if options.phase is not None:
+        line.phase = in_range("--phase", options.phase, 0.0, 0.9)
+    if options.time_limit is not None:
+        line.time_limit = in_range("--time-limit", options.time_limit, 1e-3, 1e9, "s")
+    for path in options.log:
+        if path.suffix == ".csv":
+            stack.callback(_Log(path, line).close)
+    return env, partial(_policy, options.policy, example, options.seed)
 
 
-def _rehearse(example: Any, policy: Any, seed: int) -> None:
-    """A few steps in memory: what is loaded or compiled at its first call is so before power."""
+def _policy(name: str, example: Any, seed: int) -> Any:
+    """The policy, after a few steps in memory: what is loaded or compiled then is so before power.
+
+    Raises ValueError for one that gives no actions, or that knows what no bus tells.
+    """
+    from ..policies import POLICIES, BuiltIn, make
+    from ..policies import Bound as Limit
+
+    row = POLICIES.get(name.partition(":")[0])
+    if row is not None and row.told:
+        raise ValueError(f"policy {name!r} is told what was drawn at random: no bus tells it")
+    policy = make(name, example, seed)
+    if isinstance(policy, BuiltIn | Limit):
+        raise ValueError(f"policy {name!r} gives no actions at the steps of a task")
     seen, info = example.reset(seed=seed)
     policy.reset(seen, info)
     for _ in range(3):
         seen, _, ended, _, _ = example.step(policy.act(seen))
         if ended:
             break
+    return make(name, example, seed)
 
 
-def _side(options: argparse.Namespace, axes: list[str]) -> tuple[Any, Any]:
-    """The drives on the bus of the options, and what closes it."""
-    from ...envs.exchange.over_port import CanDrives, EtherCatDrives
+def _row(episode: Any) -> dict[str, Any]:
+    """An episode, for a report."""
+    told = {k: v for k, v in episode.info.items() if isinstance(v, int | float | str | bool)}
+    return {"return": episode.returned, "steps": episode.steps, "late": episode.late} | told
 
+
+def _tell_episode(number: int, episode: Any, console: Console) -> None:
+    success = "success" if episode.info.get("is_success") else "no success"
+    console.print(
+        f"episode {number}: return {episode.returned:.3f} by the encoder, {success}, "
+        f"{episode.steps} steps, {episode.late} actions late", highlight=False,
+    )  # fmt: skip
+
+
+def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any:
+    """The drives on the bus of the options, with its logs."""
+    from ...envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep, Pace
+
+    pace = LockStep() if options.lock_step else Pace()
+    frames = [path for path in options.log if path.suffix != ".csv"]
+    for path in options.log:
+        path.parent.mkdir(parents=True, exist_ok=True)
     if options.ethercat:
+        from ...drive.wire.capture import Capture
         from ...drive.wire.soem import SoemMaster
 
+        for path in frames:
+            if path.suffix not in CAPTURES:
+                raise ValueError(f"--log {path}: frames of EtherCAT are kept as .pcapng")
+            stack.callback(Capture(options.ethercat, path).close)
         master = SoemMaster(options.ethercat)
-        return EtherCatDrives(master, axes, options.drive), master.close
+        stack.callback(master.close)
+        return EtherCatDrives(master, axes, options.drive, pace=pace)
     from ...drive.wire.bus import CanPort
+    from ...drive.wire.log import LogFile
 
     nodes = options.node_id or [*range(1, len(axes) + 1)]
     if len(nodes) != len(axes):
         raise ValueError(f"--node-id: {len(nodes)} are given for the drives {', '.join(axes)}")
+    logs = [LogFile(path) for path in frames]
+    for log in logs:
+        stack.callback(log.stop)
+
+    def keep(message: Any) -> None:
+        for log in logs:
+            log(message)
+            log.flush()
+
     bus = buses.opened(options)
+    stack.callback(bus.shutdown)
     named = dict(zip(axes, nodes, strict=True))
-    return CanDrives(CanPort(bus), named, options.drive), bus.shutdown
+    return CanDrives(CanPort(bus, log=keep if logs else None), named, options.drive, pace=pace)
 
 
 def _limit(line: Any, options: argparse.Namespace, axes: list[str]) -> None:
@@ -178,34 +251,26 @@ def _agreed(console: Console) -> bool:
     return answer.strip() == "yes"
 
 
-def _real_time(console: Console) -> None:
-    """Ask the system for real time, and say how to get it where it does not give it."""
-    missing = []
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
-    except (AttributeError, OSError):
-        missing.append("SCHED_FIFO (ulimit -r 50, or CAP_SYS_NICE)")
-    try:
-        locked = ctypes.CDLL(None).mlockall(LOCK_ALL) == 0
-    except (AttributeError, OSError):
-        locked = False
-    if not locked:
-        missing.append("locked memory (ulimit -l unlimited, or CAP_IPC_LOCK)")
-    if missing:
-        console.print(f"without {' and '.join(missing)}", highlight=False)
+def _tell_times(timing: Any, console: Console) -> None:
+    """How late steps were, as percentiles and as a histogram."""
+    from rich.table import Table
 
-
-def _tell(line: Any, console: Console) -> None:
-    import numpy as np
-
-    if line.lateness:
-        late = np.array(line.lateness) * 1e6
-        median, most, worst = np.percentile(late, (50, 99.9, 100))
-        console.print(
-            f"{len(late)} steps, later than planned by {median:.0f} µs (median), {most:.0f} µs "
-            f"(99.9 %), {worst:.0f} µs at most; {line.late} missed, {line.lost} answers lost",
-            highlight=False,
-        )  # fmt: skip
+    rows = timing.rows()
+    if not rows:
+        return
+    edges = timing.EDGES
+    table = Table(title=f"{len(timing.waking)} steps of {1e3 * timing.period:g} ms, times in µs")
+    for name in ("", "median", "99 %", "99.9 %", "most", *(f"<{e:g}" for e in edges[1:-1]), "more"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        told = (f"{value:.0f}" for value in (row.median, row.p99, row.p999, row.most))
+        table.add_row(row.what, *told, *(f"{n or ''}" for n in row.counts))
+    console.print(table)
+    console.print(
+        f"{timing.missed} set-points a step late, {timing.lost} steps without all answers, "
+        f"{timing.stale} actions not in time; the policy took {timing.share:.0%} of the time",
+        highlight=False,
+    )  # fmt: skip
 
 
 class _Log:

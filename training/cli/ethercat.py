@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from . import arguments
+
 if TYPE_CHECKING:
     from ...drive.wire.ethercat import EtherCatServer, Port
 
@@ -44,6 +46,7 @@ def add(command: argparse.ArgumentParser) -> None:
         help='such as "drop at=cycle:100 count=3" or "retreat at=op:50 slave=1"; repeatable',
     )  # fmt: skip
     command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
+    arguments.add_real_time(command)
     command.set_defaults(run=_ethercat, files=("log",))
 
 
@@ -102,6 +105,7 @@ def _serve(options: argparse.Namespace, console: Console, ports: "list[Port]") -
     signal.signal(signal.SIGTERM, lambda *_: server.stop())
     signal.signal(signal.SIGINT, lambda *_: server.stop())
     console.print(f"{len(segment)} slaves on {', '.join(names)}, clock {options.clock}")
+    arguments.real_time(options, console)
     try:
         if console.is_terminal:
             with Live(_table(server, 0.0), console=console, auto_refresh=False) as live:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from . import arguments
 from . import bus as buses
 
 STYLE = {"OPERATION_ENABLED": "green", "FAULT": "red", "FAULT_REACTION_ACTIVE": "red"}
@@ -31,6 +32,7 @@ def add(node: argparse.ArgumentParser) -> None:
         help="where 1010h and LSS store, and power-on looks; of several drives each has its own, "
         "with the node-id in its name",
     )  # fmt: skip
+    arguments.add_real_time(node)
     node.set_defaults(run=_node, files=("log", "parameter_file"))
 
 
@@ -93,6 +95,7 @@ def _node(options: argparse.Namespace, console: Console) -> int:
     if shown == can.BusABC.channel_info:
         shown = buses.where(options) or f"--interface {buses.INTERFACE} --channel {buses.CHANNEL}"
     tell(f"{options.drive} as node {nodes} on {shown}")
+    arguments.real_time(options, console)
     try:
         if console.is_terminal:
             with Live(console=console, auto_refresh=False, transient=True) as live:

@@ -4,20 +4,40 @@ import argparse
 import signal
 import threading
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
+
+from . import arguments
+from . import bus as buses
 
 
 def add(command: argparse.ArgumentParser) -> None:
     """Options of `serve`."""
-    command.add_argument("file", type=Path, help="machine file, see the how-to page on serving")
+    command.epilog = f"of a task without -i and --ethercat: -i {buses.INTERFACE} -c {buses.CHANNEL}"
+    command.add_argument(
+        "file", help="machine file, see the how-to page on serving; or the id of a task, such as "
+        "LinearAxis-v0, whose machine is served as `servogym deploy` commands it",
+    )  # fmt: skip
+    of_task = command.add_argument_group("of a task, what else stands in the file")
+    of_task.add_argument("--drive", default="", help="drive model (generic)")
+    of_task.add_argument("-i", "--interface", default="", help="of python-can")
+    of_task.add_argument("-c", "--channel", default="", help="of that interface")
+    of_task.add_argument(
+        "--ethercat", default="", metavar="IFACE", help="network interface instead"
+    )
+    of_task.add_argument("--node-id", type=int, default=0, help="of its first drive on CAN (1)")
+    of_task.add_argument(
+        "--clock", default="", help="real, sync, sync_end; of EtherCAT frame, dc, real"
+    )
+    of_task.add_argument(
+        "--log", default="", help="of all frames; .pcapng on EtherCAT, .log on CAN"
+    )
+    arguments.add(of_task)
     command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
     command.add_argument("--check", action="store_true", help="read the file and build the "
                          "machines, but open no bus")  # fmt: skip
-    command.add_argument(
-        "--run-code", action="store_true",
-        help="you have read the hooks.py in the folders of its drive models: run them",
-    )  # fmt: skip
+    arguments.add_real_time(command)
     command.set_defaults(run=_serve)
 
 
@@ -30,7 +50,13 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
     def tell(text: str) -> None:
         console.print(text, markup=False, highlight=False)
 
-    description = read(options.file)
+    if arguments.asked(options):
+        return arguments.listing(options.file, console)
+    if not _is_task(options.file):
+        for name in ONLY_OF_TASKS:
+            if getattr(options, name):
+                raise ValueError(f"--{name.replace('_', '-')}: it stands in the file")
+    description = read(_of_task(options) if _is_task(options.file) else options.file)
     for model in description.drive_models if options.run_code else ():
         run_code(model)
     with console.status("building the machines ..."):
@@ -41,6 +67,7 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
+    arguments.real_time(options, console)
     with laboratory:
         for bus in laboratory.description.buses:
             for machine in laboratory.description.of(bus):
@@ -53,3 +80,28 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
         while not ended.wait(0.25):
             laboratory.check()
     return 0
+
+
+ONLY_OF_TASKS = ("drive", "interface", "channel", "ethercat", "node_id", "clock", "log", "argument")
+
+
+def _is_task(name: str) -> bool:
+    """Whether it is no file."""
+    return not (Path(name).suffix or Path(name).exists())
+
+
+def _of_task(options: argparse.Namespace) -> dict[str, Any]:
+    """What a machine file with this task alone would say."""
+    if options.ethercat:
+        bus = {"kind": "ethercat", "interface": options.ethercat}
+    else:
+        bus = {
+            "kind": "can", "interface": options.interface or buses.INTERFACE,
+            "channel": options.channel or (buses.CHANNEL if not options.interface else ""),
+        }  # fmt: skip
+    machine = {"bus": "bus", "task": options.file, "drive": options.drive or "generic"}
+    if not options.ethercat:
+        machine["node_id"] = options.node_id or 1
+    machine["parameters"] = dict(options.argument or ())
+    given = {"clock": options.clock, "log": options.log}
+    return {"bus": {"bus": bus | given}, "machine": {"machine": machine}}

@@ -126,7 +126,8 @@ def finish(esc, at, n, now):
                 esc.outputs_at = now
         else:
             esc.memory[status] |= READ
-            esc.events |= Event.PROCESS_DATA
+            if esc.outputs_on == 0 or esc.sm_length[OUTPUTS] == 0:  # else they make the cycle
+                esc.events |= Event.PROCESS_DATA
         if esc.sm_watchdog[k] and esc.sm_write[k]:
             trigger_watchdog(esc, now)
 

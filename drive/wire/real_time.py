@@ -1,0 +1,35 @@
+"""Real time, as far as the system gives it: a priority before all others, memory that stays."""
+
+import ctypes
+import gc
+import os
+
+PRIORITY = 50  # of 1..99; interrupts of a PREEMPT_RT kernel have the same, its watchdogs 99
+LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
+
+
+def ask(below: int = 0) -> list[str]:
+    """SCHED_FIFO for this thread and those it starts, and locked memory.
+
+    What is in memory now is no more looked through for garbage, which would take tens of ms. A copy
+    of a process (fork) has none of it: it has to ask itself.
+
+    Args:
+        below: so much less than `PRIORITY`.
+
+    Returns: what the system has refused, each with the right that it needs; empty if nothing.
+    """
+    missing = []
+    gc.collect()
+    gc.freeze()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY - below))
+    except (AttributeError, OSError):
+        missing.append("SCHED_FIFO (ulimit -r 50, or CAP_SYS_NICE)")
+    try:
+        locked = ctypes.CDLL(None).mlockall(LOCK_ALL) == 0
+    except (AttributeError, OSError):
+        locked = False
+    if not locked:
+        missing.append("locked memory (ulimit -l unlimited, or CAP_IPC_LOCK)")
+    return missing
