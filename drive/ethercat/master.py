@@ -246,6 +246,15 @@ class EtherCatMaster:
         for slave in self.slaves:
             slave.request(state)
 
+    def recover(self) -> None:
+        """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
+        fallen = [slave for slave in self.slaves if slave.state != AlState.OPERATIONAL]
+        for slave in fallen:
+            slave.write(R.AL_CONTROL, bytes([AlState.SAFE_OPERATIONAL | ACKNOWLEDGE, 0]))
+        self.cycle()
+        for slave in fallen:
+            slave.request(AlState.OPERATIONAL)
+
     def to_preop(self) -> None:
         """Mailboxes open, PRE_OPERATIONAL."""
         for slave in self.slaves:

@@ -57,6 +57,9 @@ class SegmentMaster(Protocol):
     def look(self) -> bool:
         """Read the inputs alone."""
 
+    def recover(self) -> None:
+        """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
+
 
 class EtherCatPort:
     """Slaves of one segment, in OPERATIONAL.
@@ -79,6 +82,7 @@ class EtherCatPort:
     """
 
     latency = LATENCY
+    cyclic = False  # exchange process data after each SDO as well: their watchdog does not wait
 
     def __init__(
         self,
@@ -122,7 +126,10 @@ class EtherCatPort:
 
     def upload(self, axis: str, name: str) -> int | float:
         """An object (drive units), by SDO."""
-        return self.nodes[axis].upload(name)
+        value = self.nodes[axis].upload(name)
+        if self.cyclic:
+            self.exchange()
+        return value
 
     def write(self, axis: str, name: str, value: int | float) -> None:
         """Set an object (drive units), by SDO, or with the next exchange of process data."""

@@ -78,6 +78,11 @@ class SoemSlave:
         self._slave.state_check(0, 0)
         return AlState(self._slave.state & 0x0F or AlState.INIT)
 
+    def request(self, state: int) -> None:
+        """Ask for a state, which it takes as soon as it can."""
+        self._slave.state = state
+        self._slave.write_state()
+
     def upload(self, index: int, subindex: int = 0) -> int:
         """A number. Raises SdoAbort where the drive refuses."""
         return int.from_bytes(self.mailbox.upload(index, subindex), "little")
@@ -222,6 +227,20 @@ class SoemMaster:
             if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
                 return
         raise RuntimeError(f"OP is not reached: {self._told()}")
+
+    def recover(self) -> None:
+        """Slaves that a watchdog has taken out of OPERATIONAL go back to it. Raises RuntimeError."""
+        fallen = [s for s in self.slaves if s.state != AlState.OPERATIONAL]
+        for state in (self._soem.SAFEOP_STATE + self._soem.STATE_ACK, self._soem.OP_STATE):
+            for slave in fallen:
+                slave.request(state)
+            self.cycle()
+        for _ in range(TRIES if fallen else 0):
+            self.cycle()
+            if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
+                return
+        if fallen:
+            raise RuntimeError(f"OP is not reached: {self._told()}")
 
     def _told(self) -> str:
         self._master.read_state()

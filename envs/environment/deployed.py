@@ -76,7 +76,7 @@ class _Mind:
 
     def __init__(self, make: Callable[[], Acting], memory: int, fast: bool):
         kind = "fork" if sys.platform != "win32" else None
-        context = multiprocessing.get_context(kind)
+        context: Any = multiprocessing.get_context(kind)
         self._here, there = context.Pipe()
         self._process = context.Process(
             target=_think, args=(there, self._here, make, memory, fast), daemon=True

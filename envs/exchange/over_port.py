@@ -115,6 +115,9 @@ class DriveSide(Protocol):
     pace: Pace
     envelopes: Mapping[str, Envelope]  # by name; of a drive not named here, what it has itself
 
+    def awake(self) -> None:
+        """See that process data are exchanged, before an episode."""
+
     def connect(
         self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
     ) -> None:
@@ -199,6 +202,9 @@ class CanDrives:
         self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
         self._bus = _Beating(bus, self.pace.real)
         self.port = CanOpenPort(self._bus, nodes, model)
+
+    def awake(self) -> None:
+        """Nothing has to be done: NMT states stay."""
 
     def connect(
         self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
@@ -326,6 +332,11 @@ class EtherCatDrives:
             self._master, dict.fromkeys(self._axes, self._model), outputs=outputs, inputs=inputs,
             now=self.pace.now if self.pace.real else time.monotonic,
         )  # fmt: skip
+        self.port.cyclic = self.pace.real
+
+    def awake(self) -> None:
+        """Slaves whose watchdog has expired while nothing was exchanged go on."""
+        self._master.recover()
 
     def arm(self, on: bool) -> list[str]:
         """The watchdog of the sync managers always looks."""
@@ -466,6 +477,7 @@ class PortLine:
         """Before an episode."""
         if self.stopped is not None:
             raise self.stopped
+        self._side.awake()
         self._running = self._behind = 0
         if self._ends == math.inf:
             self._ends = time.monotonic() + self.time_limit
@@ -509,6 +521,7 @@ class PortLine:
 
     def _go(self, positions: Mapping[str, float], mode: Mode) -> None:
         self.unwatched = self._side.arm(True)
+        self.master.reset_fault()  # of a connection that was lost before; a cause that stays is told
         self.master.enable()
         if self.home is not None:
             self.master.home(self.home)

@@ -46,9 +46,9 @@ class Timing:
         for what in self.KINDS:
             values = np.array(getattr(self, what)) * 1e6
             if len(values):
-                told = np.percentile(values, (50, 99, 99.9, 100))
+                median, p99, p999, most = np.percentile(values, (50, 99, 99.9, 100))
                 counts = np.histogram(np.maximum(values, 0.0), EDGES)[0]
-                rows.append(Row(what, *map(float, told), tuple(map(int, counts))))
+                rows.append(Row(what, median, p99, p999, most, tuple(counts.tolist())))
         return rows
 
     @property

@@ -17,7 +17,7 @@ POLICY = "name, FILE.py:function, folder of a training, or model.zip of stable-b
 LISTED = "help"  # instead of NAME=VALUE
 
 
-def add(parser: argparse.ArgumentParser) -> None:
+def add(parser: argparse._ActionsContainer) -> None:
     """``--argument NAME=VALUE`` of an environment."""
     parser.add_argument(
         "--argument", action="append", metavar="NAME=VALUE", type=_argument, nargs="?",
