@@ -9,6 +9,7 @@ program that moves an emulated drive in memory moves a real one with the same ca
 
 import struct
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import Any
 
 from ..ethercat.al import AlState
@@ -41,12 +42,10 @@ class SoemMailbox:
         self._tried(index, subindex, lambda: self._slave.sdo_write(index, subindex, bytes(data)))
 
     def _tried(self, index: int, subindex: int, action: Any) -> Any:
-        for _ in range(AGAIN):  # SOEM gives a frame up after 2 ms
-            try:
-                return action()
-            except (self._soem.WkcError, self._soem.PacketError):
-                continue
         try:
+            for _ in range(AGAIN):  # SOEM gives a frame up after 2 ms
+                with suppress(self._soem.WkcError, self._soem.PacketError):
+                    return action()
             return action()
         except self._soem.SdoError as error:
             raise SdoAbort(error.abort_code, index, subindex) from None
@@ -229,7 +228,7 @@ class SoemMaster:
         raise RuntimeError(f"OP is not reached: {self._told()}")
 
     def recover(self) -> None:
-        """Slaves that a watchdog has taken out of OPERATIONAL go back to it. Raises RuntimeError."""
+        """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
         fallen = [s for s in self.slaves if s.state != AlState.OPERATIONAL]
         for state in (self._soem.SAFEOP_STATE + self._soem.STATE_ACK, self._soem.OP_STATE):
             for slave in fallen:

@@ -521,7 +521,7 @@ class PortLine:
 
     def _go(self, positions: Mapping[str, float], mode: Mode) -> None:
         self.unwatched = self._side.arm(True)
-        self.master.reset_fault()  # of a connection that was lost before; a cause that stays is told
+        self.master.reset_fault()  # of a connection lost before; a cause that stays is told
         self.master.enable()
         if self.home is not None:
             self.master.home(self.home)
