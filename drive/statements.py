@@ -47,7 +47,7 @@ def kind_of(section: str, note: str = "") -> str:
 
 
 def statements(model: str | Path | DriveModel) -> Iterator[Statement]:
-    """The statements of a model, each tried. Raises ValueError for what is no model."""
+    """The statements of a model, each tried. Raises ValueError for what is not a model."""
     drive = Drive(model)
     for row in drive.model.objects.values():
         yield Statement(

@@ -82,7 +82,7 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
         strict: refuse a file that needs a repair, for those who write EDS files.
 
     Raises:
-        ValueError: the file is no EDS of a CiA 402 drive, it needs repairs and `strict` forbids
+        ValueError: the file is not an EDS of a CiA 402 drive, it needs repairs and `strict` forbids
             them, or there is no place for the folder.
     """
     if not eds.exists():
@@ -246,7 +246,9 @@ class _Import:
                 return str(float(entry.default or 0))
             return str(number(entry.default)[0] if entry.default else 0)
         except ValueError:
-            self.sheet.tell(entry.line, entry.where, entry.default, "0", f"it is no {data_type}")
+            self.sheet.tell(
+                entry.line, entry.where, entry.default, "0", f"it is not of type {data_type}"
+            )
             return "0"
 
     def _numbers(
@@ -257,7 +259,7 @@ class _Import:
             try:
                 row["default"] = str(float(entry.default or 0))
             except ValueError:
-                self.sheet.tell(entry.line, entry.where, entry.default, "0", "it is no number")
+                self.sheet.tell(entry.line, entry.where, entry.default, "0", "it is not a number")
                 row["default"] = "0"
             return
         lowest, highest = _span(data_type)
@@ -323,7 +325,9 @@ class _Import:
         try:
             value, per_node = number(text)
         except ValueError:
-            self.sheet.tell(entry.line, entry.where, f"{what} {text!r}", "none", "it is no number")
+            self.sheet.tell(
+                entry.line, entry.where, f"{what} {text!r}", "none", "it is not a number"
+            )
             return None, False
         lowest, highest = _span(data_type)
         if lowest <= value <= highest:

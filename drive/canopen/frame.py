@@ -47,7 +47,7 @@ def parse(text: str) -> Frame:
     extended = found is not None and len(found[1]) > 3
     if found is None or int(found[1], 16) >= 1 << (29 if extended else 11):
         raise ValueError(
-            f"{text!r} is no frame of classical CAN: write identifier#data in hexadecimal, at most "
-            "8 bytes, as 601#4041600000000000, or 701#R for a remote frame"
+            f"{text!r} is not a frame of classical CAN: write identifier#data in hexadecimal, at "
+            "most 8 bytes, as 601#4041600000000000, or 701#R for a remote frame"
         )
     return Frame(int(found[1], 16), bytes.fromhex(found[3] or ""), bool(found[2]), extended)

@@ -388,9 +388,9 @@ def opened(text: str, where: str) -> dict[str, Any]:
         found = json.loads(text)
         objects, dialogues, stated = found["objects"], found["dialogues"], found["sha256"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"{where} is no observation of a drive ({error!r:.80})") from None
+        raise ValueError(f"{where} is not an observation of a drive ({error!r:.80})") from None
     if (found.get("format"), found.get("version")) != (FORMAT, VERSION):
-        raise ValueError(f"{where} is no {FORMAT} of version {VERSION}: observe the drive again")
+        raise ValueError(f"{where} is not a {FORMAT} of version {VERSION}: observe the drive again")
     plain = all(isinstance(one, dict) for one in (objects, dialogues, *objects.values()))
     if not plain or sealed(found)["sha256"] != stated:
         raise ValueError(f"{where} was altered, its hash does not match: observe the drive again")

@@ -56,7 +56,7 @@ class Sheet:
 
     path: Path
     entries: dict[tuple[int, int], Entry] = field(default_factory=dict)
-    info: dict[str, dict[str, str]] = field(default_factory=dict)  # sections that are no objects
+    info: dict[str, dict[str, str]] = field(default_factory=dict)  # sections that are not objects
     repairs: list[Repair] = field(default_factory=list)
     node_id: int | None = None  # of a DCF
 
@@ -80,7 +80,7 @@ def number(text: str) -> tuple[int, bool]:
     if found is None:
         if re.fullmatch(r"[+-]?\d+\.0*", plain):
             return int(float(plain)), bool(per_node)
-        raise ValueError(f"{text!r} is no number")
+        raise ValueError(f"{text!r} is not a number")
     sign, prefixed, suffixed, decimal = found.groups()
     value = int(decimal) if decimal else int(prefixed or suffixed, 16)
     return -value if sign == "-" else value, bool(per_node)
@@ -110,8 +110,8 @@ def read_sheet(path: Path) -> Sheet:
     if not objects:
         line = sections[0].line if sections else 1
         raise ValueError(
-            f"{path}, line {line}: no section of an object, such as [1000], follows: it is no EDS "
-            "of CiA 306"
+            f"{path}, line {line}: no section of an object, such as [1000], follows: it is not an "
+            "EDS of CiA 306"
         )
     _listed(sheet, objects)
     for index in sorted(objects):
@@ -188,7 +188,7 @@ def _listed(sheet: Sheet, objects: dict[int, dict[int | None, _Section]]) -> Non
                 try:
                     listed.add(number(value)[0])
                 except ValueError:
-                    sheet.tell(0, f"[{name}] {key}", value, "nothing", "it is no index")
+                    sheet.tell(0, f"[{name}] {key}", value, "nothing", "it is not an index")
     for index in sorted(listed - objects.keys()):
         sheet.tell(0, f"{index:04X}h", "listed", "left out", "it has no section")
     for index in sorted(objects.keys() - listed) if listed else ():
@@ -220,7 +220,7 @@ def _object(
         kind = VAR
     if kind not in KINDS:
         sheet.tell(head.line, f"{index:04X}h", f"object type {kind}", "left out",
-                   "it is no object of a device")  # fmt: skip
+                   "it is not an object of a device")  # fmt: skip
         return
     if kind in (VAR, DOMAIN):
         _entry(sheet, index, 0, head, "VAR", DOMAIN_TYPE if kind == DOMAIN else None, "")
@@ -275,7 +275,7 @@ def _entry(
     access = section.get("accesstype").lower()
     if access not in ("ro", "wo", "rw", "rww", "rwr", "const"):
         taken = "ro" if sub == 0 and kind != "VAR" else "rw"
-        sheet.tell(section.line, where, f"access {access!r}", taken, "it is no access type")
+        sheet.tell(section.line, where, f"access {access!r}", taken, "it is not an access type")
         access = taken
     value = section.get("parametervalue")
     default = section.get("defaultvalue")
@@ -297,7 +297,9 @@ def _small(sheet: Sheet, section: _Section, key: str, otherwise: int) -> int:
     try:
         return number(text)[0]
     except ValueError:
-        sheet.tell(section.line, f"[{section.name}] {key}", text, str(otherwise), "it is no number")
+        sheet.tell(
+            section.line, f"[{section.name}] {key}", text, str(otherwise), "it is not a number"
+        )
         return otherwise
 
 
@@ -308,7 +310,7 @@ def _commissioned(sheet: Sheet) -> None:
         try:
             node_id = number(text)[0] if text else 0
         except ValueError:
-            sheet.tell(0, f"[{name}] NodeID", text, "none", "it is no number")
+            sheet.tell(0, f"[{name}] NodeID", text, "none", "it is not a number")
             continue
         if 1 <= node_id <= 127:
             sheet.node_id = node_id

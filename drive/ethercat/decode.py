@@ -158,7 +158,7 @@ class EtherCatDecoder:
         self._known = _identities()
 
     def decode(self, frame: bytes) -> list[str]:
-        """Lines about a frame; none for what tells nothing new, or is no EtherCAT frame.
+        """Lines about a frame; none for what tells nothing new, or is not an EtherCAT frame.
 
         It never raises; `others` counts frames that are not EtherCAT's.
         """

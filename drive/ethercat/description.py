@@ -38,7 +38,7 @@ class Pdo:
     sync_manager: int  # `UNASSIGNED` where the default assignment leaves it out
     flags: int
     entries: tuple[Entry, ...]
-    # PDOs that it cannot be assigned with; ESI alone says so, so it is no difference to an EEPROM
+    # PDOs that it cannot be assigned with; only an ESI has them, so an EEPROM does not differ in it
     excludes: tuple[int, ...] = field(default=(), compare=False)
 
     @property

@@ -166,7 +166,7 @@ class _Reader:
                 return int(text[2:], 16)
             return int(text)
         except ValueError:
-            self.tell(element, what, text, otherwise, "it is no number")
+            self.tell(element, what, text, otherwise, "it is not a number")
             return otherwise
 
     # ----------------------------------------------------------------- devices
@@ -200,7 +200,9 @@ class _Reader:
         drives = [device for device in devices if self._is_drive(device)]
         if not drives:
             line = getattr(devices[0], "line", 1)
-            raise self.error(line, "no device with a controlword (6040h): it is no CiA 402 drive")
+            raise self.error(
+                line, "no device with a controlword (6040h): it is not a CiA 402 drive"
+            )
         if len(devices) > 1:
             self.tell(drives[0], "Device", f"{len(devices)} devices", _text(drives[0], "Type"),
                       "the first that is a drive; --device names another")  # fmt: skip
@@ -267,7 +269,7 @@ class _Reader:
         try:
             return bytes.fromhex(text)
         except ValueError:
-            self.tell(element, path, text[:40], "none", "these are no bytes")
+            self.tell(element, path, text[:40], "none", "these are not bytes")
             return b""
 
     def _managers(self, device: ElementTree.Element) -> tuple[SyncManager, ...]:
@@ -441,7 +443,7 @@ class _Reader:
             try:
                 raw = bytes.fromhex(data)
             except ValueError:
-                self.tell(info, where, f"{what}Data {data[:40]}", "none", "these are no bytes")
+                self.tell(info, where, f"{what}Data {data[:40]}", "none", "these are not bytes")
                 return ""
             if data_type == TEXT:
                 return raw.rstrip(b"\0").decode("latin-1")

@@ -116,7 +116,7 @@ class Fault:
                     str(kinds[key]).removeprefix("<class '").removesuffix("'>"), str
                 )(text)  # type: ignore[operator]
             except ValueError:
-                raise ValueError(f"fault {line!r}: {key}={text!r} is no number") from None
+                raise ValueError(f"fault {line!r}: {key}={text!r} is not a number") from None
         return cls(kind, **values)  # type: ignore[arg-type]
 
 

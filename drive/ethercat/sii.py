@@ -64,7 +64,7 @@ class _Strings:
         self.known: list[str] = []
 
     def number(self, text: str) -> int:
-        """Place of a text, which is entered if it is new; 0 is no text."""
+        """Place of a text, which is entered if it is new; 0 is not a text."""
         if not text:
             return 0
         if text not in self.known:

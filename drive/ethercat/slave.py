@@ -94,7 +94,7 @@ class Slave:
         alias: station alias in the EEPROM; without one that which a master has written before.
 
     Raises:
-        ValueError: the drive is on another bus, its SII does not fit, the alias is no alias.
+        ValueError: the drive is on another bus, its SII does not fit, the alias is not an alias.
     """
 
     def __init__(self, drive: Drive, *, alias: int | None = None):

@@ -48,7 +48,7 @@ class Library(JITCodeLibrary):
 
     @property
     def codegen(self) -> Any:
-        """Numba's; nothing can be written into what is no machine code yet."""
+        """Numba's; nothing can be written into what is not machine code yet."""
         return self._codegen if self._finalized else _NoEnvironment
 
     def add_linking_library(self, library):

@@ -34,7 +34,7 @@ def in_use(axis: Axis):
 
 @block
 def alone(axis: Axis):
-    """Whether the controlword is no command of the state machine."""
+    """Whether the controlword is not a command of the state machine."""
     return axis.od.command_source > Source.CONTROLWORD_AND_CONTACTS
 
 

@@ -69,7 +69,7 @@ REACTION_CODE = tuple(
     for reaction in Reaction
 )
 
-# Not refused although they are no row: the command that led here is still standing.
+# Not refused although they are not in a row: the command that led here is still standing.
 STANDING = (
     (_S.READY_TO_SWITCH_ON, _E.SHUTDOWN),
     (_S.SWITCHED_ON, _E.SWITCH_ON),

@@ -82,7 +82,7 @@ class _Cache(FunctionCache):
     def _damage_is_a_miss(self):
         try:
             yield
-        except Exception as error:  # whatever unpickling what is no pickle raises
+        except Exception as error:  # whatever unpickling what is not a pickle raises
             code_cache.say(f"{self._cache_file._index_path} is damaged ({error!r}): compiling anew")
             with contextlib.suppress(OSError):
                 self.flush()

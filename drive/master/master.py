@@ -432,7 +432,7 @@ class Master(Drives):
         try:
             return {a: round(x / getattr(self.port.units(a), unit)) for a, x in each.items()}
         except (TypeError, ValueError, OverflowError) as error:
-            raise Refused(what, f"{value!r} is no finite number") from error
+            raise Refused(what, f"{value!r} is not a finite number") from error
 
     def _inside(self, targets: Mapping[str, int]) -> None:
         """Refuse targets beyond the software position limits."""

@@ -60,7 +60,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     _refuse_unknown(toml, KINDS, path)
     for key, kind in KINDS.items():
         if not isinstance(toml.get(key, kind()), kind):
-            raise ValueError(f"{path}: {key} = {toml[key]!r} is no {kind.__name__}")
+            raise ValueError(f"{path}: {key} = {toml[key]!r} is not of type {kind.__name__}")
     for table, keys in KEYS.items():
         _refuse_unknown(toml.get(table, {}), keys, path, f"{table}.")
     if not 1 <= toml.get("axes", 1) <= 127:
@@ -82,10 +82,10 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise ValueError(f"{path}: abort_codes.{name} = {value} has more than 32 bits")
     for name in ("modes", "homing_methods"):
         if not isinstance(toml.get("capabilities", {}).get(name, []), list):
-            raise ValueError(f"{path}: capabilities.{name} is no list")
+            raise ValueError(f"{path}: capabilities.{name} is not a list")
     for name, value in toml.get("units", {}).items():
         if not isinstance(value, int | float) or not 0 < value < 1e9:
-            raise ValueError(f"{path}: units.{name} = {value!r} is no number above 0")
+            raise ValueError(f"{path}: units.{name} = {value!r} is not a number above 0")
     for name, value in toml.get("fixed", {}).items():
         if name in (OD.names or ()) and not _fits(value, OD[name]):
             raise ValueError(f"{path}: fixed.{name} = {value!r} does not fit {OD[name]}")
@@ -143,7 +143,7 @@ class Toml:
         """The field buses, "can" where nothing is said."""
         buses = self.data.get("buses", ["can"])
         if not isinstance(buses, list) or not buses:
-            raise ValueError(f'{self.path}: buses = {buses!r} is no list like ["can"]')
+            raise ValueError(f'{self.path}: buses = {buses!r} is not a list like ["can"]')
         for bus in buses:
             if bus not in BUSES:
                 raise ValueError(f"{self.path}: unknown bus {bus!r}, known: {', '.join(BUSES)}")

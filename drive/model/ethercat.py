@@ -119,7 +119,7 @@ class _Reader:
         for table, keys in TABLES.items():
             found = self.data.get(table, {}) if table else self.data
             if not isinstance(found, dict):
-                raise self.error(f"[{table}] is no table")
+                raise self.error(f"[{table}] is not a table")
             known = (*keys, *TABLES, "registers") if not table else keys
             for key in found:
                 if key not in known:
@@ -137,8 +137,8 @@ class _Reader:
         right = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
         if not right or (kind is int and not 0 <= value < 1 << 32):
             place = f"{table}.{key}" if table else key
-            what = "whole number of 0 or more" if kind is int else kind.__name__
-            raise self.error(f"{place} = {value!r} is no {what}")
+            what = "a whole number of 0 or more" if kind is int else f"of type {kind.__name__}"
+            raise self.error(f"{place} = {value!r} is not {what}")
         return value
 
     def numbers(
@@ -149,7 +149,7 @@ class _Reader:
         right = all(isinstance(v, int) and 0 <= v <= 0xFFFF for v in values)
         if not right or (count is not None and len(values) != count):
             wanted = "numbers" if count is None else f"{count} numbers"
-            raise self.error(f"{table}.{key} = {values!r} is no list of {wanted} 0..FFFFh")
+            raise self.error(f"{table}.{key} = {values!r} is not a list of {wanted} 0..FFFFh")
         return tuple(values)
 
     def keyed(self, table: dict[str, Any], place: str) -> dict[int, Any]:
@@ -176,16 +176,16 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
         try:
             registers[address] = bytes.fromhex(text)
         except (TypeError, ValueError):
-            raise reader.error(f"registers.{address:#06x} = {text!r} are no bytes") from None
+            raise reader.error(f"registers.{address:#06x} = {text!r} are not bytes") from None
         if not 0 <= address <= MEMORY[0] - len(registers[address]):
-            raise reader.error(f"registers.{address:#06x} is no register")
+            raise reader.error(f"registers.{address:#06x} is not a register")
     strings = reader.keyed(get("sii", "strings", dict, {}), "sii.strings")
     without = tuple(get("", "without", list, []))
     codes = get("al", "codes", dict, {})
     excludes = reader.keyed(get("pdo", "excludes", dict, {}), "pdo.excludes")
     for others in excludes.values():
         if not isinstance(others, list) or not all(type(other) is int for other in others):
-            raise reader.error(f"pdo.excludes: {others!r} is no list of PDOs")
+            raise reader.error(f"pdo.excludes: {others!r} is not a list of PDOs")
     for place, values, kind in (
         ("sii.strings", strings.values(), str),
         ("without", without, str),
@@ -193,7 +193,7 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
     ):
         for value in values:
             if not isinstance(value, kind):
-                raise reader.error(f"{place}: {value!r} is no {kind.__name__}")
+                raise reader.error(f"{place}: {value!r} is not of type {kind.__name__}")
     ethercat = EtherCat(
         name=get("", "name", str),
         order=get("", "order", str),
@@ -247,7 +247,7 @@ def _mode(reader: _Reader, row: Any) -> DcMode:
         isinstance(value, int) and 0 <= value <= 0x7FFF
         for value in (mode.assign_activate, mode.cycle_factor0)
     ):
-        raise reader.error(f"dc.modes: {row!r} is no name with numbers of 0 or more")
+        raise reader.error(f"dc.modes: {row!r} is not a name with numbers of 0 or more")
     return mode
 
 
@@ -271,7 +271,7 @@ def _check(reader: _Reader, ethercat: EtherCat) -> None:
             f"{min(out_length, in_length)}"
         )
     if ethercat.sii_size % 128 or not 256 <= ethercat.sii_size <= 65536:
-        raise reader.error(f"sii.size = {ethercat.sii_size} is no multiple of 128 up to 65536")
+        raise reader.error(f"sii.size = {ethercat.sii_size} is not a multiple of 128 up to 65536")
 
 
 def need_assignment(objects: dict[tuple[int, int], Object], path: Path) -> None:

@@ -38,7 +38,7 @@ def content(path: str | Path, what: str = "a file", largest: int = LARGEST) -> b
         largest: bytes it may have.
 
     Raises:
-        ValueError: it is no file, or has more bytes.
+        ValueError: it is not a file, or has more bytes.
         OSError: there is none, or it cannot be read.
     """
     if (size := regular(path)) > largest:

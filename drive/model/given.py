@@ -15,7 +15,7 @@ PROFILE = "generic"  # most names are there, and it is the smallest
 def finite(name: str, value: Any) -> int | float:
     """A number. Raises ValueError for what is none, naming it."""
     if not isinstance(value, SupportsFloat) or not math.isfinite(value):
-        raise ValueError(f"{name} = {value!r} is no finite number")
+        raise ValueError(f"{name} = {value!r} is not a finite number")
     return value if isinstance(value, int) else float(value)
 
 
@@ -27,14 +27,14 @@ def whole(name: str, value: Any, low: int, high: int, unit: str = "") -> int:
         number = None
     if number is None or isinstance(value, bool) or not low <= number <= high:
         behind = f" ({unit})" if unit else ""
-        raise ValueError(f"{name} = {value!r:.40} is no whole number in {low}..{high}{behind}")
+        raise ValueError(f"{name} = {value!r:.40} is not a whole number in {low}..{high}{behind}")
     return number
 
 
 def octets(name: str, value: Any) -> bytes | bytearray | memoryview:
     """Bytes. Raises ValueError for what are none, naming it."""
     if not isinstance(value, bytes | bytearray | memoryview):
-        raise ValueError(f"{name} = {value!r:.40} are no bytes")
+        raise ValueError(f"{name} = {value!r:.40} are not bytes")
     return value
 
 

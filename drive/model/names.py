@@ -18,7 +18,7 @@ def hint(name: str, known: Iterable[str], otherwise: str = "") -> str:
 
 
 def named(name: str, given: Any, example: str) -> dict[str, Any]:
-    """What is given by name, empty for None. Raises ValueError for what is no mapping."""
+    """What is given by name, empty for None. Raises ValueError for what is not a mapping."""
     if given is None:
         return {}
     if not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):

@@ -40,12 +40,12 @@ FORMATS = {
     "TIME_DIFFERENCE": "",
     **{f"{kind}{bits}": "" for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
 }
-LENGTHS = {  # of those without a format that are no strings (bytes)
+LENGTHS = {  # of those without a format that are not strings (bytes)
     "REAL64": 8, "TIME_OF_DAY": 6, "TIME_DIFFERENCE": 6,
     **{f"{kind}{bits}": bits // 8 for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
 }  # fmt: skip
 TEXTS = ("VISIBLE_STRING", "DOMAIN")
-TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are no text
+TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are not text
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
 # rows of an objects.csv by index and sub-index, each with the words "file, line n"
 Cells = dict[tuple[int, int], tuple[dict[str, str], str]]
@@ -116,7 +116,9 @@ class Object:
         try:
             return self.code.pack(value)
         except (struct.error, OverflowError) as error:
-            raise ValueError(f"{self.name} = {value!r} is no {self.data_type}: {error}") from None
+            raise ValueError(
+                f"{self.name} = {value!r} is not of type {self.data_type}: {error}"
+            ) from None
 
     def unpack(self, data: bytes) -> int | float:
         """The number `data` begins with: an SDO without a size has always four bytes (CiA 301).
@@ -254,7 +256,7 @@ def read_cells(path: Path) -> Cells:
         index = integer(row["index"], where, "index")
         subindex = integer(row["subindex"], where, "subindex")
         if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
-            raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h is no object address")
+            raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h is not an object address")
         if (index, subindex) in cells:
             raise ValueError(f"{where}: {index:04X}h:{subindex:02X}h occurs twice")
         cells[index, subindex] = row, where
@@ -309,7 +311,7 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
         elif row["field"].startswith("@"):  # another name for the bytes of an earlier row
             other = objects.get(address(row["field"][1:], where))
             if other is None or other.size != size:
-                raise ValueError(f"{where}: {row['field']} is no earlier row of this size")
+                raise ValueError(f"{where}: {row['field']} is not an earlier row of this size")
             area, offset = other.area, other.offset
         elif row["field"]:
             offset = _field_offset(row["field"], row["data_type"], where)
@@ -389,7 +391,7 @@ def _check_number(default: str, data_type: str, where: str) -> None:
     try:
         float(default or 0) if data_type == "REAL64" else int(default or "0", 0)
     except ValueError:
-        raise ValueError(f"{where}: default {default!r} is no {data_type}") from None
+        raise ValueError(f"{where}: default {default!r} is not of type {data_type}") from None
 
 
 def address(text: str, where: str) -> tuple[int, int]:
@@ -408,7 +410,9 @@ def _set(text: str, where: str) -> frozenset[int]:
         low = integer(first, where, "min")
         high = integer(last, where, "min") if last else low
         if not 0 <= high - low < LARGEST_SET:
-            raise ValueError(f"{where}: min {text!r}: {part} is no range of {LARGEST_SET} values")
+            raise ValueError(
+                f"{where}: min {text!r}: {part} is not a range of {LARGEST_SET} values"
+            )
         values.update(range(low, high + 1))
     return frozenset(values)
 

@@ -26,7 +26,7 @@ from .slots import Names, Slot, Slots
 def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, tuple[int, int]]]:
     """The objects of a model by address, which all its drives share, and addresses by name.
 
-    Raises ValueError with file, line and reason where a row names what is no hook.
+    Raises ValueError with file, line and reason where a row names what is not a hook.
     """
     rows = all_objects(model)
     for row in rows:
@@ -183,7 +183,7 @@ class ObjectDictionary:
             return slot
         if not isinstance(index, int | np.integer):
             raise SdoAbort(
-                Abort.NO_OBJECT, 0, 0, f"{index!r} is no object: give its name, or its index"
+                Abort.NO_OBJECT, 0, 0, f"{index!r} is not an object: give its name, or its index"
             )
         slot, abort = self.find(index, subindex)
         if slot is None:

@@ -182,13 +182,13 @@ class Parameters:
             return "" if whole and low <= value <= high else "cannot be stored"
         if match := re.fullmatch(rf"{REACTION}:(\d+)(-\d+)?", address):  # older: the main number
             known = int(match[1]) < 0x100 and value in REACTIONS
-            return "" if known else "is no reaction to a fault"
+            return "" if known else "is not a reaction to a fault"
         if match := re.fullmatch(rf"{AS_WRITTEN}:([0-9A-F]{{4}}):([0-9A-F]{{2}}):(\w+)", address):
             row = self._drive.model.objects.get((int(match[1], 16), int(match[2], 16)))
             known = row is not None and row in kept.storable(self._drive.model).values()
             whole = isinstance(value, int) or match[3] == "unit"
             fits = match[3] in kept.Kept._fields and whole and abs(value) < 2**62
-            return "" if known and fits else "is no value as it was written"
+            return "" if known and fits else "is not a value as it was written"
         match = re.fullmatch(r"([0-9A-F]{4}):([0-9A-F]{2})", address)
         if not match:
             return "has no address of an object"
@@ -197,10 +197,10 @@ class Parameters:
             return ""  # left out
         row = slot.row
         if not (math.isfinite(value) if row.format == "f" else isinstance(value, int)):
-            return f"is no {row.data_type}"
+            return f"is not of type {row.data_type}"
         if slot.kept is not None and slot.kept != kept.FACTOR:
             info = np.iinfo(np.dtype("<" + row.format))  # the range of the row is in other units
-            return "" if info.min <= value <= info.max else f"is no {row.data_type}"
+            return "" if info.min <= value <= info.max else f"is not of type {row.data_type}"
         if not row.minimum <= value <= row.maximum:
             return f"is out of range {row.minimum:.0f}..{row.maximum:.0f}"
         if row.allowed is not None and value not in row.allowed:
@@ -296,7 +296,7 @@ class Parameters:
     def keep_alias(self, alias: int) -> bool:
         """Store a station alias, and nothing else, unless the model stores all; False if it failed.
 
-        The alias is no parameter: 1011h leaves it.
+        The alias is not a parameter: 1011h leaves it.
         """
         values = self.values() if self._drive.model.quirk("alias_saves") else self.stored()
         self.alias = alias
@@ -305,7 +305,7 @@ class Parameters:
     def keep_lss(self, node_id: int, bit_rate: int | None) -> bool:
         """Store what LSS has configured, and nothing else; False if it failed.
 
-        It is no parameter: 1011h leaves it.
+        It is not a parameter: 1011h leaves it.
         """
         stored = self.stored()
         self.lss = node_id, bit_rate or 0

@@ -37,11 +37,13 @@ def unseal(snapshot: bytes, identity: Mapping[str, Any]) -> tuple[dict[str, Any]
         ValueError: it is none, damaged, of another version, or of something else.
     """
     if not isinstance(snapshot, bytes | bytearray | memoryview):
-        raise ValueError(f"{snapshot!r:.40} is no snapshot: give the bytes of one")
+        raise ValueError(f"{snapshot!r:.40} is not a snapshot: give the bytes of one")
     title, _, body = bytes(snapshot).partition(b"\n")
     words = title.split(b" ")
     if len(words) != 3 or words[0] != MARK:
-        raise ValueError(f"this is no snapshot, it begins with {snapshot[:20]!r}: take a new one")
+        raise ValueError(
+            f"this is not a snapshot, it begins with {snapshot[:20]!r}: take a new one"
+        )
     if words[1] != str(VERSION).encode():
         raise ValueError(
             f"this snapshot is of version {words[1].decode(errors='replace')[:10]}, version "

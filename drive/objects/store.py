@@ -44,7 +44,7 @@ def decode(text: str, model: str, check: Callable[[str, int | float], str] | Non
     try:
         content = json.loads(text)
         if not isinstance(content, dict):
-            raise ValueError("it is no table of parameters")
+            raise ValueError("it is not a table of parameters")
         if content["model"] != model:
             raise ValueError(f"it belongs to the model {content['model']!r}, not {model!r}")
         if content.get("version") != VERSION:
@@ -54,7 +54,7 @@ def decode(text: str, model: str, check: Callable[[str, int | float], str] | Non
         values, ranges = content["values"], content["ranges"]
         for address, value in values.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ValueError(f"{address} = {value!r} is no number")
+                raise ValueError(f"{address} = {value!r} is not a number")
             wrong = check(address, value) if check else ""
             if wrong:
                 then = ranges.get(address)
@@ -100,7 +100,7 @@ def read(path: Path, model: str, check: Callable[[str, int | float], str] | None
     except FileNotFoundError:
         return {}
     except UnicodeDecodeError:
-        raise ValueError("it is no text") from None
+        raise ValueError("it is not a text") from None
     except OSError as error:
         raise ValueError(f"it cannot be read ({error})") from None
     except ValueError as error:

@@ -41,7 +41,7 @@ _PLAIN_TABLE = re.compile(r"(?is)create\s+table\s(?!.*\b(generated|as)\b).*")
 
 
 def not_classical(message: can.Message) -> str:
-    """A line about a message that is no classical frame."""
+    """A line about a message that is not a classical frame."""
     if message.is_error_frame:
         return "error frame"
     return f"CAN FD {message.arbitration_id:03X}##{bytes(message.data).hex().upper()}"
@@ -88,7 +88,7 @@ def messages(log: Path) -> Iterator[can.Message]:
     except Exception as error:  # each reader has exceptions of its own, down to IndexError
         reason = " ".join(str(error).split())
         if isinstance(error, UnicodeError):
-            reason = "it is no text"
+            reason = "it is not a text"
         where = f"{log}, line {lines.number}" if lines else f"{log}"
         raise ValueError(
             f"{where}: damaged or cut off, no further frame can be read ({reason})"

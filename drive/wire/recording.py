@@ -287,7 +287,7 @@ def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]
         columns: ``time=t:ms,target_position=x:mm``, see `Source`.
 
     Raises:
-        ValueError: a heading or unit that is none, what is no number, no time.
+        ValueError: a heading or unit that is none, what is not a number, no time.
     """
     with log.open(newline="", encoding="utf-8", errors="replace") as file:
         reader = csv.reader(file)

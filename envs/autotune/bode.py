@@ -217,7 +217,7 @@ def _oscillates(stand: Stand) -> bool:
     if any(run[:, LIMITED].any() for run in runs):
         return True
     first, second = (float(np.std(run[:, TORQUE])) for run in runs)
-    # a load that swings on its spring comes to rest, which is no oscillation of the loop
+    # a load that swings on its spring comes to rest, which is not an oscillation of the loop
     return second > QUIET * float(stand.drive.axis.rated_torque) and second > DECAYING * first
 
 

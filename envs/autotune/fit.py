@@ -54,7 +54,7 @@ def why_not(response: Response, asked: Asked) -> str:
     if turning and all(m.gain >= asked.gain and m.phase >= asked.phase for m in loops.values()):
         return (
             f"the {' and the '.join(turning)} loop as measured goes round -1 (Nyquist), so its "
-            "margins are no proof; measure with a larger amplitude"
+            "margins are not proof; measure with a larger amplitude"
         )
     assert response.fitted is not None
     delay = response.fitted.delay + 1.5 * response.cycle

@@ -183,7 +183,7 @@ def _no_better(asked: Asked, before: Response, had: Trial, found: Trial) -> str:
     if math.isinf(found.following_error) > math.isinf(had.following_error):
         return (
             f"the move is not made with them ({found.note}), so the drive keeps what it "
-            "had; what was measured is no guide, as with much backlash or little excitation"
+            "had; what was measured is not a guide, as with much backlash or little excitation"
         )
     if asked.kept(before) and found.following_error > WORSE * had.following_error:
         return (

@@ -15,7 +15,7 @@ from .condition import Look, holds
 from .exercise import Exercise, Step
 
 START_HOMING = 0x10  # bit 4 of the controlword in mode hm
-JUMP = 0.1  # s between two looks; more was no time that has passed, but another machine
+JUMP = 0.1  # s between two looks; more was not a time that has passed, but another machine
 # what a look depends on: fields of the record, and variables of the object dictionary
 DISCRETE = ("state", "mode", "fault", "refused_command", "homed", "standstill")
 WORDS = ("controlword", "homing_method")

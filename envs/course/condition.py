@@ -80,7 +80,7 @@ def _truth(key: str, value: Any) -> str:
 
 def _whole(key: str, value: Any) -> str:
     whole = all(isinstance(each, int) and not isinstance(each, bool) for each in _any(value))
-    return "" if whole else f"{key} = {value!r} is no whole number"
+    return "" if whole else f"{key} = {value!r} is not a whole number"
 
 
 def _condition(key: str, value: Any) -> str:
@@ -98,7 +98,7 @@ def _range(key: str, value: Any) -> str:
         and all(isinstance(end, int | float) and not math.isnan(end) for end in value)
         and value[0] <= value[1]
     )
-    return "" if fine else f"{key} = {value!r} is no range of two numbers"
+    return "" if fine else f"{key} = {value!r} is not a range of two numbers"
 
 
 def _ranges(key: str, value: Any) -> str:
@@ -152,7 +152,7 @@ KEYS: dict[str, tuple[Callable[[str, Any], str], Callable[[Look, Any], bool]]] =
 def check(table: Any) -> dict[str, Any]:
     """A condition of a file. Raises ValueError naming what could never hold."""
     if not isinstance(table, Mapping) or not table:
-        raise ValueError(f"{table!r} is no condition: use {', '.join(KEYS)}")
+        raise ValueError(f"{table!r} is not a condition: use {', '.join(KEYS)}")
     for key, value in table.items():
         if key not in KEYS:
             raise ValueError(f"{key} is unknown: {hint(str(key), KEYS)}")

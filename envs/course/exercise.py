@@ -252,7 +252,7 @@ def _begin(row: Any) -> Begin:
 
 def _known(row: Any, names: tuple[str, ...], where: str) -> None:
     if not isinstance(row, Mapping):
-        raise ValueError(f"{where}{row!r} is no table")
+        raise ValueError(f"{where}{row!r} is not a table")
     for name in row:
         if name not in names:
             raise ValueError(f"{where}{name} is unknown: {hint(str(name), names)}")

@@ -23,7 +23,7 @@ def couple(model: mujoco.MjModel, name: str, drive: Drive, coupling: Any) -> Non
     The model's actuator loses its control range, the joint its friction: both are the loop's now.
 
     Raises:
-        ValueError: the actuator is no plain motor on a slide or hinge, cycles do not fit.
+        ValueError: the actuator is not a plain motor on a slide or hinge, cycles do not fit.
     """
     number = actuator_of(model, name)
     joint = model.actuator_trnid[number, 0]

@@ -43,7 +43,7 @@ def step_cycles(wanted: float | None, usual: float, cycle: float) -> int:
         usual: of the task (s), to the nearest cycle.
         cycle: of the drives (s).
 
-    Raises ValueError for a time that is no whole number of cycles, or out of 1..1000 of them.
+    Raises ValueError for a time that is not a whole number of cycles, or out of 1..1000 of them.
     """
     seconds = in_range("step_time", usual if wanted is None else wanted, cycle, 1000 * cycle, "s")
     cycles = round(seconds / cycle)

@@ -28,7 +28,7 @@ class Replay:
         read: fields of the record, or ``od.`` and a variable.
 
     Raises:
-        ValueError: a name that is no field.
+        ValueError: a name that is not a field.
     """
 
     def __init__(self, drive: str, written: Sequence[str], read: Sequence[str]):

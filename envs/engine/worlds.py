@@ -184,7 +184,7 @@ class Worlds:
 
     @property
     def qpos(self) -> np.ndarray:
-        """Joint coordinates, shape ``(n, nq)`` float32, a copy where the device is no CPU."""
+        """Joint coordinates, shape ``(n, nq)`` float32, a copy where the device is not a CPU."""
         return self._data.qpos.numpy()
 
     @property
@@ -342,7 +342,7 @@ def _takeable(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy that mujoco-warp takes; it resets nothing by itself, and knows no flag for that."""
     if model.na:
         raise ValueError(
-            f"the model has {model.na} actuator activations, which are no part of what a device "
+            f"the model has {model.na} actuator activations, which are not part of what a device "
             "keeps of a machine, since drives have none: leave device out"
         )
     model = copy.copy(model)

@@ -3,7 +3,7 @@
 The policy has a process of its own. There it may end, hang, or fill its memory without holding up
 the one that exchanges frames and stops the drives. An action that has not come when the set-points
 go out is replaced by the one before, as a drive bridges a set-point that is missing; a few of these
-in a row stop the drives, as does whatever the policy raises or returns that is no action.
+in a row stop the drives, as does whatever the policy raises or returns that is not an action.
 """
 
 import ctypes

@@ -85,7 +85,7 @@ def check(task: Any, base: type) -> None:
 
 
 def built(task: Any, machine: Any) -> Machine:
-    """What ``_make`` of a task has returned. Raises ValueError where it is no machine."""
+    """What ``_make`` of a task has returned. Raises ValueError where it is not a machine."""
     if not isinstance(machine, Machine):
         raise ValueError(
             f"task {type(task).__name__}: _make returned {machine!r:.80}: return the machine, as "

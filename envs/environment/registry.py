@@ -88,7 +88,7 @@ def task(name: str | type[ServoEnv]) -> type[ServoEnv]:
     made = spec.entry_point if made is None else made
     if not (isinstance(made, type) and issubclass(made, ServoEnv)):
         raise ValueError(
-            f"environment {name!r} is no task of servo drives: its class has to inherit from "
+            f"environment {name!r} is not a task of servo drives: its class has to inherit from "
             "servogym.envs.ServoEnv"
         )
     if getattr(made, "ID", None) != found:

@@ -2,8 +2,8 @@
 
 Each command is looked at before it is sent and each answer when it has come. What leaves the
 envelope raises `Stopped` with the name of the limit; the line then sends a quick stop and nothing
-else. It is no safety function: it runs on the computer the policy runs on. What protects people is
-the machine's own, such as STO (IEC 61800-5-2).
+else. It is not a safety function: it runs on the computer the policy runs on. What protects people
+is the machine's own, such as STO (IEC 61800-5-2).
 """
 
 import math
@@ -87,7 +87,7 @@ class Guard:
         limits = self.envelope
         for name, value in values.items():
             if not math.isfinite(value):
-                raise self._stop(f"{name} = {value} is no number")
+                raise self._stop(f"{name} = {value} is not a number")
         if "target_position" in values and "target_velocity" not in values:
             set_point = values["target_position"] * self._position
             self._within("set-point", set_point)

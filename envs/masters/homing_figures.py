@@ -145,7 +145,7 @@ def built_in(
     if method in HERE or method not in drive.model.homing_methods:
         known = [known for known in drive.model.homing_methods if known not in HERE]
         raise ValueError(
-            f"method = {method!r} is no search of drive {drive.model.name!r}, choose of {known}"
+            f"method = {method!r} is not a search of drive {drive.model.name!r}, choose of {known}"
         )
     before = machine.snapshot()
     try:

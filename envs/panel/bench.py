@@ -148,7 +148,7 @@ class Bench:
         raise NotImplementedError
 
     def fields(self) -> tuple[str, ...]:
-        """Channels of the scope that are no objects."""
+        """Channels of the scope that are not objects."""
         return ()
 
     def channel_reader(self, axis: str, name: str) -> Callable[[], float]:

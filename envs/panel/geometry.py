@@ -66,7 +66,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any] | None:
 
 
 def _part(part: Part) -> dict[str, Any]:
-    """What is no geom, as a shape."""
+    """What is not a geom, as a shape."""
     kind = mujoco.mjtGeom(part.kind).name.removeprefix("mjGEOM_").lower()
     return {
         "kind": kind, "body": part.body, "pos": part.place, "quat": part.turned,

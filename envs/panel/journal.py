@@ -100,10 +100,10 @@ def read(path: str | Path) -> dict[str, Any]:
             raise ValueError(f"it does not say {FORM!r}")
         for cycle, what, *_ in run["events"]:
             if not (isinstance(cycle, int) and what in {*ACTS, *ANSWERS, CYCLES}):
-                raise ValueError(f"{[cycle, what]} is no event")
+                raise ValueError(f"{[cycle, what]} is not an event")
         return run
     except (OSError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no run of an exercise: {error}") from None
+        raise ValueError(f"{path} is not a run of an exercise: {error}") from None
 
 
 class Player:

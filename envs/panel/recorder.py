@@ -233,7 +233,7 @@ class Recorder:
             self._use(set_up)
         except (KeyError, TypeError, AttributeError) as error:
             self._use(before)
-            raise ValueError(f"this is no set-up of the scope: {error!r}") from None
+            raise ValueError(f"this is not a set-up of the scope: {error!r}") from None
         except ValueError:
             self._use(before)
             raise

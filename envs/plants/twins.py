@@ -116,7 +116,7 @@ def read(folder: str | Path) -> Twin:
     """The twin in a folder that `servogym twin` has written.
 
     Raises:
-        ValueError: there is none, it is damaged, of another version, or names what is no parameter.
+        ValueError: there is none, it is damaged, of another version, or has unknown parameters.
     """
     file = Path(folder) / FILE if Path(folder).suffix != ".json" else Path(folder)
     if not file.is_file():
@@ -124,7 +124,7 @@ def read(folder: str | Path) -> Twin:
             f"twin = {str(folder)!r}: there is no {FILE} in it; servogym twin makes one"
         )
     if file.stat().st_size > LARGEST:
-        raise ValueError(f"{file}: larger than {LARGEST} bytes, this is no twin")
+        raise ValueError(f"{file}: larger than {LARGEST} bytes, this is not a twin")
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         schema = content["schema"]
@@ -154,7 +154,7 @@ def _checked(file: Path, content: Mapping[str, Any]) -> Twin:
             )
         value = Value(float(row["value"]), float(row["low"]), float(row["high"]), str(row["unit"]))
         if not all(map(math.isfinite, (value.value, value.low, value.high))):
-            raise ValueError(f"{file}: {name} is no number")
+            raise ValueError(f"{file}: {name} is not a number")
         found[name] = value
     return Twin(
         file.parent, str(content["drive"]), machine["builder"], dict(machine["arguments"]),

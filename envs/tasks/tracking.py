@@ -285,7 +285,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         return list(REFERENCES)[self.np_random.integers(len(REFERENCES))]
 
     def figures(self) -> dict[str, float]:
-        """The tracking error; a reference is no goal that it could settle at."""
+        """The tracking error; a reference is not a goal that it could settle at."""
         return {
             "tracking_error": UM * self.episode.rms_error,
             "load_error": UM * self.episode.rms_load_error,

@@ -294,8 +294,8 @@ def _whole_period(period: float, step: float, log: str) -> float:
     cycles = max(round(period / step), 1)
     if abs(cycles * step / period - 1) > 0.02:
         raise Unusable(
-            f"{log}: a bus cycle of {period * 1e3:.4g} ms is no multiple of the drive's position "
-            f"cycle of {step * 1e3:g} ms: is --drive right?"
+            f"{log}: a bus cycle of {period * 1e3:.4g} ms is not a multiple of the drive's "
+            f"position cycle of {step * 1e3:g} ms: is --drive right?"
         )
     return cycles * step
 

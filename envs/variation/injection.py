@@ -25,7 +25,7 @@ class Injection(NamedTuple):
 def sort(faults: Faults) -> tuple[dict[str, float], list["Fault"]]:
     """Causes inside drives with their probabilities, and faults of the bus.
 
-    Raises ValueError for a line that is no fault of the bus.
+    Raises ValueError for a line that is not a fault of the bus.
     """
     if not faults:
         return {}, []

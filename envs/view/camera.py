@@ -67,7 +67,7 @@ def framed(
 
 
 def seen(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """What all that is no floor reaches to, ``(n, 3)`` (m): now, and where the joints can bring it.
+    """Return the points that geoms other than the floor can reach, ``(n, 3)`` (m).
 
     Sliding joints stand at both their ends, and those that turn anywhere, all at once.
     """

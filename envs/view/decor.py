@@ -1,7 +1,7 @@
 """What makes a plant look like a machine, and tells its size; drawn only, it weighs nothing.
 
 Parts are boxes, cylinders and the like at bodies of the plants that come with the laboratory, found
-by the name of the model. They are no geoms of the model: each of those costs time in every step of
+by the name of the model. They are not geoms of the model: each of those costs time in every step of
 the physics. A machine of somebody's own has none but the scale on the floor.
 """
 

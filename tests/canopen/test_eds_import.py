@@ -85,15 +85,15 @@ def text_of(tmp_path):
     ("spoil", "reason"),
     [
         (lambda text: text[: len(text) // 3], r"bad.eds, line \d+: 6040h is .*file complete\?"),
-        (lambda text: "", "bad.eds, line 1: .* it is no EDS"),
+        (lambda text: "", "bad.eds, line 1: .* it is not an EDS"),
         (lambda text: "\0\1\2" * 500, "it is binary"),
         (lambda text: text + ";" * 10_000_000, "bytes, an EDS has at most"),
-        (lambda text: "[FileInfo]\nFileName=x.eds\n", "it is no EDS"),
+        (lambda text: "[FileInfo]\nFileName=x.eds\n", "it is not an EDS"),
         (lambda text: text.replace("[6040]", "[604"), "6040h is listed, but has no section"),
         (lambda text: without(text, "6041"), "6041h is missing: it is not the EDS"),
         (
             lambda text: "\n".join(text[i : i + 7] for i in range(0, 4000, 7)),
-            r"line \d+: .* is missing|no EDS",
+            r"line \d+: .* is missing|not an EDS",
         ),
     ],
 )

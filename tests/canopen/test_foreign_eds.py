@@ -136,7 +136,7 @@ def test_a_default_outside_its_range_or_type_is_repaired_and_told(made, row, add
 )  # fmt: skip
 def test_numbers_as_files_write_them(text, value):
     if value is None:
-        with pytest.raises(ValueError, match="is no number"):
+        with pytest.raises(ValueError, match="is not a number"):
             number(text)
     else:
         assert number(text) == (value if isinstance(value, tuple) else (value, False))

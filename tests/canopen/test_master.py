@@ -301,7 +301,7 @@ def test_names_and_values_are_checked_before_they_are_sent(bench):
         bench.master.write("torque_window", 0)
     with pytest.raises(Refused, match=r"'controlwort': did you mean controlword"):
         bench.master.write("controlwort", 0)
-    with pytest.raises(Refused, match="target_position = 2147483648 is no INTEGER32"):
+    with pytest.raises(Refused, match="target_position = 2147483648 is not of type INTEGER32"):
         bench.master.write("target_position", 2**31)
     with pytest.raises(ValueError, match=r"node_id = 128 is out of range 1\.\.127"):
         CanOpenPort(bench.bus, 128)

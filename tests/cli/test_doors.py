@@ -101,7 +101,7 @@ def test_a_task_of_ones_own_in_vectors_of_gymnasium_and_sb3(lab):
         ("LinarAxis-v0", "unknown environment 'LinarAxis-v0': did you mean LinearAxis-v0"),
         ("mylab:Nugde-v0", "did you mean mylab:Nudge-v0"),
         ("yourlab:Nudge-v0", "module 'yourlab' cannot be imported (ModuleNotFoundError"),
-        ("CartPole-v1", "is no task of servo drives"),
+        ("CartPole-v1", "is not a task of servo drives"),
         ("numpy:X-v0", "numpy registers none"),
     ],
 )

@@ -43,9 +43,9 @@ def refused(capsys, *arguments):
         ),
         (
             ["--udp", "--fault", "retreat code=0x1FFFFFFFF"],
-            "fault retreat: code = 8589934591 is no whole number in 0..65535",
+            "fault retreat: code = 8589934591 is not a whole number in 0..65535",
         ),
-        (["--udp", "--fault", "break_link port=4"], "fault break_link: port = 4 is no whole"),
+        (["--udp", "--fault", "break_link port=4"], "fault break_link: port = 4 is not a whole"),
         (["--udp", "--fault", "explode"], "fault 'explode': choose one of drop, "),
         (["--udp", "--fault", "drop at=noon:1"], "at=noon:1: give one of frame, "),
         (["--udp", "--fault", "drop when=1"], "'when' is unknown, use of "),

@@ -445,7 +445,7 @@ def test_numbers_in_hints_do_not_trip_the_drive_again(name):
         ("title='a'\n[[step]]\ntext='b'\ngoal=[]", "give at least one condition"),
         ("title='a'\n[[step]]\ntext='b'\ngoal=[{state='ON'}]", "state = 'ON'"),
         ("title='a'\n[[step]]\ntext='b'\ngoal=[{stat='FAULT'}]", "did you mean state"),
-        ("title='a'\n[[step]]\ntext='b'\ngoal=[{position=[2,1]}]", "no range of two numbers"),
+        ("title='a'\n[[step]]\ntext='b'\ngoal=[{position=[2,1]}]", "not a range of two numbers"),
         ("title='a'\n[[step]]\ntext='b'\ngoal=[{homed=1}]", "use true or false"),
         ("title='a'\n[[step]]\ntext='b'\ngoal=[{unless={state='ON'}}]", "unless: state = 'ON'"),
         ("title='a'\n[[step]]\ntext='b'\ngoal=[{homed=true}]\nhint='c'", "did you mean hints"),

@@ -235,7 +235,7 @@ for _ in range(300):
     t = bytearray(s); t[g.integers(len(t))] ^= 1 << g.integers(8); refused(ValueError, "", d.restore, bytes(t))
 # of an older version
 refused(ValueError, "version", d.restore, s.replace(b"snapshot 4", b"snapshot 3", 1))
-refused(ValueError, "no snapshot", d.restore, b"1 generic 4728" + bytes(9000))
+refused(ValueError, "not a snapshot", d.restore, b"1 generic 4728" + bytes(9000))
 # of another model
 refused(ValueError, "model", d.restore, Drive("kollmorgen_akd").snapshot())
 # stored and commissioned values belong to it

@@ -263,7 +263,7 @@ def test_39_a_wrong_toggle_bit_ends_the_transfer_of_a_name_and_the_next_is_whole
     master = EtherCatMaster(bus)
     master.scan()
     master.to_preop()
-    bus.order(["mailbox_toggle at=mailbox:2"])  # the first answer is no segment
+    bus.order(["mailbox_toggle at=mailbox:2"])  # the first answer is not a segment
     mailbox = master.slaves[0].mailbox
     with pytest.raises(SdoAbort) as refused:
         mailbox.upload(0x1008)

@@ -71,7 +71,7 @@ def test_an_emergency_that_waits_and_a_file_that_is_read_are_in_the_snapshot():
 def test_a_damaged_snapshot_of_a_slave_is_refused():
     slave = Wired("generic").to(P)
     for damaged in (b"", b"(1, 2)", b"\xff", b"__import__('os')"):
-        with pytest.raises(ValueError, match="this is no snapshot"):
+        with pytest.raises(ValueError, match="this is not a snapshot"):
             slave.slave.restore(damaged)
 
 
@@ -123,7 +123,7 @@ def test_no_damaged_snapshot_is_taken_and_none_changes_anything(kept, name):
 @pytest.mark.parametrize("nothing", [None, 7, "text"])
 @pytest.mark.parametrize("name", ["segment", "slave", "drive", "machine"])
 def test_what_is_no_snapshot_at_all_is_refused(kept, name, nothing):
-    with pytest.raises(ValueError, match="is no snapshot: give the bytes of one"):
+    with pytest.raises(ValueError, match="is not a snapshot: give the bytes of one"):
         kept[name].restore(nothing)
 
 

@@ -53,7 +53,7 @@ def test_a_segment_refuses_what_is_no_number_in_range(segment, name):
 
 @pytest.mark.parametrize("slave", [2, 9, -1])
 def test_a_slave_that_is_not_there_has_no_power(segment, slave):
-    with pytest.raises(ValueError, match=f"slave = {slave} is no whole number in 0..1"):
+    with pytest.raises(ValueError, match=f"slave = {slave} is not a whole number in 0..1"):
         segment.power(slave, False)
 
 

@@ -214,9 +214,9 @@ def test_what_is_no_submission_is_told(entries, capsys):
     good = (entries / "hold.npz").read_bytes()
     told = head(entries / "hold.npz")
     assert "holds no arrays" in says(b"hello")
-    assert "is no submission" in says(good, **{HEAD: b"{}"})
+    assert "is not a submission" in says(good, **{HEAD: b"{}"})
     assert "its hash is" in says(good, **{HEAD: json.dumps(told | {"suite": "v0"}).encode()})
-    assert "'../evil' is no file of a policy" in says(good, **{FILES + "../evil": b"x"})
+    assert "'../evil' is not a file of a policy" in says(good, **{FILES + "../evil": b"x"})
     (entries.parent / "small.toml").write_text(SMALL + "\n# more\n", encoding="utf-8")
     assert "make it again with --suite small" in says(good)
 
@@ -225,7 +225,7 @@ def test_what_is_no_submission_is_told(entries, capsys):
     ("about", "says"),
     [
         ({"algorithm": "Popen"}, "algorithm 'Popen' is unknown"),
-        ({"residual": "evil.py:act"}, "corrects 'evil.py:act', which is no registered policy"),
+        ({"residual": "evil.py:act"}, "corrects 'evil.py:act', which is not a registered policy"),
     ],
 )
 def test_a_checkpoint_that_names_foreign_code_is_refused(about, says, entries):

@@ -31,7 +31,7 @@ def test_a_single_training_is_drawn_too(tmp_path):
 
 
 def test_a_second_stage_is_drawn_over_its_own_range(tmp_path, monkeypatch):
-    """Returns of 1000 to 1006 are no flat line at the top."""
+    """Returns of 1000 to 1006 are not a flat line at the top."""
     seen = []
     monkeypatch.setattr(
         "matplotlib.figure.Figure.savefig", lambda self, *_, **__: seen.append(self.axes[0])

@@ -214,8 +214,8 @@ FORGERIES = {
     a_program_as_base: "a program is one file",
     a_program_beside: "a program is one file",
     a_program: "brings evil.py, which is a program: read it, and say --run-code",
-    a_path_without_files: "brings no files, and 'evil.py:act' is no baseline",
-    what_comes_with_the_laboratory: "brings no files, and 'learned' is no baseline",
+    a_path_without_files: "brings no files, and 'evil.py:act' is not a baseline",
+    what_comes_with_the_laboratory: "brings no files, and 'learned' is not a baseline",
     a_name_that_is_a_baseline: "an entry 'ruckig' has to be the policy of that name",
     a_name_with_markup: "name = 'mine | 1 | 200' is none that a page could show",
     a_command_with_markup: "is none that a page could show",
@@ -225,7 +225,7 @@ FORGERIES = {
     of_another_task: "was trained for servogym/LinearAxisTracking-v0, not for LinearAxis-v0",
     a_tensor_of_objects: "was changed or damaged: its SHA-256 is",
     half_a_training: "is there without its weights.npz",
-    out_of_its_folder: "is no file of a policy",
+    out_of_its_folder: "is not a file of a policy",
 }
 
 

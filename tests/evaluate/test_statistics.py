@@ -103,7 +103,7 @@ def test_a_share_of_all_episodes_leaves_room_for_what_was_not_met():
     found = summarise(np.ones((5, 50)), share=True)
     assert (found.mean, found.high) == (1.0, 1.0)
     assert found.low == pytest.approx(0.929, abs=1e-3), "five trainings on the same 50 episodes"
-    assert summarise(np.zeros((1, 50))).high == 0.0, "a torque that is always 0 is no share"
+    assert summarise(np.zeros((1, 50))).high == 0.0, "a torque that is always 0 is not a share"
 
 
 def test_the_worst_training_and_the_worst_episodes_are_on_the_bad_side():

@@ -290,7 +290,7 @@ def test_who_waits_at_a_terminal_is_told_once(load, cache, monkeypatch):
 
 
 def test_a_notebook_is_told_before_and_after_a_long_compile(load, cache, monkeypatch):
-    """Its stderr is no terminal; ipykernel's `OutStream` is known by its module."""
+    """Its stderr is not a terminal; ipykernel's `OutStream` is known by its module."""
     stream = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})
     monkeypatch.delenv("SERVOGYM_QUIET", raising=False)
     monkeypatch.setattr(dispatchers, "LONG", 0.0)

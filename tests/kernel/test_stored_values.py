@@ -197,7 +197,7 @@ def test_a_value_reads_the_same_in_any_units_and_returns_as_it_was_written(drive
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
 @given(st.integers(0, 5_000), st.integers(1, 5_000), st.integers(0, 5_000))
 def test_what_lies_halfway_is_rounded_upwards_exactly(drive, p, q, odd):
-    """The ratio p / 2q of the units is no binary fraction: floating point would miss the middle."""
+    """The ratio p / 2q of the units is not a binary fraction: floating point misses the middle."""
     p, number = 2 * p + 1, q * (2 * odd + 1)
     field = "velocity_encoder_factor" if older(drive) else "velocity_factor"
     assert write_factor(drive, field, p, 1)

@@ -149,7 +149,7 @@ def test_sb3_corrects_with_the_same_arguments():
         ("--residual feed_forward", "belong together"),
         ("--bounds 0.1,0.1", "belong together"),
         ("--residual lqr --bounds 0.1,0.1", "policy 'lqr' is for"),
-        ("--residual nobody --bounds 0.1,0.1", "corrects 'nobody', which is no registered policy"),
+        ("--residual nobody --bounds 0.1,0.1", "'nobody', which is not a registered policy"),
     ],
 )  # fmt: skip
 def test_a_residual_that_does_not_fit_is_one_line(arguments, says, tmp_path, capsys):

@@ -79,5 +79,5 @@ def test_a_start_that_does_not_fit_is_told(first, tmp_path, capsys, options, say
 
 
 def test_a_start_that_is_none_says_so(tmp_path):
-    with pytest.raises(ValueError, match="is no checkpoint and has no best/"):
+    with pytest.raises(ValueError, match="is not a checkpoint and has no best/"):
         train(Training(ID, out=tmp_path / "run", start=tmp_path))

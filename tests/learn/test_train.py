@@ -402,7 +402,7 @@ def test_a_trained_policy_comes_through_the_same_door(tmp_path):
         np.testing.assert_array_equal(*actions)
         observations = [e.step(a)[0] for e, a in zip((plain, shown), actions, strict=True)]
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="is no checkpoint and has no best/"):
+    with pytest.raises(ValueError, match="is not a checkpoint and has no best/"):
         make(str(tmp_path / "empty"), env)
 
 

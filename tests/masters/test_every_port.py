@@ -135,7 +135,7 @@ def test_what_a_drive_cannot_do_is_refused_in_words(bench):
     master = bench.referenced()
     with pytest.raises(Refused, match=r"x: 0.7 m is beyond the stroke 0..0.5 m \(soft.* 607Dh\)"):
         master.move_to(0.7)
-    with pytest.raises(Refused, match="move_to: inf is no finite number"):
+    with pytest.raises(Refused, match="move_to: inf is not a finite number"):
         master.move_to(float("inf"))
     with pytest.raises(Refused, match=r"move_to: \{'y': 0.2\}; give one value for each of \['x'\]"):
         master.move_to({"y": 0.2})

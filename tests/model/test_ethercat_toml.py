@@ -27,7 +27,7 @@ def changed(folder, old, new):
 
 
 WRONG = [
-    ('name = "Generic CiA 402 drive"', "name = 5", "name = 5 is no str"),
+    ('name = "Generic CiA 402 drive"', "name = 5", "name = 5 is not of type str"),
     ('order = "generic"', 'colour = "red"', "colour is unknown"),
     ("shortest = 34", "shortest = 16", r"shortest = 16 is not in 17\.\.256"),
     ("shortest = 34", "shortest = -1", "whole number of 0 or more"),
@@ -35,17 +35,17 @@ WRONG = [
     ('["CoE", "FoE"]', '["CoE", "FTP"]', "protocol 'FTP' is unknown"),
     ("[0x1000, 256, 0x1400, 256]", "[0x1000, 256, 0x1080, 256]", "mailbox in overlaps with mail"),
     ("[0x1000, 256, 0x1400, 256]", "[0x0F00, 256, 0x1400, 256]", "outside the memory"),
-    ("[0x1000, 256, 0x1400, 256]", "[0x1000, 256]", "no list of 4 numbers"),
+    ("[0x1000, 256, 0x1400, 256]", "[0x1000, 256]", "not a list of 4 numbers"),
     ("start = [0x1800, 0x1C00]", "start = [0x1400, 0x1C00]", "outputs overlaps with mailbox in"),
-    ("size = 4096", "size = 1000", "no multiple of 128"),
-    ('0x0000 = "11"', '0x0000 = "1"', "are no bytes"),
-    ('0x0000 = "11"', '0x1000 = "11"', "is no register"),
+    ("size = 4096", "size = 1000", "not a multiple of 128"),
+    ('0x0000 = "11"', '0x0000 = "1"', "are not bytes"),
+    ('0x0000 = "11"', '0x1000 = "11"', "is not a register"),
     ('0x0000 = "11"', 'first = "11"', "registers: invalid literal"),
     ("cycle_factor0 = 1", "cycle_factor9 = 1", "dc.modes"),
     ('name = "DC", assign_activate = 0x0300', 'name = "DC", assign_activate = "x"', "dc.modes"),
-    ("error_settings = true", 'error_settings = "yes"', "is no bool"),
+    ("error_settings = true", 'error_settings = "yes"', "is not of type bool"),
     ("[sii]", "[sii", "ethercat.toml"),
-    ('"1005h", "1006h"', '5, "1006h"', "without: 5 is no str"),
+    ('"1005h", "1006h"', '5, "1006h"', "without: 5 is not of type str"),
 ]
 
 
@@ -72,7 +72,7 @@ def test_a_model_on_top_of_another_has_its_ethercat_face(tmp_path):
 
 
 def test_an_alias_out_of_range_is_refused():
-    with pytest.raises(ValueError, match=r"alias = 65536 is no whole number in 0..65535"):
+    with pytest.raises(ValueError, match=r"alias = 65536 is not a whole number in 0..65535"):
         Slave(Drive("generic", bus="ethercat"), alias=65536)
 
 

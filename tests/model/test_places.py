@@ -40,5 +40,5 @@ def test_a_number_that_its_type_does_not_hold_is_refused(name, value, fits):
     if fits:
         assert row.unpack(row.pack(value)) == value
     else:
-        with pytest.raises(ValueError, match=f"{name} = .* is no {row.data_type}"):
+        with pytest.raises(ValueError, match=f"{name} = .* is not of type {row.data_type}"):
             row.pack(value)

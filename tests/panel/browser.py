@@ -73,7 +73,7 @@ class Server:
 
 def chromium(playwright):
     """A browser."""
-    expect.set_options(timeout=60_000)  # ms; a slow machine is no defect
+    expect.set_options(timeout=60_000)  # ms; a slow machine is not a defect
     return playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
 
 

@@ -298,7 +298,7 @@ def test_what_is_no_run_is_refused_in_words(text, tmp_path, capsys):
     file = tmp_path / "run.json"
     file.write_text(text)
     assert main(["course", "replay", str(file)]) == 2
-    assert "no run of an exercise" in capsys.readouterr().err
+    assert "not a run of an exercise" in capsys.readouterr().err
 
 
 # --------------------------------------------------------------------- in browsers

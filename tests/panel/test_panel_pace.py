@@ -188,7 +188,7 @@ def test_any_text_in_any_field_is_refused_beside_it_and_nothing_is_sent(page):
     for text in NONSENSE:
         at(page, "policy").fill(text)
         at(page, "hand-over").click()
-        expect(at(page, "policy-wrong")).to_have_text(re.compile("unknown|no checkpoint|…$"))
+        expect(at(page, "policy-wrong")).to_have_text(re.compile("unknown|not a checkpoint|…$"))
         at(page, "snapshot-name").fill(text)
         at(page, "keep").click()
     assert page.evaluate("window.hacked") is None

@@ -240,7 +240,7 @@ def test_a_velocity_feed_forward_filter_delays_the_command_by_its_time():
 
 def test_why_says_what_stands_between_position_error_and_torque():
     machine, x = turning()
-    assert x.why() == "no command has been refused", "a cascade is no news"
+    assert x.why() == "no command has been refused", "a cascade is not news"
     machine, x = turning(
         **PID, notch_frequency_2=455, torque_command_filter_time=800, observer_bandwidth=300,
         observer_inertia=3e8, motor_resistance=2_000_000, motor_torque_constant=500_000,

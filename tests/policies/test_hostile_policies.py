@@ -48,7 +48,7 @@ def line(capsys, *words):
 def test_what_a_folder_corrects_has_a_registered_name(base, downloaded, capsys):
     """eval, compare, watch, train --start and make: the folder runs no file that it names."""
     downloaded(residual=base)
-    says = f"corrects {base!r}, which is no registered policy"
+    says = f"corrects {base!r}, which is not a registered policy"
     for words in (
         ["eval", TASK, "--policy", "downloaded"],
         ["compare", TASK, "--policies", "hold,downloaded"],
@@ -57,9 +57,9 @@ def test_what_a_folder_corrects_has_a_registered_name(base, downloaded, capsys):
         ["benchmark", "learned", "--policy", "downloaded", "--tasks", TASK],
     ):
         assert says in line(capsys, *words)
-    with pytest.raises(ValueError, match="no registered policy"):
+    with pytest.raises(ValueError, match="not a registered policy"):
         make("downloaded", LinearAxisTrackingEnv())
-    with pytest.raises(ValueError, match="no registered policy"):
+    with pytest.raises(ValueError, match="not a registered policy"):
         ResidualVectorEnv(LinearAxisTrackingEnv, residual=base, bounds=[0.1, 0.1])
     assert not Path("ran.txt").exists()
 
@@ -67,7 +67,7 @@ def test_what_a_folder_corrects_has_a_registered_name(base, downloaded, capsys):
 def test_a_stage_that_a_folder_began_with_is_read_the_same_way(downloaded, capsys):
     about = json.loads(downloaded().read_text(encoding="utf-8"))
     downloaded(start=about["start"] | {"residual": "evil.py:act"})
-    assert "no registered policy" in line(capsys, "eval", TASK, "--policy", "downloaded")
+    assert "not a registered policy" in line(capsys, "eval", TASK, "--policy", "downloaded")
 
 
 @pytest.mark.parametrize("key", saved.KEYS)

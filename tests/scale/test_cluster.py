@@ -47,7 +47,7 @@ def test_an_address_where_nobody_answers_is_one_line(capsys):
 
 
 def test_an_address_that_is_none_is_one_line():
-    with pytest.raises(ValueError, match=r"'here' is no address: give HOST:PORT"):
+    with pytest.raises(ValueError, match=r"'here' is not an address: give HOST:PORT"):
         Work(ray="here").map([Job("", deeds.square, {"x": 1})])
 
 

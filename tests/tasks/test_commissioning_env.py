@@ -121,7 +121,7 @@ def test_a_new_fault_does_not_end_the_episode_and_its_cause_goes_as_well():
 
 
 def test_in_position_counts_only_after_homing():
-    """Switched on and already at the goal, in pp: that is no milestone without a reference."""
+    """Switched on and already at the goal, in pp: that is not a milestone without a reference."""
     env = CommissioningEnv()
     env.reset(seed=1, options={"start": 0.1, "goal": 0.1, "outage": 0})
     reset, total = False, 0.0

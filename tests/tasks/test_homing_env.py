@@ -123,7 +123,9 @@ def test_a_built_in_run_leaves_the_episode_as_it_was():
 def test_a_method_that_is_no_search_of_the_drive_is_refused(method):
     env = HomingEnv("festo_cmmp_as")
     env.reset(seed=1)
-    with pytest.raises(ValueError, match=rf"method = {method} is no search of drive 'festo_cmmp"):
+    with pytest.raises(
+        ValueError, match=rf"method = {method} is not a search of drive 'festo_cmmp"
+    ):
         env.built_in(method)
 
 

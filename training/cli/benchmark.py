@@ -62,7 +62,7 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
 
 
 def _numbers(name: str, text: str | None, kind: type[float] | type[int] = float) -> list[Any]:
-    """Raises ValueError for what is no list of numbers."""
+    """Raises ValueError for what is not a list of numbers."""
     try:
         return [kind(word) for word in arguments.listed(text)]
     except ValueError:

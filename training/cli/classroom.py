@@ -49,7 +49,7 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
     server.free(options.host, options.port)
 
     class Offered(Laboratory):
-        """Only policies that are shipped: a file that a pupil names is no program to be run."""
+        """Only policies that are shipped: a file that a pupil names is not a program to be run."""
 
         def _check(self, axis: str, *names: str) -> None:
             known = self.fitting(axis).names

@@ -15,8 +15,8 @@ from . import arguments
 from . import bus as buses
 
 NO_SAFETY = (
-    "The guard runs on this computer and is no safety function: keep the emergency stop (STO) of "
-    "the machine within reach."
+    "The guard runs on this computer and is not a safety function: keep the emergency stop (STO) "
+    "of the machine within reach."
 )
 CAPTURES = (".pcapng",)
 

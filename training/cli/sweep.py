@@ -61,7 +61,7 @@ def _value(text: str) -> Any:
 
 def _seeds(text: str) -> list[int]:
     if not re.fullmatch(r"\d+(,\d+)*", text):
-        raise ValueError(f"--seeds = {text!r} are no whole numbers, separated by commas")
+        raise ValueError(f"--seeds = {text!r} are not whole numbers, separated by commas")
     return [int(seed) for seed in text.split(",")]
 
 

@@ -73,7 +73,7 @@ def _bounds(text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no list of numbers: give one an action, as 0.05,0.05"
+            f"{text!r} is not a list of numbers: give one an action, as 0.05,0.05"
         ) from None
 
 

@@ -63,7 +63,7 @@ def _worst(metric: str, summary: Summary | None) -> str:
 
 
 def _apart(metric: str, found: Difference | None, better: str, policy: str) -> str:
-    """In bold where the interval leaves 0 out on the better side; doing nothing is no merit."""
+    """In bold where the interval leaves 0 out on the better side; doing nothing is not a merit."""
     if found is None:
         return "–"
     if metric in SHARES:

@@ -88,7 +88,7 @@ def _plain(value: float) -> float | None:
 
 
 def cell(kind: type[ServoEnv], values: Mapping[str, Any]) -> Cell:
-    """Summaries of what a table has of a condition. Raises ValueError for what are no values."""
+    """Summaries of what a table has of a condition. Raises ValueError for what are not values."""
     known = metrics(kind)
 
     def summary(metric: str) -> Summary | None:
@@ -96,7 +96,7 @@ def cell(kind: type[ServoEnv], values: Mapping[str, Any]) -> Cell:
             return None
         array = np.array(values[metric], float)
         if array.ndim != 2 or not np.isfinite(array).any():
-            raise ValueError(f"{short(kind.ID)}: {metric} are no values of trainings and episodes")
+            raise ValueError(f"{short(kind.ID)}: {metric} are not values of trainings and episodes")
         return summarise(array, known[metric].better, share=metric == SUCCESS)
 
     return Cell(summary(RETURN), summary(kind.METRIC), summary(SUCCESS))

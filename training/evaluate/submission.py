@@ -201,8 +201,10 @@ def read(path: Path) -> Submission:
     """
     found = {name: array.tobytes() for name, array in foreign.arrays(path, LARGEST).items()}
     if HEAD not in found:
-        raise ValueError(f"{path} is no submission of `servogym benchmark`: it lacks {HEAD}")
-    head = foreign.parsed(found.pop(HEAD), f"{path} is no submission of `servogym benchmark`", KEYS)
+        raise ValueError(f"{path} is not a submission of `servogym benchmark`: it lacks {HEAD}")
+    head = foreign.parsed(
+        found.pop(HEAD), f"{path} is not a submission of `servogym benchmark`", KEYS
+    )
     files = {name.removeprefix(FILES): data for name, data in found.items()}
     stated = head.pop("hash")
     submission = Submission(**head, files=files)
@@ -238,7 +240,7 @@ def _files(path: Path, submission: Submission) -> None:
     if not submission.files:
         if submission.policy.partition(":")[0] not in POLICIES:
             raise ValueError(
-                f"{path} brings no files, and {submission.policy!r} is no baseline: "
+                f"{path} brings no files, and {submission.policy!r} is not a baseline: "
                 f"{hint(submission.policy, POLICIES)}"
             )
         return
@@ -251,7 +253,9 @@ def _files(path: Path, submission: Submission) -> None:
         return
     for name in submission.files:
         if not TRAINED.fullmatch(name):
-            raise ValueError(f"{path}: {name!r} is no file of a policy: {ABOUT} and {WEIGHTS} are")
+            raise ValueError(
+                f"{path}: {name!r} is not a file of a policy: {ABOUT} and {WEIGHTS} are"
+            )
         for part in (ABOUT, WEIGHTS):
             if str(PurePosixPath(name).parent / part) not in submission.files:
                 raise ValueError(f"{path}: {name!r} is there without its {part}")
@@ -313,7 +317,7 @@ def fits(path: Path, submission: Submission, suite: Suite) -> None:
             raise ValueError(f"{path}: its table has {env}, for which it brings no training")
         names = [row.name for row in suite.parts[env].rows]
         if not isinstance(conditions, dict):
-            raise ValueError(f"{path}, {env}: its table is no table")
+            raise ValueError(f"{path}, {env}: its table is not a table")
         for name in conditions:
             if name not in names:
                 raise ValueError(

@@ -106,7 +106,7 @@ def read(name: str) -> Suite:
     for env, own in about["tasks"].items():
         where = f"suite {path}, {env}"
         if not isinstance(own, dict):
-            raise ValueError(f"{where}: {own!r} is no table")
+            raise ValueError(f"{where}: {own!r} is not a table")
         parts[short(env)] = _part(path, env, about | foreign.checked(own, where, OF_A_TASK))
     digest = hashlib.sha256(data).hexdigest()[:16]
     file = name if name.endswith(".toml") else f"assets/suites/{name}.toml"

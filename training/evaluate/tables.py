@@ -46,7 +46,7 @@ def best(
 ) -> str:
     """The best baseline by the interquartile mean of a metric; an idle one if there is no other.
 
-    An informed law is no baseline: it knows what no controller can.
+    An informed law is not a baseline: it knows what no controller can.
 
     Args:
         table: of `summaries`.

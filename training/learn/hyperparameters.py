@@ -87,7 +87,7 @@ def checked(settings: Mapping[str, Any]) -> None:
     """Raises ValueError naming a hyper-parameter that cannot be, its value and what is possible."""
     for name, value in settings.items():
         if name in OWN:
-            raise ValueError(f"{name} = {value!r} is no hyper-parameter: {OWN[name]}")
+            raise ValueError(f"{name} = {value!r} is not a hyper-parameter: {OWN[name]}")
         if name in WHOLE:
             whole(name, value, *WHOLE[name])
         elif name in REAL:

@@ -13,7 +13,7 @@ set-points at their top speed with the axis within the window of the following e
 "Proven" is for the physics as it is simulated, step by step, up to rounding: `bounds.times` and
 `bounds.errors` give a certificate for each episode that does not depend on a solver. It holds for
 motions whose following error stays within its window (beyond it for 10 ms the drive faults) and
-that meet no end stop. A bound is no promise: what lies between it and the best motion that was
+that meet no end stop. A bound is not a promise: what lies between it and the best motion that was
 played is not known.
 """
 

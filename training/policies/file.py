@@ -77,7 +77,7 @@ class Own:
         self._called("reset", observation, info)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The action. Raises ValueError for what is no finite numbers of an action."""
+        """The action. Raises ValueError for what is not finite numbers of an action."""
         action = self._called("act", observation)
         try:
             with np.errstate(over="ignore"):  # what is too large is told below

@@ -98,7 +98,9 @@ def _reach(address: str) -> None:
     except ValueError:
         host = port = None
     if not host or not port:
-        raise ValueError(f"--ray {address!r} is no address: give HOST:PORT, ray://HOST:PORT, auto")
+        raise ValueError(
+            f"--ray {address!r} is not an address: give HOST:PORT, ray://HOST:PORT, auto"
+        )
     try:
         socket.create_connection((host, port), SECONDS).close()
     except OSError as error:

@@ -24,7 +24,7 @@ from ...envs.engine.checks import THREADS
 
 Result = dict[str, Any]  # by name: an array, or what JSON has
 LARGEST = 2**32  # bytes of a result, unpacked
-REST = "_rest"  # of the archive: what is no array
+REST = "_rest"  # of the archive: what is not an array
 PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "ruckig")  # that decide a result
 SOURCES = ("servogym.drive", "servogym.envs", "servogym.training", "servogym.assets")
 LEARNED = "policies"  # in the assets; a job watches those it plays
@@ -87,7 +87,7 @@ def decoded(data: bytes) -> Result:
     """What was encoded. Raises ValueError where it is something else."""
     arrays = foreign.arrays(data, LARGEST, "the result of a job")
     if REST not in arrays:
-        raise ValueError("this archive is no result of a job")
+        raise ValueError("this archive is not a result of a job")
     return arrays | foreign.parsed(arrays.pop(REST).tobytes(), "the result of a job")
 
 

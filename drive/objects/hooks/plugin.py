@@ -41,7 +41,7 @@ def _folders(model: DriveModel) -> Iterator[Path]:
 def foreign_hook(model: DriveModel, name: str) -> Hook:
     """The hook of this name that a model's folder or a package brings.
 
-    Raises LookupError where there is none, ValueError without consent or for what is no hook.
+    Raises LookupError where there is none, ValueError without consent or for what is not a hook.
     """
     for folder in _folders(model):
         if folder not in _consented:

@@ -194,7 +194,7 @@ class ScopePage:
     async def _window(self, _: float) -> str:
         span, before = self.span.number(), self.before.number()
 
-        def set_window(session: Bench) -> None:  # what is no number stays as it is
+        def set_window(session: Bench) -> None:  # what is not a number stays as it is
             scope = session.scope
             ahead = scope.before if before is None else before / 100
             scope.set_window(scope.span if span is None else span, ahead)

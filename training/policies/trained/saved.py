@@ -52,7 +52,7 @@ def folder(of: Path) -> Path:
         return of
     if not (of / BEST).is_dir():
         raise ValueError(
-            f"{of} is no checkpoint and has no {BEST}/, that of a run's best evaluation: go on "
+            f"{of} is not a checkpoint and has no {BEST}/, that of a run's best evaluation: go on "
             "with --resume, or give one of its checkpoints/"
         )
     return of / BEST
@@ -95,7 +95,7 @@ def _fits(found: dict[str, Any], where: str) -> None:
     whole(f"{where}: history", arguments.get("history", 1), 1, 100)
     flag(f"{where}: previous_action", arguments.get("previous_action", False))
     if not isinstance(settings.get("policy_kwargs", {}), dict):
-        raise ValueError(f"{where}: policy_kwargs = {settings['policy_kwargs']!r} is no table")
+        raise ValueError(f"{where}: policy_kwargs = {settings['policy_kwargs']!r} is not a table")
     if found.get("residual") is not None:
         registered(found["residual"], where)
     if (found.get("residual") is None) != (found.get("bounds") is None):
@@ -125,6 +125,7 @@ def registered(residual: str, where: str) -> None:
     names = declared()
     if residual not in names:
         raise ValueError(
-            f"{where} corrects {residual!r}, which is no registered policy: {hint(residual, names)}"
-            f"; one of your own is registered by an entry point, {ENTRY_POINTS}"
+            f"{where} corrects {residual!r}, which is not a registered policy: "
+            f"{hint(residual, names)}; one of your own is registered by an entry point, "
+            f"{ENTRY_POINTS}"
         )

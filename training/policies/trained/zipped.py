@@ -67,7 +67,7 @@ def _parts(file: Path) -> dict[str, bytes]:
                 raise ValueError("it is larger than a policy can be")
             return {name: packed.read(name) for name in ("data", "policy.pth")}
     except (OSError, zipfile.BadZipFile, KeyError, RuntimeError, NotImplementedError) as error:
-        raise ValueError(f"{file} is no model that stable-baselines3 saved: {error}") from None
+        raise ValueError(f"{file} is not a model that stable-baselines3 saved: {error}") from None
 
 
 def _network(file: Path, data: bytes) -> dict[str, np.ndarray]:
@@ -85,7 +85,7 @@ def _network(file: Path, data: bytes) -> dict[str, np.ndarray]:
 def _settings(file: Path, data: bytes) -> dict[str, Any]:
     settings = foreign.parsed(data, f"{file}, data").get("policy_kwargs", {})
     if not isinstance(settings, dict):
-        raise ValueError(f"{file}: its policy_kwargs are no table")
+        raise ValueError(f"{file}: its policy_kwargs are not a table")
     return {name: value for name, value in settings.items() if not name.startswith(":")}
 
 
