@@ -4,12 +4,12 @@ Tables for those who show a drive to people and need nothing of its cycle.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from .kernel.device_control import TRANSITIONS, Event
 from .kernel.encoder import Event as Edge
-from .kernel.homing import END, HERE, METHODS, SLOW
+from .kernel.homing import END, HERE, METHODS, OWN, SLOW, Method
 from .kernel.words import (
     BIT_4,
     ENABLED,
@@ -151,16 +151,26 @@ def home_switch(method: int) -> tuple[float, float]:
     return TO_THE_END.get(method if method < 17 else method - 16, HOME)
 
 
-def homing_path(method: int, start: float) -> list[float]:
+def _method(number: int, own: Mapping[int, Method] | None) -> Method:
+    """The legs of a homing method. Raises ValueError for one that is not known."""
+    found = {**METHODS, **(own or {})}.get(number)
+    if found is None:
+        raise ValueError(f"homing method {number} is unknown")
+    return found
+
+
+def homing_path(
+    method: int, start: float, own: Mapping[int, Method] | None = None
+) -> list[float]:  # fmt: skip
     """Turning points of a homing run from `start` (0..1), the last is home; empty: it fails.
+
+    Methods of a drive model's `own` are those of `DriveModel.own_homing`.
 
     Raises ValueError for a method that is not known.
     """
     if method in HERE:
         return [start]
-    if method not in METHODS:
-        raise ValueError(f"homing method {method} is unknown")
-    first_off, first_on, legs = METHODS[method]
+    first_off, first_on, legs = _method(method, own)
     low, high = home_switch(method)
     leg = first_on if low <= start <= high else first_off
     path, at = [start], start
@@ -194,16 +204,16 @@ _EVENTS = {
 }
 
 
-def homing_words(method: int) -> str:
+def homing_words(method: int, own: Mapping[int, Method] | None = None) -> str:
     """What a homing method does, leg by leg; left is the negative direction.
+
+    Methods of a drive model's `own` are those of `DriveModel.own_homing`.
 
     Raises ValueError for a method that is not known.
     """
     if method in HERE:
         return "The position where the axis stands becomes home; nothing moves."
-    if method not in METHODS:
-        raise ValueError(f"homing method {method} is unknown")
-    off, on, legs = METHODS[method]
+    off, on, legs = _method(method, own)
     told: dict[int, None] = {}
     said = [_way(legs, off, told)]
     if on != off:
@@ -222,7 +232,8 @@ def _way(legs: Sequence[tuple[int, ...]], leg: int, told: dict[int, None]) -> st
         told[leg] = None
         direction, speed, event, leg, _ = legs[leg]
         side = "left" if direction < 0 else "right"
-        parts.append(f"{'slowly ' * (speed == SLOW)}{side} until {_EVENTS[Edge(event)]}")
+        pace = {SLOW: "slowly ", OWN: "at the model's own speed "}.get(speed, "")
+        parts.append(f"{pace}{side} until {_EVENTS[Edge(event)]}")
     return ", ".join(parts) + (": home" if leg == END else ", then as before")
 
 

@@ -27,7 +27,6 @@ from .record import FAULT_CAUSES, IP_RECORDS, SEGMENTS, SET_POINTS, Axis
 from .words import Mode, State
 
 LAST_STATE = len(State) - 1
-LAST_LEG = len(homing.UNTIL) - 1
 LAST_ERROR = len(homing.CAUSE) - 1
 MOST_CYCLES = 1 << 16  # velocity cycles in a position cycle
 
@@ -53,7 +52,7 @@ def _bring_in(axis: Axis):
     """Bring what is an index or a divisor into its range, whatever a program wrote there."""
     axis.state = min(max(axis.state, 0), LAST_STATE)
     axis.fault_raised = min(max(axis.fault_raised, 0), FAULT_CAUSES - 1)
-    axis.homing_leg = min(max(axis.homing_leg, 0), LAST_LEG)
+    axis.homing_leg = min(max(axis.homing_leg, 0), homing.LAST_LEG)
     axis.homing_error = min(max(axis.homing_error, 0), LAST_ERROR)
     axis.segments = min(max(axis.segments, 0), SEGMENTS)
     axis.segment = min(max(axis.segment, 0), axis.segments)

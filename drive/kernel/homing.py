@@ -18,6 +18,7 @@ event, taken in the velocity cycle in which it came, is the home position.
 """
 
 import math
+from collections.abc import Mapping
 from enum import IntEnum
 
 import numpy as np
@@ -27,6 +28,7 @@ from .encoder import Event, Switch
 from .faults import Cause, raise_fault
 from .jit import block
 from .ramps import advance, close_position_loop, plan_position, plan_velocity, profile_jerk, rest
+from .record import MAKER_LEGS, MAKER_METHODS
 from .words import Compatibility
 
 
@@ -71,7 +73,7 @@ CAUSE = np.array(
 
 END = -1  # next leg: home is found
 ERROR = -2  # limit switch on the way: homing fails
-FAST, SLOW = 0, 1
+FAST, SLOW, OWN = 0, 1, 2  # 6099h:01, 6099h:02, the object of a drive model's own
 _HOME_ON, _HOME_OFF = Event.HOME_ON, Event.HOME_OFF
 
 # Methods that find an edge. method: (leg where home switch is off, leg where it is on, legs)
@@ -148,18 +150,43 @@ METHODS = {
 }
 NUMBERS = tuple(sorted({*METHODS, *HERE}))
 
-# The same as arrays for the kernel: one row a leg, jumps as row numbers.
+# of a method: leg where the home switch is off, leg where it is on, legs
+Method = tuple[int, int, list[tuple[int, int, int, int, int]]]
+
+
+def _table(
+    methods: Mapping[int, Method], base: int = 0
+) -> tuple[dict[int, tuple[int, int]], list[tuple[int, ...]]]:
+    """Rows of the first legs by method, and all rows; jumps are row numbers from `base` on."""
+    first: dict[int, tuple[int, int]] = {}
+    rows: list[tuple[int, ...]] = []
+    for number, (off, on, legs) in methods.items():
+        here = base + len(rows)
+        first[number] = here + off, here + on
+        for leg in legs:
+            rows.append((*leg[:3], *(here + jump if jump >= 0 else jump for jump in leg[3:])))
+    return first, rows
+
+
+# The same as arrays for the kernel: one row a leg.
+_first, _rows = _table(METHODS)
 FIRST = np.full((2, 256), ERROR, np.int64)  # [home switch active, method & 0xFF] -> row
 FIRST[:, HERE] = END
-_rows: list[tuple[int, ...]] = []
-for _number, (_off, _on, _legs) in METHODS.items():
-    _base = len(_rows)
-    FIRST[0, _number & 0xFF] = _base + _off
-    FIRST[1, _number & 0xFF] = _base + _on
-    for _leg in _legs:
-        _jumps = [_base + jump if jump >= 0 else jump for jump in _leg[3:]]
-        _rows.append((*_leg[:3], *_jumps))
-DIRECTION, SPEED, UNTIL, NEXT, AT_LIMIT = np.array(_rows, np.int64).T.copy()
+for _number, _places in _first.items():
+    FIRST[:, _number & 0xFF] = _places
+LEGS = np.array(_rows, np.int64)
+DIRECTION, SPEED, UNTIL, NEXT, AT_LIMIT = range(5)  # its columns
+STANDARD_LEGS = len(LEGS)
+LAST_LEG = STANDARD_LEGS + MAKER_LEGS - 1
+
+
+def with_own(axis, methods: Mapping[int, Method]) -> None:
+    """Write the methods of a drive model's own to a record, behind those of the standard."""
+    first, rows = _table(methods, STANDARD_LEGS)
+    axis.maker_method[: len(first)] = [*first]
+    axis.maker_first[: 2 * len(first)] = [place for pair in first.values() for place in pair]
+    axis.maker_leg[: 5 * len(rows)] = [cell for row in rows for cell in row]
+
 
 INDEX_SEARCH = 2  # revolutions
 INDEX_MARGIN = 1 / 16  # revolution from the edge to the index pulse, at least (inferred)
@@ -174,8 +201,7 @@ def start(axis):
     axis.index_near = 0
     axis.homing = Progress.SEARCHING
     axis.homing_cycles = 0
-    on_home = 1 if axis.switches & Switch.HOME else 0
-    row = FIRST[on_home, _method(axis) & 0xFF]
+    row = _first_leg(axis, 1 if axis.switches & Switch.HOME else 0)
     if row == END:
         _found(axis, axis.counts)
     elif row == ERROR:
@@ -184,6 +210,27 @@ def start(axis):
         interrupt(axis, HomingError.SPEED_ZERO)
     else:
         _begin_leg(axis, row)
+
+
+@block
+def _first_leg(axis, on_home):
+    """Row of the leg with which the method begins; END or ERROR where there is none."""
+    method = _method(axis)
+    row = FIRST[on_home, method & 0xFF]
+    if row == ERROR and method != 0:
+        for k in range(MAKER_METHODS):
+            if axis.maker_method[k] == method:
+                row = int(axis.maker_first[2 * k + on_home])
+    return row
+
+
+@block
+def _leg(axis, row, column):
+    """A cell of the table of legs; those of the drive model follow those of the standard."""
+    row = min(max(row, 0), LAST_LEG)  # whatever a program wrote to the record
+    if row < STANDARD_LEGS:
+        return LEGS[row, column]
+    return int(axis.maker_leg[5 * (row - STANDARD_LEGS) + column])
 
 
 @block
@@ -252,15 +299,22 @@ def busy(axis):
 @block
 def pushing(axis):
     """Whether the axis is on its way into a mechanical stop, with the torque of 2012h:01."""
-    return axis.homing == Progress.SEARCHING and UNTIL[axis.homing_leg] == Event.STOP
+    return axis.homing == Progress.SEARCHING and _leg(axis, axis.homing_leg, UNTIL) == Event.STOP
 
 
 @block
 def _begin_leg(axis, row):
     axis.homing_leg = row
-    speed = axis.homing_speed_zero if SPEED[row] == SLOW else axis.homing_speed_switch
+    kind, speed = _leg(axis, row, SPEED), axis.homing_speed_switch
+    if kind == SLOW:
+        speed = axis.homing_speed_zero
+    elif kind == OWN:
+        speed = axis.homing_speed_own
+    if speed <= 0.0:
+        interrupt(axis, HomingError.SPEED_ZERO)
+        return
     rate = axis.homing_acceleration
-    plan_velocity(axis, DIRECTION[row] * speed, rate, rate, profile_jerk(axis))
+    plan_velocity(axis, _leg(axis, row, DIRECTION) * speed, rate, rate, profile_jerk(axis))
     axis.latched = 0
     axis.latch_event = Event.NONE
     axis.homing_start_counts = axis.counts
@@ -270,16 +324,17 @@ def _begin_leg(axis, row):
 @block
 def _search(axis):
     row = axis.homing_leg
-    direction, until = DIRECTION[row], UNTIL[row]
+    direction, until = _leg(axis, row, DIRECTION), _leg(axis, row, UNTIL)
     ahead = Switch.POSITIVE_LIMIT if direction > 0 else Switch.NEGATIVE_LIMIT
     on_its_way = axis.velocity_demand * direction > 0
     if axis.latched or _reached(axis, row, until):
         _next_leg(axis, row)
     elif axis.switches & ahead and on_its_way and until != Event.STOP:
-        if AT_LIMIT[row] == ERROR:
+        turn = _leg(axis, row, AT_LIMIT)
+        if turn == ERROR:
             interrupt(axis, HomingError.LIMIT_SWITCH)
         else:
-            _begin_leg(axis, AT_LIMIT[row])
+            _begin_leg(axis, turn)
     elif until == Event.INDEX and _too_far(axis):
         interrupt(axis, HomingError.NO_INDEX)
     elif on_its_way:
@@ -294,7 +349,7 @@ def _reached(axis, row, until):
     """Events that need no exact count: a switch that is searched for, and a mechanical stop."""
     if until == Event.STOP:
         return _at_stop(axis)
-    if until == Event.INDEX or until & 1 == 0 or NEXT[row] == END:
+    if until == Event.INDEX or until & 1 == 0 or _leg(axis, row, NEXT) == END:
         return False
     return axis.switches & (1 << ((until - 1) >> 1)) != 0
 
@@ -320,12 +375,13 @@ def _too_far(axis):
 
 @block
 def _next_leg(axis, row):
-    if NEXT[row] == END:
-        if UNTIL[row] == Event.INDEX and row != FIRST[0, _method(axis) & 0xFF]:
+    following = _leg(axis, row, NEXT)
+    if following == END:
+        if _leg(axis, row, UNTIL) == Event.INDEX and row != _first_leg(axis, 0):
             _look_at_index(axis)
         _found(axis, axis.latch_counts)
     else:
-        _begin_leg(axis, NEXT[row])
+        _begin_leg(axis, following)
 
 
 @block

@@ -1,5 +1,6 @@
 """What a model can, from `[capabilities]` of its drive.toml; 6502h and 60E3h repeat it."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +15,18 @@ KNOWN = sum(1 << mode_bit(mode) for mode in Mode if mode)  # bits of 6502h that 
 
 
 def read_capabilities(
-    table: dict[str, Any], path: Path
+    table: dict[str, Any], path: Path, own: Iterable[int] = ()
 ) -> tuple[tuple[Mode, ...], tuple[int, ...]]:
-    """Modes and homing methods. Raises ValueError for one that there is not."""
-    for kind, known in (("modes", MODES), ("homing_methods", NUMBERS)):
+    """Modes and homing methods, after which come the model's `own`.
+
+    Raises ValueError for one that there is not.
+    """
+    for kind, known in (("modes", MODES), ("homing_methods", (*NUMBERS, *own))):
         for name in table.get(kind, ()):
             if name not in known:
                 raise ValueError(f"{path}: unknown {kind} {name!r}, known: {[*known]}")
-    return tuple(MODES[name] for name in table.get("modes", ())), tuple(
-        table.get("homing_methods", ())
-    )
+    modes = tuple(MODES[name] for name in table.get("modes", ()))
+    return modes, tuple(dict.fromkeys((*table.get("homing_methods", ()), *own)))
 
 
 def with_capabilities(

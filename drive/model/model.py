@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from ..kernel.faults import Cause
+from ..kernel.homing import METHODS, Method, with_own
 from ..kernel.record import OD, Axis
 from ..kernel.words import Mode, mode_bit
 from .capabilities import read_capabilities, with_capabilities
 from .drive_toml import BUSES, KERNEL_QUIRKS, KEYS, QUIRKS, UNITS, Toml, merged, read_toml
 from .ethercat import EtherCat, need_assignment, read_ethercat
+from .homing import FILE as HOMING_FILE
+from .homing import read_homing
 from .names import hint
 from .pdo import Mapping, read_pdos
 from .rows import (
@@ -62,6 +65,7 @@ class DriveModel:
     rotor_inertia: float  # (kg·m²)
     modes: tuple[Mode, ...]
     homing_methods: tuple[int, ...]
+    own_homing: dict[int, Method]  # those of its homing.csv
     quirks: dict[str, Quirk]
     abort_codes: dict[int, int]  # what the manual prints in place of a code of CiA 301
     units: dict[str, float]
@@ -112,6 +116,7 @@ class DriveModel:
         vendor = OD.fields["vendor"][1]  # type: ignore[index]
         for j, (offset, size, kind) in enumerate(self.own_stored):
             axis.own_place[j], axis.own_size[j], axis.own_kind[j] = offset - vendor, size, kind
+        with_own(axis, self.own_homing)
         axis.supported_modes = sum(1 << mode_bit(mode) for mode in self.modes)
         axis.ambient_temperature = 25.0
         axis.enable_input = 1
@@ -135,6 +140,10 @@ class DriveModel:
         reactions = axis.od.fault_reaction
         for fault in reversed(self.faults):
             reactions[fault.cause] = fault.reaction
+
+    def search(self, method: int) -> Method | None:
+        """The legs of a homing method; None of one that looks for nothing."""
+        return self.own_homing.get(method) or METHODS.get(method)
 
     @property
     def homes_here(self) -> int:
@@ -283,7 +292,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         toml = merged(toml, own)
     file = {
         name: next((f / name for f, _ in ancestors if (f / name).exists()), folder / name)
-        for name in ("pdo.csv", "faults.csv", *ETHERCAT_FILES)
+        for name in ("pdo.csv", "faults.csv", HOMING_FILE, *ETHERCAT_FILES)
     }
     reader = Toml(folder / "drive.toml", toml)
     buses = reader.buses()
@@ -307,7 +316,8 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     }
     if bus == "ethercat":
         need_assignment(objects, folder / "objects.csv")
-    modes, methods = read_capabilities(reader.table("capabilities"), reader.path)
+    own_homing = read_homing(file[HOMING_FILE])
+    modes, methods = read_capabilities(reader.table("capabilities"), reader.path, own_homing)
     objects = with_capabilities(objects, modes, methods)
     objects = with_sections(_with_defaults(objects, toml, reader.path), toml.get("sections", {}))
     rpdos, tpdos = read_pdos(file["pdo.csv"], objects, BUSES[bus])
@@ -331,6 +341,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         rotor_inertia=motor["rotor_inertia_kgm2"],
         modes=modes,
         homing_methods=methods,
+        own_homing=own_homing,
         quirks={k: Quirk(int(v["value"]), v["source"]) for k, v in toml.get("quirks", {}).items()},
         abort_codes={int(k[:-1], 16): v["value"] for k, v in toml.get("abort_codes", {}).items()},
         units=UNITS | toml.get("units", {}),

@@ -84,15 +84,17 @@ def true_home(machine: Machine, method: int, start: float = 0.0) -> float:
 
     Args:
         machine: with its switches where they are now.
-        method: of `servogym.drive.kernel.homing.METHODS`.
+        method: one of its drive that searches, see `DriveModel.search`.
         start: where the run begins (m); it counts for methods 33 and 34 alone.
 
     Raises:
         ValueError: methods 35 and 37 look for nothing.
     """
-    if method not in METHODS:
+    (drive, *_) = machine.drives.values()
+    found = drive.model.search(method)
+    if found is None:
         raise ValueError(f"method = {method!r} looks for nothing: choose of {sorted(METHODS)}")
-    legs = METHODS[method][2]
+    legs = found[2]
     last = next(i for i, leg in enumerate(legs) if leg[3] == END)
     if legs[last][2] != Event.INDEX:
         return _place(machine, legs[last])

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ...drive.kernel.homing import METHODS
 from ...drive.kernel.jit import block
 from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
@@ -383,7 +382,7 @@ the positive one; -1 the negative, 0 none |
         the start and after each step, with the time since then (s). See
         `servogym.envs.masters.homing_figures.built_in` for errors.
         """
-        if method in METHODS:
+        if self.drive.model.search(method) is not None:
             self.aim = true_home(self.machine, method, self.episode.start)
         try:
             return built_in(

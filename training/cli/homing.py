@@ -9,6 +9,7 @@ from rich.console import Console
 def add(homing: argparse.ArgumentParser) -> None:
     """Its options."""
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
+    homing.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
     homing.add_argument("--format", choices=("svg", "png"), default="svg")
     homing.set_defaults(run=_homing, folders=("gallery",))
@@ -17,4 +18,6 @@ def add(homing: argparse.ArgumentParser) -> None:
 def _homing(options: argparse.Namespace, console: Console) -> int:
     from ..pictures import homing_gallery
 
-    return homing_gallery.run(options.gallery, options.method, options.format, console)
+    return homing_gallery.run(
+        options.gallery, options.method, options.format, console, options.drive
+    )

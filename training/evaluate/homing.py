@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...drive.kernel.encoder import Event
-from ...drive.kernel.homing import HERE, METHODS
+from ...drive.kernel.homing import HERE
 from ...drive.kernel.words import Mode
 from ...drive.master import Master, ServoError
 from ...drive.model.model import load
@@ -148,7 +148,8 @@ def _run(
         )
     except (RuntimeError, TimeoutError) as error:
         return row | FAILED | {"failure": str(error)}
-    by_index = any(leg[2] == Event.INDEX for leg in METHODS[method][2])
+    found = machine.drives["x"].model.search(method)
+    by_index = found is not None and any(leg[2] == Event.INDEX for leg in found[2])
     return row | {
         "attained": int(figures.attained),
         "time_s": round(figures.time, 6),

@@ -15,9 +15,9 @@ from rich.console import Console
 from rich.progress import track
 
 from ...drive.diagrams import homing_words
-from ...drive.kernel.homing import NUMBERS
 from ...drive.kernel.words import State
 from ...drive.master import HomingFailed, Master, Timeout
+from ...drive.model.model import load
 from ...envs.engine import tick
 from ...envs.engine.machine import Machine
 from ...envs.masters.port import MachinePort
@@ -57,9 +57,9 @@ def home_switch(machine: Machine) -> tuple[float, float]:
     return float(coupling.switch_from[tick.HOME]), float(coupling.switch_to[tick.HOME])
 
 
-def machine_for(method: int) -> Machine:
+def machine_for(method: int, drive: str = "generic") -> Machine:
     """The axis for a method: with a home switch that goes on to the end, where it has to."""
-    machine = linear_axis()
+    machine = linear_axis(drive)
     fit_home_switch(machine, method, SWITCH)
     x = machine.drives["x"]
     x.write("homing_method", method)
@@ -99,6 +99,7 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    model = machine.drives["x"].model
     figure, (panel, strip) = plt.subplots(
         2, 1, figsize=(8, 6.4), sharex=True, layout="constrained",
         gridspec_kw={"height_ratios": [4, 1.3]},
@@ -113,7 +114,9 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
     panel.set_ylabel("time (s), downwards")
     panel.legend(fontsize=8, title="start", loc="best")
     panel.grid(alpha=0.3)
-    panel.set_title(textwrap.fill(homing_words(method), 108), fontsize=8, loc="left")
+    panel.set_title(
+        textwrap.fill(homing_words(method, model.own_homing), 108), fontsize=8, loc="left"
+    )
     figure.suptitle(f"homing method {method}", fontweight="bold")
     coupling = machine.couplings[0]
     switches = ("negative limit", "positive limit", "home switch")
@@ -133,16 +136,19 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
     plt.close(figure)
 
 
-def run(folder: Path, methods: list[int] | None, suffix: str, console: Console) -> int:
+def run(
+    folder: Path, methods: list[int] | None, suffix: str, console: Console, drive: str = "generic"
+) -> int:  # fmt: skip
     """Draw the gallery; -> exit status."""
-    chosen = methods or list(NUMBERS)
+    own = load(drive).homing_methods
+    chosen = methods or sorted(own)
     for method in chosen:
-        if method not in NUMBERS:
-            known = ", ".join(map(str, NUMBERS))
+        if method not in own:
+            known = ", ".join(map(str, sorted(own)))
             raise ValueError(f"--method {method} is unknown, choose from {known}")
     folder.mkdir(parents=True, exist_ok=True)
     for method in track(chosen, "homing", console=console):
-        machine = machine_for(method)
+        machine = machine_for(method, drive)
         runs = [home(machine, start, name) for name, start in STARTS.items()]
         draw(method, machine, runs, folder / f"method_{method:+d}.{suffix}")
     console.print(f"{len(chosen)} diagrams in {folder}")

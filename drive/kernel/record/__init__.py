@@ -28,6 +28,8 @@ from .fields import (
     FIELDS,
     IP_RECORDS,
     KINDS,
+    MAKER_LEGS,
+    MAKER_METHODS,
     OWN,
     OWN_STORED,
     PLACES,
@@ -47,9 +49,9 @@ from .variables import (
 
 __all__ = [
     "ANALOG_INPUTS", "AXIS", "FAULT_CAUSES", "FAULT_ROWS", "FIELDS", "HISTORY", "IP_RECORDS",
-    "KINDS", "OBJECTS", "OD", "OWN", "OWN_STORED", "PLACES", "RAD_S_PER_MINUTE", "SEGMENTS",
-    "SET_POINTS", "SIZES", "STORED", "UNITS", "VENDOR_BYTES", "Axis", "Kind", "Objects", "Quantity",
-    "accessible", "make",
+    "KINDS", "MAKER_LEGS", "MAKER_METHODS", "OBJECTS", "OD", "OWN", "OWN_STORED", "PLACES",
+    "RAD_S_PER_MINUTE", "SEGMENTS", "SET_POINTS", "SIZES", "STORED", "UNITS", "VENDOR_BYTES",
+    "Axis", "Kind", "Objects", "Quantity", "accessible", "make",
 ]  # fmt: skip
 
 Axis = Objects = np.record  # types of a record and of its `od`: see __init__.pyi

@@ -11,6 +11,8 @@ from .quantity import Kind as Kind, Quantity as Quantity
 
 IP_RECORDS: int
 KINDS: int
+MAKER_LEGS: int
+MAKER_METHODS: int
 OWN: int
 OWN_STORED: int
 SEGMENTS: int
@@ -171,6 +173,8 @@ class Objects:
     """2 values; velocity unit; 6099h, search for switch, for zero"""
     homing_acceleration: int
     """acceleration unit; 609Ah"""
+    homing_speed_own: int
+    """velocity unit; no standard object: of legs in a homing.csv that say `own`"""
     profile_jerk_use: int
     """60A3h, number of jerks in use"""
     profile_jerk: np.ndarray
@@ -572,6 +576,8 @@ class Axis:
     """rad/s; homing_speeds, 6099h, search for switch, for zero"""
     homing_acceleration: float
     """rad/s²; homing_acceleration, 609Ah"""
+    homing_speed_own: float
+    """rad/s; homing_speed_own, no standard object: of legs in a homing.csv that say `own`"""
     jerk: np.ndarray
     """4 values; rad/s³; profile_jerk, 60A4h"""
     position_offset: float
@@ -647,21 +653,27 @@ class Axis:
     converted: int
     """units have changed since power-on: the following counts"""
     kept_shown: np.ndarray
-    """52 values; drive unit; the number shown; another one was written"""
+    """53 values; drive unit; the number shown; another one was written"""
     kept_raw: np.ndarray
-    """52 values; drive unit; the number as it was written"""
+    """53 values; drive unit; the number as it was written"""
     kept_unit: np.ndarray
-    """52 values; rad, rad/s, rad/s²; the unit in which it was written"""
+    """53 values; rad, rad/s, rad/s²; the unit in which it was written"""
     kept_numerator: np.ndarray
-    """52 values; the same in revolutions and s, exact; 0 = too long"""
+    """53 values; the same in revolutions and s, exact; 0 = too long"""
     kept_denominator: np.ndarray
-    """52 values"""
+    """53 values"""
     own_place: np.ndarray
     """12 values; byte; in `od.vendor`"""
     own_size: np.ndarray
     """12 values; byte; negative: signed; 0 = none"""
     own_kind: np.ndarray
     """12 values; `Kind`"""
+    maker_method: np.ndarray
+    """4 values; 6098h; 0 = none"""
+    maker_first: np.ndarray
+    """8 values; row of the first leg: switch off, on"""
+    maker_leg: np.ndarray
+    """80 values; columns of `homing.LEGS`, leg by leg"""
     unit: np.ndarray
     """5 values; rad, rad/s, rad/s²"""
     unit_numerator: np.ndarray

@@ -11,6 +11,7 @@ SEGMENTS = 16  # constant-jerk segments one motion profile may need (`ramps.plan
 SET_POINTS = 4  # buffered profile-position set-points
 IP_RECORDS = 64  # interpolation data records
 KINDS = len(Kind)  # of units
+MAKER_METHODS, MAKER_LEGS = 4, 16  # homing methods of a drive model's own, and their legs
 OWN_STORED = 12  # objects of a model in such units, without kernel behaviour
 # values in such units: field of `od` -> its place in `kept_raw`, of an array the first one's
 PLACES: dict[str, int] = {}
@@ -96,6 +97,10 @@ FIELDS = (
     ("own_place", ("<u2", (OWN_STORED,)), "byte", "in `od.vendor`"),
     ("own_size", ("i1", (OWN_STORED,)), "byte", "negative: signed; 0 = none"),
     ("own_kind", ("u1", (OWN_STORED,)), "", "`Kind`"),
+    # homing methods of the model's own, see `homing.with_own`
+    ("maker_method", ("<i2", (MAKER_METHODS,)), "", "6098h; 0 = none"),
+    ("maker_first", ("<i2", (2 * MAKER_METHODS,)), "", "row of the first leg: switch off, on"),
+    ("maker_leg", ("<i2", (5 * MAKER_LEGS,)), "", "columns of `homing.LEGS`, leg by leg"),
     # units in which the numbers stand, by `Kind`; 0 = not yet known
     ("unit", ("f8", (KINDS,)), "rad, rad/s, rad/s²", ""),
     ("unit_numerator", ("i8", (KINDS,)), "", "in revolutions and s, exact; 0 = too long"),

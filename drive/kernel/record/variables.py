@@ -98,6 +98,8 @@ _ROWS: tuple[tuple, ...] = (
     ("homing_speeds", ("<u4", (2,)), "velocity unit",
      "6099h, search for switch, for zero", "homing_speed_switch homing_speed_zero"),
     ("homing_acceleration", "<u4", "acceleration unit", "609Ah", "homing_acceleration", "rate"),
+    ("homing_speed_own", "<u4", "velocity unit",
+     "no standard object: of legs in a homing.csv that say `own`", "homing_speed_own"),
     ("profile_jerk_use", "u1", "", "60A3h, number of jerks in use"),
     ("profile_jerk", ("<u4", (4,)), "jerk unit", "60A4h", "jerk"),
     ("touch_probe_function", "<u2", "", "60B8h"),

@@ -1,15 +1,17 @@
 """The diagram of a homing method, as manuals draw it: where the axis travels, what it looks for."""
 
-from ....drive.diagrams import NEGATIVE, POSITIVE, home_switch, homing_path
+from collections.abc import Mapping
+
+from ....drive.diagrams import NEGATIVE, POSITIVE, Method, home_switch, homing_path
 
 LEFT, WIDTH, ROW = 20, 400, 26
 STARTS = (0.25, 0.5, 0.75)
 PAST = 0.022  # how far the drawing passes an edge, so that turning back is seen
 
 
-def homing_svg(method: int) -> str:
-    """The picture, as text."""
-    paths = [homing_path(method, start) for start in STARTS]
+def homing_svg(method: int, own: Mapping[int, Method] | None = None) -> str:
+    """The picture, as text; methods of a drive model's `own` are those of its homing.csv."""
+    paths = [homing_path(method, start, own) for start in STARTS]
     here = all(len(path) == 1 for path in paths)
     runs = paths[:1] if here else paths
     y = 44 + sum(ROW + 8 * len(path) for path in runs)

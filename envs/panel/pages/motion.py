@@ -116,7 +116,7 @@ class MotionPage:
     def _homing(self) -> None:
         with card("Homing"):
             methods = {
-                int(method): _method_name(int(method))
+                int(method): _method_name(int(method), method in self.model.own_homing)
                 for method in sorted(self.model.homing_methods)
             }
             present = self.desk.seen["homing_method"]
@@ -147,7 +147,9 @@ class MotionPage:
 
     def _draw(self) -> None:
         method = self.method.value
-        self.diagram.set_content(homing_svg(int(method)) if method is not None else "")
+        self.diagram.set_content(
+            homing_svg(int(method), self.model.own_homing) if method is not None else ""
+        )
 
     async def _enable(self) -> None:
         await self._go("enable")
@@ -243,7 +245,9 @@ class MotionPage:
             row.show()
 
 
-def _method_name(method: int) -> str:
+def _method_name(method: int, own: bool = False) -> str:
+    if own:
+        return f"{method} · of this drive model"
     if method in (35, 37):
         return f"{method} · the present position"
     if method in (33, 34):
