@@ -15,7 +15,8 @@ from typing import Any, Protocol
 from urllib.parse import parse_qs, quote, urlsplit
 
 Scope = MutableMapping[str, Any]
-Receive = Send = Callable[..., Awaitable[Any]]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsewhere
     (b"x-frame-options", b"DENY"),

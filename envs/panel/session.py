@@ -73,8 +73,13 @@ class Session(Bench):
         """The next position cycles: paced, stepped, recorded, watched."""
         single = self.pace()
         self._port.deliver()
-        fine = single or self.streams or self.agent is not None
-        self.pass_cycles(1 if fine else self.cycles)
+        self.pass_cycles(1 if single or self.streams else self.cycles)
+
+    def cycle(self) -> None:
+        """The next position cycle, for who commands in each."""
+        self.pace()
+        self._port.deliver()
+        self.pass_cycles(1)
 
     def pass_cycles(self, cycles: int) -> None:
         """Let position cycles pass, and look at what has come of them."""

@@ -31,6 +31,7 @@ from servogym.envs.panel.reception import Reception
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import fresh
 from servogym.training.cli import main
+from servogym.training.policies.takeover import Laboratory
 
 WORD = "kestrel 1"
 
@@ -181,6 +182,46 @@ def test_whatever_a_stranger_types_is_answered_in_words_and_without_a_tag(name, 
     assert page.count("<input") == 3
     assert page.count("<script") == 0
     assert 'role="alert"' in fields or not wrong
+
+
+def test_a_pupil_names_no_program_that_runs_here(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("raise SystemExit('it ran')")
+    laboratory, session = Laboratory(shipped_only=True), make(CYCLES)
+    for name in (f"{file}:mine", str(tmp_path), "", "../x"):
+        for ask in (laboratory.prepare, laboratory.agent):
+            with pytest.raises(ValueError, match="is not offered: "):
+                ask(session.machine if ask == laboratory.prepare else session, "x", name, 200.0)
+        with pytest.raises(ValueError, match="is not offered: "):
+            laboratory.compare(session.machine, "x", ["hold", name], 200.0)
+
+
+def test_measurements_on_copies_wait_for_one_another():
+    pytest.importorskip("nicegui", reason="needs servogym[panel]")
+    from servogym.envs.panel.pages.desk import beside
+
+    under_way = []
+
+    def work():
+        under_way.append(1)
+        assert len(under_way) == 1
+        time.sleep(0.02)
+        under_way.pop()
+
+    async def all_at_once():
+        await asyncio.gather(*(beside(work) for _ in range(5)))
+
+    asyncio.run(all_at_once())
+
+
+def test_a_policy_gets_each_cycle_in_a_class_room_too():
+    session = make(CYCLES)
+    session.enable("x"), session.home("x"), session.move("x", 0.1)
+    laboratory = Laboratory()
+    session.hand_over(laboratory.agent(session, "x", "trapezoid", 200.0))
+    session.advance(1.0)
+    session.release()
+    assert session.value("x", "position_actual_value") == pytest.approx(200_000, abs=100)
 
 
 # --------------------------------------------------------------- results and runs

@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -48,36 +47,14 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
             raise ValueError(f"--{name} = {getattr(options, name)} is out of range 1..{most}")
     server.free(options.host, options.port)
 
-    class Offered(Laboratory):
-        """Only policies that are shipped: a file that a pupil names is not a program to be run."""
-
-        def _check(self, axis: str, *names: str) -> None:
-            known = self.fitting(axis).names
-            for name in names:
-                if name not in known:
-                    raise ValueError(f"{name!r}: in a class room use one of {', '.join(known)}")
-
-        def prepare(self, machine: Any, axis: str, name: str, goal: float) -> None:
-            """Prepare the machine as the laboratory does, if the policy is one that is offered."""
-            self._check(axis, name)
-            super().prepare(machine, axis, name, goal)
-
-        def agent(self, session: Any, axis: str, name: str, goal: float) -> Any:
-            """Make an agent as the laboratory does, if the policy is one that is offered."""
-            self._check(axis, name)
-            return super().agent(session, axis, name, goal)
-
-        def compare(self, machine: Any, axis: str, names: list[str], goal: float) -> Any:
-            """Compare policies as the laboratory does, if all of them are offered."""
-            self._check(axis, *names)
-            return super().compare(machine, axis, names, goal)
-
     title = options.axis.replace("-", " ")
 
     def make(cycles: int) -> Session:
         session = Session(fresh(options.axis, options.drive), title, cycles)
         if options.axis in fitting.FITTING:
-            session.laboratory = Offered(lambda axis: fitting.FITTING[options.axis])
+            session.laboratory = Laboratory(
+                lambda axis: fitting.FITTING[options.axis], shipped_only=True
+            )
         else:
             session.no_policies = fitting.NONE[options.axis]
         return session

@@ -215,10 +215,21 @@ class Laboratory:
 
     Args:
         fitting: by the name of an axis; what fits there.
+        shipped_only: whether only the policies that are offered may be named; for people who must
+            not choose which program runs here.
     """
 
-    def __init__(self, fitting: Callable[[str], Fitting] = lambda axis: LINEAR):
-        self._fitting = fitting
+    def __init__(
+        self, fitting: Callable[[str], Fitting] = lambda axis: LINEAR, shipped_only: bool = False
+    ):
+        self._fitting, self._shipped_only = fitting, shipped_only
+
+    def _allowed(self, axis: str, *names: str) -> Fitting:
+        fitting = self._fitting(axis)
+        for name in names if self._shipped_only else ():
+            if name not in fitting.names:
+                raise ValueError(f"policy {name!r} is not offered: {', '.join(fitting.names)}")
+        return fitting
 
     def fitting(self, axis: str) -> Fitting:
         """What is offered at an axis."""
@@ -227,14 +238,14 @@ class Laboratory:
     def agent(self, session: Any, axis: str, name: str, goal: float) -> TakeOver:
         """A policy that commands the machine of a session."""
         return TakeOver(
-            session.machine, name, goal, self._fitting(axis), session.exchange,
+            session.machine, name, goal, self._allowed(axis, name), session.cycle,
             lambda: session.delay,
         )  # fmt: skip
 
     def prepare(self, machine: Machine, axis: str, name: str, goal: float) -> None:
         """What takes long when a policy is made for the first time; on a copy of the machine."""
-        TakeOver(machine, name, goal, self._fitting(axis)).step()
+        TakeOver(machine, name, goal, self._allowed(axis, name)).step()
 
     def compare(self, machine: Machine, axis: str, names: list[str], goal: float) -> list[Course]:
         """Side by side, on copies."""
-        return compare(machine, names, goal, self._fitting(axis))
+        return compare(machine, names, goal, self._allowed(axis, *names))

@@ -17,6 +17,15 @@ from ..clock import Clock
 Request = Callable[[Any], Any]  # of the bench, or of the session where a page needs one
 
 
+HEAVY = asyncio.Semaphore(1)  # measurements on copies wait for one another: time has to go on
+
+
+async def beside(work: Callable[..., Any], *arguments: Any) -> Any:
+    """Let something that takes long, on a copy, go on beside all sessions; one at a time."""
+    async with HEAVY:
+        return await asyncio.to_thread(work, *arguments)
+
+
 class Desk:
     """A tab in front of a session.
 

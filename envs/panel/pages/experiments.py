@@ -1,6 +1,5 @@
 """Experiments: snapshots, faults, disturbances; policies that take over, and side by side."""
 
-import asyncio
 import copy
 from textwrap import shorten
 from typing import Any
@@ -9,7 +8,7 @@ from nicegui import ui
 
 from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
 from .charts import course_chart
-from .desk import Desk, refuse
+from .desk import Desk, beside, refuse
 from .widgets import Entry, Tag, button, card
 
 CAUSES = (  # offered first, where a model has them
@@ -169,7 +168,7 @@ class ExperimentsPage:
         try:
             twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
             axis = self.desk.axis
-            await asyncio.to_thread(self.laboratory.prepare, twin, axis, name, goal)
+            await beside(self.laboratory.prepare, twin, axis, name, goal)
             words = await self.desk.motion(
                 lambda s: s.hand_over(self.laboratory.agent(s, axis, name, goal))
             )
@@ -189,7 +188,7 @@ class ExperimentsPage:
         try:
             twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
             axis = self.desk.axis
-            courses = await asyncio.to_thread(self.laboratory.compare, twin, axis, names, goal)
+            courses = await beside(self.laboratory.compare, twin, axis, names, goal)
         except Exception as error:
             self.wrong.set_text(shorten(str(error), LONGEST, placeholder=" …"))
             return

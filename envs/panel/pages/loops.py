@@ -16,7 +16,7 @@ from ...autotune.trial import Trial
 from ...autotune.tune import Tuned, tune
 from ...engine.machine import Machine
 from .charts import SMALL, bode_chart, move_chart, step_chart
-from .desk import Desk, Refusal, refuse
+from .desk import Desk, Refusal, beside, refuse
 from .widgets import TOGGLE, Entry, Tag, button, card, two_sided
 
 TAKE_OVER, PUT_BACK = "Take over", "Put back"
@@ -90,7 +90,7 @@ class LoopsPage:
             return None
         made.props("loading")
         twin = await self.desk.ask(lambda session: copy.deepcopy(session.machine))
-        done = await self.desk.tried(asyncio.to_thread(work, twin))
+        done = await self.desk.tried(beside(work, twin))
         made.props(remove="loading")
         if not isinstance(done, Refusal):
             return done

@@ -79,12 +79,12 @@ class Shell:
         self._header()
         with ui.element("div").classes("frame"):
             self._rail(pages)
-            self.places = {}
+            self.frames = {}
             self.pages: dict[str, Any] = {}
             with ui.element("div").classes("content"):
                 for page in pages:
-                    place = ui.element("div").classes("page").props(f"data-test=page-{page.name}")
-                    self.places[page.name] = place
+                    self.frames[page.name] = ui.element("div").classes("page")
+                    self.frames[page.name].props(f"data-test=page-{page.name}")
         self._kinds = {page.name: page for page in pages}
         self.go(kept.get("page", pages[0].name))
         ui.keyboard(self._key, ignore=["input", "select", "textarea"], repeating=False)
@@ -173,20 +173,20 @@ class Shell:
             name = next(iter(self._kinds))
         self.present = self.kept["page"] = name
         if name not in self.pages:
-            with self.places[name]:
+            with self.frames[name]:
                 why = self.desk.bench.absent.get(name)
                 kind = self._kinds[name]
                 self.pages[name] = _Absent(kind.title, why) if why else kind(self.desk)
-        for other, place in self.places.items():
-            place.classes(**({"add": "open"} if other == name else {"remove": "open"}))
+        for other, frame in self.frames.items():
+            frame.classes(**({"add": "open"} if other == name else {"remove": "open"}))
             self.links[other].lit("now", other == name)
 
     async def _axis(self, axis: str) -> None:
         await self._rest()
         self.desk.axis = self.kept["axis"] = axis
         self.pages.clear()
-        for place in self.places.values():
-            place.clear()
+        for frame in self.frames.values():
+            frame.clear()
         self.go(self.present)
 
     def _theme(self) -> None:
