@@ -5,7 +5,7 @@ from nicegui import events, ui
 from ....drive.model.rows import Object
 from ..comparison import Difference, compare, of_file, write_back
 from .desk import Desk, Refusal, refuse
-from .widgets import button, card, file_button, hexadecimal
+from .widgets import answer_to, button, card, file_button, hexadecimal
 
 FACTORY, FILE = "factory", "file"
 COLUMNS = ("object", "name", "drive", FACTORY, FILE)
@@ -73,9 +73,7 @@ class CompareCard:
             with ui.element("div").classes("cluster"):
                 button("Write", lambda: dialog.submit(True), "write-yes", "main")
                 button("Leave it", lambda: dialog.submit(False), "write-no")
-        agreed = await dialog
-        dialog.delete()
-        if not agreed:
+        if not await answer_to(dialog):
             return
         axis = self.desk.axis
         wrong = await self.desk.command(lambda session: write_back(session, axis, wanted))

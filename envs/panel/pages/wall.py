@@ -8,7 +8,7 @@ from nicegui import Client, ui
 from ....drive.diagrams import MODE_ABBREVIATION, State
 from ..classroom import Classroom, Place
 from ..guard import PERSON
-from .widgets import Tag, button, card, told
+from .widgets import Tag, answer_to, button, card, told
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 EVERY = 0.5  # s between two pictures
@@ -181,9 +181,7 @@ async def sure(question: str) -> bool:
         with ui.element("div").classes("cluster"):
             button("Yes", lambda: dialog.submit(True), "yes", "main")
             button("No", lambda: dialog.submit(False), "no")
-    said = bool(await dialog)
-    dialog.delete()
-    return said
+    return bool(await answer_to(dialog))
 
 
 async def show_wall(room: Classroom, address: str) -> None:

@@ -249,3 +249,12 @@ def two_sided(text: str, press: Callable[[str], Any], test: str = "", kind: str 
     made = button(text, None, test, kind)
     shown = "(event) => emit(event.currentTarget.textContent.trim())"
     return made.on("click", lambda event: press(event.args), js_handler=shown)
+
+
+async def answer_to(dialog: ui.dialog) -> Any:
+    """What somebody says to a dialog, which goes then; None where the page has gone meanwhile."""
+    said = await dialog
+    if not dialog.is_deleted and dialog.client.id in dialog.client.instances:
+        dialog.delete()
+        return said
+    return None
