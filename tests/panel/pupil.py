@@ -32,8 +32,14 @@ class Page:
         """Come in as a pupil."""
         self.http = aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True))
         form = {"word": word, "name": name, "own": ""}
-        async with self.http.post(f"{self.url}join", data=form) as answer:
-            page = await answer.text()
+        for left in reversed(range(50)):
+            try:
+                async with self.http.post(f"{self.url}join", data=form) as answer:
+                    page = await answer.text()
+                break
+            except aiohttp.ClientConnectorError:  # its address is printed before it listens
+                await asyncio.sleep(0.1)
+                assert left
             assert answer.status == 200, page[:200]
         await self._connect(page)
 
