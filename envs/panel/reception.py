@@ -27,7 +27,8 @@ PAGE = """<!doctype html>
   --accent: #6ea8ec; --line: #7d8896; --bad: #ff8379; --on: #0d1520 } }
 body { margin: 0; min-height: 100vh; display: grid; place-items: center; background: var(--ground);
   color: var(--ink); font: 1.05rem system-ui, sans-serif }
-main { background: var(--card); border-radius: .75rem; padding: 1.5rem; width: min(24rem, 88vw) }
+main { background: var(--card); border-radius: .75rem; padding: 1.5rem; width: min(24rem, 92vw);
+  box-sizing: border-box }
 h1 { font-size: 1.3rem; margin: 0 0 1rem } label { display: block; margin: 0 0 1rem }
 input { display: block; width: 100%%; box-sizing: border-box; font: inherit; padding: .6rem;
   margin-top: .25rem; border: 1px solid var(--line); border-radius: .5rem; background: var(--card);
