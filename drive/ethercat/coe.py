@@ -78,6 +78,7 @@ class Sdo:
         index, subindex, _ = self._address
         self.reset()
         head = Service.SDO_REQUEST << 12
+        code = self._objects.drive.model.abort_codes.get(code, code)
         return (_SIZED.pack(head, 0x80, index, subindex, code),)
 
     def _answer(self, command: int, data: bytes) -> Answer:

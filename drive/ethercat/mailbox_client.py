@@ -34,12 +34,20 @@ class MailboxClient:
         station: address.
         out: start and length of sync manager 0.
         into: start and length of sync manager 1.
+        polls: looks at the mailbox before it is given up.
     """
 
-    def __init__(self, sender: Sender, station: int, out: tuple[int, int], into: tuple[int, int]):
+    def __init__(
+        self,
+        sender: Sender,
+        station: int,
+        out: tuple[int, int],
+        into: tuple[int, int],
+        polls: int = POLLS,
+    ):
         self._sender = sender
         self._station = station
-        self._out, self._in = out, into
+        self._out, self._in, self._polls = out, into, polls
         self._counter = 0
         self.emergencies: list[bytes] = []
 
@@ -55,26 +63,37 @@ class MailboxClient:
             TimeoutError: the mailbox stays full or empty.
             ValueError: the answer is a mailbox error.
         """
+        self.tell(kind, body)
+        return self.next(kind)
+
+    def tell(self, kind: int, body: bytes) -> None:
+        """Send a telegram. Raises TimeoutError where the mailbox stays full."""
         self._counter = self._counter % 7 + 1
         telegram = pack(kind, body, self._counter).ljust(self._out[1], b"\0")
-        for _ in range(POLLS):
+        for _ in range(self._polls):
             request = Datagram(Command.FPWR, self._station, self._out[0], telegram)
             if self._sender.send(request)[0].wkc:
-                return self._answer(kind)
+                return
             self._take()  # it is full because an answer waits
         raise TimeoutError(f"slave {self._station:04X}h does not empty its mailbox")
 
-    def _answer(self, kind: int) -> bytes:
-        for poll in range(POLLS):
+    def next(self, kind: int) -> bytes:
+        """The next telegram of a type; as `ask`."""
+        for poll in range(self._polls):
             found = self._take()
             if found is not None and found[0] == kind:
                 return found[1]
             if found is not None and found[0] == Kind.ERROR:
                 (detail,) = struct.unpack_from("<H", found[1], 2)
                 raise ValueError(f"mailbox error {detail} of slave {self._station:04X}h")
-            if poll == POLLS // 2:
+            if poll == self._polls // 2:
                 self._ask_again()
         raise TimeoutError(f"slave {self._station:04X}h does not answer in its mailbox")
+
+    def waiting(self) -> bytes:
+        """The body of a telegram that waits, empty where none does."""
+        found = self._take()
+        return b"" if found is None else found[1]
 
     def _take(self) -> tuple[int, bytes] | None:
         """Read sync manager 1; emergencies are put aside."""

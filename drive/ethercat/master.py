@@ -42,9 +42,9 @@ class Wire(Protocol):
 class RemoteSlave:
     """One slave as the master found it."""
 
-    def __init__(self, master: "EtherCatMaster", position: int):
+    def __init__(self, master: "EtherCatMaster", position: int, station: int | None = None):
         self.position = position
-        self.station = FIRST_STATION + position
+        self.station = FIRST_STATION + position if station is None else station
         self._master = master
         self.description: Description = sii.unpack(self.read_sii())
         mailbox = self.description.mailbox

@@ -123,6 +123,21 @@ class SoemSlave:
         start, length = self._buffer or (0, 0)
         return self.read(start, length) if length else b""
 
+    def fprd(self, address: int, size: int, timeout: int) -> bytes | None:
+        """Registers, None where no slave answered within the timeout (µs)."""
+        try:
+            return bytes(self._slave._fprd(address, size, timeout))
+        except self._soem.WkcError:
+            return None
+
+    def fpwr(self, address: int, data: bytes, timeout: int) -> bool:
+        """Write registers; -> whether a slave has taken them within the timeout (µs)."""
+        try:
+            self._slave._fpwr(address, data, timeout)
+        except self._soem.WkcError:
+            return False
+        return True
+
     def read_sii(self) -> bytes:
         """The whole EEPROM, as long as its size word says."""
         image, size = b"", 128

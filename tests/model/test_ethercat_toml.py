@@ -46,6 +46,9 @@ WRONG = [
     ("error_settings = true", 'error_settings = "yes"', "is not of type bool"),
     ("[sii]", "[sii", "ethercat.toml"),
     ('"1005h", "1006h"', '5, "1006h"', "without: 5 is not of type str"),
+    ("[sii]", "[pdo]\nmappable = [4]\n[sii]", "pdo.mappable = .4. is not a list of 2 numbers"),
+    ("[sii]", "[pdo]\nexcludes = { first = [1] }\n[sii]", "pdo.excludes: invalid literal"),
+    ("[sii]", "[pdo]\nexcludes = { 0x1600 = 5 }\n[sii]", "pdo.excludes: 5 is not a list of PDOs"),
 ]
 
 

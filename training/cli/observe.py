@@ -2,7 +2,9 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -12,6 +14,10 @@ from . import bus as buses
 def add(observe: argparse.ArgumentParser) -> None:
     """Its options."""
     observe.add_argument("--node-id", type=int, default=1, help="of the drive, 1..127 (1)")
+    observe.add_argument(
+        "--ethercat", metavar="IFACE", help="the drive is a slave at this interface, such as eth0"
+    )  # fmt: skip
+    observe.add_argument("--position", type=int, default=0, help="of the slave, from 0 on (0)")
     observe.add_argument(
         "--drive", default="generic",
         help="model to compare with; while observing, whose data types the objects have (generic)",
@@ -29,33 +35,24 @@ def add(observe: argparse.ArgumentParser) -> None:
 def _observe(options: argparse.Namespace, console: Console) -> int:
     if options.compare is not None:
         return _compare(options, console)
-    from ...drive.canopen.observe import Observer
-    from ...drive.model.model import load
-    from ...drive.wire.bus import CanPort
-
     if not 1 <= options.node_id <= 127:
         raise ValueError(f"--node-id = {options.node_id} is out of range 1..127")
     if options.out is None:
         raise ValueError("-o FILE is missing: where the observation is written")
     if options.out.exists():
         raise ValueError(f"-o {options.out} is there already: choose a file that is new")
-    model = load(options.drive)
-    bus = buses.opened(options)
-    try:
-        with console.status(f"node {options.node_id} ...") as status:
-            observer = Observer(
-                CanPort(bus), options.node_id, model, read_only=options.read_only,
-                tell=lambda text: status.update(f"node {options.node_id}: {text} ..."),
-            )  # fmt: skip
-            found = observer.observe()
-    finally:
-        bus.shutdown()
+    on_ethercat = options.ethercat is not None
+    drive = f"slave {options.position}" if on_ethercat else f"node {options.node_id}"
+    with console.status(f"{drive} ...") as status:
+        found = (_slave if on_ethercat else _node)(
+            options, lambda text: status.update(f"{drive}: {text} ...")
+        )
     options.out.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     wrote = "nothing was written to it: " + found["read_only"] if found["read_only"] else (
         "what was written to it is put back")  # fmt: skip
     print(
         f"{options.out}: {len(found['objects'])} objects, {len(found['dialogues'])} dialogues of "
-        f"node {options.node_id}; {wrote}"
+        f"{drive}; {wrote}"
     )
     left = [where for where, one in found["objects"].items() if "not_restored" in one]
     if left:
@@ -63,29 +60,64 @@ def _observe(options: argparse.Namespace, console: Console) -> int:
     return 0
 
 
+def _node(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Of a node on CAN."""
+    from ...drive.canopen.observe import Observer
+    from ...drive.model.model import load
+    from ...drive.wire.bus import CanPort
+
+    model = load(options.drive)
+    bus = buses.opened(options)
+    try:
+        port = CanPort(bus)
+        return Observer(
+            port, options.node_id, model, read_only=options.read_only, tell=tell
+        ).observe()
+    finally:
+        bus.shutdown()
+
+
+def _slave(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Of a slave on EtherCAT."""
+    from ...drive.model.model import load
+    from ...drive.wire.ethercat_observe import observe
+
+    return observe(
+        options.ethercat, options.position, load(options.drive, "ethercat"),
+        read_only=options.read_only, tell=tell,
+    )  # fmt: skip
+
+
 def _compare(options: argparse.Namespace, console: Console) -> int:
     """Print the differences; 1 where there are some."""
-    from ...drive.canopen.observe import compare, of_model, opened, proposed
+    from ...drive.canopen import observe as canopen
+    from ...drive.ethercat import observe as ethercat
     from ...drive.model.files import content
     from ...drive.model.made import check_place, write
     from ...drive.model.model import load
+    from ...drive.observation import compare, opened, proposed
     from ...drive.statements import data_sheet
 
     file = options.compare
     if not file.exists():
         raise ValueError(f"--compare {file}: there is no such file")
     found = opened(content(file, "an observation").decode("utf-8", "replace"), str(file))
-    model = load(options.drive, "can")
+    on_ethercat = found.get("bus") == "ethercat"
+    model = load(options.drive, "ethercat" if on_ethercat else "can")
     if options.out is not None:
         check_place(options.out)
     with console.status(f"{model.name} ..."):
-        differences = compare(found, of_model(model, int(found["node_id"])))
+        if on_ethercat:
+            own = ethercat.of_model(model)
+        else:
+            own = canopen.of_model(model, int(found["node_id"]))
+        differences = compare(found, own)
     for difference in differences:
         print(difference)
     count = len({difference.where for difference in differences})
     print(f"{file}: {count} of {len(found['objects']) + len(found['dialogues'])} objects and "
           f"dialogues differ from {model.name}")  # fmt: skip
     if options.out is not None:
-        write(proposed(differences, model, file.name), options.out, data_sheet)
+        write(proposed(differences, model, file.name, found), options.out, data_sheet)
         print(f"{options.out}: a model on top of {model.name}, its rows are marked observed")
     return int(bool(differences))
