@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from ..drive import Drive
 from ..model.model import DriveModel, load
 from ..objects.abort import Abort, SdoAbort
-from ..observation import ASKED, Cycling, Observer, danger, shown
+from ..observation import ASKED, SETTLED, Cycling, Observer, danger, shown
 from .al import AlState
 from .bus import Bus
 from .coe_header import Service, header
@@ -210,6 +210,8 @@ class EtherCatLine:
         for kind, bit in PROTOCOLS.items():
             if not self._slave.description.protocols & bit:
                 found[f"mailbox of {kind.name}"] = [self._asked(kind, bytes(8))]
+        self.wait(SETTLED)
+        self._drop()
         if not self._read_only:
             self._states(found)
         return found

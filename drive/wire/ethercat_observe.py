@@ -106,7 +106,7 @@ def _standing(master: EtherCatMaster, states: list[AlState]) -> tuple[list[Asked
             continue
         row = Datagram(Command.APRD, -n & 0xFFFF, R.STATION_ADDRESS, bytes(2))
         station = int.from_bytes(master.send(row)[0].data, "little")
-        slave = RemoteSlave(master, n, station)
+        slave = _standing_slave(master, n, station)
         slaves.append(slave)
         if not slave.read(R.SYNC_MANAGER + 6, 1)[0] & ENABLED:
             continue  # its mailbox is closed: nobody can have enabled it
@@ -118,6 +118,27 @@ def _standing(master: EtherCatMaster, states: list[AlState]) -> tuple[list[Asked
     if reason and len(slaves) < len(states):
         raise ValueError(f"{reason}, while other slaves are in INIT: disable it first")
     return slaves, reason
+
+
+def _standing_slave(master: EtherCatMaster, position: int, station: int) -> RemoteSlave:
+    """A slave with the station address it has; its EEPROM is given back to whom it was with.
+
+    0500h: 1 the device has it, 2 it is taken from it, 0 the master has it (ETG.1000.4).
+    """
+
+    def configure(value: int) -> None:
+        master.send(Datagram(Command.FPWR, station, R.EEPROM_CONFIGURATION, bytes([value])))
+
+    row = Datagram(Command.FPRD, station, R.EEPROM_CONFIGURATION, bytes(1))
+    with_device = master.send(row)[0].data[0] & 1
+    if with_device:
+        configure(2)
+        configure(0)
+    try:
+        return RemoteSlave(master, position, station)
+    finally:
+        if with_device:
+            configure(1)
 
 
 class _Wire:

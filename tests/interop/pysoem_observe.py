@@ -34,12 +34,17 @@ def while_enabled():
     slave = master.slaves[0]
 
     def status():
-        return struct.unpack("<H", soem.read_again(slave, 0x6041))[0] & 0x6F
+        for _ in range(soem.SCANS):
+            try:
+                return struct.unpack("<H", slave.sdo_read(0x6041, 0))[0] & 0x6F
+            except (pysoem.MailboxError, pysoem.PacketError, pysoem.WkcError):
+                time.sleep(0.02)  # late, or of what was asked before
+        raise RuntimeError("the statusword did not go on in time")
 
-    for word in (0x06, 0x07, 0x0F):
+    for word, reached in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
         slave.sdo_write(0x6040, 0, struct.pack("<H", word))
         for _ in range(200):
-            if status() == soem.COMMANDS.get(word, 0):
+            if status() == reached:
                 break
             time.sleep(0.005)
     before = status()
