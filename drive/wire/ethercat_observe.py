@@ -23,7 +23,8 @@ from ..observation import Observer, danger
 from .ethernet import RawPort
 from .soem import SoemMaster, SoemSlave
 
-ANSWER = 0.05  # s, for a frame
+ANSWER = 0.2  # s, for a frame
+INDEX = 17  # byte of a frame: the index of its first datagram
 LONGEST = 2048  # bytes of one
 PAUSE = 0.0002  # s, between two looks at a mailbox
 POLLS = 5000  # of them: a second and more
@@ -67,7 +68,7 @@ def observe(
         standing, reason = _standing(master, states)
         if reason:
             line = EtherCatLine(standing, position, time.sleep, reason)
-            return Observer(line, model, read_only=True, tell=tell).observe()
+            return Observer(line, model, tell=tell).observe()
     soem = SoemMaster(interface)
     try:
         slaves = [AskedSlave(slave, n) for n, slave in enumerate(soem.scan())]
@@ -145,7 +146,7 @@ class _Wire:
     """Frames by a raw socket and back."""
 
     def __init__(self, interface: str):
-        self._port = RawPort(interface, ANSWER)
+        self._port = RawPort(interface)
         self._buffer = memoryview(bytearray(LONGEST))
 
     def __enter__(self) -> "_Wire":
@@ -157,8 +158,12 @@ class _Wire:
     def exchange(self, frame: bytes, now: int = 0) -> bytes | None:
         """Send a frame; -> what comes back."""
         self._port.send(memoryview(frame))
-        length = self._port.receive(self._buffer)
-        return bytes(self._buffer[:length]) if length else None
+        until = time.monotonic() + ANSWER
+        while time.monotonic() < until:
+            length = self._port.receive(self._buffer)
+            if length > INDEX and self._buffer[INDEX] == frame[INDEX]:
+                return bytes(self._buffer[:length])
+        return None  # what came was late, of a frame before
 
 
 class AskedSlave:
