@@ -74,7 +74,7 @@ class Twin:
     def datasheet(self) -> LinearAxisParameters | RotaryParameters | None:
         """Parameters of the plant as found, of a linear or a rotary axis."""
         values = {BUILT.get(name, name): value for name, value in self.values.items()}
-        given = {name: value for name, value in self.arguments.items() if name != "mechanics"}
+        given = {n: v for n, v in self.arguments.items() if n not in ("mechanics", "tuned")}
         if self.builder == "rotary_axis":
             plain = ROTARY_FAMILY[self.arguments["mechanics"]]
             known = {n: v for n, v in values.items() if hasattr(plain, n)}

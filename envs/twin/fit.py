@@ -25,8 +25,9 @@ DAMPINGS = (0.03, 0.1)  # ratios a spring begins with
 BEST = 3  # starts that are followed
 GAIN_GRID = [(v, p) for v in (0.45, 0.7, 1.0, 1.5, 2.4) for p in (0.5, 0.75, 1.0, 1.4)]
 PID = ("pid_gain", "pid_integral_gain", "pid_derivative_gain")
-PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.2, 1.0) for d in (0.6, 1.0, 1.3)]
+PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.1, 0.3, 1.0) for d in (0.7, 1.1, 1.6)]
 LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, about the lag that the first run shows
+GAP = 2e-6  # m or rad, of backlash, which a search looks at steps of
 SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of at least
 UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
 NOTHING = 0.1  # the same where the inertia that comes out could be one
@@ -321,6 +322,8 @@ def _free(
         low, high = row.low, row.high
         if name in ("coulomb_friction", "load_force"):
             found.append(Free(name, start[name], low, high, 0.05 * friction))
+        elif name == "backlash":
+            found.append(Free(name, start[name], low, high, GAP))
         elif name == "viscous_friction":
             found.append(Free(name, start[name], low, high, max(0.1 * start[name], 1e-3)))
         else:

@@ -14,7 +14,7 @@ from .fit import Fitted
 from .words import ALWAYS, doubts, verdict
 
 COMMISSIONED = (*GAINS, "velocity_filter_time", "velocity_feed_forward",
-                "acceleration_feed_forward")  # fmt: skip
+                "acceleration_feed_forward", "backlash")  # fmt: skip
 DIGITS = 6  # of what is written
 
 

@@ -7,6 +7,7 @@ from typing import Any
 from ..plants.twins import Twin
 from .fit import Fitted
 
+ABSOLUTE = ("load_force", "backlash")  # told in their units
 WATCHED = (  # in the order they are told
     "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "load_stiffness",
     "transmission_stiffness", "load_damping", "transmission_damping", "backlash",
@@ -32,7 +33,9 @@ class Change:
 
     def __str__(self) -> str:
         name = self.name.replace("_", " ")
-        numbers = f"{self.change:+.3g} {self.unit} [{self.low:+.3g}, {self.high:+.3g}]"
+        scale, unit = (1e6, "µm") if self.unit == "m" else (1.0, self.unit)
+        low, high = scale * self.low, scale * self.high
+        numbers = f"{scale * self.change:+.3g} {unit} [{low:+.3g}, {high:+.3g}]"
         return f"{name} {numbers}" + ("" if self.certain else ": no change is certain")
 
 
@@ -51,7 +54,7 @@ def changes(twin: Twin, now: Fitted) -> list[Change]:
         low, high = now.estimate.interval(name)
         value = now.values[name]
         half = math.hypot((old.high - old.low) / 2, (high - low) / 2)
-        relative = abs(old.value) > 2 * (old.high - old.low) and name != "load_force"
+        relative = abs(old.value) > 2 * (old.high - old.low) and name not in ABSOLUTE
         per = 100.0 / old.value if relative else 1.0
         change = (value - old.value) * per
         half *= abs(per)

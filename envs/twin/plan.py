@@ -1,6 +1,7 @@
 """The experiment a log should hold: moves that tell the parameters of an axis apart."""
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,11 +10,15 @@ import ruckig
 
 from ..engine.checks import in_range
 
-REST = 0.08  # s, behind each move
-SHARES = (  # of speed and acceleration, and how far: there and back each
-    (1.0, 1.0, 0.6), (1.0, 0.5, 0.6), (0.33, 1.0, 0.2), (0.33, 0.5, 0.2), (0.1, 0.5, 0.03),
-    (0.6, 1.0, 0.25),
-)  # fmt: skip
+REST, RINGING = 0.08, 0.5  # s, behind each move; where a spring is to ring out
+KINDS = {  # what a move tells: shares of speed and acceleration, and how far, there and back each
+    "acceleration": ((1.0, 1.0, 0.6), (1.0, 0.5, 0.6), (0.6, 0.25, 0.4)),
+    "speed": ((1.0, 1.0, 0.6), (0.33, 1.0, 0.2), (0.6, 1.0, 0.25), (0.33, 0.5, 0.2)),
+    "slow": ((0.1, 0.5, 0.03), (0.05, 0.5, 0.02)),
+    "ring": ((1.0, 1.0, 0.1), (0.6, 1.0, 0.05)),
+    "sweep": (),
+}  # fmt: skip
+WHOLE = ("acceleration", "speed", "slow")  # what an experiment for an unknown axis holds
 SWEEP = (5.0, 100.0, 3.0)  # Hz from, to, and how long (s)
 SHARE_OF_SWEEP = 0.3  # of the highest acceleration
 
@@ -38,25 +43,30 @@ class Limits:
             )
 
 
-def plan(limits: Limits, period: float, *, sweep: bool = False) -> np.ndarray:
+def plan(
+    limits: Limits, period: float, *, kinds: Sequence[str] = WHOLE, sweep: bool = False
+) -> np.ndarray:
     """Set-points of the experiment, one a bus cycle, shape ``(n,)``; it begins in the middle.
 
     Args:
         limits: of place, speed, acceleration and jerk.
         period: of the bus (s).
+        kinds: what is to be told, of `KINDS`.
         sweep: a sine of rising frequency joins, for springs.
     """
     middle, half = 0.5 * (limits.low + limits.high), 0.5 * (limits.high - limits.low)
     here, parts = middle, [np.full(round(REST / period), middle)]
-    for speed, acceleration, far in SHARES:
+    rest = np.ones(round((RINGING if "ring" in kinds else REST) / period))
+    moves = dict.fromkeys(move for kind in kinds for move in KINDS[kind])
+    for speed, acceleration, far in moves:
         for goal in (middle + far * half, middle - far * half, middle):
-            parts.append(
+            parts += [
                 _move(here, goal, speed * limits.velocity, acceleration * limits.acceleration,
-                      limits.jerk, period)
-            )  # fmt: skip
-            parts.append(np.full(round(REST / period), goal))
+                      limits.jerk, period),
+                goal * rest,
+            ]  # fmt: skip
             here = goal
-    if sweep:
+    if sweep or "sweep" in kinds:
         parts += [middle + _sweep(limits, period), np.full(round(REST / period), middle)]
     return np.concatenate(parts)
 

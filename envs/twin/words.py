@@ -7,45 +7,59 @@ from .fit import FAIR, GOOD, Fitted
 
 WIDE = 0.15  # half an interval over the value, above which a parameter is poorly known
 TIED = 0.97  # correlation of two estimates that are told apart no more
-MOVES = {  # what tells two parameters apart
-    frozenset(("payload", "coulomb_friction")): "two accelerations tell them apart; add a move at "
-    "half the acceleration",
-    frozenset(("payload", "velocity_gain")): "read the gains from the drive (--read-gains), or add "
-    "a move at the torque limit",
-    frozenset(("coulomb_friction", "viscous_friction")): "two speeds tell them apart; add moves at "
-    "a third of the speed",
-    frozenset(("coulomb_friction", "load_force")): "both directions tell them apart; add the same "
-    "moves back",
-    frozenset(("payload", "load_stiffness")): "a sweep over the resonance tells them apart; add a "
-    "sine of the set-point that rises from 5 to 100 Hz",
-    frozenset(("load_stiffness", "load_damping")): "let it ring out: add a short, sharp move and "
-    "a rest of half a second",
-    frozenset(("transmission_stiffness", "transmission_damping")): "let it ring out: add a short, "
-    "sharp move and a rest of half a second",
-    frozenset(("velocity_gain", "position_gain")): "read the gains from the drive (--read-gains)",
-    frozenset(("velocity_gain", "integral_time")): "read the gains from the drive (--read-gains)",
+GAINS = "read the gains from the drive (--read-gains)"
+RING = "let it ring out: add a short, sharp move and a rest of half a second"
+MOVES = {  # what tells two parameters apart, and the kinds of moves (`plan.KINDS`) that do
+    frozenset(("payload", "coulomb_friction")): (
+        "two accelerations tell them apart; add a move at half the acceleration", "acceleration"),
+    frozenset(("payload", "velocity_gain")): (
+        f"{GAINS}, or add a move at the torque limit", "acceleration"),
+    frozenset(("coulomb_friction", "viscous_friction")): (
+        "two speeds tell them apart; add moves at a third of the speed", "speed"),
+    frozenset(("coulomb_friction", "load_force")): (
+        "both directions tell them apart; add the same moves back", "speed"),
+    frozenset(("payload", "load_stiffness")): (
+        "a sweep over the resonance tells them apart; add a sine of the set-point that rises from "
+        "5 to 100 Hz", "sweep"),
+    frozenset(("load_stiffness", "load_damping")): (RING, "ring"),
+    frozenset(("transmission_stiffness", "transmission_damping")): (RING, "ring"),
+    frozenset(("velocity_gain", "position_gain")): (GAINS, ""),
+    frozenset(("velocity_gain", "integral_time")): (GAINS, ""),
 }  # fmt: skip
 ALONE = {
-    "payload": "add moves with more acceleration",
-    "inertia": "add moves with more acceleration",
-    "coulomb_friction": "add slow moves to both sides",
-    "viscous_friction": "add long moves at the highest speed and at a third of it",
-    "load_force": "add the same moves to both sides",
-    "load_stiffness": "add short, sharp moves, or a sweep over the resonance",
-    "load_damping": "add short, sharp moves with a rest behind each",
-    "transmission_stiffness": "add short, sharp moves, or a sweep over the resonance",
-    "transmission_damping": "add short, sharp moves with a rest behind each",
-}
+    "payload": ("add moves with more acceleration", "acceleration"),
+    "inertia": ("add moves with more acceleration", "acceleration"),
+    "coulomb_friction": ("add slow moves to both sides", "slow"),
+    "viscous_friction": (
+        "add long moves at the highest speed and at a third of it", "speed"),
+    "load_force": ("add the same moves to both sides", "slow"),
+    "load_stiffness": ("add short, sharp moves, or a sweep over the resonance", "sweep"),
+    "load_damping": ("add short, sharp moves with a rest behind each", "ring"),
+    "transmission_stiffness": ("add short, sharp moves, or a sweep over the resonance", "sweep"),
+    "transmission_damping": ("add short, sharp moves with a rest behind each", "ring"),
+    "backlash": ("add slow moves to both sides, short ones", "slow"),
+}  # fmt: skip
+OTHERS = ("record moves that differ more in speed and acceleration", "acceleration")
 ALWAYS = (
     "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "
     "constant. A second log with a known payload added would tell it."
 )
-SWINGING = 0.05  # torque at rest of the highest one, above which the axis does not stand still
+SWINGING = 0.2  # torque at rest of the highest one, above which the axis does not stand still
 
 
 def doubts(fitted: Fitted) -> list[str]:
     """Sentences about parameters that this log leaves open; none where it tells them all."""
-    said = []
+    return [text for text, _ in _open(fitted)] + _limit_cycle(fitted)
+
+
+def missing(fitted: Fitted) -> tuple[str, ...]:
+    """Kinds of moves (`plan.KINDS`) that would tell what this log leaves open, each once."""
+    return tuple(dict.fromkeys(kind for _, kind in _open(fitted) if kind))
+
+
+def _open(fitted: Fitted) -> list[tuple[str, str]]:
+    """Sentences, and the kind of moves that each asks for."""
+    said: list[tuple[str, str]] = []
     estimate = fitted.estimate
     names = [free.name for free in estimate.free]
     correlation = estimate.correlation()
@@ -63,15 +77,16 @@ def doubts(fitted: Fitted) -> list[str]:
         for k in range(i):
             pair = frozenset((first, names[k]))
             if abs(correlation[i, k]) > TIED and LAG not in pair and pair & poor:
-                advice = MOVES.get(pair, "record moves that differ more in speed and acceleration")
-                said.append(f"{names[k]} and {first} are hardly told apart by this log: {advice}.")
+                advice, kind = MOVES.get(pair, OTHERS)
+                text = f"{names[k]} and {first} are hardly told apart by this log: {advice}."
+                said.append((text, kind))
                 paired |= pair
     for name in names:
         if name in poor and name not in paired:
             low, high = estimate.interval(name)
-            advice = ALONE.get(name, "read it from the drive (--read-gains)")
-            said.append(f"{name} is known poorly ({low:.3g} to {high:.3g}): {advice}.")
-    return said + _limit_cycle(fitted)
+            advice, kind = ALONE.get(name, (GAINS, ""))
+            said.append((f"{name} is known poorly ({low:.3g} to {high:.3g}): {advice}.", kind))
+    return said
 
 
 def _limit_cycle(fitted: Fitted) -> list[str]:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -15,6 +16,7 @@ from servogym.drive.wire.recording import Signal, Source
 from servogym.envs import linear_axis
 from servogym.envs.engine import parameters
 from servogym.envs.plants import twins
+from servogym.envs.plants.catalogue import of_twin
 from servogym.envs.twin import logs
 from servogym.envs.twin.estimate import Noise, colour
 from servogym.envs.twin.experiment import Unusable, experiment
@@ -22,9 +24,11 @@ from servogym.envs.twin.families import FAMILIES
 from servogym.envs.twin.fit import fit, refuse
 from servogym.envs.twin.folder import save
 from servogym.envs.twin.health import changes
-from servogym.envs.twin.plan import Limits, plan
+from servogym.envs.twin.plan import KINDS, Limits, plan
 from servogym.envs.twin.regression import regress
+from servogym.envs.twin.words import doubts, missing
 from servogym.training.cli import main
+from servogym.training.cli.twin import GAIN_OBJECTS
 
 HIDDEN = ("payload", "coulomb_friction", "viscous_friction")
 
@@ -145,6 +149,81 @@ def test_health_finds_nothing_in_the_same_machine(fitted, folder):
     assert not any(change.certain for change in found.values())
     assert abs(found["payload"].change) < 1e-3
     assert "no change is certain" in str(found["coulomb_friction"])
+
+
+def test_health_finds_friction_that_has_grown(folder, recorded, tmp_path, capsys):
+    _, hidden = recorded
+    worn = linear_axis()
+    parameters.put(worn, hidden | {"coulomb_friction": 1.18 * hidden["coulomb_friction"]})
+    log = made.csp_log(worn, tmp_path / "new.log", np.random.default_rng(8), dropped=0.005,
+                       jitter=2e-4, seconds=3.0)  # fmt: skip
+    assert main(["twin", "--against", str(folder), str(log), "-o", str(tmp_path / "health")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("coulomb friction +")
+    found = {c["name"]: c for c in json.loads((tmp_path / "health/health.json").read_text())[
+        "changes"]}  # fmt: skip
+    assert found["coulomb_friction"]["certain"]
+    assert found["coulomb_friction"]["low"] < 18.0 < found["coulomb_friction"]["high"]
+    assert not found["payload"]["certain"]
+
+
+@pytest.mark.slow
+def test_health_finds_a_gap_that_has_grown_by_4_um(tmp_path):
+    rng = np.random.default_rng(5)
+    slow = {"speed": (0.05, 0.3), "acceleration": (1, 4), "seconds": 4.0}
+    log = made.csp_log(linear_axis(mechanics="ball_screw"), tmp_path / "a.log", rng, **slow)
+    worn = linear_axis(mechanics="ball_screw")
+    friction = 1.18 * parameters.get(worn, ["coulomb_friction"])["coulomb_friction"]
+    parameters.put(worn, {"backlash": 24e-6, "coulomb_friction": friction})
+    new = made.csp_log(worn, tmp_path / "b.log", rng, **slow)
+    twin, health = str(tmp_path / "twin"), tmp_path / "health"
+    gains = tmp_path / "gains.json"
+    gains.write_text("{}")
+    drive = linear_axis(mechanics="ball_screw").drives["x"].axis.od
+    gains.write_text(json.dumps({n: int(getattr(drive, n)) for n in GAIN_OBJECTS}))
+    assert main(["twin", str(log), "--mechanics", "ball_screw", "--read-gains", str(gains),
+                 "-o", twin]) == 0  # fmt: skip
+    assert main(["twin", "--against", twin, str(new), "-o", str(health)]) == 0
+    found = {c["name"]: c for c in json.loads((health / "health.json").read_text())["changes"]}
+    assert found["backlash"]["certain"]
+    assert found["coulomb_friction"]["certain"]
+    assert found["backlash"]["low"] < 4e-6 < found["backlash"]["high"]
+
+
+def test_the_machine_of_a_folder_comes_out_of_one_function(folder):
+    machine = of_twin(folder)
+    assert parameters.get(machine, ["payload"])["payload"] == pytest.approx(
+        twins.read(folder).values["payload"]
+    )
+
+
+def tied(fitted, first, second):
+    """The same fit, had its log told two parameters apart badly."""
+    names = [free.name for free in fitted.estimate.free]
+    i, k = names.index(first), names.index(second)
+    covariance = fitted.estimate.covariance.copy()
+    covariance[i, i] = covariance[k, k] = 100.0
+    covariance[i, k] = covariance[k, i] = -99.5
+    return replace(fitted, estimate=replace(fitted.estimate, covariance=covariance))
+
+
+def test_a_log_says_what_it_cannot_tell_apart_and_which_move_would(fitted):
+    assert missing(fitted) == ()
+    blind = tied(fitted, "coulomb_friction", "viscous_friction")
+    assert any("hardly told apart" in text and "third of the speed" in text
+               for text in doubts(blind))  # fmt: skip
+    assert missing(blind)[0] == "speed"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_tells_a_parameter_stays_within_the_limits(kind):
+    limits = Limits(0.1, 0.4, 0.5, 5.0, 200.0)
+    found = plan(limits, 1e-3, kinds=[kind])
+    assert len(found) > 300
+    assert np.ptp(found) > 1e-3
+    assert 0.1 <= found.min() < found.max() <= 0.4
+    assert abs(np.diff(found)).max() * 1e3 <= 0.5 * 1.01
+    assert abs(np.diff(found, 2)).max() * 1e6 <= 5.0 * 1.1
 
 
 # ------------------------------------------------------------------- bad input

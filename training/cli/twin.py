@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,11 @@ def add_twin(twin: argparse.ArgumentParser) -> None:
         "--against", type=Path, metavar="FOLDER", help="a twin: what has changed since its log"
     )
     twin.add_argument(
-        "--plan", type=Path, metavar="CSV", help="write the experiment a log should hold, and stop"
+        "--plan",
+        type=Path,
+        metavar="CSV",
+        help="write the experiment a log should hold; with a log, that which tells what it leaves "
+        "open",
     )
     twin.add_argument(
         "--range", nargs=2, type=float, metavar=("LOW", "HIGH"), help="of the plan, m or rad"
@@ -105,7 +109,7 @@ def _log_options(options: argparse.Namespace) -> dict[str, Any]:
 def _twin(options: argparse.Namespace, console: Console) -> int:
     from ...envs.autotune.needs import scipy
 
-    if options.plan is not None:
+    if options.plan is not None and not options.logs:
         return _plan(options)
     if not options.logs:
         raise ValueError("give at least one log, or --plan to write the experiment for it")
@@ -120,12 +124,19 @@ def _twin(options: argparse.Namespace, console: Console) -> int:
     best, tried, _ = _fitted(options, console, _names(options.mechanics), dict(options.set))
     from ...envs.twin.folder import content, save
     from ...envs.twin.report import report
+    from ...envs.twin.words import missing
 
     file = save(options.out, best, options.drive, options.logs, tried)
     found = content(best, options.drive, options.logs, tried)
     report(options.out, best, found)
     _print(found)
     print(f"{file}, {options.out / 'report.md'}")
+    if options.plan is not None:
+        kinds = missing(best)
+        if kinds:
+            _plan(options, best.family.name, kinds)
+        else:
+            print(f"{options.plan}: not written, this log tells every parameter")
     return 0 if best.verdict in ("good", "fair") else 1
 
 
@@ -243,13 +254,13 @@ def _print(found: dict[str, Any]) -> None:
     print(found["said"])
 
 
-def _plan(options: argparse.Namespace) -> int:
+def _plan(options: argparse.Namespace, family_name: str = "", kinds: Sequence[str] = ()) -> int:
+    """Write an experiment: for an axis nobody knows, or of the kinds a log has left open."""
     from ...envs.twin.experiment import Scale
     from ...envs.twin.families import family
-    from ...envs.twin.plan import Limits, plan, write
+    from ...envs.twin.plan import WHOLE, Limits, plan, write
 
-    names = _names(options.mechanics)
-    chosen = family(names[0]).given(dict(options.set))
+    chosen = family(family_name or _names(options.mechanics)[0]).given(dict(options.set))
     machine = chosen.make(options.drive)
     low, high = options.range or machine.range(chosen.axis)
     if not (abs(low) < 1e6 and abs(high) < 1e6):
@@ -257,7 +268,7 @@ def _plan(options: argparse.Namespace) -> int:
     if options.range is None:  # off the ends
         low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
     limits = Limits(low, high, options.velocity, options.acceleration, options.jerk)
-    set_points = plan(limits, 1e-3 * options.period, sweep=options.sweep)
+    set_points = plan(limits, 1e-3 * options.period, kinds=kinds or WHOLE, sweep=options.sweep)
     unit = Scale.of(machine, chosen.axis).position
     write(options.plan, set_points, 1e-3 * options.period, unit)
     print(
@@ -321,10 +332,14 @@ def _fitted_with(
         options.logs, machine, options.drive, family(name).axis, who=options.axis,
         **_log_options(options),
     )  # fmt: skip
+    gap = family(name).builder == "linear_axis" and parameters.PARAMETERS["backlash"].there(
+        parameters.Joint(machine, family(name).axis)
+    )
     with _telling(console) as told:
         best, tried = choose(
-            experiments, options.drive, [name], built, objects, gains_known=True, told=told
-        )
+            experiments, options.drive, [name], built, objects, gains_known=True, told=told,
+            free=("backlash",) if gap else (),
+        )  # fmt: skip
     return best, tried, experiments
 
 
@@ -354,7 +369,8 @@ def compare(options: argparse.Namespace, console: Console) -> int:
         **_log_options(options),
     )  # fmt: skip
     quiet = {"encoder_noise": 0.0}
-    lag = best_lag(candidates, experiment, quiet)
+    known = None if options.twin is None else twins.read(options.twin).lag
+    lag = best_lag(candidates, experiment, quiet) if known is None else known
     run = candidates.simulate(experiment, [quiet | {"lag": lag}])
     left_p = experiment.position - run.position[0]
     left_t = experiment.torque - run.torque[0]
