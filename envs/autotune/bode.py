@@ -248,6 +248,8 @@ def _measure(
             wave = wave if sign == "+" else -wave
             samples = stand.run(np.concatenate([wave[-settle:], wave]), against)[settle:]
             disturbed = samples[:, [LIMITED, TURNED]].any()
+            if disturbed:
+                stand.refuse_hot()
             if disturbed and amplitude > LEAST_AMPLITUDE:
                 break
             runs.append(samples)

@@ -86,6 +86,18 @@ class Stand:
             if moves:
                 self.master[name].write("target_velocity", 0)
         self.master.enable()
+        self.machine.step()
+        self.refuse_hot()
+
+    def refuse_hot(self) -> None:
+        """Raise RuntimeError where I²t holds a drive back: what then is measured is the limit."""
+        for name in self.movers:
+            axis = self.machine.drives[name].axis
+            if int(axis.od.active_limits) & Limit.I2T:
+                raise RuntimeError(
+                    f"I²t limits the torque of drive {name!r}, {axis.od.i2t_level / 10:g} % of it "
+                    "are used up: let the axis rest until it has recovered, then measure again"
+                )
 
     def commission(self, objects: dict[str, int]) -> None:
         """Set objects of the drive, and of one that moves the same beam."""

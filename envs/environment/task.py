@@ -92,8 +92,12 @@ class Task:
         return ""
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """Where bodies should be, by name: displacement (m), shape ``(3,)``; drawn translucent."""
+        """Where bodies or sites should be, by name: displacement (m), ``(3,)``; translucent."""
         return {}
+
+    def goal_pose(self) -> np.ndarray | None:
+        """Coordinates of the whole machine at its goal, shape ``(nq,)``; drawn translucent."""
+        return None
 
     def path(self) -> np.ndarray:
         """What is to be followed, shape ``(n, 3)`` (m); drawn as a line."""

@@ -301,6 +301,24 @@ class RobotEnv(ServoEnv):
         episode._reach, episode._tolerance = self.reach, self.tolerance
         episode._resting = self.resting
 
+    def ghosts(self) -> dict[str, np.ndarray]:
+        """The site, where it is to be."""
+        if self.site is None:
+            return {}
+        return {self.site: self.episode._place_goal - self.machine.data.site(self.site).xpos}
+
+    def goal_pose(self) -> np.ndarray | None:
+        """The robot with all joints at their goals; a site may be there in many poses."""
+        if self.site is not None:
+            return None
+        pose = self.machine.data.qpos.copy()
+        for coupling, goal, sought in zip(
+            self.machine.couplings, self.episode._goal, self.episode._sought, strict=False
+        ):
+            if sought:
+                pose[coupling.qpos] = goal
+        return pose
+
     def _given(self, option: str, places: Any) -> dict[str, float]:
         """Places by drive, each in the range of its joint."""
         given = named(f"options[{option!r}]", places, '{"joint": 0.3}')

@@ -21,6 +21,9 @@ from .overlay import Line, Overlay, lines
 HEIGHT, WIDTH = 540, 960
 LONGEST = 400  # places of a path that are kept
 APART = 1.5e-3  # m between two of them
+MARK = 0.02  # m, radius of the ghost of a site
+UPRIGHT = np.eye(3).ravel()
+ARRIVED = 1e-5  # m, and elements of a rotation: what is nearer to its goal has no ghost
 THICK = 3.0  # px, of a line
 DRIVEN = np.array([0.85, 0.2, 0.15, 1.0], np.float32)
 WANTED = np.array([0.1, 0.1, 0.1, 0.6], np.float32)
@@ -75,6 +78,9 @@ class Scene(Protocol):
     def ghosts(self) -> Mapping[str, Any]:
         """Displacement of the goal by body, shape ``(3,)`` (m)."""
 
+    def goal_pose(self) -> np.ndarray | None:
+        """Coordinates of the machine at its goal, shape ``(nq,)``, of tasks that have one."""
+
     def path(self) -> np.ndarray:
         """What is to be followed, shape ``(n, 3)`` (m)."""
 
@@ -92,6 +98,7 @@ class Picture:
         self._viewer: Any = None
         self._camera: mujoco.MjvCamera | None = None
         self._parts: list[Part] | None = None
+        self._goal: mujoco.MjData | None = None
         self._path: list[dict[str, np.ndarray]] = []  # places of the bodies with a goal
         self._time = 0.0
 
@@ -189,23 +196,27 @@ class Picture:
         ]  # fmt: skip
 
     def _ghosts(self, scene: mujoco.MjvScene) -> None:
-        """Add the boxes of each body that has a ghost, translucent, where it should be."""
+        """Add what has a ghost, translucent, where it should be: bodies, or all that moves."""
         machine = self._env.machine
-        for body, displacement in self._env.ghosts().items():
-            number = machine.model.body(body).id
-            first = machine.model.body_geomadr[number]
-            for geom in range(first, first + machine.model.body_geomnum[number]):
-                if scene.ngeom >= scene.maxgeom:
-                    return
-                mujoco.mjv_initGeom(
-                    scene.geoms[scene.ngeom],
-                    machine.model.geom_type[geom],
-                    machine.model.geom_size[geom] * 1.02,
-                    machine.data.geom_xpos[geom] + displacement,
-                    machine.data.geom_xmat[geom],
-                    GHOST,
-                )
-                scene.ngeom += 1
+        model, here = machine.model, machine.data
+        for name, displacement in self._env.ghosts().items():
+            for geom in _geoms(model, name):
+                place, turn = here.geom_xpos[geom] + displacement, here.geom_xmat[geom]
+                _ghost(scene, model.geom_type[geom], model.geom_size[geom], place, turn)
+            if not _geoms(model, name):
+                place, size = here.site(name).xpos + displacement, np.full(3, MARK)
+                _ghost(scene, mujoco.mjtGeom.mjGEOM_SPHERE, size, place, UPRIGHT)
+        pose = self._env.goal_pose()
+        if pose is None:
+            return
+        there = self._goal = self._goal or mujoco.MjData(model)
+        there.qpos[:] = pose
+        mujoco.mj_kinematics(model, there)
+        for geom in range(model.ngeom):
+            place, turn = there.geom_xpos[geom], there.geom_xmat[geom]
+            moved = not np.allclose(place, here.geom_xpos[geom], atol=ARRIVED)
+            if moved or not np.allclose(turn, here.geom_xmat[geom], atol=ARRIVED):
+                _ghost(scene, model.geom_type[geom], model.geom_size[geom], place, turn)
 
     def _decorate(self, scene: mujoco.MjvScene) -> None:
         """Add what makes the plant a machine, and the scale on the floor."""
@@ -285,10 +296,30 @@ class Picture:
             self._viewer = None
 
 
-def _tip(machine: Machine, body: str) -> np.ndarray:
-    """Return the centre of a body's first geom (m)."""
-    model = machine.model
-    return machine.data.geom_xpos[model.body_geomadr[model.body(body).id]].copy()
+def _geoms(model: mujoco.MjModel, name: str) -> range:
+    """Return the geoms of a body; a name that is a site has none."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if number < 0:
+        return range(0)
+    first = int(model.body_geomadr[number])
+    return range(first, first + int(model.body_geomnum[number]))
+
+
+def _tip(machine: Machine, name: str) -> np.ndarray:
+    """Return the centre of a body's first geom, or the place of a site (m)."""
+    geoms = _geoms(machine.model, name)
+    if not geoms:
+        return machine.data.site(name).xpos.copy()
+    return machine.data.geom_xpos[geoms[0]].copy()
+
+
+def _ghost(
+    scene: mujoco.MjvScene, kind: int, size: np.ndarray, place: np.ndarray, turn: np.ndarray
+) -> None:
+    """Add a translucent shape."""
+    if scene.ngeom < scene.maxgeom:
+        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], kind, size * 1.02, place, turn, GHOST)
+        scene.ngeom += 1
 
 
 def _line(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: np.ndarray) -> None:

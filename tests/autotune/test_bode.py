@@ -11,7 +11,7 @@ from matrix import Case, in_the_middle, margins_of_model
 
 from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
-from servogym.envs import Machine, bode, commission_joint, gantry, linear_axis, rotary_axis
+from servogym.envs import Machine, bode, commission_joint, gantry, linear_axis, rotary_axis, tune
 from servogym.envs.autotune import needs
 from servogym.envs.autotune.margins import Margins, margins
 from servogym.envs.autotune.stand import detune
@@ -186,6 +186,31 @@ def test_a_loop_that_oscillates_is_measured_with_less_gain_and_told():
     assert not response.position_margins.stable
     assert "oscillates" in response.note
     assert response.fitted.inertia == pytest.approx(before.fitted.inertia, rel=0.05)
+
+
+def push(machine, seconds):
+    """Against the upper end with all the torque there is, then home again by hand."""
+    x = machine.drives["x"]
+    master = Master(MachinePort(machine), "x")
+    for name in ("following_error_window", "position_error_limit"):
+        x.commission({name: 0xFFFFFFFF})
+    master.set_mode(Mode.PROFILE_TORQUE)
+    master.write("target_torque", x.read("max_torque"))
+    master.enable()
+    machine.step(round(seconds / machine.cycle_time))
+
+
+@pytest.mark.parametrize("measure", [bode, tune])
+def test_a_motor_that_is_too_hot_is_told_as_such(measure):
+    """What I²t leaves is no measure of the loop, and more amplitude would be the wrong advice."""
+    machine = in_the_middle(linear_axis())
+    x = machine.drives["x"]
+    push(machine, 1.5 * x.read("i2t_time") * 1e-3)
+    assert x.read("i2t_level") > 900
+    kept = machine.snapshot()
+    with pytest.raises(RuntimeError, match=r"I²t limits the torque of drive 'x', 9\d.* used up"):
+        measure(machine)
+    assert machine.snapshot() == kept
 
 
 def test_afterwards_the_machine_is_bit_by_bit_as_before():

@@ -315,6 +315,43 @@ def test_a_plant_is_decorated_at_its_bodies_and_weighs_what_it_did(make):
     assert not parts(mujoco.MjModel.from_xml_string("<mujoco model='another'/>"))
 
 
+def ghosts_of(env):
+    """Places and shapes of what is translucent in the picture."""
+    scene = mujoco.MjvScene(env.machine.model, 100)
+    drawn = picture.Picture(env)
+    drawn._ghosts(scene)
+    return [(geom.type, geom.pos.copy(), geom.mat.copy()) for geom in scene.geoms[: scene.ngeom]]
+
+
+@pytest.mark.parametrize("goals", [None, ["elbow"]])
+def test_a_robot_has_its_goal_pose_as_a_ghost(goals):
+    """Where MuJoCo has the geoms of a second robot that stands at the goal."""
+    env = RobotEnv(goals=goals)
+    env.reset(seed=3)
+    robot, there = env.machine.model, mujoco.MjData(env.machine.model)
+    there.qpos[:] = env.episode._goal[: robot.nq]
+    mujoco.mj_kinematics(robot, there)
+    moved = [g for g in range(robot.ngeom) if not np.allclose(
+        [*there.geom_xpos[g], *there.geom_xmat[g]],
+        [*env.machine.data.geom_xpos[g], *env.machine.data.geom_xmat[g]], atol=1e-5)]  # fmt: skip
+    drawn = ghosts_of(env)
+    assert len(drawn) == len(moved) > 0
+    for geom, (_, place, turn) in zip(moved, drawn, strict=True):
+        np.testing.assert_allclose(place, there.geom_xpos[geom], atol=1e-6)
+        np.testing.assert_allclose(turn.ravel(), there.geom_xmat[geom], atol=1e-6)
+    env.machine.data.qpos[:] = there.qpos
+    mujoco.mj_kinematics(robot, env.machine.data)
+    assert not ghosts_of(env), "what has arrived has none"
+
+
+def test_a_site_of_a_robot_has_a_mark_at_its_goal():
+    env = RobotEnv(site="tool")
+    env.reset(seed=3, options={"goal": (0.3, 0.1, 0.4)})
+    ((kind, place, _),) = ghosts_of(env)
+    assert kind == mujoco.mjtGeom.mjGEOM_SPHERE
+    np.testing.assert_allclose(place, (0.3, 0.1, 0.4), atol=1e-6)
+
+
 # ------------------------------------------------------------------------- the window
 
 
