@@ -12,7 +12,7 @@ import numpy as np
 from . import brake, contacts, statusword, stop
 from .cascade import energised, torque_allowed
 from .faults import Cause, Reaction, show_register
-from .jit import block
+from .jit import block, rare
 from .record import Axis
 from .stop import OPTION_STAYS, OPTION_STOP, Stop, option
 from .words import COMMANDS, Command, Mode, State
@@ -211,7 +211,7 @@ def _command(axis: Axis, command):
             stop.begin(axis, Stop.NONE)
 
 
-@block
+@rare
 def _ramp_then(axis: Axis, command, code):
     """Transitions 5 and 8: at once, or after a ramp; -1 is the quick stop ramp of some models."""
     kind = Stop.QUICK_STOP_RAMP if code < 0 else OPTION_STOP[option(code)]
@@ -224,7 +224,7 @@ def _ramp_then(axis: Axis, command, code):
     axis.pending_transition = NUMBER[axis.state, command]
 
 
-@block
+@rare
 def _stop_then(axis: Axis, number, code):
     """Brake by option code, then transition `number`; at once where there is nothing to brake."""
     axis.pending_transition = number
@@ -234,7 +234,7 @@ def _stop_then(axis: Axis, number, code):
         _finish(axis)
 
 
-@block
+@rare
 def _finish(axis: Axis):
     """The ramp has ended: take the transition that waited for it."""
     number = axis.pending_transition
@@ -249,7 +249,7 @@ def _finish(axis: Axis):
     stop.begin(axis, Stop.NONE)
 
 
-@block
+@rare
 def _take_fault(axis: Axis):
     cause = axis.fault_raised
     axis.fault_raised = Cause.NONE
@@ -270,7 +270,7 @@ def _take_fault(axis: Axis):
     _stop_then(axis, 14, code)
 
 
-@block
+@rare
 def _reset_fault(axis: Axis):
     """Transition 15, refused while a cause that stops the drive is still present."""
     age = (axis.cycle_count - axis.fault_cycle) * axis.position_period * 1e3
@@ -286,7 +286,7 @@ def _reset_fault(axis: Axis):
     show_register(axis)
 
 
-@block
+@rare
 def _resume(axis: Axis):
     """Give the demand back to the mode of operation."""
     axis.pending_transition = 0

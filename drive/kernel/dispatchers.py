@@ -18,7 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
 from . import code_cache
-from .compiler import Pipeline, compiling, without_linear_algebra
+from .compiler import PASSES, Pipeline, compiling, without_linear_algebra
 from .reach import reach
 
 SECONDS_A_FUNCTION = 0.05  # of compiling, to tell how long it will take
@@ -30,7 +30,7 @@ class _Locator(_CacheLocator):
     """One folder; a file name and a stamp made of the digest, whatever the source's path or age."""
 
     def __init__(self, function):
-        self.digest, self.functions = reach(function, OPTIONS)
+        self.digest, self.functions = reach(function, OPTIONS | PASSES)
         self._py_file = function.__code__.co_filename  # for Numba's warnings
 
     def get_cache_path(self):
@@ -164,10 +164,30 @@ class Block(CPUDispatcher):
         return self._alone(*args, **kws)
 
 
-def block(function):
+class Rare(Block):
+    """What compiled code seldom calls: LLVM puts it, and the way to it, behind all else."""
+
+    def compile(self, sig):
+        """As a block, with LLVM's word for it."""
+        with global_compiler_lock:
+            args = tuple(sigutils.normalize_signature(sig)[0])
+            known = args in self.overloads
+            code = super().compile(sig)
+            if not known:
+                made = self.overloads[args]
+                made.library.get_function(made.fndesc.llvm_func_name).add_function_attribute("cold")
+            return code
+
+
+def block(function, kind=Block):
     """A dispatcher that compiled code calls."""
     options = OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return Block(function, targetoptions=options, pipeline_class=Pipeline)
+    return kind(function, targetoptions=options, pipeline_class=Pipeline)
+
+
+def rare(function):
+    """A dispatcher that compiled code seldom calls."""
+    return block(function, Rare)
 
 
 def entry(function):

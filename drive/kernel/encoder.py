@@ -12,7 +12,7 @@ from enum import IntEnum
 
 from . import probe
 from .faults import Cause, raise_fault
-from .jit import block
+from .jit import block, rare
 from .record import Axis
 
 
@@ -90,7 +90,7 @@ def sample(axis: Axis):
     axis.probe_inputs = probe_inputs
 
 
-@block
+@rare
 def _latch_switch(axis: Axis, before, now, counts):
     bit = 1 << ((axis.latch_event - 1) >> 1)
     wanted = bit if axis.latch_event & 1 else 0  # odd events wait for ON
@@ -99,7 +99,7 @@ def _latch_switch(axis: Axis, before, now, counts):
         axis.latch_counts = counts
 
 
-@block
+@rare
 def _index(axis: Axis, before, counts):
     """The last index pulse at or below the farther of two counts, and whether it was passed."""
     od = axis.od

@@ -7,7 +7,7 @@ error register and history: CiA 301, objects 1001h and 1003h.
 
 from enum import IntEnum
 
-from .jit import block
+from .jit import block, rare
 from .record import FAULT_CAUSES, HISTORY, Axis
 
 WARNING_ACTIVE = 0x8000  # bit of the last warning code
@@ -61,7 +61,7 @@ class Reaction(IntEnum):
     CURRENT_LIMIT = 5  # as quick stop option code 3
 
 
-@block
+@rare
 def raise_fault(axis: Axis, cause):
     """Report that `cause` is present in this cycle.
 
@@ -88,7 +88,7 @@ def raise_fault(axis: Axis, cause):
         axis.fault_raised = cause
 
 
-@block
+@rare
 def record(axis: Axis, cause):
     """Enter `cause` in 603Fh, 1001h and, newest first, in the history 1003h.
 
@@ -118,7 +118,7 @@ def expire_warnings(axis: Axis):
         axis.od.last_warning_code &= WARNING_ACTIVE - 1
 
 
-@block
+@rare
 def show_register(axis: Axis):
     """1001h: the bits of the faults that are not reset and of the warnings that are left."""
     register = 0

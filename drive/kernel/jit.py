@@ -1,6 +1,7 @@
 """Compile the blocks of the cycle with Numba, or run them as plain Python.
 
-`block` marks a box of the block diagram: compiled into whoever calls it, never on its own.
+`block` marks a box of the block diagram: compiled into whoever calls it, never on its own. `rare`
+marks one that is not entered in most cycles: it takes no room between those that are.
 `entry` marks the few functions Python calls; only these are kept, in `cache_directory`, each under
 the digest (`reach`) of all the code it is made of. Numba's own key sees one file only, and every
 comment in it. ``NUMBA_DISABLE_JIT=1`` runs all of it as ordinary Python.
@@ -17,7 +18,7 @@ import numba
 
 from .code_cache import cache_directory, say
 
-__all__ = ["DISABLED", "PLAIN", "TESTED", "block", "cache_directory", "entry"]
+__all__ = ["DISABLED", "PLAIN", "TESTED", "block", "cache_directory", "entry", "rare"]
 
 TESTED = "0.68"  # releases of Numba whose inner names `dispatchers` and its like are written for
 DISABLED = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
@@ -45,12 +46,16 @@ if DISABLED:
         """Mark a box of the block diagram."""
         return function
 
+    def rare(function: Any) -> Any:
+        """Mark a box that is seldom entered."""
+        return function
+
     def entry(function: Any) -> Any:
         """Mark what Python calls."""
         return function
 elif PLAIN:
     say(f"{_why}: all is compiled anew at each start (minutes), numba=={TESTED}.* keeps it")
     _plain = numba.njit(error_model="numpy", nogil=True)
-    block, entry = _plain, _plain  # type: ignore[assignment]
+    block, rare, entry = _plain, _plain, _plain  # type: ignore[assignment]
 else:
-    from .dispatchers import block, entry
+    from .dispatchers import block, entry, rare

@@ -15,7 +15,7 @@ from . import stop
 from .cascade import Control
 from .encoder import Switch
 from .faults import Cause, Reaction, raise_fault
-from .jit import block
+from .jit import block, rare
 from .ramps import NO_JERK_LIMIT, steepest, stopping_distance
 from .record import ANALOG_INPUTS, Axis
 from .words import Limit, Mode
@@ -111,7 +111,7 @@ def show_clamped(axis: Axis):
         _show(axis, -1)
 
 
-@block
+@rare
 def _show(axis: Axis, direction):
     """Say that the software limit ahead in `direction` acts."""
     if direction > 0:

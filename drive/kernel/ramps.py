@@ -27,7 +27,7 @@ wave, and a short move has the whole waves of a lower speed.
 import math
 
 from .cascade import Control
-from .jit import block
+from .jit import block, rare
 from .record import SEGMENTS, Axis
 
 BISECTIONS = 200  # ends earlier, when the interval no longer shrinks
@@ -225,7 +225,7 @@ def vl_rate(axis: Axis, n, direction):
     return (axis.vl_acceleration, axis.vl_deceleration, axis.vl_quick_stop)[n]
 
 
-@block
+@rare
 def plan_velocity(axis: Axis, velocity, acceleration, deceleration, jerk):
     """Plan a change of the demand velocity to `velocity` (rad/s); `jerk`: as `profile_jerk`."""
     limits = _limits(acceleration, deceleration, jerk)
@@ -292,7 +292,7 @@ def _reachable(axis: Axis, distance, v, a, wanted, limits):
     return low
 
 
-@block
+@rare
 def plan_position(axis: Axis, target, speed, end_speed, room, acceleration, deceleration, jerk):
     """Plan a move of the demand to `target` (rad) at up to `speed` (rad/s).
 

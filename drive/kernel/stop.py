@@ -9,7 +9,7 @@ model of the DC link both brake at the torque limit (inferred).
 from enum import IntEnum
 
 from .cascade import Control
-from .jit import block
+from .jit import block, rare
 from .ramps import (
     DOWN,
     NO_JERK_LIMIT,
@@ -44,7 +44,7 @@ LAST_OPTION = 8
 PATIENCE = 1.0  # s after the demand has stopped; then the stop counts as finished (inferred)
 
 
-@block
+@rare
 def begin(axis: Axis, stop):
     """Start to stop the axis from its present demand."""
     axis.stop = stop

@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from ...drive.kernel.jit import DISABLED, block, entry
+from ...drive.kernel.jit import DISABLED, block, entry, rare
 from ...drive.memory import address, bytes_at, floats_at, integers_at, peek, viewer
 from . import friction, tick
 from .arrays import positions, velocities
@@ -156,7 +156,7 @@ def _enter(address, world):
     resident[0] = address
 
 
-@block
+@rare
 def _move_fields(world, enters):
     """Fields of MjModel, from what is kept of a world or to it."""
     fields = fields_at(world.fields, world.field_count)

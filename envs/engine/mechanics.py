@@ -46,7 +46,7 @@ import math
 import mujoco
 import numpy as np
 
-from ...drive.kernel.jit import block
+from ...drive.kernel.jit import block, rare
 from ...drive.memory import viewer
 from .arrays import reals_at
 
@@ -182,7 +182,7 @@ def _carried(world, m, deflection, velocity):
     return force
 
 
-@block
+@rare
 def _impact(m, energy):
     m.impacts += 1
     m.impact_last = energy

@@ -12,6 +12,7 @@ import pytest
 from golden import recordings
 
 from servogym.drive.ethercat.decode import RETURNED
+from servogym.drive.ethercat.frame import Command
 from servogym.drive.wire import pcapng
 from servogym.drive.wire.server import Server
 from servogym.envs import linear_axis
@@ -89,9 +90,19 @@ def test_a_trigger_finds_the_fault_reset_in_a_log_and_a_recording_is_a_log(tmp_p
 
 
 def test_a_capture_of_ethercat_is_shown_by_the_names_of_the_mapped_objects(tmp_path):
+    """The recording, and then its exchange of process data again with these values in the reply.
+
+    The master has mapped six bytes of outputs, then 6063h and 6041h.
+    """
+    told = [(0, 0x0250), (-5, 0x0231), (70_000, 0x0233), (1 << 20, 0x0237), (-(1 << 31), 0x0218)]
+    pairs = recordings.read("soem")
+    request, reply = next((q, r) for q, r in pairs if len(r) == 27 and q[4] == Command.LRW)
+    for position, word in told:
+        values = position.to_bytes(4, "little", signed=True) + word.to_bytes(2, "little")
+        pairs.append((request, reply[:-7] + values + reply[-1:]))
     capture = tmp_path / "soem.pcapng"
     writer = pcapng.Writer(capture)
-    for n, frame in enumerate(part for pair in recordings.read("soem") for part in pair):
+    for n, frame in enumerate(part for pair in pairs for part in pair):
         length = int.from_bytes(frame[2:4].ljust(2, b"\0"), "little") & 0x7FF
         passed = 2 * (n % 2)  # a slave sets this bit of the source address
         head = bytes(RETURNED) + bytes([passed]) + bytes(11 - RETURNED)
@@ -100,8 +111,10 @@ def test_a_capture_of_ethercat_is_shown_by_the_names_of_the_mapped_objects(tmp_p
     channels = "position_actual_internal_value,statusword"
     assert main(["scope", str(capture), "--channels", channels, "--out", str(tmp_path)]) == 0
     names, rows = columns(tmp_path)
-    assert {"position_actual_internal_value", "statusword"} <= {*names}
-    assert rows  # one: the recording has each exchange of process data once
+    assert names == ["time", "position_actual_internal_value", "statusword"]
+    assert [(row[1], row[2]) for row in rows[-len(told) :]] == told
+    steps = [later[0] - row[0] for row, later in pairwise(rows[-len(told) :])]
+    assert steps == pytest.approx([2e-3] * 4)  # a request and a reply, a millisecond each
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ what the rows of the table of quantities say; here is what several quantities ma
 import math
 
 from .. import cascade, encoder, probe, statusword, sync
-from ..jit import block, entry
+from ..jit import block, entry, rare
 from ..ramps import SINE
 from ..record import KINDS, PLACES, RAD_S_PER_MINUTE, Axis, Kind
 from ..words import Mode, SetPointSource
@@ -29,7 +29,7 @@ VELOCITY_RAMPS = PLACES["velocity_ramps"]
 SET_POSITION = PLACES["set_position"]
 
 
-@block
+@rare
 def receive(axis: Axis):
     """Derive every SI parameter from the raw objects (drive units) of `axis`.
 
@@ -243,7 +243,7 @@ def increments_to_units(axis: Axis, increments):
     return whole * numerator + (2 * rest * numerator + denominator) // (2 * denominator)
 
 
-@block
+@rare
 def set_position(axis: Axis):
     """2030h of some models: the present position gets a value; nothing moves."""
     axis.set_position_wanted = 0

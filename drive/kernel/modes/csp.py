@@ -13,7 +13,7 @@ many periods as 2019h lets them be missing (inferred).
 
 from .. import limits
 from ..cascade import energised
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import close_position_loop
 from ..record import Axis
 from ..stop import Stop
@@ -22,7 +22,7 @@ from ..words import Limit
 SMOOTHING = 0.25  # of the acceleration fed forward, per set-point: whole units make it coarse
 
 
-@block
+@rare
 def start(axis: Axis):
     """Hold where the demand is until a new set-point comes."""
     close_position_loop(axis)

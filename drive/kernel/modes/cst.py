@@ -2,11 +2,11 @@
 
 from .. import limits
 from ..cascade import Control, energised
-from ..jit import block
+from ..jit import block, rare
 from ..stop import Stop
 
 
-@block
+@rare
 def start(axis):
     """Let the torque command through."""
     axis.control = Control.TORQUE

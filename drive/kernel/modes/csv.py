@@ -6,14 +6,14 @@ offset 60B1h is added. Where a limit is ahead the drive brakes on the quick stop
 
 from .. import limits
 from ..cascade import Control, energised
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import NO_JERK_LIMIT
 from ..record import Axis
 from ..stop import Stop
 from ..words import Limit
 
 
-@block
+@rare
 def start(axis: Axis):
     """Go on with the present demand velocity until a set-point comes."""
     if axis.control == Control.TORQUE:

@@ -6,11 +6,11 @@ attained but still moving, 011 done, 100 error and moving, 101 error and at rest
 
 from .. import homing
 from ..homing import HomingError, Progress
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import close_position_loop, plan_velocity, profile_jerk
 
 
-@block
+@rare
 def start(axis):
     """Come to rest and wait for the start bit."""
     close_position_loop(axis)

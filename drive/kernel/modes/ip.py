@@ -9,7 +9,7 @@ Metronix ARS 2000 have it) is linear interpolation without a buffer: the newest 
 
 from .. import sync
 from ..cascade import energised
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import close_position_loop
 from ..record import IP_RECORDS, Axis
 from . import csp
@@ -18,7 +18,7 @@ RING = 1
 UNBUFFERED = -2
 
 
-@block
+@rare
 def start(axis: Axis):
     """Hold, with whatever the buffer has."""
     close_position_loop(axis)

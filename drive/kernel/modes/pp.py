@@ -11,7 +11,7 @@ set-point (bit 6) counts from what 60F2h says, by default the preceding target.
 from .. import limits, monitor, stop
 from ..cascade import energised
 from ..faults import Cause, raise_fault
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import advance, close_position_loop, plan_position, plan_velocity, profile_jerk
 from ..record import SET_POINTS, Axis
 from ..words import Controlword
@@ -62,7 +62,7 @@ def _accept(axis: Axis, controlword):
         axis.window_timer = 0
 
 
-@block
+@rare
 def start(axis: Axis):
     """Take over: go on with the set-point in hand, or come to rest."""
     close_position_loop(axis)

@@ -2,13 +2,13 @@
 
 from .. import limits, monitor, stop
 from ..cascade import Control, energised
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import NO_JERK_LIMIT, advance, plan_velocity, profile_jerk
 from ..record import Axis
 from ..words import Limit
 
 
-@block
+@rare
 def start(axis: Axis):
     """Take over the present demand velocity."""
     if axis.control == Control.TORQUE:

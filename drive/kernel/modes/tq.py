@@ -2,10 +2,10 @@
 
 from .. import limits
 from ..cascade import Control, energised
-from ..jit import block
+from ..jit import block, rare
 
 
-@block
+@rare
 def start(axis):
     """Take over the torque that is acting."""
     if axis.control != Control.TORQUE:

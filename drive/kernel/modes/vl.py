@@ -8,7 +8,7 @@ the amounts 6046h bound it from below and above, the dimension factor 604Ch make
 
 from .. import limits
 from ..cascade import Control, energised
-from ..jit import block
+from ..jit import block, rare
 from ..ramps import DOWN, NO_JERK_LIMIT, QUICK_STOP, UP, advance, plan_velocity, vl_rate
 from ..record import Axis
 from ..words import Controlword
@@ -16,7 +16,7 @@ from ..words import Controlword
 RAMP = Controlword.NEW_SET_POINT | Controlword.CHANGE_SET_IMMEDIATELY | Controlword.RELATIVE
 
 
-@block
+@rare
 def start(axis: Axis):
     """Take over the present demand velocity."""
     if axis.control == Control.TORQUE:
