@@ -9,27 +9,37 @@ from .session import Session
 
 
 class Progress(NamedTuple):
-    """How far a pupil is, as pages show it.
+    """How far a pupil is, as pages show it: all of one instant, whatever begins meanwhile.
 
     Args:
-        title: of the exercise.
+        exercise: that is being done.
         step: number of the present step.
         text: of the step; empty when all is done.
         wrong: why the exercise is lost, empty if it is not.
-        hints: number of hints given for the step.
+        times: of the steps that are done (s since the exercise began).
+        hinted: hints given for the step.
         used: number of hints given for all steps.
-        steps: how many there are.
         asks: whether the step waits for a prediction.
     """
 
-    title: str
+    exercise: Exercise
     step: int
     text: str
     wrong: str
-    hints: int
+    times: tuple[float, ...]
+    hinted: tuple[str, ...]
     used: int
-    steps: int
     asks: bool
+
+    @property
+    def title(self) -> str:
+        """Title of the exercise."""
+        return self.exercise.title
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the exercise."""
+        return len(self.exercise.steps)
 
 
 class Pupil:
@@ -65,8 +75,8 @@ class Pupil:
         attempt = self.attempt
         step = attempt.present
         return Progress(
-            self.exercise.title, attempt.step, step.text if step else "", attempt.wrong,
-            len(attempt.hinted), attempt.hints, len(self.exercise.steps), attempt.asks,
+            self.exercise, attempt.step, step.text if step else "", attempt.wrong,
+            tuple(attempt.times), attempt.hinted, attempt.hints, attempt.asks,
         )  # fmt: skip
 
     @property

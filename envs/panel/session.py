@@ -30,6 +30,8 @@ FIELDS = tuple(
 class Laboratory(Protocol):
     """What knows policies; `training` has one."""
 
+    shipped_only: bool  # whether only what is offered may be named
+
     def fitting(self, axis: str) -> Any:
         """What is offered at an axis: ``what``, ``names``, ``goal``, ``shown``."""
 

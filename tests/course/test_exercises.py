@@ -258,7 +258,7 @@ WRONG = {
         "shutdown": stop_by(0x06),
         "switch on": stop_by(0x07),
         "halt, and the quick stop at rest": stop_by(0x11F),
-        "it arrives first": stop_by(0x0F),
+        "it arrives first": stop_by(0x0F, wait=5.0),
         "another reference": lambda lab: under_way(lab, 35),
         "no prediction": lambda lab: (under_way(lab), lab.control(0x02), lab.wait(1.0)),
     },

@@ -222,11 +222,11 @@ class Laboratory:
     def __init__(
         self, fitting: Callable[[str], Fitting] = lambda axis: LINEAR, shipped_only: bool = False
     ):
-        self._fitting, self._shipped_only = fitting, shipped_only
+        self._fitting, self.shipped_only = fitting, shipped_only
 
     def _allowed(self, axis: str, *names: str) -> Fitting:
         fitting = self._fitting(axis)
-        for name in names if self._shipped_only else ():
+        for name in names if self.shipped_only else ():
             if name not in fitting.names:
                 raise ValueError(f"policy {name!r} is not offered: {', '.join(fitting.names)}")
         return fitting

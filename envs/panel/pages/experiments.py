@@ -113,8 +113,12 @@ class ExperimentsPage:
                                   test="goal")  # fmt: skip
                 self.take = button("Hand over", self._hand_over, "hand-over", "main")
             ui.label(
-                f"{fitting.what} {', '.join(fitting.names)}; FILE.py:name, or the folder of a "
-                "training."
+                f"{fitting.what} {', '.join(fitting.names)}"
+                + (
+                    "."
+                    if self.laboratory.shipped_only
+                    else "; FILE.py:name, or the folder of a training."
+                )
             ).classes("prose quiet")
             self.wrong = ui.label("").classes("bad").props("data-test=policy-wrong")
         with card("Side by side", "compare"):

@@ -36,6 +36,7 @@ class LessonPage:
                     self.hint = button("Hint", self._hint, "hint")
                     self.again = button("Begin again", self._again, "again")
                     self.leave = button("Leave", self._leave, "leave")
+                    self.next = button("Next exercise", self._next, "next", "main")
 
     async def _start(self, number: int) -> None:
         axis, lesson = self.desk.axis, self.lessons[number]
@@ -46,6 +47,17 @@ class LessonPage:
         pupil = self.desk.clock.session.pupil
         if pupil is not None and pupil.exercise in self.lessons:
             await self._start(self.lessons.index(pupil.exercise))
+
+    async def _next(self) -> None:
+        if (number := self._after(self.desk.shown["lesson"])) is not None:
+            await self._start(number)
+
+    def _after(self, at: Progress | None) -> int | None:
+        """Number of the exercise behind one that is done."""
+        if at is None or at.text or at.wrong or at.exercise not in self.lessons:
+            return None
+        number = self.lessons.index(at.exercise) + 1
+        return number if number < len(self.lessons) else None
 
     async def _leave(self) -> None:
         refuse(await self.desk.command(leave))
@@ -71,20 +83,19 @@ class LessonPage:
             return
         for made in (self.hint, self.again, self.leave, self.lost):
             made.set_visibility(at is not None)
+        self.next.set_visibility(self._after(at) is not None)
         if at is None and self._drawn is None:
             return
         self._drawn = at
         self.steps.clear()
-        pupil = self.desk.clock.session.pupil
-        if at is None or pupil is None:
+        if at is None:
             self.head.set_text("Choose an exercise.")
             return
-        attempt = pupil.attempt
-        steps = pupil.exercise.steps
+        steps = at.exercise.steps
         self.head.set_text(at.title + (" · done" if at.step >= len(steps) else ""))
         self.lost.set_visibility(bool(at.wrong))
         self.lost.set_text(f"{at.wrong} Begin again with a fresh machine.")
-        more = at.step < len(steps) and at.hints < len(steps[at.step].hints)
+        more = at.step < len(steps) and len(at.hinted) < len(steps[at.step].hints)
         self.hint.set_visibility(more and not at.wrong)
         with self.steps:
             for number, step in enumerate(steps[: at.step + 1]):
@@ -92,11 +103,11 @@ class LessonPage:
                 with Tag("li", data_test=f"step-{number}").classes("done" if done else "due"):
                     Tag("span", step.text)
                     if done:
-                        Tag("small", f"done after {attempt.times[number]:.1f} s")
+                        Tag("small", f"done after {at.times[number]:.1f} s")
                         if step.predict is not None:
                             Tag("small", step.predict.why)
                         continue
-                    for hint in attempt.hinted:
+                    for hint in at.hinted:
                         Tag("small", hint)
                     if step.predict is not None:
                         Tag("small", f"First say: {step.predict.question}")

@@ -291,6 +291,8 @@ class Shell:
         self.task.set_visibility(lesson is not None)
         if lesson is not None:
             now = f"{lesson.step + 1}. {lesson.text}" if lesson.text else "done"
+            if lesson.asks:
+                now += " First answer the question on the page Lessons."
             self.task_text.set_text(f"{lesson.title} · {lesson.wrong or now}")
         self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
         if self.speed.value != clock.speed:
