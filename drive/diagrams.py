@@ -100,9 +100,7 @@ STATUS_MEANINGS = (
 def statusword_bits(mode: int) -> tuple[Bit, ...]:
     """The sixteen bits of 6041h in `mode` (6061h), bit 0 first."""
     ten, twelve, thirteen = MODE_BITS.get(Mode(mode), ("", "", ""))
-    own = {
-        Statusword.TARGET_REACHED: ten, Statusword.MODE_12: twelve, Statusword.MODE_13: thirteen
-    }  # fmt: skip
+    own = {Statusword.TARGET_REACHED: ten, Statusword.MODE_12: twelve, Statusword.MODE_13: thirteen}
     return tuple(
         Bit(int(mask), own.get(mask, mask.name.lower()) or f"bit {mask.bit_length() - 1}", meaning)
         for mask, meaning in STATUS_MEANINGS
@@ -159,9 +157,7 @@ def _method(number: int, own: Mapping[int, Method] | None) -> Method:
     return found
 
 
-def homing_path(
-    method: int, start: float, own: Mapping[int, Method] | None = None
-) -> list[float]:  # fmt: skip
+def homing_path(method: int, start: float, own: Mapping[int, Method] | None = None) -> list[float]:
     """Turning points of a homing run from `start` (0..1), the last is home; empty: it fails.
 
     Methods of a drive model's `own` are those of `DriveModel.own_homing`.
@@ -237,9 +233,7 @@ def _way(legs: Sequence[tuple[int, ...]], leg: int, told: dict[int, None]) -> st
     return ", ".join(parts) + (": home" if leg == END else ", then as before")
 
 
-def _place(
-    event: int, direction: int, at: float, home: tuple[float, float]
-) -> float | None:  # fmt: skip
+def _place(event: int, direction: int, at: float, home: tuple[float, float]) -> float | None:
     """Where an event comes, travelling from `at`; None: not on this way."""
     if event == Edge.STOP:
         return 0.0 if direction < 0 else 1.0

@@ -28,9 +28,7 @@ from .sheet import Entry, Sheet, number, read_sheet
 
 MOST = 1 << 16  # objects
 NEEDED = (0x6040, 0x6041)
-TYPES = {
-    code: name for name in FORMATS if (code := getattr(datatypes, name, None)) is not None
-}  # fmt: skip
+TYPES = {code: name for name in FORMATS if (code := getattr(datatypes, name, None)) is not None}
 TYPES |= {0x0C: "TIME_OF_DAY", 0x0D: "TIME_DIFFERENCE"}
 # access of CiA 306 -> of a row, and where it may be mapped
 ACCESS = {
@@ -520,9 +518,7 @@ class _Import:
 
     def _place(self) -> None:
         """What no PDO carries by default loses its mapping where the record has no place for it."""
-        used = {
-            (int(row[6], 0), int(row[7], 0)) for row in self.pdos if row[6] != ""
-        }  # fmt: skip
+        used = {(int(row[6], 0), int(row[7], 0)) for row in self.pdos if row[6] != ""}
         room, lost = VENDOR_BYTES, 0
         order = sorted(self.rows, key=lambda address: (address not in used, address))
         for address in order:
@@ -549,9 +545,7 @@ class _Import:
         self.modes_said = bool(modes)
         if not modes:
             modes = [m for m in self.base.modes if indices.issuperset(self.needs.get(m, ()))]
-        said = {
-            self._default(0x60E3, n) for n in range(1, 255) if (0x60E3, n) in self.rows
-        }  # fmt: skip
+        said = {self._default(0x60E3, n) for n in range(1, 255) if (0x60E3, n) in self.rows}
         methods = [method for method in self.base.homing_methods if method in said]
         self.methods_said = bool(methods)
         if (mode := self._mode(modes)) is not None:

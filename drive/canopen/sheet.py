@@ -196,9 +196,7 @@ def _listed(sheet: Sheet, objects: dict[int, dict[int | None, _Section]]) -> Non
         sheet.tell(line, f"{index:04X}h", "not listed", "taken", "it has a section")
 
 
-def _object(
-    sheet: Sheet, index: int, parts: dict[int | None, _Section], extras: dict
-) -> None:  # fmt: skip
+def _object(sheet: Sheet, index: int, parts: dict[int | None, _Section], extras: dict) -> None:
     """The entries of an index."""
     head = parts.get(None)
     subs = {sub: section for sub, section in parts.items() if sub is not None}

@@ -203,15 +203,11 @@ class Sdo:
 
     def state(self) -> tuple:
         """All that `restore` needs."""
-        return (
-            self._running, self._address, self._data, self._at, self._toggle, self._announced
-        )  # fmt: skip
+        return (self._running, self._address, self._data, self._at, self._toggle, self._announced)
 
     def restore(self, state: tuple) -> None:
         """Become what `state` was."""
-        (
-            self._running, self._address, self._data, self._at, self._toggle, self._announced
-        ) = state  # fmt: skip
+        (self._running, self._address, self._data, self._at, self._toggle, self._announced) = state
 
 
 _HANDLERS: dict[int, Callable[[Sdo, int, bytes], Answer]] = {

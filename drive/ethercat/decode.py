@@ -268,7 +268,7 @@ class EtherCatDecoder:
 
     def _configured(
         self, slave: _Slave, address: int, data: bytes, writes: bool
-    ) -> list[str] | None:  # fmt: skip
+    ) -> list[str] | None:
         """Follow addresses, EEPROM, FMMUs and sync managers; -> what is told, None for others."""
         if writes and address == R.STATION_ADDRESS and len(data) >= 2:
             station = int.from_bytes(data[:2], "little")

@@ -335,6 +335,4 @@ def _abort(answer: bytes, code: int) -> bytes:
     place = answer[at + 3 : at + 6]
     body = (Service.SDO_REQUEST << 12).to_bytes(2, "little") + b"\x80" + place
     body += (code or Abort.GENERAL).to_bytes(4, "little")
-    return (MAILBOX_HEADER.pack(len(body), address, channel, kind) + body).ljust(
-        len(answer), b"\0"
-    )  # fmt: skip
+    return (MAILBOX_HEADER.pack(len(body), address, channel, kind) + body).ljust(len(answer), b"\0")

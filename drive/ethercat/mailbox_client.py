@@ -149,9 +149,7 @@ class MailboxClient:
             toggle ^= 0x10
         return data
 
-    def download(
-        self, index: int, subindex: int, data: bytes, *, complete: bool = False
-    ) -> None:  # fmt: skip
+    def download(self, index: int, subindex: int, data: bytes, *, complete: bool = False) -> None:
         """Write an object.
 
         Raises:

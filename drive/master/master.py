@@ -230,9 +230,7 @@ class Master(Drives):
             for (axis, name), (kept, _) in line.items():
                 self._tell(axis, name, kept)
 
-    def _set_point(
-        self, bits: int, immediate: bool, what: str, wait: bool, timeout: float
-    ) -> None:  # fmt: skip
+    def _set_point(self, bits: int, immediate: bool, what: str, wait: bool, timeout: float) -> None:
         """The handshake of profile position."""
         end = self._end(timeout)
         self.control(bits)
@@ -424,9 +422,7 @@ class Master(Drives):
         except (KeyError, ValueError):
             raise Refused(f"mode {mode!r}", "there is none", hint(str(mode), [*BY_NAME])) from None
 
-    def _units_of(
-        self, what: str, value: float | Mapping[str, float], unit: str
-    ) -> dict[str, int]:  # fmt: skip
+    def _units_of(self, what: str, value: float | Mapping[str, float], unit: str) -> dict[str, int]:
         """Values (SI) in drive units, by drive; `unit` names the field of `Units`."""
         each = self._each(what, value)
         try:

@@ -35,7 +35,7 @@ from .stand import (
     TURNED,
     VELOCITY,
     Stand,
-)  # fmt: skip
+)
 
 PERIOD = 1.0  # s, of the multisine, at least: a line each Hz
 USUAL, LOWEST = 2.0, 0.2  # Hz, lowest frequency of an axis that is not slow, and of any

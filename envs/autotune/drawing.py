@@ -68,7 +68,7 @@ def loops(
 
 def _line(
     gain: Axes, phase: Axes, response: Any, loop: np.ndarray, **look: Any
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Draw a loop where it has been seen; -> what is drawn, and its phase (degree)."""
     seen = (response.coherence >= LEAST_COHERENCE) & (abs(loop) < TOO_HIGH)
     loop = np.where(seen, loop, np.nan)

@@ -68,8 +68,7 @@ def identify(response: Response, drive: Drive) -> Plant:
             spread = math.log(SPREAD)
             low += [middle[0] - spread, -9.0, middle[2] - spread, -9.0]
             high += [middle[0] + spread, 0.5, middle[2] + spread, 0.5]
-        found = solve(residual, start, bounds=(low, high), loss="soft_l1", f_scale=0.2,
-                      max_nfev=80)  # fmt: skip
+        found = solve(residual, start, bounds=(low, high), loss="soft_l1", f_scale=0.2, max_nfev=80)
         # what is more has to explain a good deal more
         return found.cost * EXPLAINS ** (len(candidates) + (longest > NO_DELAY)), found.x
 

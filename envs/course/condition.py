@@ -146,7 +146,7 @@ KEYS: dict[str, tuple[Callable[[str, Any], str], Callable[[Look, Any], bool]]] =
         ),
     ),
     "unless": (_condition, lambda look, want: not holds(look, want)),
-}  # fmt: skip
+}
 
 
 def check(table: Any) -> dict[str, Any]:

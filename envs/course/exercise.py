@@ -234,9 +234,7 @@ def _prediction(row: Any) -> Prediction:
         raise ValueError("predict: give at least two options")
     if not isinstance(answer, int) or not 0 <= answer < len(options):
         raise ValueError(f"predict: answer = {answer!r} is out of range 0..{len(options) - 1}")
-    return Prediction(
-        _text(row, "question"), tuple(map(str, options)), answer, _text(row, "why")
-    )  # fmt: skip
+    return Prediction(_text(row, "question"), tuple(map(str, options)), answer, _text(row, "why"))
 
 
 def _begin(row: Any) -> Begin:

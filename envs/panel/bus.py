@@ -46,7 +46,7 @@ ABSENT = {
     "time": "The time of a bus cannot be stopped, slowed down or turned back.",
     "parameters": "A parameter file is what the drive itself stores: write 65766173h to 1010h:01, "
     "and the node stores what it has.",
-}  # fmt: skip
+}
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 Key = tuple[str, int, int]  # axis, index, sub-index
 Where = tuple[str, str, int]  # axis, direction, number of the PDO
@@ -358,7 +358,7 @@ class BusBench(Bench):
             "injected": 0,
             "rpdo": images["rx"],
             "tpdo": images["tx"],
-        }  # fmt: skip
+        }
 
 
 def _decoded(row: Object, data: bytes) -> float | str:

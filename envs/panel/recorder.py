@@ -92,7 +92,7 @@ class Recorder:
 
     def set_trigger(
         self, run: Run, channel: str = "", edge: Edge = Edge.RISING, level: float = 0.0
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Wait for an event, or roll. Raises ValueError for an unknown channel or level."""
         if run is not Run.ROLL:
             self._reader(channel)

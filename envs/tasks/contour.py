@@ -120,10 +120,10 @@ def _tool(d: int) -> Channel:
     return Channel(
         f"tool in {name.upper()}\n(mm)",
         lambda env: MM * joint(env, name)[0],
-        lambda env: MM * (
-            CENTRE[d] + point(env.episode._contour, env.episode._radius, env.episode._way, d)
+        lambda env: (
+            MM * (CENTRE[d] + point(env.episode._contour, env.episode._radius, env.episode._way, d))
         ),
-    )  # fmt: skip
+    )
 
 
 class GantryContourEnv(ServoEnv):

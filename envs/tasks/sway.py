@@ -129,19 +129,19 @@ def _channels(d: int) -> tuple[Channel, ...]:
     axis, of = "xy"[d], f" {'XY'[d]}"
     return (
         Channel(
-            f"load in{of}\n(mm)", lambda env: MM * _hanging(env, axis)[0],
+            f"load in{of}\n(mm)",
+            lambda env: MM * _hanging(env, axis)[0],
             lambda env: MM * env.episode._goal[d],
         ),
         Channel(
             f"load beyond\nthe goal in{of} (mm)",
             lambda env: MM * (_hanging(env, axis)[0] - env.episode._goal[d]),
-            window=tolerance, nearest=15.0,
+            window=tolerance,
+            nearest=15.0,
         ),
         Channel(f"velocity of the\nload in{of} (m/s)", lambda env: _hanging(env, axis)[1]),
-        Channel(
-            f"sway in{of}\n(degrees)", lambda env: math.degrees(joint(env, f"sway_{axis}")[0])
-        ),
-    )  # fmt: skip
+        Channel(f"sway in{of}\n(degrees)", lambda env: math.degrees(joint(env, f"sway_{axis}")[0])),
+    )
 
 
 class GantrySwayEnv(ServoEnv):

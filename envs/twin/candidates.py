@@ -169,9 +169,9 @@ def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -
         value = units / 10 ** (6 + index)
         x.commission({"interpolation_time_index": index})
         x.commission({"interpolation_time_period_value": value})
-    x.commission({
-        name: value for name, value in experiment.objects.items() if name in x.objects.names
-    })  # fmt: skip
+    x.commission(
+        {name: value for name, value in experiment.objects.items() if name in x.objects.names}
+    )
     machine.reset(positions=_places(machine) | {drive: begin + shift})
     machine.step()
     axis: Any = x.axis

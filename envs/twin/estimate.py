@@ -196,9 +196,9 @@ class Search:
     def white(self, values: Sequence[Mapping[str, float]], noise: Noise) -> list[np.ndarray]:
         """White residuals of the samples of motion."""
         return [
-            noise.white(r)[:, moving] for r, moving in zip(self.residuals(values), self._moving,
-                                                          strict=True)
-        ]  # fmt: skip
+            noise.white(r)[:, moving]
+            for r, moving in zip(self.residuals(values), self._moving, strict=True)
+        ]
 
     def start_noise(self) -> Noise:
         """Before anything is known: what high differences of the measured values leave.

@@ -329,7 +329,7 @@ def _measured_position(
 
 def _measured_torque(
     signals: Mapping[str, Signal], drive: Drive, scale: Scale, constant: float | None, log: str
-) -> tuple[Signal, float]:  # fmt: skip
+) -> tuple[Signal, float]:
     for name in ("torque_actual_value", "current_actual_value"):
         if name not in signals:
             continue
@@ -376,7 +376,7 @@ def _enabled(signals: Mapping[str, Signal], position: Signal, log: str) -> tuple
 
 def _mode(
     signals: Mapping[str, Signal], given: int | None, log: str, begin: float, end: float
-) -> int:  # fmt: skip
+) -> int:
     if given is not None:
         return given
     for name in ("modes_of_operation_display", "modes_of_operation"):

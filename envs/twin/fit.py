@@ -133,8 +133,7 @@ def fit(
     try:
         noise = search.start_noise()
         starts = _starts(search, chosen, joint, start, noise, gains_known)
-        trials = [search.descend(free, each, noise, 5 if len(starts) > 1 else 8)
-                  for each in starts]  # fmt: skip
+        trials = [search.descend(free, each, noise, 5 if len(starts) > 1 else 8) for each in starts]
         estimate = min(trials, key=lambda each: each.cost)
         best = estimate.values
         for steps in () if candidates.coarse else (4, 8):
@@ -258,9 +257,7 @@ def _start(
     gear = joint.gear
     row = parameters.PARAMETERS[chosen.mass]
     nominal = row.get(joint)
-    inertia = inertia_at_shaft(
-        joint.model, joint.machine.data, int(joint.coupling.dof), gear
-    )  # fmt: skip
+    inertia = inertia_at_shaft(joint.model, joint.machine.data, int(joint.coupling.dof), gear)
     mass = nominal + (rough.inertia - inertia) * (1 if chosen.mass == "rotor_inertia" else gear**2)
     values = {
         chosen.mass: max(mass, 0.05 * nominal),
@@ -376,7 +373,7 @@ def _starts(
 
 def _worse(
     fitted: Search, whole: Search, cuts: Sequence[float], values: Mapping[str, float], noise: Noise
-) -> float:  # fmt: skip
+) -> float:
     """How much larger the squares of white residuals are where nothing was fitted, at least 1."""
     inside = float(fitted.cost([values], noise)[0])
     parts = [

@@ -246,7 +246,7 @@ CALLS = {
     "commission no name": lambda s: commission_joint(s.machine, None),
     "episodes text": lambda s: Evaluator("LinearAxis-v0", episodes="3"),
     "family": lambda s: FAMILY["belt"] if "belt" in FAMILY else linear_axis(mechanics="belt "),
-}  # fmt: skip
+}
 RAW = (
     "NoneType", "__init__", "object has no", "unexpected keyword", "not supported between",
     "could not convert", "unsupported operand", "positional argument", "unhashable", "must be real",

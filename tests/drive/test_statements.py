@@ -49,9 +49,7 @@ def test_a_fault_that_does_not_come_is_named(monkeypatch):
     assert any(s.wrong == "the drive goes on" for s in statements("generic"))
 
 
-def test_the_command_prints_the_sheet_and_ends_with_1_where_something_is_wrong(
-    capsys, monkeypatch
-):  # fmt: skip
+def test_the_command_prints_the_sheet_and_ends_with_1_where_something_is_wrong(capsys, monkeypatch):
     assert main(["drives", "generic", "--check"]) == 0
     assert "| manual or standard |" in capsys.readouterr().out
     assert main(["drives", "--check"]) == 2

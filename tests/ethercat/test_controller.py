@@ -407,8 +407,7 @@ def test_frames_as_text():
     )
     assert text(frame) == "FPRD 1001:0130 [2] 0200 wkc 1 | LRW  00010000 [1] aa wkc 0"
     # destination, source, type 88A4h, 1 << 12 | 27 bytes; FPRD, index, 1001h, 0130h, more | 2, irq
-    assert frame.hex().startswith("ffffffffffff010101010101" "88a4" "1b10" "04" "00" "0110" "3001"
-                                  "0280" "0000" "0200" "0100" "0c")  # fmt: skip
+    assert frame.hex().startswith("ffffffffffff01010101010188a41b1004000110300102800000020001000c")
 
 
 def test_frames_round_trip_and_refuse_what_is_cut():

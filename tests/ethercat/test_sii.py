@@ -65,9 +65,7 @@ def test_the_image_of_the_akd_has_what_a_real_one_had():
     assert word(image, 0x1C) == 0x000E
     assert (word(image, 0x3E), word(image, 0x3F)) == (15, 1)
     device = sii.unpack(image)
-    assert (device.name, device.order, device.group) == (
-        "AKD EtherCAT Drive (CoE)", "AKD", "Drive"
-    )  # fmt: skip
+    assert (device.name, device.order, device.group) == ("AKD EtherCAT Drive (CoE)", "AKD", "Drive")
     assert device.coe_details == 0x0D
     assert device.fmmus == (1, 2, 3, 0xFF)
     assert (device.ds402_channels, device.flags, device.eoe_details) == (1, 0x05, 3)

@@ -108,9 +108,9 @@ def test_the_probe_measures_every_physics_step():
 
 
 def test_the_figures_of_a_move_are_those_of_mechanics():
-    result = Evaluator(
-        "LinearAxis-v0", episodes=1, options=[{"start": 0.1, "goal": 0.4}]
-    ).run("jerk_limited")  # fmt: skip
+    result = Evaluator("LinearAxis-v0", episodes=1, options=[{"start": 0.1, "goal": 0.4}]).run(
+        "jerk_limited"
+    )
     value = {name: float(values[0]) for name, values in result.values.items()}
     mass = 6.5 + 6e-5 * (2 * math.pi / 0.06) ** 2  # kg, at 1 m/s
     friction = 12.0 * 0.3 + 20.0 * 0.25  # J, while it is driven

@@ -50,9 +50,8 @@ def robots(folders):
 def driven(spec):
     """Names of the joints that get drives."""
     joints = {
-        j.name: j for j in spec.joints
-        if j.type in JOINTS and j.name and np.max(j.damping) < LOCKED
-    }  # fmt: skip
+        j.name: j for j in spec.joints if j.type in JOINTS and j.name and np.max(j.damping) < LOCKED
+    }
     acting = [a.target for a in spec.actuators if a.target in joints]
     once = [name for name in dict.fromkeys(acting) if acting.count(name) == 1]
     return once or list(joints)

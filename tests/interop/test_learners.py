@@ -223,9 +223,7 @@ def test_a_script_in_the_habit_of_cleanrl_trains(kind):
             found = infos.get("episode", infos.get("final_info", {}).get("episode"))
             if found is not None:
                 returns += found["r"][ended | cut].tolist()
-        states, actions, old, values, rewards, dones = map(
-            torch.stack, zip(*rollout, strict=True)
-        )  # fmt: skip
+        states, actions, old, values, rewards, dones = map(torch.stack, zip(*rollout, strict=True))
         with torch.no_grad():
             after = critic(torch.as_tensor(seen, dtype=torch.float32))[:, 0]
         advantages, last = torch.zeros_like(rewards), torch.zeros(4)

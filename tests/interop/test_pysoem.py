@@ -54,13 +54,13 @@ CYCLES = {
     "disconnect at=cycle:60 slave=1 frames=30": ([3] * 30, OP_STATE, []),
     "break_link at=cycle:60 slave=0; heal_link at=cycle:100 slave=0": ([3] * 40, OP_STATE, []),
     "power_cycle at=cycle:60 slave=1 frames=20": (
-        [3] * 93, [0, 0], ["reconfigured", "recovered", "requested OP"]
+        [3] * 93,
+        [0, 0],
+        ["reconfigured", "recovered", "requested OP"],
     ),
     "al_error at=cycle:60 slave=1 code=0x8001": ([], [0x18, 0x8001], ["acknowledged"]),
-    "retreat at=cycle:60 slave=1 code=0x1B": (
-        [], [0x14, 0x1B], ["acknowledged", "requested OP"]
-    ),
-}  # fmt: skip
+    "retreat at=cycle:60 slave=1 code=0x1B": ([], [0x14, 0x1B], ["acknowledged", "requested OP"]),
+}
 MAILBOX = {
     "mailbox_abort at=op:1 code=0x08000021": "SdoError 08000021",
     "mailbox_silence at=op:1": "WkcError",
@@ -111,7 +111,7 @@ FIXED = [
     *([[o], [0x1B01]] for o in (0x1701, 0x1702, 0x1720, 0x1721, 0x1722, 0x1723, 0x1724, 0x1725)),
     *([[0x1701], [i]] for i in (0x1B20, 0x1B21, 0x1B22, 0x1B23, 0x1B24, 0x1B25, 0x1B26)),
     [[0x1600], [0x1A00]],
-]  # fmt: skip
+]
 WAY = 10_000  # µm; what the scenario commands, by position
 FLEXIBLE = [[0x1600, 0x1601], [0x1A00, 0x1A01], [0x1601, 0x607A0020], [0x1A01, 0x60640020]]
 

@@ -20,9 +20,7 @@ def memory(machine):
 
 
 def can(machine):
-    return CanOpenPort(
-        NodePort(machine), {"x": 1}, machine.drives["x"].model, units=MICRO
-    )  # fmt: skip
+    return CanOpenPort(NodePort(machine), {"x": 1}, machine.drives["x"].model, units=MICRO)
 
 
 def can_pdo(machine):

@@ -101,9 +101,9 @@ def test_the_wall_is_worked_by_the_keyboard_alone(class_pages):
     reached = []
     for _ in range(16):
         wall.keyboard.press("Tab")
-        reached.append(wall.evaluate(
-            "document.activeElement.closest('[data-test]')?.dataset.test ?? ''"
-        ))  # fmt: skip
+        reached.append(
+            wall.evaluate("document.activeElement.closest('[data-test]')?.dataset.test ?? ''")
+        )
     for name in ("open", "theme", "stop-all", "give", "csv", "place-1-look", "place-1-reset"):
         assert name in reached, reached
     at(wall, "place-1-reset").focus()

@@ -28,7 +28,7 @@ from browser import (
     shows,
     sync_api,
     tab,
-)  # fmt: skip
+)
 
 pytestmark = needs_chromium
 

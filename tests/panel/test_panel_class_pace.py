@@ -18,7 +18,7 @@ import time
 import pytest
 from browser import (
     Server,
-)  # fmt: skip
+)
 from test_panel_classroom import WORD
 from test_panel_pace import memory, processor_time
 

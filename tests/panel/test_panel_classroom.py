@@ -18,7 +18,7 @@ from browser import (
     open_page,
     shows,
     sync_api,
-)  # fmt: skip
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -254,9 +254,9 @@ def test_a_run_is_replayed_to_the_same_bits_and_the_same_verdict(cycles):
     stop_it(session)
     (pupil,) = ended
     assert pupil.attempt.done, pupil.attempt.wrong
-    run = json.loads(json.dumps(
-        journal.told("linear", "generic", "x", pupil.attempt, pupil.journal)
-    ))  # fmt: skip
+    run = json.loads(
+        json.dumps(journal.told("linear", "generic", "x", pupil.attempt, pupil.journal))
+    )
     player = journal.Player(run, named("12_stop_it"))
     attempt = player.play()
     assert journal.same(run, attempt)

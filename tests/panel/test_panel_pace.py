@@ -32,7 +32,7 @@ from browser import (
     shows,
     sync_api,
     tab,
-)  # fmt: skip
+)
 
 pytestmark = [*needs_chromium, pytest.mark.slow]
 TIME = 30.0  # s that are measured

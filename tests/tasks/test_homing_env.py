@@ -21,9 +21,8 @@ from servogym.training.policies import make
 assert servogym.envs
 
 CAPABLE = [
-    name for name in model_names()
-    if {Mode.PROFILE_VELOCITY, Mode.HOMING} <= set(load(name).modes)
-]  # fmt: skip
+    name for name in model_names() if {Mode.PROFILE_VELOCITY, Mode.HOMING} <= set(load(name).modes)
+]
 
 
 def play(env, observation):

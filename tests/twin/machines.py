@@ -136,9 +136,9 @@ def csp_log(machine, file, rng, *, seconds=4.0, period=1e-3, noise=0.5e-6, home=
     node.configure()
     if home:  # at its place, as an absolute encoder
         drive.axis.zero_counts = round(
-            float(drive.axis.counts) - set_points[0] * 1e-6 * machine.joint("x")[0]
-            / float(drive.axis.rad_per_increment)
-        )  # fmt: skip
+            float(drive.axis.counts)
+            - set_points[0] * 1e-6 * machine.joint("x")[0] / float(drive.axis.rad_per_increment)
+        )
         drive.axis.homed = 1
         node.turn()
     node.download(0x60C2, 2, -4 if period < 1e-3 else -3, 1)

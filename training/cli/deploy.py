@@ -270,7 +270,7 @@ def _tell_times(timing: Any, console: Console) -> None:
         f"{timing.missed} set-points a step late, {timing.lost} steps without all answers, "
         f"{timing.stale} actions not in time; the policy took {timing.share:.0%} of the time",
         highlight=False,
-    )  # fmt: skip
+    )
 
 
 class _Log:

@@ -17,7 +17,7 @@ from ...envs import (
     gantry,
     linear_axis,
     rotary_axis,
-)  # fmt: skip
+)
 from ...envs.engine.mjcf import read
 
 GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}

@@ -292,9 +292,9 @@ def _against(options: argparse.Namespace, console: Console) -> int:
     )  # fmt: skip
     if name is None:
         raise ValueError(f"--against {options.against}: its machine is of no family known here")
-    built = {
-        k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments
-    } | dict(options.set)  # fmt: skip
+    built = {k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments} | dict(
+        options.set
+    )
     gains: dict[str, float] = {
         n: twin.values[n]
         for n in ("velocity_gain", "integral_time", "position_gain")

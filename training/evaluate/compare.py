@@ -117,7 +117,7 @@ def draw(
 
 def run(
     command: str, request: Request, out: Path | None, console: Console, work: Work = ALONE
-) -> int:  # fmt: skip
+) -> int:
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
     The second picture is of the traced episode. Without `out` each comparison has a folder of its

@@ -47,7 +47,7 @@ AXES = {  # what is changed of the axis, and of the objects (µm/s)
     "approach 50 mm/s": ({}, {"speed_during_search_for_zero": 50_000}),
     "20 kg": ({"payload": 20.0}, {}),
     "inclined 30°": ({"inclination": 30.0, "brake_torque": 4.0}, {}),
-}  # fmt: skip
+}
 AS_DELIVERED = "as delivered"
 VARIANT = {AS_DELIVERED: ""}  # in the table
 
@@ -128,9 +128,7 @@ def cells(
     return grid
 
 
-def _run(
-    machine: Machine, method: int | str, start: float, objects: Mapping[str, float]
-) -> Row:  # fmt: skip
+def _run(machine: Machine, method: int | str, start: float, objects: Mapping[str, float]) -> Row:
     given = {name: round(value) for name, value in objects.items()}
     if method in ON_A_STOP:
         given |= {"speed_during_search_for_zero": STOP_SPEED}
@@ -229,7 +227,7 @@ def two_sided(one: np.ndarray, other: np.ndarray) -> float:
 
 def interval(
     of: Callable[..., float], *samples: np.ndarray, seed: int = SEED
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Return the bootstrap interval of a figure of samples, with `CONFIDENCE`."""
     if any(len(sample) < 3 for sample in samples):
         return np.nan, np.nan

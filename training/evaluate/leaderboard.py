@@ -72,9 +72,7 @@ def play(
         }
 
 
-def _values(
-    kind: type[ServoEnv], result: Evaluation | None
-) -> dict[str, list[list[float | None]]]:  # fmt: skip
+def _values(kind: type[ServoEnv], result: Evaluation | None) -> dict[str, list[list[float | None]]]:
     """Return the values that a table shows of an evaluation, by metric; nothing for a gap."""
     if result is None:
         return {}

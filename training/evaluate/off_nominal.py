@@ -63,7 +63,7 @@ def entry(metric: str, result: Evaluation | None, base: Evaluation | None) -> En
 
 def run(
     request: Request, names: str, out: Path | None, console: Console, work: Work = ALONE
-) -> int:  # fmt: skip
+) -> int:
     """Evaluate, and write conditions.md, .json, .png and _curves.png; -> exit status."""
     setup, metric = request.setup, request.setup.task.METRIC
     rows = chosen(list(suiting(setup, TABLES.get(names, TABLES["all"]))), names)

@@ -136,7 +136,7 @@ def _cells(sweep: Sweep, values: Mapping[str, Any], left_out: list[str]) -> Iter
 
 def trained(
     setup: Setup, algorithm: str, settings: Mapping[str, Any], seed: int, steps: int
-) -> Result:  # fmt: skip
+) -> Result:
     """The job: a training; the files of its best policy, each as an array of bytes."""
     from tempfile import TemporaryDirectory
 

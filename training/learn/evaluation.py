@@ -53,9 +53,7 @@ def score(policy, env: VecEnv) -> Score:
 class EvaluationCallback(EvalCallback):
     """SB3's evaluation on fixed episodes, going on where a checkpoint was made; keeps the best."""
 
-    def __init__(
-        self, env: VecEnv, about: dict[str, Any], out: Path, every: int, console: Console
-    ):  # fmt: skip
+    def __init__(self, env: VecEnv, about: dict[str, Any], out: Path, every: int, console: Console):
         freq = max(every // about["envs"], 1)
         super().__init__(
             env, n_eval_episodes=EPISODES, eval_freq=freq, log_path=str(out), verbose=0

@@ -158,7 +158,7 @@ def _continued(training: Training, folder: Path, console: Console) -> Run:
 
 def train(
     training: Training, console: Console | None = None, *, progress: bool = False
-) -> tuple[Score, Score]:  # fmt: skip
+) -> tuple[Score, Score]:
     """Train a policy -> score of it and of actions of 0, on the fixed episodes.
 
     Args:
@@ -189,9 +189,7 @@ def train(
         model = _model(run, env, settings)
         if start and run.start:
             state.begin(model, zipped.of(start), run.start["steps"])
-        evaluation = EvaluationCallback(
-            judged, asdict(run), out, training.evaluate_every, console
-        )  # fmt: skip
+        evaluation = EvaluationCallback(judged, asdict(run), out, training.evaluate_every, console)
         if last:
             _go_on(run, model, evaluation, last, console)
         model.cpu_begin = time.process_time() - (saved.read(last)["cpu_seconds"] if last else 0.0)
@@ -247,7 +245,7 @@ def _model(run: Run, env: VecEnv, settings: Mapping[str, Any]) -> Any:
 
 def _go_on(
     run: Run, model: Any, evaluation: EvaluationCallback, last: Path, console: Console
-) -> None:  # fmt: skip
+) -> None:
     """Be where the run was at its last checkpoint."""
     state.load(model, last)
     # not the episodes of the beginning once more

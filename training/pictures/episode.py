@@ -52,9 +52,7 @@ def drawn(title: str, traces: Sequence[Recording]) -> bytes:
         Line2D([], [], color=DEMAND, lw=1.0, ls="--", label="goal or reference"),
         Line2D([], [], color=FORBIDDEN, lw=1.0, ls=DASHED, label="window or limit"),
     ]
-    figure.legend(
-        handles=keys, loc="outside lower center", ncols=2, frameon=False, fontsize=8
-    )  # fmt: skip
+    figure.legend(handles=keys, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     figure.suptitle(title, fontsize=11)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

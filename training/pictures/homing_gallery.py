@@ -138,7 +138,7 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
 
 def run(
     folder: Path, methods: list[int] | None, suffix: str, console: Console, drive: str = "generic"
-) -> int:  # fmt: skip
+) -> int:
     """Draw the gallery; -> exit status."""
     own = load(drive).homing_methods
     chosen = methods or sorted(own)

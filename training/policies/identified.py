@@ -101,9 +101,7 @@ class Identified:
         scale = np.array([self._nominal.frequency, 1.0])
         left = (now - self._swing @ state) * scale
         inputs = self._pushed * pull * scale
-        self._sums += [
-            (left**2).sum(axis=1), (left * inputs).sum(axis=1), (inputs**2).sum(axis=1)
-        ]  # fmt: skip
+        self._sums += [(left**2).sum(axis=1), (left * inputs).sum(axis=1), (inputs**2).sum(axis=1)]
         self._moved += abs(faster - velocity) > MOVING * self._axis.fastest
         if self._moved < SURE:
             return

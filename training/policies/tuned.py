@@ -42,7 +42,7 @@ TUNINGS = {
 
 def run(
     policy: str, episodes: int | None, out: Path, console: Console, others: Sequence[str] = ()
-) -> int:  # fmt: skip
+) -> int:
     """Fit, write the numbers, and say what it took; -> exit status.
 
     Raises ValueError for a policy whose numbers are not fitted, with near names.

@@ -36,7 +36,7 @@ from .fields import (
     SEGMENTS,
     SET_POINTS,
     STORED,
-)  # fmt: skip
+)
 from .quantity import RAD_S_PER_MINUTE, SIZES, Kind, Quantity
 from .variables import (
     ANALOG_INPUTS,

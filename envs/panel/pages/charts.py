@@ -18,7 +18,7 @@ AXIS = {
     "axisLabel": {"color": QUIET, "fontSize": 15},
     "nameTextStyle": {"color": QUIET, "fontSize": 15},
     "splitLine": {"lineStyle": {"color": "#8a94a333"}},
-}  # fmt: skip
+}
 LEFT = {"color": QUIET, "align": "left", "fontSize": 15}
 ALONG = {"nameLocation": "middle", "nameGap": 30}
 LEGEND = {
@@ -101,7 +101,7 @@ def _turns(series: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 def _line(
     name: str, x: np.ndarray, y: np.ndarray, colour: str, grid: int, *, dashed: bool = False
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     stride = -(-len(x) // MOST)
     points = np.stack((x, y), axis=1)[::stride].round(4).tolist()
     return {
@@ -121,7 +121,7 @@ def _one(name: str, along: str, series: list[dict[str, Any]]) -> dict[str, Any]:
         "xAxis": [value | ALONG | {"name": along}],
         "yAxis": [value | {"name": name, "nameTextStyle": LEFT}],
         "series": series,
-    }  # fmt: skip
+    }
 
 
 def _two(

@@ -225,5 +225,4 @@ class ExperimentsPage:
             self.kept.clear()
             with self.kept:
                 for name in names:
-                    button(f"Back to {name}", lambda _, name=name: self._back(name),
-                           f"back-{name}")  # fmt: skip
+                    button(f"Back to {name}", lambda _, name=name: self._back(name), f"back-{name}")

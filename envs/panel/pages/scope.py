@@ -17,9 +17,7 @@ from .units import physical
 from .widgets import TOGGLE, Entry, button, card, file_button
 
 STATIC = Path(__file__).parents[1] / "static"
-COLOURS = (
-    "#3987e5", "#e0762b", "#2f9e5f", "#c2427a", "#8b6fd6", "#12a5a5", "#b08a1e", "#7a8291"
-)  # fmt: skip
+COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a", "#8b6fd6", "#12a5a5", "#b08a1e", "#7a8291")
 EDGES = {
     int(Edge.RISING): "rising", int(Edge.FALLING): "falling", int(Edge.ABOVE): "above",
     int(Edge.CHANGE): "any change",
