@@ -241,7 +241,6 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     return SOUND if latched == len(rpdo) and collected == len(tpdo) else MAPPING
 
 
-REFUSED_AT = int(JOB.fields["refused"][1])  # type: ignore[index]
 DONE, FAULTY, MORE = range(3)  # what became of a piece
 EXCEPTION = -1  # instead of an address: an index out of a table of the drive
 

@@ -28,8 +28,6 @@ from .mechanics import CARRIAGE, MECHANICS, PLACES
 from .rows import Rows, aligned
 from .world import COUPLING, MOVE, PDOS, SINGLE
 
-ALIGNED = 8  # bytes
-
 
 class Images(NamedTuple):
     """Process images of a machine: of each direction the record of one drive, and of how many."""

@@ -33,7 +33,6 @@ PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "
 STATE, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
 ENABLE = (0x0006, 0x0007, 0x000F)  # controlwords
 NEW_SET_POINT = 0x10
-FAST_CYCLE = 1.5  # most bus cycles of a jittering stamp from its place
 LONGEST_GAP = 0.25  # s without a frame that is taken as a hole in the log
 SETTLING = 0.25  # s that a machine stands enabled before the log begins
 SHORTEST = 0.3  # s of a log

@@ -231,7 +231,7 @@ def test_a_stop_takes_the_machine_back_from_an_agent(room):
             pass
 
     for button in ("stop", "quick_stop", "disable"):
-        room.clock.ask(lambda s: s.enable("x") if False else s.hand_over(Agent())).result(20)
+        room.clock.ask(lambda s: s.hand_over(Agent())).result(20)
         asyncio.run(
             room.desks["there"].stop(lambda s, b=button: getattr(s, b)(*["x"] * (b[0] == "d")))
         )

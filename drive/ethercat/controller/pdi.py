@@ -4,13 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import esc, sync_manager
+from . import sync_manager
 from .record import Event
 from .registers import R
 
 ERROR = 0x10  # bit 4 of AL Status
 REPEAT = 0x02  # bit 1 of the activation and PDI bytes of a sync manager
-DEACTIVATED = 0x01  # bit 0 of the PDI byte
 OUT, IN = 0, 1  # sync managers of the mailbox
 
 
@@ -83,12 +82,6 @@ class Pdi:
         at = R.SYNC_MANAGER + 8 * n
         raw = self.memory[at : at + 8].tolist()
         return SyncManager(raw[0] | raw[1] << 8, raw[2] | raw[3] << 8, *raw[4:])
-
-    def deactivate(self, n: int, off: bool) -> None:
-        """Switch a sync manager off from the drive's side, or leave it to the master again."""
-        at = R.SYNC_MANAGER + 8 * n + 7
-        self.memory[at] = int(self.memory[at]) & ~DEACTIVATED | off
-        esc.configure(self._escs, self._index)
 
     def _status(self, n: int) -> int:
         return R.SYNC_MANAGER + 8 * n + 5

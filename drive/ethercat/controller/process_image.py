@@ -94,16 +94,6 @@ class ProcessImage:
         esc.tpdos, esc.tpdo_count = address(drive.tpdos), len(drive.tpdos)
         esc.rpdo_size, esc.tpdo_size = drive.rpdo_size, drive.tpdo_size
 
-    @property
-    def outputs_size(self) -> int:
-        """Bytes of all RPDOs."""
-        return int(self._esc.rpdo_size)
-
-    @property
-    def inputs_size(self) -> int:
-        """Bytes of all TPDOs."""
-        return int(self._esc.tpdo_size)
-
     def inputs(self, on: bool) -> None:
         """Publish inputs from now on, or no longer: then reading them counts nothing."""
         self._esc.inputs_on = on
@@ -120,12 +110,6 @@ class ProcessImage:
         self._esc.outputs_at = -NEVER // 2
         if not on:
             self._esc.watchdog_at = NEVER
-
-    @property
-    def outputs_seen(self) -> bool:
-        """Whether a whole SM2 has been written since it was configured."""
-        status = int(self._esc.memory[R.SYNC_MANAGER + 8 * OUTPUTS + 5])
-        return status & NONE_WRITTEN != NONE_WRITTEN
 
     @property
     def sync_mode(self) -> SyncMode:
