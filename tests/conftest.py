@@ -161,6 +161,21 @@ def enabled():
 
 
 @pytest.fixture
+def refused(capsys):
+    """Runs a command that has to end with status 2 and one line on stderr, and returns that."""
+
+    def run(words):
+        from servogym.training import cli
+
+        assert cli.main(words) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1, error
+        return error
+
+    return run
+
+
+@pytest.fixture
 def tell(request):
     """A function that shows a line on the terminal while a long test runs."""
     capture = request.config.pluginmanager.getplugin("capturemanager")

@@ -278,11 +278,8 @@ def test_the_command_writes_picture_and_numbers(tmp_path, capsys):
         (["bode", "--parameter-file", "nowhere.json"], "there is no such file"),
     ],
 )
-def test_a_wrong_command_is_one_line(arguments, text, capsys):
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert text in error
-    assert error.count("\n") == 1
+def test_a_wrong_command_is_one_line(arguments, text, refused):
+    assert text in refused(arguments)
 
 
 def test_without_the_extra_the_command_to_install_it_is_told(monkeypatch, capsys):

@@ -264,12 +264,9 @@ def test_a_row_that_differs_is_found_by_the_comparison(tmp_path):
         (["generic", "-o", "nowhere/x.eds"], "nowhere/x.eds"),
     ],
 )
-def test_a_mistake_is_one_line_and_status_2(capsys, tmp_path, monkeypatch, arguments, says):
+def test_a_mistake_is_one_line_and_status_2(refused, tmp_path, monkeypatch, arguments, says):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["eds", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1
+    assert says in refused(["eds", *arguments])
     assert not [*tmp_path.iterdir()]
 
 

@@ -12,7 +12,6 @@ from servogym.drive.model.model import load, model_names
 from servogym.drive.objects.abort import SdoAbort
 from servogym.envs import linear_axis
 from servogym.envs.masters.port import MachinePort
-from servogym.training.cli import main
 
 MODELS = [name for name in model_names() if "can" in load(name).buses]
 # computed by the drive, in ways that an EDS has no words for
@@ -97,14 +96,12 @@ def text_of(tmp_path):
         ),
     ],
 )
-def test_what_is_no_eds_is_refused_in_one_line_and_leaves_nothing(spoil, reason, tmp_path, capsys):
+def test_what_is_no_eds_is_refused_in_one_line_and_leaves_nothing(spoil, reason, tmp_path, refused):
     file, folder = tmp_path / "bad.eds", tmp_path / "mine"
     file.write_text(spoil(text_of(tmp_path)), encoding="utf-8")
     before = sorted(tmp_path.iterdir())
-    assert main(["drives", "--from-eds", str(file), "-o", str(folder)]) == 2
-    error = capsys.readouterr().err
+    error = refused(["drives", "--from-eds", str(file), "-o", str(folder)])
     assert re.search(reason, error), error
-    assert error.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -129,13 +126,10 @@ def test_names_in_an_eds_are_text_and_no_paths(tmp_path):
         (["--from-eds", "good.eds", "-o", "no/where"], "there is no folder"),
     ],
 )
-def test_wrong_options_are_one_line(arguments, text, tmp_path, monkeypatch, capsys):
+def test_wrong_options_are_one_line(arguments, text, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     text_of(tmp_path)
-    assert main(["drives", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert text in error
-    assert error.count("\n") == 1
+    assert text in refused(["drives", *arguments])
 
 
 def test_one_object_more_is_one_row_more(tmp_path):

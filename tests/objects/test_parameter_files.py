@@ -19,7 +19,6 @@ from servogym.drive.model.model import model_names
 from servogym.drive.objects import store
 from servogym.envs.plants.catalogue import machines_for
 from servogym.envs.plants.linear_axis import linear_axis
-from servogym.training import cli
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 ODD = (0, 1, -1, 2.5, 1e300, True, 10**30, -(10**30))
@@ -325,7 +324,7 @@ def test_each_of_several_drives_of_a_node_has_its_own_file(tmp_path):
     ],
 )
 def test_a_damaged_file_that_is_named_is_refused_and_no_factory_drive_measured(
-    damage, file, capsys
+    damage, file, refused
 ):
     """A drive that powers on has its defaults; who names a file wants what it holds."""
     kept = Drive(parameter_file=file)
@@ -334,7 +333,4 @@ def test_a_damaged_file_that_is_named_is_refused_and_no_factory_drive_measured(
     file.write_text(damage(file.read_text(encoding="utf-8")), encoding="latin-1")
     with pytest.raises(ValueError, match=r"parameter file .*parameters.json: its? "):
         linear_axis(parameter_file=file)
-    assert cli.main(["bode", "rigid", "--parameter-file", str(file)]) == 2
-    error = capsys.readouterr().err
-    assert "take another file" in error
-    assert error.count("\n") == 1
+    assert "take another file" in refused(["bode", "rigid", "--parameter-file", str(file)])
