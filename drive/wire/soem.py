@@ -216,7 +216,9 @@ class SoemMaster:
 
     def scan(self) -> list[SoemSlave]:
         """Find the slaves; they are in PRE_OPERATIONAL."""
-        self._master.config_init()
+        for _ in range(AGAIN + 1):  # a scan whose first frame is lost finds nothing
+            if self._master.config_init() > 0:
+                break
         self.slaves = [SoemSlave(self._soem, slave) for slave in self._master.slaves]
         return self.slaves
 

@@ -33,6 +33,7 @@ IDLE = 5e-3  # s between frames, while it plans an episode
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 BEGIN, ACT = b"b", b"a"
 READY, ACTION, NONE, RAISED = b"r", b"a", b"n", b"e"
+REAL = "fiub"  # kinds of dtypes
 SHAPE = struct.Struct("<i")
 
 
@@ -190,8 +191,11 @@ def _think(
 def _packed(action: Any) -> bytes:
     """An action as bytes: what is no array of numbers is told in words."""
     try:
-        values = np.asarray(action, float)
+        given = np.asarray(action)
+        values = given.astype(float) if given.dtype.kind in REAL else None
     except (TypeError, ValueError):
+        values = None
+    if values is None:
         return NONE + f"{action!r}"[:200].encode()
     shape = struct.pack(f"<{values.ndim + 1}i", values.ndim, *values.shape)
     return ACTION + shape + values.tobytes()

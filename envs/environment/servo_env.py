@@ -210,6 +210,8 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
     def _on_a_bus(self, port: "DriveSide", alone: bool) -> "PortLine":
         from ..exchange.over_port import PortLine
 
+        if self.MEMORY_ONLY:
+            raise ValueError(f"port: {self.ID} runs in memory alone: {self.MEMORY_ONLY}")
         if not alone:
             raise ValueError(
                 "port: faults and action='pdo' are for drives in this process; those on a bus are "
@@ -278,8 +280,6 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         """
         place = getattr(self.line, "place", None)
         if place is not None:
-            if believed:
-                raise ValueError("port: this task begins with an axis that is not referenced")
             positions = place(positions, self.MODES[0])
         self.machine.reset(positions=positions)
         master = Master(MachinePort(self.machine), *positions)

@@ -43,6 +43,7 @@ class Task:
     judge: Callable[..., None]  # (episode, rpdos, tpdos, observation) of one world
 
     # what it tells of itself, for those who train, judge and draw; this will do for most
+    MEMORY_ONLY: ClassVar[str] = ""  # why its drives cannot be on a bus; empty: they can
     POLICIES: tuple[str, ...] = ()  # baselines by name, beside hold and random
     REFERENCE: ClassVar[str] = ""  # the one whose score is 1, as hold's is 0; none: no score
     HOLD: ClassVar[Mapping[str, float]] = {}

@@ -146,6 +146,7 @@ class _Beating:
 
     def __init__(self, bus: FramePort, real: bool):
         self._bus, self._real, self._next, self._synced = bus, real, 0.0, 0.0
+        self.silent = not real  # no SYNC, so no time passes, until an episode is to begin
         self.answers: set[int] = set()  # identifiers that follow a SYNC
         self._owed: set[int] = set()  # of them, what has not come yet
         self.guarded: list[int] = []  # node-ids that are asked for their state (node guarding)
@@ -169,6 +170,8 @@ class _Beating:
             asked = [Frame(0x700 + node_id, b"", remote=True) for node_id in self.guarded]
             given[:0] = [HEARTBEAT, *asked]
         # a master that waits exchanges as fast as the bus gives frames back
+        if self.silent:
+            given = [frame for frame in given if frame != SYNC]
         too_early = now < self._synced + APART if self._real else bool(self._owed)
         if SYNC in given and too_early and now < self._synced + OVERDUE:
             given = [frame for frame in given if frame != SYNC]
@@ -204,7 +207,8 @@ class CanDrives:
         self.port = CanOpenPort(self._bus, nodes, model)
 
     def awake(self) -> None:
-        """Nothing has to be done: NMT states stay."""
+        """From now on SYNCs go out."""
+        self._bus.silent = False
 
     def connect(
         self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
@@ -303,7 +307,8 @@ class EtherCatDrives:
 
     Args:
         master: in memory, or `servogym.drive.wire.soem.SoemMaster`.
-        axes: names of the drives in the task's machine, in the order of the slaves.
+        axes: names of the drives in the task's machine, in the order of the slaves; slaves behind
+            them get no power.
         model: of the drives.
         envelopes: limits by drive; those the drive itself has, where none are given.
         pace: real time, if not given.
@@ -327,9 +332,12 @@ class EtherCatDrives:
     ) -> None:
         """See `DriveSide`. Raises as `EtherCatPort`."""
         _same(axes, self._axes)
+        slaves = self._master.slaves or self._master.scan()
+        others = [f"slave {n}" for n in range(len(self._axes), len(slaves))]
+        models = dict.fromkeys([*self._axes, *others], self._model)
         outputs, inputs = ([name for pdo in pdos for name in pdo] for pdos in (rpdos, tpdos))
         self.port = EtherCatPort(
-            self._master, dict.fromkeys(self._axes, self._model), outputs=outputs, inputs=inputs,
+            self._master, models, outputs=outputs, inputs=inputs,
             now=self.pace.now if self.pace.real else time.monotonic,
         )  # fmt: skip
         self.port.cyclic = self.pace.real
@@ -485,12 +493,15 @@ class PortLine:
     def place(self, positions: Mapping[str, float], mode: Mode) -> dict[str, float]:
         """Enable the drives and move them to positions (m or rad); -> where they are.
 
+        What is not commanded here stands where it is told to.
         Drives that get no power (`dry`) are left where they are.
 
         Raises:
             Stopped: a position is out of the envelope.
             ServoError: a drive does not follow.
         """
+        others = {name: at for name, at in positions.items() if name not in self._axes}
+        positions = {name: at for name, at in positions.items() if name in self._axes}
         for axis, position in positions.items():
             limits = self.guards[axis].envelope
             if not limits.low <= position <= limits.high:
@@ -505,7 +516,7 @@ class PortLine:
         for axis, position in here.items():
             self.guards[axis].begin(position)
         self._deadline = self._side.pace.now()
-        return here
+        return others | here
 
     def _referenced(self) -> None:
         """Raises ValueError for a drive that does not know where it is, and is not to be homed."""

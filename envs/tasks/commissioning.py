@@ -158,6 +158,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
 
     ID = "servogym/Commissioning-v0"
     MODES = (Mode.HOMING, Mode.PROFILE_POSITION)
+    MEMORY_ONLY = "its episodes begin with a fault that is injected into the drive"
     STEPS = 2000
     RPDO = ("target_position",)
     TPDO = (

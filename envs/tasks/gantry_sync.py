@@ -153,6 +153,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     """
 
     ID = "servogym/GantrySync-v0"
+    MEMORY_ONLY = "its episodes begin with one drive of a bridge made to take its place for another"
     STEPS = 600
     DRIVES = ("x1", "x2")
     RPDO = ("target_position",)

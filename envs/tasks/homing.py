@@ -221,6 +221,10 @@ the positive one; -1 the negative, 0 none |
     """
 
     ID = "servogym/Homing-v0"
+    MEMORY_ONLY = (
+        "its episodes begin with an axis that is not referenced and switches at random places; "
+        "`servogym homing` compares methods, and servogym.drive.master homes a real drive"
+    )
     STEPS = 2000
     RPDO = ("target_velocity", "max_torque")
     TPDO = (

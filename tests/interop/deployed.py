@@ -1,0 +1,419 @@
+"""Tasks deployed over a real bus to a server in another process, in a network of their own."""
+
+import contextlib
+import itertools
+import json
+import math
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+
+CAN = {"interface": "udp_multicast", "channel": "239.74.163.9"}
+TASKS = {
+    "linear": "servogym/LinearAxis-v0", "tracking": "servogym/LinearAxisTracking-v0",
+    "contour": "servogym/GantryContour-v0",
+}  # fmt: skip
+FAST, LOW, HIGH = 0.6, 0.05, 0.45  # envelope of the hostile policies: m/s, m
+QUIET = 5e-3  # m/s
+
+
+def _network():
+    commands = (
+        "link set lo up", "route add 224.0.0.0/4 dev lo", "link add va type veth peer name vb",
+        "link set va up", "link set vb up",
+    )  # fmt: skip
+    for command in commands:
+        subprocess.run(["ip", *command.split()], check=False, capture_output=True)
+
+
+def _rows(task, bus, clock):
+    kinds = {
+        "can": {"kind": "can", **CAN, "clock": clock or "sync_end"},
+        "ethercat": {"kind": "ethercat", "interface": "va", "clock": clock or "frame"},
+    }
+    machine = {"bus": "bus", "task": task} | ({"node_id": 1} if bus == "can" else {})
+    return {"bus": {"bus": kinds[bus]}, "machine": {"axis": machine}}
+
+
+def _serve(pipe, task, bus, clock):
+    """The process of the machine: does what is asked for between two frames."""
+    from servogym.drive.model.model import load
+    from servogym.envs.environment.registry import task as named
+    from servogym.envs.serve.laboratory import Laboratory
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    laboratory, kept = Laboratory(_rows(task, bus, clock)), b""
+    with laboratory:
+        pipe.send("ready")
+        while (order := pipe.recv()) is not None:
+            what, *given = order
+            said = None
+            if what == "stand":
+                env = named(task)(load("generic", bus))
+                env.reset(seed=given[0])
+                kept = env.machine.snapshot()
+                laboratory.restore("axis", kept)
+            elif what == "keep":  # its communication parameters as well
+                kept = laboratory.snapshot("axis")
+            elif what == "back":
+                laboratory.restore("axis", kept)
+            elif what == "ahead":
+                laboratory.advance(given[0])
+            elif what == "reset":
+                laboratory.reset("axis")
+            elif what == "inject":
+                laboratory.inject(next(iter(laboratory.drives)), given[0])
+            elif what == "look":
+                said = [
+                    (laboratory.state(name), laboratory.position(name), laboratory.velocity(name))
+                    for name in laboratory.drives
+                ]
+            laboratory.check()
+            pipe.send(said)
+
+
+@contextlib.contextmanager
+def served(task, bus, clock=""):
+    """A server in another process -> a function that asks it for something."""
+    here, there = multiprocessing.Pipe()
+    process = multiprocessing.get_context("fork").Process(
+        target=_serve, args=(there, task, bus, clock)
+    )
+    process.start()
+    there.close()
+
+    def ask(*order):
+        here.send(order)
+        return here.recv()
+
+    assert here.recv() == "ready"
+    try:
+        yield ask
+    finally:
+        with contextlib.suppress(OSError):
+            here.send(None)
+        process.join(5.0)
+        process.kill()
+
+
+@contextlib.contextmanager
+def side_on(bus, axes, lock_step=True, **arguments):
+    """The drives as a master reaches them."""
+    import can
+
+    from servogym.drive.wire.bus import CanPort
+    from servogym.drive.wire.soem import SoemMaster
+    from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep, Pace
+
+    arguments["pace"] = LockStep() if lock_step else Pace()
+    if bus == "ethercat":
+        master = SoemMaster("vb")
+        try:
+            yield EtherCatDrives(master, axes, "generic", **arguments)
+        finally:
+            master.close()
+        return
+    with can.Bus(fd=False, **CAN) as opened:
+        nodes = {name: n for n, name in enumerate(axes, 1)}
+        yield CanDrives(CanPort(opened), nodes, "generic", **arguments)
+
+
+def _made(task, bus):
+    from servogym.drive.model.model import load
+    from servogym.envs.environment.registry import task as named
+
+    kind, model = named(task), load("generic", bus)
+    plain = kind(model)
+    return kind, model, plain, [*(plain.DRIVES or plain.machine.drives)]
+
+
+def byte_equal(task, bus, steps=60, seed=5):
+    """Steps after which observations are those of memory byte by byte, and their number."""
+    from servogym.envs.exchange.envelope import Envelope
+
+    _network()
+    task = TASKS[task]
+    kind, model, plain, axes = _made(task, bus)
+    wide = dict.fromkeys(axes, Envelope(-20.0, 20.0, 100.0))
+    with served(task, bus) as ask, side_on(bus, axes, envelopes=wide) as side:
+        ask("stand", seed)
+        env = kind(model, port=side)
+        place, look = env.line.place, env.line.look
+        if bus == "can":
+            ask("keep")
+
+        def placed(*arguments):
+            here = place(*arguments)
+            ask("back")  # the way there has taken time
+            return here
+
+        def looked(*arguments):
+            look(*arguments)  # a frame lets time pass
+            ask("back")
+
+        env.line.place, env.line.look = placed, looked
+        seen, _ = env.reset(seed=seed)
+        expected, _ = plain.reset(seed=seed)
+        begins = seen.tobytes() == expected.tobytes()
+        plain.action_space.seed(2)
+        equal = 0
+        for _ in range(steps):
+            action = 0.2 * plain.action_space.sample()
+            seen, *_ = env.step(action)
+            expected, *_ = plain.step(action)
+            equal += seen.tobytes() == expected.tobytes()
+        lost = env.line.lost
+        env.close()
+        states = [state for state, *_ in ask("look")]
+    return {"begins": begins, "equal": equal, "steps": steps, "lost": lost, "states": states}
+
+
+def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False):
+    """Returns of episodes on the bus and of the same in memory."""
+    from functools import partial
+
+    from servogym.envs.environment.deployed import episodes_of
+    from servogym.envs.exchange.envelope import Stopped
+    from servogym.training.cli.deploy import _policy
+
+    _network()
+    task = TASKS[task]
+    kind, model, plain, axes = _made(task, bus)
+    clock = "" if lock_step else {"can": "real", "ethercat": "frame"}[bus]
+    deployed, stopped, times = [], "", {}
+    with served(task, bus, clock) as ask, side_on(bus, axes, lock_step) as side:
+        ask("stand", seed)
+        env = kind(model, port=side)
+        make = partial(_policy, policy, plain, seed)
+        try:
+            for played in episodes_of(env, episodes=count, make=make, seed=seed, fast=fast):
+                success = bool(played.info.get("is_success"))
+                deployed.append((played.returned, played.steps, played.late, success))
+        except Stopped as error:
+            stopped = f"{error}"
+        times = env.line.timing.as_dict()
+        env.close()
+    memory, acting = [], _policy(policy, plain, seed)
+    for n in range(len(deployed)):
+        seen, info = plain.reset(seed=seed + n)
+        acting.reset(seen, info)
+        returned, ended, k = 0.0, False, 0
+        while not ended and k < plain.STEPS:
+            seen, reward, ended, _, info = plain.step(acting.act(seen))
+            returned, k = returned + reward, k + 1
+        memory.append((returned, bool(info.get("is_success"))))
+    return {"deployed": deployed, "memory": memory, "stopped": stopped, "times": times}
+
+
+# ----------------------------------------------------------------- hostile
+
+
+def _at(when, bad):
+    return lambda k, space: bad(space) if k == when else np.zeros(space.shape, np.float32)
+
+
+def _then(when, act):
+    def policy(k, space):
+        if k >= when:
+            act()
+        return np.zeros(space.shape, np.float32)
+
+    return policy
+
+
+def _raise(error):
+    raise error
+
+
+def _hog():
+    kept = []
+    while True:
+        kept.append(np.ones(1 << 24))
+
+
+def _spin():
+    while True:
+        pass
+
+
+def _hold_the_interpreter():
+    sum(range(10**12))  # in C, without letting go of it
+
+
+def _deep():
+    return _deep()
+
+
+def _signal(number):
+    return lambda: os.kill(os.getpid(), number)
+
+
+def _close_all():
+    os.closerange(3, 256)
+    time.sleep(1.0)
+
+
+def _threads():
+    for _ in range(200):
+        threading.Thread(target=time.sleep, args=(5.0,), daemon=True).start()
+    time.sleep(5.0)
+
+
+def _parent():
+    os.kill(os.getppid(), signal.SIGINT)  # Ctrl-C of somebody
+    time.sleep(1.0)
+
+
+def _full(share):
+    return lambda k, space: share * space.high
+
+
+def _wave(period, share):
+    return lambda k, space: share * space.high * math.copysign(1.0, math.sin(math.tau * k / period))
+
+
+def _ramp(k, space):
+    return min(0.001 * k * k, 1.0) * space.high
+
+
+def _random(share, seed):
+    generator = np.random.default_rng(seed)
+    return lambda k, space: share * generator.uniform(-1.0, 1.0, space.shape)
+
+
+OUT, MOVES, ENDED, LATE = "out of", "acceleration|jerk|velocity", "has ended", "late"
+HOSTILE = {  # policy, and what is said of it
+    **{f"full {share:g}": (_full(share), f"{OUT}|{MOVES}") for share in (1.0, 0.5, -1.0, -0.5)},
+    **{f"creeps {share:g}": (_full(share), OUT) for share in (0.2, 0.1, -0.2, -0.1)},
+    **{f"chatters {n}": (_wave(n, 1.0), MOVES) for n in (2, 3, 4, 8)},
+    **{f"chatters a little {n}": (_wave(n, 0.3), f"{MOVES}|{OUT}") for n in (2, 5)},
+    **{f"random {seed}": (_random(1.0, seed), MOVES) for seed in range(3)},
+    "speeds up": (_ramp, f"{MOVES}|{OUT}"),
+    "steps at 5": (_at(5, lambda space: space.high), MOVES),
+    "steps back at 9": (_at(9, lambda space: space.low), MOVES),
+    **{
+        f"{name} at 4": (_at(4, bad), said)
+        for name, bad, said in (
+            ("NaN", lambda space: np.full(space.shape, np.nan), "nan"),
+            ("infinite", lambda space: np.full(space.shape, np.inf), "inf"),
+            ("minus infinite", lambda space: np.full(space.shape, -np.inf), "inf"),
+            ("too long", lambda space: np.zeros(7), "not in Box"),
+            ("empty", lambda space: np.zeros(0), "not in Box"),
+            ("two rows", lambda space: np.zeros((2, 1)), "not in Box"),
+            ("a number", lambda space: 0.5, "not in Box"),
+            ("words", lambda space: ["fast"], "is no number"),
+            ("a mapping", lambda space: {"velocity": 1.0}, "is no number"),
+            ("nothing", lambda space: None, "is no number"),
+            ("an object", lambda space: object(), "is no number"),
+            ("beyond 1", lambda space: 1.5 * space.high, "not in Box"),
+            ("far beyond", lambda space: 1e30 * space.high, "not in Box"),
+            ("complex", lambda space: np.array([1j]), "is no number"),
+        )
+    },
+    **{
+        f"raises {error.__name__}": (_then(4, lambda error=error: _raise(error("of its own"))), said)
+        for error, said in (
+            (ValueError, "of its own"), (SystemExit, "of its own"), (MemoryError, "of its own"),
+            (KeyboardInterrupt, "of its own"), (GeneratorExit, "of its own"),
+            (StopIteration, "of its own"),
+        )
+    },
+    "never ends its recursion": (_then(4, _deep), "RecursionError"),
+    "fills the memory": (_then(4, _hog), "MemoryError|has ended|late"),
+    "spins": (_then(4, _spin), LATE),
+    "holds the interpreter": (_then(4, _hold_the_interpreter), LATE),
+    "sleeps": (_then(5, lambda: time.sleep(0.4)), LATE),
+    "never answers": (_then(4, lambda: threading.Event().wait()), LATE),
+    "starts threads": (_then(4, _threads), "late|RuntimeError"),
+    "leaves by exit": (_then(4, lambda: sys.exit(3)), "SystemExit"),
+    "leaves at once": (_then(4, lambda: os._exit(3)), "exit status 3"),
+    "aborts": (_then(4, os.abort), "SIGABRT"),
+    "kills itself": (_then(4, _signal(signal.SIGKILL)), "SIGKILL"),
+    "terminates itself": (_then(4, _signal(signal.SIGTERM)), "SIGTERM"),
+    "faults": (_then(4, _signal(signal.SIGSEGV)), "SIGSEGV"),
+    "closes all files": (_then(4, _close_all), f"{ENDED}|{LATE}"),
+    "interrupts its parent": (_then(4, _parent), "Ctrl-C"),
+}  # fmt: skip
+
+
+def hostile(bus, names):
+    """What became of the drive, by policy: the reason, and what it did afterwards."""
+    from servogym.envs.environment.deployed import play
+    from servogym.envs.exchange.envelope import Envelope, Stopped
+
+    _network()
+    task = TASKS["linear"]
+    kind, model, plain, axes = _made(task, bus)
+    stop = plain.drive.read("quick_stop_deceleration") * 1e-6
+    stopping = FAST * plain.step_time * 4 + FAST**2 / 2 / stop
+    told = {}
+    with served(task, bus) as ask:
+        for name in names or HOSTILE:
+            policy, _ = HOSTILE[name]
+            ask("stand", 5)
+            most = 200.0 if name.startswith("creeps") else 30.0
+            limits = {"x": Envelope(LOW, HIGH, FAST, most, following_error=0.02)}
+            with side_on(bus, axes, envelopes=limits) as side:
+                env = kind(model, port=side)
+                steps = itertools.count()
+                reason = ""
+                try:
+                    space = env.action_space
+                    play(
+                        env, lambda seen, policy=policy, steps=steps, space=space:
+                        policy(next(steps), space), 3, patience=0.1, seed=5, memory=1 << 29,
+                    )  # fmt: skip
+                except Stopped as stopped:
+                    reason = f"{stopped}"
+                env.close()
+            ask("ahead", 0.2)
+            ((state, position, velocity),) = ask("look")
+            inside = LOW - stopping <= position <= HIGH + stopping
+            told[name] = (reason, state, bool(inside), abs(velocity) < QUIET)
+    return told
+
+
+# -------------------------------------------------------------- nobody there
+
+
+def killed(bus, number=signal.SIGKILL):
+    """The drive before and after the process that commands it has gone."""
+    _network()
+    task = TASKS["linear"]
+    with served(task, bus, {"can": "real", "ethercat": "real"}[bus]) as ask:
+        where = (
+            ["--ethercat", "vb"] if bus == "ethercat"
+            else ["-i", CAN["interface"], "-c", CAN["channel"]]
+        )  # fmt: skip
+        command = [
+            sys.executable, "-m", "servogym.training.cli", "deploy", "LinearAxis-v0", "--yes",
+            "--policy", "hold", "--episodes", "50", "--home", "17", *where,
+        ]  # fmt: skip
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+            until = time.monotonic() + 60.0
+            moved = set()
+            while time.monotonic() < until and process.poll() is None:
+                ((state, _, velocity),) = ask("look")
+                moved.add(state)
+                if state == "OPERATION_ENABLED" and abs(velocity) > 0.05:
+                    break  # on its way to a start
+                time.sleep(2e-3)
+            process.send_signal(number)
+            time.sleep(1.0)
+            ((after, _, velocity),) = ask("look")
+            process.kill()
+            said = process.stdout.read().decode()
+    return {"before": state, "after": after, "stands": abs(velocity) < QUIET, "said": said[-600:]}
+
+
+if __name__ == "__main__":  # for many episodes: a scenario and its arguments as JSON
+    from servogym.envs.plants.catalogue import ethercat_line
+
+    ethercat_line(["generic"], "linear")
+    print(json.dumps(globals()[sys.argv[1]](**json.loads(sys.argv[2]))))

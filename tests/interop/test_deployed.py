@@ -1,0 +1,70 @@
+"""Tasks deployed over udp_multicast and over a veth pair, by SOEM, to a server in another process."""
+
+import re
+
+import pytest
+from deployed import HOSTILE, TASKS
+from wire import on_the_wire
+
+BUSES = ("can", "ethercat")
+SAMPLE = (
+    "chatters 2", "NaN at 4", "words at 4", "raises SystemExit", "leaves at once", "kills itself",
+    "holds the interpreter", "fills the memory", "creeps 0.2",
+)  # fmt: skip
+
+
+def over(bus, scenario, **arguments):
+    if bus == "ethercat":
+        pytest.importorskip("pysoem")
+    return on_the_wire("deployed", scenario, "forked", bus=bus, **arguments)
+
+
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("task", TASKS)
+def test_in_lock_step_with_another_process_observations_are_those_of_memory(task, bus):
+    result = over(bus, "byte_equal", task=task)
+    assert result["begins"]
+    assert result["equal"] == result["steps"], result
+    assert result["lost"] == 0
+    assert "OPERATION_ENABLED" not in result["states"]
+
+
+def check(told):
+    for name, (reason, state, inside, stands) in told.items():
+        assert re.search(HOSTILE[name][1], reason), (name, reason)
+        assert state != "OPERATION_ENABLED", name
+        assert inside, name
+        assert stands, name
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_no_policy_gets_past_the_guard_on_the_wire(bus):
+    told = over(bus, "hostile", names=SAMPLE)
+    assert len(told) == len(SAMPLE)
+    check(told)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", BUSES)
+def test_none_of_all_hostile_policies_does(bus):
+    assert len(HOSTILE) >= 50
+    told = over(bus, "hostile", names=[])
+    assert set(told) == set(HOSTILE)
+    check(told)
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_where_the_deploying_process_is_killed_the_drive_stops_by_its_own_watchdog(bus):
+    result = over(bus, "killed")
+    assert result["before"] == "OPERATION_ENABLED", result["said"]
+    assert result["after"] != "OPERATION_ENABLED"
+    assert result["stands"]
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_returns_on_the_bus_are_those_of_memory_but_for_the_start(bus):
+    result = over(bus, "episodes", task="linear", policy="trapezoid", count=3)
+    assert result["stopped"] == ""
+    deployed = [returned for returned, *_ in result["deployed"]]
+    assert deployed == pytest.approx([returned for returned, _ in result["memory"]], rel=0.03)
+    assert [row[-1] for row in result["deployed"]] == [success for _, success in result["memory"]]
