@@ -317,7 +317,7 @@ HOSTILE = {  # policy, and what is said of it
         )
     },
     **{
-        f"raises {error.__name__}": (_then(4, lambda error=error: _raise(error("of its own"))), said)
+        f"raises {error.__name__}": (_then(4, lambda e=error: _raise(e("of its own"))), said)
         for error, said in (
             (ValueError, "of its own"), (SystemExit, "of its own"), (MemoryError, "of its own"),
             (KeyboardInterrupt, "of its own"), (GeneratorExit, "of its own"),

@@ -1,4 +1,4 @@
-"""Tasks deployed over udp_multicast and over a veth pair, by SOEM, to a server in another process."""
+"""Tasks deployed to a server in another process: by udp_multicast, and by SOEM over veth."""
 
 import re
 
