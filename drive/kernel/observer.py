@@ -38,7 +38,8 @@ def run(axis: Axis):
         return
     seen = (axis.motor_counts + 0.5) * axis.rad_per_increment
     period = axis.velocity_period
-    if not abs(axis.observed[0] - seen) < 1e6:  # also not a number: it begins here
+    # it begins at power-on, and where it cannot be: half a turn off, or not a number
+    if axis.cycle_count <= 1 or not abs(axis.observed[0] - seen) < math.pi:
         axis.observed[0], axis.observed[1], axis.observed[2] = seen, 0.0, 0.0
     acceleration = axis.torque / axis.observer_inertia + axis.observed[2]
     position = axis.observed[0] + period * (axis.observed[1] + 0.5 * period * acceleration)

@@ -46,6 +46,8 @@ UNKNOWN = 0.25  # of the torque of an acceleration, that the feed-forward may ge
 RESERVE = 4.0  # of the window over the following error to be expected
 REST = 400.0  # ms over the position gain (1/s): a soft loop crosses the window before it rests
 SHORTEST = 5  # ms
+SPRUNG = 0.9  # of all inertia, less of which is before a spring
+UNSIGNED32 = 2**32
 ASKED = Asked()
 
 
@@ -153,6 +155,8 @@ def tuned(
     can = possible(load, motor, wanted)
     # what friction and a wrong inertia leave to the controller
     left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
+    told = _told(drive, inertia, motor_side)
+    drive.commission(told)
     pushes = (1.0, -1.0) if load.loss > 0.0 else (1.0,)
     plants = [seen(machine, name, pushes=each) for each in pushes]
     found = fitting(plants, drive, rule(drive, inertia, motor_side), left / (SOFT * window))
@@ -164,7 +168,7 @@ def tuned(
     window = max(window, RESERVE * left / found.stiffness)
     return {
         **in_units(drive, found),
-        "acceleration_feed_forward": round(inertia * 1e9),
+        **told,
         "max_profile_velocity": 2 * can.velocity / per_unit,
         "profile_velocity": can.velocity / per_unit,
         "profile_acceleration": can.acceleration / per_unit,
@@ -175,6 +179,19 @@ def tuned(
         "following_error_window": window / per_unit,
         "position_window_time": max(SHORTEST, round(REST / found.position_gain)),
     }
+
+
+def _told(drive: Drive, inertia: float, motor_side: float) -> dict[str, float]:
+    """What a drive has to know of its load before its loops can be looked at.
+
+    An observer is as fast as what it cannot tell from the motor: behind a spring it has to know the
+    motor side alone.
+    """
+    told: dict[str, float] = {"acceleration_feed_forward": round(inertia * 1e9)}
+    if drive.axis.od.observer_bandwidth > 0:
+        behind = motor_side < SPRUNG * inertia and motor_side * 1e12 < UNSIGNED32
+        told["observer_inertia"] = round(motor_side * 1e12) if behind else 0
+    return told
 
 
 def turned(machine: Machine, name: str) -> None:

@@ -115,11 +115,6 @@ class Cell:
         return self.model != INVERTER and self.load in (USUAL[self.plant], loads[-1])
 
     @property
-    def measured(self):
-        """Whether `bode` measures it: all, but gantries with the usual and the heaviest load."""
-        return not self.plant.startswith("gantry") or self.tuned
-
-    @property
     def torque_allows(self):
         """Whether the rated torque holds and moves the load for ever, by the textbook."""
         if self.model == INVERTER or self.plant not in FAMILY:
@@ -366,7 +361,7 @@ Each drive model on all mechanics with six loads: built, enabled, homed by the s
 two drives in X squared by theirs), moved by 100 mm (1 rad), then over the stroke at its full
 profile. It *moves* if the following error stays in its window, the profile velocity is reached, it
 rests in the position window, and all loops keep 6 dB and 35°, by the model and as `servogym bode`
-measures them (gantries with the usual and the heaviest load). What is refused says in one sentence
+measures them. What is refused says in one sentence
 which load this motor and this drive take; that load was played as well. An inverter has no
 positions: it is enabled and turns to and fro.
 
@@ -414,8 +409,8 @@ def sentences(outcomes):
     if servo:
         gain, phase = (min(servo, key=lambda o: o.measured[k]) for k in (0, 1))
         said.append(
-            f"- The least margins that `bode` measures are {gain.measured[0]:.1f} dB "
-            f"({gain.cell}) and {phase.measured[1]:.0f}° ({phase.cell})."
+            f"- The least margins that `bode` measures on {len(servo)} axes are "
+            f"{gain.measured[0]:.1f} dB ({gain.cell}) and {phase.measured[1]:.0f}° ({phase.cell})."
         )
     tuned = [o for o in outcomes if math.isfinite(o.settled[0])]
     if tuned:
@@ -445,6 +440,8 @@ def main():
                         help="what has been played, to go on from")  # fmt: skip
     parser.add_argument("--only", default="", help="cells with this in their name")
     parser.add_argument("--untuned", action="store_true", help="leave `tune` out")
+    parser.add_argument("--some", action="store_true",
+                        help="measure with the usual and the heaviest load only")  # fmt: skip
     options = parser.parse_args()
     options.kept.parent.mkdir(parents=True, exist_ok=True)
     outcomes = kept(options.kept)
@@ -454,7 +451,8 @@ def main():
             tuned = cell.tuned and not options.untuned
             found = outcomes.get(cell)
             if found is None or (tuned and math.isnan(found.settled[0])):
-                found = outcomes[cell] = play(cell, measure=cell.measured, tuned=tuned)
+                measure = cell.tuned or not options.some
+                found = outcomes[cell] = play(cell, measure=measure, tuned=tuned)
                 file.write(json.dumps(asdict(found)) + "\n")
                 file.flush()
             if found.kind not in ("moves", "refused"):
