@@ -14,7 +14,7 @@ from ...drive.drive import Drive
 from ...drive.model.model import load
 from ...drive.model.names import hint
 from ..engine.machine import Machine
-from . import tuning
+from . import own_units, tuning
 from .linear_axis import factor_group
 from .motor import MOTOR
 from .sizing import Profile, asked
@@ -69,6 +69,7 @@ def commission_joint(
         commission_shaft(
             machine, name, max_velocity=max_velocity, max_acceleration=max_acceleration,
             position_unit=position_unit, tuned=tuned,
+            exact=max_velocity is not None or max_acceleration is not None,
         )  # fmt: skip
     except tuning.Unmovable as error:
         gear = abs(machine.joint(name)[0])
@@ -77,9 +78,12 @@ def commission_joint(
 
 def commission_shaft(
     machine: Machine, name: str, *, max_velocity: float | None, max_acceleration: float | None,
-    position_unit: float, tuned: bool,
+    position_unit: float, tuned: bool, exact: bool = False,
 ) -> None:  # fmt: skip
-    """The same; a motor that cannot move its load is told without what a robot could change."""
+    """The same; a motor that cannot move its load is told without what a robot could change.
+
+    A speed or ramp beyond the drive's range is refused where it is `exact`, else it is limited.
+    """
     if not isinstance(machine, Machine):
         raise ValueError(f"machine = {machine!r}: give a Machine, as Machine.from_mjcf makes one")
     if name not in machine.drives:
@@ -103,23 +107,26 @@ def commission_shaft(
         acceleration = max_acceleration * gear
         rated = max(rated, (torque + inertia * acceleration) / 2)
     try:
-        drive.commission(_motor(drive, rated) | _units(drive, gear * position_unit))
         per_unit = gear * position_unit  # rad of the shaft
-        drive.commission(
+        own_units.motor_and_factors(drive, _motor(drive, rated) | _units(drive, per_unit))
+        profile = _profile(speed / per_unit, acceleration / per_unit)
+        own_units.commission(
+            drive,
             {"polarity": 0xC0 if coupling.gear < 0 else 0}
-            | _profile(speed / per_unit, acceleration / per_unit)
+            | profile
             | _windows(drive, per_unit)
-            | _places(machine, drive, coupling, position_unit)
+            | _places(machine, drive, coupling, position_unit),
+            per_unit,
+            exact=profile if exact else (),
         )
         if tuned:
             wanted = Profile(speed, acceleration, 2 * acceleration, 0.1 * speed, 0.1 * acceleration)
             behind = _behind_springs(machine, coupling)
-            drive.commission(
-                tuning.tuned(
-                    machine, name, inertia=inertia + behind, motor_side=inertia, wanted=wanted,
-                    per_unit=per_unit, window=FOLLOWING_ERROR_WINDOW,
-                )
+            tuned_values = tuning.tuned(
+                machine, name, inertia=inertia + behind, motor_side=inertia, wanted=wanted,
+                per_unit=per_unit, window=FOLLOWING_ERROR_WINDOW,
             )  # fmt: skip
+            own_units.commission(drive, tuned_values, per_unit, exact=gains(drive, inertia))
         else:
             drive.commission(gains(drive, inertia))
     except tuning.Unmovable:

@@ -18,6 +18,7 @@ from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from ..engine.physics import compiled
+from . import own_units
 from .linear_axis import LinearAxisParameters, commission, tune
 from .sizing import largest
 from .tuning import Unmovable, inertia_at_shaft
@@ -273,10 +274,17 @@ def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, t
     if name in PAIR:
         _prepare_for_squaring(machine, name, drive)
         offset -= round(p.squaring_offset * 1e6) if name == "x2" else 0
-    drive.commission(
+    own_units.commission(
+        drive,
         {"homing_method": method, "home_offset": offset,
-         "min_position_limit": limits[0], "max_position_limit": limits[1]}
+         "min_position_limit": limits[0], "max_position_limit": limits[1]},
+        _micrometre(machine, name),
     )  # fmt: skip
+
+
+def _micrometre(machine: Gantry, name: str) -> float:
+    """1 µm at the shaft (rad)."""
+    return abs(float(machine.couplings[list(machine.drives).index(name)].gear)) * 1e-6
 
 
 def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive) -> None:
@@ -285,4 +293,7 @@ def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive) -> None:
     bridge = machine.model.body_subtreemass[machine.model.body("bridge").id]
     inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
     tune(drive, inertia + 0.5 * float(bridge) / float(coupling.gear) ** 2)
-    drive.commission({"speed_during_search_for_switch": 50_000, "homing_acceleration": 2_000_000})
+    own_units.commission(
+        drive, {"speed_during_search_for_switch": 50_000, "homing_acceleration": 2_000_000},
+        _micrometre(machine, name),
+    )  # fmt: skip

@@ -5,7 +5,7 @@ takes those has them; one without it, or with ranges of its own, gets the same m
 units, as near as its objects allow.
 """
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -35,22 +35,28 @@ def motor_and_factors(drive: Drive, values: Mapping[str, float]) -> None:
     )
 
 
-def commission(drive: Drive, values: Mapping[str, float], per_unit: float) -> None:
+def commission(
+    drive: Drive, values: Mapping[str, float], per_unit: float, exact: Container[str] = ()
+) -> None:
     """Set objects by name.
 
     Args:
         drive: its factor group, if it has one, is set.
         values: in units of `per_unit`, and of that per s and s².
         per_unit: one unit at the shaft (rad).
+        exact: names of values that are refused where the drive does not take them; others are
+            taken as near as it does.
 
     Raises:
         ValueError: as `Drive.commission`.
     """
-    drive.commission(fitted(drive, values, per_unit))
+    drive.commission(fitted(drive, values, per_unit, exact))
 
 
-def fitted(drive: Drive, values: Mapping[str, float], per_unit: float) -> dict[str, float]:
-    """Return `values` converted into the units and ranges of the drive."""
+def fitted(
+    drive: Drive, values: Mapping[str, float], per_unit: float, exact: Container[str] = ()
+) -> dict[str, float]:
+    """Return `values` converted into the units and ranges of the drive; as `commission`."""
     units_changed(drive.axes, drive.index)
     axis = drive.axis
     own = {
@@ -72,6 +78,9 @@ def fitted(drive: Drive, values: Mapping[str, float], per_unit: float) -> dict[s
         if name in WINDOWS:
             value = max(value, smallest[what])
         row = drive.model.names.get(name)
+        if name in exact:
+            found[name] = value
+            continue
         found[name] = _in_field(name, value) if row is None else _inside(drive, row, value)
     return found
 

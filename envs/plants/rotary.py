@@ -14,7 +14,7 @@ from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint
 from ..engine.machine import Machine
 from ..engine.physics import compiled
-from . import twins
+from . import own_units, twins
 from .commissioning import commission_shaft
 from .linear_axis import FINER, tune
 from .motor import motor_and_encoder
@@ -135,21 +135,23 @@ def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
         if tuned:
             turned(machine, "x")
         return
-    x.commission(motor_and_encoder(p, x))
+    own_units.motor_and_factors(x, motor_and_encoder(p, x))
     commission_shaft(
         machine, "x", max_velocity=p.max_velocity, max_acceleration=p.max_acceleration,
         position_unit=p.unit, tuned=tuned,
     )  # fmt: skip
-    x.commission(
+    coupling = machine.couplings[0]
+    own_units.commission(
+        x,
         {
             "min_position_range_limit": 0,
             "max_position_range_limit": round(p.period / p.unit),
             "homing_method": 23,
             "home_offset": 0,
-        }
+        },
+        abs(float(coupling.gear)) * p.unit,
     )
     if tuned:
         return
-    coupling = machine.couplings[0]
     place = machine.model, machine.data, int(coupling.dof), float(coupling.gear)
     tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))

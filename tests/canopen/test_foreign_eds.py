@@ -8,6 +8,7 @@ import csv
 import math
 import random
 import re
+from functools import partial
 from pathlib import Path
 
 import canopen
@@ -21,7 +22,7 @@ from servogym.drive.canopen.node import Node
 from servogym.drive.canopen.sheet import number, read_sheet
 from servogym.drive.drive import Drive
 from servogym.drive.objects.abort import Abort, SdoAbort
-from servogym.envs import linear_axis
+from servogym.envs import Machine, commission_joint, gantry, linear_axis, rotary_axis
 from servogym.training.cli import main
 
 # index, sub-index, data type, access, PDO mapping, further lines
@@ -431,6 +432,57 @@ def test_commissioning_works_in_the_drives_own_units_and_ranges(made, kind):
     for _ in range(40):
         machine.step(200)
     assert float(machine.data.qpos[0]) - begin == pytest.approx(0.1, abs=abs(unit) + 2e-4)
+
+
+MACHINES = {
+    "rotary": (rotary_axis, "x", 0.5),
+    "conveyor": (partial(rotary_axis, mechanics="conveyor"), "x", 0.1),
+    "gantry": (gantry, "y", 0.1),
+    "gantry with two drives in X": (partial(gantry, x_drives=2), "y", 0.1),
+    "MJCF": (None, "x", 0.1),
+}
+SLIDE = """<mujoco><option timestep="0.00025"/><worldbody><body><joint name="x" type="slide"
+axis="1 0 0" range="-0.5 0.5" limited="true"/><geom size="0.05" mass="2"/></body></worldbody>
+<actuator><motor name="x" joint="x" gear="100"/></actuator></mujoco>"""
+
+
+def machine_of(kind, model):
+    build, name, _ = MACHINES[kind]
+    if build is not None:
+        return build(model)
+    machine = Machine.from_mjcf(SLIDE, {name: model})
+    machine.reset()
+    commission_joint(machine, name)
+    return machine
+
+
+@pytest.mark.parametrize("machine_kind", MACHINES)
+@pytest.mark.parametrize("kind", [kind for kind in OWN_UNITS if "homing" not in kind])
+def test_every_machine_is_commissioned_in_the_drives_own_units(made, kind, machine_kind):
+    machine = machine_of(machine_kind, made(sheet(SMALL, *OWN_UNITS[kind])).folder)
+    _, name, way = MACHINES[machine_kind]
+    drive = machine.drives[name]
+    coupling = machine.couplings[list(machine.drives).index(name)]
+    machine.step()
+    unit = abs(float(drive.axis.rad_per_position_unit) / float(coupling.gear))
+    speed = abs(float(drive.axis.profile_speed) / float(coupling.gear))
+    for word in (0x06, 0x07, 0x0F):
+        drive.write("controlword", word)
+        machine.step(50)
+    assert drive.read("statusword") & 0x6F == 0x27, drive.describe()
+    drive.axis.homed = 1
+    drive.write("modes_of_operation", 1)
+    machine.step(10)
+    here, begin = drive.read("position_actual_value"), float(machine.data.qpos[coupling.qpos])
+    drive.write("target_position", here + round(way / unit))
+    drive.write("controlword", 0x1F)
+    for _ in range(100):
+        machine.step(200)
+        if drive.read("statusword") & 0x1400 == 0x1400:
+            break
+    went = float(machine.data.qpos[coupling.qpos]) - begin
+    assert went == pytest.approx(way, abs=unit + 2e-3 * way), drive.describe()
+    assert speed > 0.02 * way, "it does not take minutes"
 
 
 @pytest.mark.parametrize(("unit", "per_minute"), [("0x00B44700", 1.0), ("0xFDB44700", 1e-3)])
