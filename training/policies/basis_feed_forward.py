@@ -124,11 +124,14 @@ class Informed(AdaptiveFeedForward):
         """Nothing is left to be found."""
 
 
-def fit(task: type[ServoEnv], episodes: int = EPISODES) -> tuple[np.ndarray, int]:
-    """-> the coefficients, and the steps of all environments together that they took.
+def rehearsed(
+    task: type[ServoEnv], episodes: int = EPISODES
+) -> tuple[np.ndarray, np.ndarray, int]:  # fmt: skip
+    """-> basis functions, corrections found, and the steps of all environments that it took.
 
     Each episode is rehearsed with the torque of the informed law, and its set-points are corrected
-    by what went wrong (`repeated`); the coefficients are those that give these corrections best.
+    by what went wrong (`repeated`). Shapes ``(good episodes, steps, functions)`` and
+    ``(good episodes, steps)``.
     """
     vector = ServoVectorEnv(task, episodes, autoreset_mode=AutoresetMode.DISABLED)
     laws = [Informed(env) for env in vector.envs]
@@ -162,9 +165,19 @@ def fit(task: type[ServoEnv], episodes: int = EPISODES) -> tuple[np.ndarray, int
     limit = WORST / known.constant("correction")
     good = np.sqrt((errors**2).mean(axis=1)) <= limit
     rows = np.reshape(functions, (steps, episodes, -1)).transpose(1, 0, 2)[good]
+    return rows, table[good], (REHEARSALS + 1) * episodes * steps
+
+
+def fit(task: type[ServoEnv], episodes: int = EPISODES) -> tuple[np.ndarray, int]:
+    """-> the coefficients that give the corrections best, and the steps that they took."""
+    rows, table, steps = rehearsed(task, episodes)
+    return solved(rows, table), steps
+
+
+def solved(rows: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """The coefficients, by least squares."""
     rows = rows.reshape(-1, rows.shape[-1])
     scale = rows.std(axis=0) + 1e-9
     rows = rows / scale
     normal = rows.T @ rows + SPREAD * len(rows) * np.eye(len(scale))
-    coefficients = np.linalg.solve(normal, rows.T @ table[good].ravel()) / scale
-    return coefficients, (REHEARSALS + 1) * episodes * steps
+    return np.linalg.solve(normal, rows.T @ table.ravel()) / scale
