@@ -221,7 +221,7 @@ steps × `feed` × step time |
     judge = staticmethod(judge)
     datasheet: GantryParameters
 
-    POLICIES = ("constant_feed", "full_feed", "iterative_learning", "bound")
+    POLICIES = ("constant_feed", "full_feed", "tuned_full_feed", "iterative_learning", "bound")
     REFERENCE = "full_feed"
     SLOWEST = SLOWEST
     STROKE = tuple(AXES[name][0] for name in DRIVES)
@@ -267,7 +267,7 @@ steps × `feed` × step time |
         self.feed_forward = in_range("feed_forward", feed_forward, 0.0, 1.0, "of the full one")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
-        self._window = window
+        self._window = self.following_error_window = window
         self.datasheet = GantryParameters()
         super().__init__(drive, **arguments)
 

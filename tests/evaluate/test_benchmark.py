@@ -96,12 +96,19 @@ def head(path):
         return json.loads(found[HEAD].tobytes())
 
 
-def test_the_suite_has_the_eight_tasks_with_ranges_held_out():
-    found = suite.read("v1")
-    assert len(found.parts) == 8
-    for part in found.parts.values():
-        assert {"nominal", "held_out"} < {row.name for row in part.rows}
-    assert suite.versions() == ["v1"]
+def test_the_suites_have_the_eight_tasks_with_ranges_held_out():
+    assert suite.versions() == ["v1", "v2"]
+    for found in map(suite.read, suite.versions()):
+        assert len(found.parts) == 8
+        for part in found.parts.values():
+            assert {"nominal", "held_out"} < {row.name for row in part.rows}
+
+
+def test_suite_v2_draws_the_episodes_of_an_entry_from_its_hash():
+    found = suite.read("v2")
+    assert found.seed is None
+    seeds = [found.drawn(f"{k:064x}"[::-1]).seed for k in (1, 2, 1)]
+    assert seeds[0] == seeds[2] != seeds[1]
 
 
 def test_a_submission_is_checked_from_its_weights_and_ranked(entries):

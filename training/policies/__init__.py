@@ -28,7 +28,7 @@ from .datasheet import datasheet
 from .disturbance_observer import DisturbanceObserver
 from .feed_forward import FeedForward, RuckigFeedForward
 from .file import SUFFIX, from_file, policy_of
-from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring
+from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring, TunedFullFeed
 from .homing import BuiltIn, search_policy
 from .identified import IdentifiedZv, IdentifiedZvd
 from .idle import Chance, Hold
@@ -144,6 +144,9 @@ POLICIES: dict[str, Baseline] = {
     },
     "bound": Baseline(
         Bound, "what nothing can be better than: a limit, nothing that could act", told=True
+    ),
+    "tuned_full_feed": Baseline(
+        TunedFullFeed, "the same with an outer loop, by numbers of the tuner"
     ),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
     "plc_timed": Baseline(timed_policy, "the same by the clock, without looking", face=PDO),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from .datasheet import Datasheet
+from .numbers import Range, Tunable
 
 HOME = 0.2  # m, where both home switches lie
 ZONE = 4e-3  # m before them; the side that starts behind may be as much as 3 mm off
@@ -132,9 +133,49 @@ class FullFeed:
         before, then, after = at(np.interp(times, np.arange(len(self._ways)), self._ways))
         self.lead = self._places[-1] - then
         target = then + self._lag * (after - before) / (times[2] - times[0]) / self._dt
-        share = np.clip((target - self._places[-1]) / self._range, -1.0, 1.0)
+        wanted = target - self._places[-1] + self.outer(observation)
+        share = np.clip(wanted / self._range, -1.0, 1.0)
         return self._known.action(correction=share, override=self._override(override))
+
+    def outer(self, observation: np.ndarray) -> np.ndarray | float:
+        """Correct what the axes are behind where they shall be (m): nothing."""
+        return 0.0
 
     def _override(self, feed: float) -> float:
         """The action for a feed override."""
         return 2.0 * (feed - self._slowest) / (1.0 - self._slowest) - 1.0
+
+
+class TunedFullFeed(FullFeed, Tunable):
+    """The same with an outer loop on where the axes are, and a lag, by numbers of the tuner."""
+
+    NAME, FADING = "tuned_full_feed", 0.98
+    RANGES = {  # noqa: RUF012
+        "lag": Range(0.8, 1.25, 1.0),  # of that by the gains commissioned
+        "gain": Range(0.02, 1.0, 0.02),  # of what the axes are behind
+        "integral": Range(0.002, 0.2, 0.002),  # of its fading sum
+    }
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(datasheet, seed)
+        own = self.numbers(datasheet.task)
+        self._lag *= own["lag"]
+        self._gain, self._integral = own["gain"], own["integral"]
+        self._window = datasheet.constant("following_error_window")
+
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Begin at rest on the path."""
+        super().reset(observation, info)
+        self._sum = np.zeros(2)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Corrections and feed override."""
+        self._wanted = self.lead.copy()  # of the step before, whose end is observed
+        return super().act(observation)
+
+    def outer(self, observation: np.ndarray) -> np.ndarray:
+        """A share of what they are behind, and of its fading sum (m)."""
+        axes = self._known.named_by_axis(observation)
+        behind = self._window * np.array([float(axis.distance) for axis in axes]) - self._wanted
+        self._sum = self.FADING * self._sum + self._integral * behind
+        return self._gain * behind + self._sum

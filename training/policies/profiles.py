@@ -27,6 +27,7 @@ Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the mo
 TORQUE_SHARE = 0.8
 ALLOWED = 0.05  # vibration that an EI shaper leaves at the resonance
 NOTCH_CYCLE = 1e-3  # s
+FINE = 20.0  # tolerances, of the fine distance of an observation
 JERK_TIME = 0.01  # s, in which the acceleration builds up; two set-points
 
 
@@ -65,12 +66,16 @@ def trapezoid(way: float, bounds: Bounds) -> Path:
     return path
 
 
-def time_optimal(way: float, bounds: Bounds) -> Path:
-    """Jerk-limited, as short as it can be (ruckig)."""
+def time_optimal(way: float, bounds: Bounds, brake: float | None = None) -> Path:
+    """Jerk-limited, as short as it can be (ruckig); `brake` (m/s²) as fast as it speeds up or so."""
     wanted, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     wanted.current_position, wanted.target_position = [0.0], [way]
+    if brake is not None and way > 0.0:
+        wanted.min_acceleration = [-brake]
     wanted.max_velocity = [bounds.velocity]
     wanted.max_acceleration = [bounds.acceleration]
+    if brake is not None and way <= 0.0:
+        wanted.max_acceleration, wanted.min_acceleration = [brake], [-bounds.acceleration]
     wanted.max_jerk = [bounds.jerk]
     ruckig.Ruckig(1).calculate(wanted, trajectory)
 
@@ -234,23 +239,52 @@ def ruckig_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
 
 
 class TunedRuckig(Profile, Tunable):
-    """Time-optimal, with the share of the torque and the jerk that a tuner found."""
+    """Time-optimal by numbers that a tuner found, with an outer loop on what it lags behind.
+
+    The set-point goes along the path, and ahead of it by a share of the way by which the axis was
+    behind the path at the end of the step before.
+    """
 
     NAME = "tuned_ruckig"
     RANGES = {  # noqa: RUF012
-        "share": Range(0.4, 1.0, TORQUE_SHARE),  # of the maximum torque
+        "share": Range(0.4, 1.0, TORQUE_SHARE),  # of the maximum torque, to speed up
+        "brake": Range(0.4, 1.0, TORQUE_SHARE),  # and to brake
         "jerk_time": Range(0.002, 0.04, JERK_TIME),  # s, in which the acceleration builds up
+        "lead": Range(0.05, 1.0, 0.05),  # share of the way behind
     }
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
-        found = self.numbers(datasheet.task)
+        super().__init__(datasheet, of_the_profile)
+        self._fine = FINE * datasheet.tolerance
 
-        def of_the_tuner(axis: Axis) -> Bounds:
-            rate = max(found["share"] * axis.force - axis.lost, 0.05 * axis.force)
-            rate /= axis.mass(axis.heaviest)
-            return Bounds(axis.speed, rate, rate / found["jerk_time"])
+    def chosen(self, way: float) -> dict[str, float]:
+        """The numbers for a way (m): the same for all."""
+        return self.numbers(self._known.task)
 
-        super().__init__(datasheet, of_the_tuner)
+    def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
+        """Plan from what is seen at rest."""
+        axis, seen = self._known.axis, self._known.named(observation)
+        self._way = float(seen.distance) * axis.stroke
+        own = self.chosen(self._way)
+        self._lead, mass = own["lead"], axis.mass(axis.heaviest)
+        rates = [own[name] * axis.force - axis.lost for name in ("share", "brake")]
+        rise, fall = (max(rate, 0.05 * axis.force) / mass for rate in rates)
+        limits = Bounds(axis.speed, rise, rise / own["jerk_time"])
+        self._places = [time_optimal(self._way, limits, fall)(self._times)]
+        self._step, self._place = 0, [0.0]
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """The velocity that brings the set-point where it has to be at the end of the step."""
+        axis, seen, path = self._known.axis, self._known.named(observation), self._places[0]
+        left = float(seen.distance_fine) * self._fine
+        if abs(float(seen.distance_fine)) >= 1.0:
+            left = float(seen.distance) * axis.stroke
+        behind = path[self._step] - (self._way - left)
+        self._step = min(self._step + 1, self._known.steps)
+        wanted = path[self._step] + self._lead * behind - self._place[0]
+        velocity = np.float32(min(max(wanted / self._farthest[0], -1.0), 1.0))
+        self._place[0] += float(velocity) * self._farthest[0]
+        return self._known.action(velocity=velocity)
 
 
 def ruckig_zv_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
