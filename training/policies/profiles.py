@@ -67,7 +67,7 @@ def trapezoid(way: float, bounds: Bounds) -> Path:
 
 
 def time_optimal(way: float, bounds: Bounds, brake: float | None = None) -> Path:
-    """Jerk-limited, as short as it can be (ruckig); `brake` (m/s²) as fast as it speeds up or so."""
+    """Jerk-limited, as short as it can be (ruckig); it brakes as it speeds up, or by `brake`."""
     wanted, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     wanted.current_position, wanted.target_position = [0.0], [way]
     if brake is not None and way > 0.0:
