@@ -16,6 +16,7 @@ from browser import (
     expect,
     needs_chromium,
     open_page,
+    picture,
     shows,
     sync_api,
 )
@@ -430,6 +431,7 @@ class TestInBrowsers:
         open_page(grace, "lessons")
         at(grace, "hint").click()
         expect(at(wall, "place-2-more")).to_contain_text("hints 1")
+        picture(wall, "wall")
         at(grace, "leave").click()
         expect(at(wall, "place-2-more")).to_contain_text("1 tries")
         expect(at(wall, "place-2-task")).to_have_text("no exercise")

@@ -194,3 +194,28 @@ def test_any_text_in_any_field_is_refused_beside_it_and_nothing_is_sent(page):
     assert page.evaluate("window.hacked") is None
     shows(page, "state", "operation enabled")
     assert parameters(page) == before
+
+
+def test_the_first_move_comes_within_20_s_of_the_command():
+    """As a newcomer does it: the command, the page, Enable, Home, Move to."""
+    begin = time.monotonic()
+    server = Server()
+    try:
+        with sync_api.sync_playwright() as playwright:
+            browser = chromium(playwright)
+            opened = time.monotonic()
+            page = tab(browser, server)
+            open_page(page, "motion")
+            at(page, "enable").click()
+            shows(page, "state", "operation enabled")
+            at(page, "home").click()
+            shows(page, "homed", "The axis is referenced.")
+            move(page, "250")
+            expect(at(page, "doing")).to_contain_text("move to")
+            passed = time.monotonic() - begin
+            print(f"\nfirst move {passed:.1f} s after the command, {opened - begin:.1f} s of them "
+                  f"until the browser is there, load {os.getloadavg()[0]:.1f}")  # fmt: skip
+            browser.close()
+    finally:
+        server.kill()
+    assert passed < 20
