@@ -361,9 +361,8 @@ Each drive model on all mechanics with six loads: built, enabled, homed by the s
 two drives in X squared by theirs), moved by 100 mm (1 rad), then over the stroke at its full
 profile. It *moves* if the following error stays in its window, the profile velocity is reached, it
 rests in the position window, and all loops keep 6 dB and 35°, by the model and as `servogym bode`
-measures them. What is refused says in one sentence
-which load this motor and this drive take; that load was played as well. An inverter has no
-positions: it is enabled and turns to and fro.
+measures them. What is refused says in one sentence which load this motor and this drive take; that
+load was played as well. An inverter has no positions: it is enabled and turns to and fro.
 
 ```sh
 python tests/plants/delivered.py docs/results/commissioning.md
@@ -401,9 +400,10 @@ def sentences(outcomes):
     movers = sum(o.kind == "moves" for o in allowed)
     servo = [o for o in outcomes if math.isfinite(o.measured[0])]
     said = [
-        f"- Of {len(outcomes)} combinations {count['moves']} move, {count['refused']} are refused "
+        f"- Of {len(CELLS)} combinations {len(outcomes)} have been played: "
+        f"{count['moves']} move, {count['refused']} are refused "
         f"with the load they take, {count['fault']} fault, {count['silent']} are wrong in silence.",
-        f"- Torque and speed allow {len(allowed)}; {movers} of them move "
+        f"- Torque and speed allow {len(allowed)} of these; {movers} of them move "
         f"({100 * movers / max(len(allowed), 1):.1f} %).",
     ]
     if servo:

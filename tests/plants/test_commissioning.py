@@ -30,7 +30,7 @@ SAMPLE = {  # and what becomes of them
 SHORT_TIMES = ("festo_cmmp_as", "festo_cmmp_as_m0", "festo_cmms", "festo_cmmd", "metronix_ars2000")
 NO_GAINS = {
     *(Cell(m, "toothed_belt", 100.0) for m in SHORT_TIMES),
-    *(Cell(m, "rotary_table", 50.0) for m in SHORT_TIMES),
+    *(Cell(m, "rotary_table", inertia) for m in SHORT_TIMES for inertia in (15.0, 50.0)),
     *(Cell(m, "rotary_table", 500.0) for m in MODELS[:-1]),
     *(Cell("bonfiglioli_act", "linear_motor", load) for load in (1.0, 5.0)),
 }

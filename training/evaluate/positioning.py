@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs import FAMILY, POINT_TO_POINT, SWINGING_LOAD
+from ...envs import FAMILY, POINT_TO_POINT, SWINGING_LOAD, ServoEnv
 from ..report import number
 from ..scale.job import Result
 from ..setup import Setup
@@ -91,11 +91,9 @@ class Moves:
         mechanics, payload, condition, strategy = key
         self._key, self._ways = key, ways
         options = [{"start": start, "goal": goal} for start, goal in ways]
-        task, axis = POINT_TO_POINT, FAMILY.get(mechanics)
-        if axis is None:
-            task = SWINGING_LOAD
-            axis = SWINGING_LOAD().datasheet
-        weak = WEAK if condition == WEAK_SUPPLY else {}
+        task: type[ServoEnv] = SWINGING_LOAD if mechanics == SPRING else POINT_TO_POINT
+        axis = SWINGING_LOAD().datasheet if mechanics == SPRING else FAMILY[mechanics]
+        weak: dict[str, Any] = WEAK if condition == WEAK_SUPPLY else {}
         setup = Setup(
             task, drive,
             {
