@@ -58,16 +58,11 @@ def axis_for(
         )
     make, places = AXES[axis]
     machine = make(load(drive, "can"))
-    last = node_id + len(machine.drives) - 1
-    if not 1 <= node_id <= last <= 127:
-        raise ValueError(f"--node-id = {node_id}: {node_id}..{last} is out of range 1..127")
-    for number, x in enumerate(machine.drives.values(), node_id):
-        x.node_id = number
-        x.reset_communication()
-        if parameter_file is not None:
-            x.use_parameter_file(
-                parameter_file if len(machine.drives) == 1 else named(parameter_file, number)
-            )
+    number_nodes(machine, node_id, "--node-id")
+    if parameter_file is not None:
+        alone = len(machine.drives) == 1
+        for x in machine.drives.values():
+            x.use_parameter_file(parameter_file if alone else named(parameter_file, x.node_id))
     power_on(machine, places)
     warm_up(drive)
     return machine
@@ -116,6 +111,24 @@ def power_on(machine: Machine, places: Mapping[str, float]) -> None:
     machine.reset(positions=places)
     machine.step()
     machine.reset(positions=places)
+
+
+def number_nodes(machine: Machine, node_id: int, what: str) -> None:
+    """Give the drives of a machine consecutive node-ids.
+
+    Args:
+        machine: whose drives are on CAN.
+        node_id: of the first drive.
+        what: where the number comes from, for the error message.
+
+    Raises ValueError where the first or the last is out of range 1..127.
+    """
+    last = node_id + len(machine.drives) - 1
+    if not 1 <= node_id <= last <= 127:
+        raise ValueError(f"{what} = {node_id}: {node_id}..{last} is out of range 1..127")
+    for number, drive in enumerate(machine.drives.values(), node_id):
+        drive.node_id = number
+        drive.reset_communication()
 
 
 def named(parameter_file: Path, node_id: int) -> Path:

@@ -34,7 +34,7 @@ from ...drive.wire.server import WAIT, Server
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..environment.registry import task
-from ..plants.catalogue import AXES, power_on, warm_up
+from ..plants.catalogue import AXES, number_nodes, power_on, warm_up
 from ..plants.commissioning import commission_joint
 from .description import BusRow, Description, EventRow, MachineRow, model_of, read
 
@@ -516,12 +516,7 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
         for object_name, value in values.items():
             machine.drives[name].write(object_name, value)
     if bus == "can":
-        last = row.node_id + len(machine.drives) - 1
-        if not 1 <= row.node_id <= last <= 127:
-            raise ValueError(f"node_id = {row.node_id}: {row.node_id}..{last} is out of 1..127")
-        for number, drive in enumerate(machine.drives.values(), row.node_id):
-            drive.node_id = number
-            drive.reset_communication()
+        number_nodes(machine, row.node_id, "node_id")
         warm_up(next(iter(machine.drives.values())).model)
     power_on(machine, places)
     return machine, places

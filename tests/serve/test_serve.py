@@ -189,7 +189,7 @@ AXIS = {"bus": "can", "axis": "linear", "node_id": 1}
         ({"bus": {"can": CAN | {"kind": "profinet"}}, "machine": {"x": AXIS}}, "can, ethercat"),
         ({"bus": {"can": CAN | {"clock": "frame"}}, "machine": {"x": AXIS}}, "real, sync"),
         ({"bus": {"can": CAN | {"chanel": 1}}, "machine": {"x": AXIS}}, "did you mean channel"),
-        ({"bus": {"can": CAN}, "machine": {"x": AXIS | {"node_id": 0}}}, "out of 1..127"),
+        ({"bus": {"can": CAN}, "machine": {"x": AXIS | {"node_id": 0}}}, "out of range 1..127"),
         ({"bus": {"can": CAN}, "machine": {"x": AXIS | {"node_id": "5"}}}, "must be int"),
         ({"bus": {"can": CAN}, "machine": {"x": AXIS | {"axis": "liner"}}}, "did you mean linear"),
         ({"bus": {"can": CAN}, "machine": {"x": AXIS | {"mjcf": "a.xml"}}}, "axis, a kind"),
