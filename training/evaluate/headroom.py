@@ -64,7 +64,9 @@ def rows_of(env: type[ServoEnv]) -> list[str]:
 
 def chosen(tasks: Sequence[str]) -> list[type[ServoEnv]]:
     """Those of a list of ids without name space; all with a bound if it is empty."""
-    bounded = [env for env in TASKS if env.ID in BOUNDS and BOUND in env.POLICIES]
+    bounded: list[type[ServoEnv]] = [
+        env for env in TASKS if env.ID in BOUNDS and BOUND in env.POLICIES
+    ]
     known = {short(env.ID): env for env in bounded}
     for name in tasks:
         if name not in known:

@@ -19,6 +19,7 @@ played is not known.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,7 @@ def _positioned(env: Any) -> dict[str, float]:
         aim["goal"], aim["window"], 1, _ticks(env, env.STEPS * env.step_time),
         _ticks(env, SWINGING if swings else TAIL), **limits,
     )  # fmt: skip
-    return {"settling_time": _least(lambda n: plant(env, n), asked, _delay(env))}
+    return {"settling_time": _least(partial(plant, env), asked, _delay(env))}
 
 
 def _swayed(env: Any) -> dict[str, float]:
@@ -115,7 +116,7 @@ def _swayed(env: Any) -> dict[str, float]:
             float(episode._goal[d]), env.tolerance, every, every * env.STEPS,
             _ticks(env, PERIOD), resting=env.resting, **_set_points(env, d),
         )  # fmt: skip
-        seconds.append(_least(lambda n, d=d, arm=arm: plant(env, n, d, arm), asked, _delay(env, d)))
+        seconds.append(_least(partial(plant, env, d=d, arm=arm), asked, _delay(env, d)))
     return {"settling_time": max(seconds)}
 
 
@@ -136,7 +137,7 @@ def _homed(env: Any) -> dict[str, float]:
         float(episode._home), env.tolerance, 1, _ticks(env, env.STEPS * env.step_time), 1,
         speed=OVER * float(episode._max_velocity), ahead=env.tolerance,
     )  # fmt: skip
-    seconds = _least(lambda n: plant(env, n), asked, _delay(env))
+    seconds = _least(partial(plant, env), asked, _delay(env))
     return {"settling_time": max(seconds - env.step_time, 0.0)}
 
 

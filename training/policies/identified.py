@@ -105,8 +105,8 @@ class Identified:
         self._moved += abs(faster - velocity) > MOVING * self._axis.fastest
         if self._moved < SURE:
             return
-        whole, products, squares = self._sums
-        errors = whole - products**2 / np.maximum(squares, 1e-30)
+        leftover, products, squares = self._sums
+        errors = leftover - products**2 / np.maximum(squares, 1e-30)
         k = int(errors.argmin())
         between = 0.0
         if 0 < k < MODELS - 1:
