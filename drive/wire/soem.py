@@ -66,6 +66,8 @@ class SoemSlave:
     def __init__(self, soem: Any, slave: Any):
         self._soem = soem
         self._slave = slave
+        self.emergencies: list[Any] = []  # since the beginning; else a reading would raise them
+        slave.add_emergency_callback(self.emergencies.append)
         self.mailbox = SoemMailbox(soem, slave)
         self.outputs = bytearray()
         self.inputs = b""

@@ -28,7 +28,7 @@ from .servo_env import ServoEnv
 LATE = 3  # actions that have not come, one after the other, until the drives are stopped
 MEMORY = 2 << 30  # bytes that a policy may take beyond what it has at its beginning
 BELOW = 10  # its priority, so much less than that of the exchange of frames
-START = 60.0  # s in which a policy has to be ready
+START = 180.0  # s in which a policy has to be ready
 IDLE = 5e-3  # s between frames, while it plans an episode
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 BEGIN, ACT = b"b", b"a"
@@ -54,6 +54,59 @@ class Played(NamedTuple):
     steps: int
     late: int  # actions that came too late
     info: dict[str, Any]  # of its end
+    values: dict[str, float]  # metrics, of what a bus tells: see `Figures`
+
+
+class Figures:
+    """Metrics of an episode from the answers of the drives, on a bus and in memory alike.
+
+    ``episode_return``, ``success``, ``settling_time`` (s, to the step; the length of the episode
+    where it has not settled at the end), ``peak_error`` (µm or µrad), ``rms_torque`` (rated).
+    """
+
+    def __init__(self, env: ServoEnv):
+        self._env = env
+        self._returned = self._squares = self._peak = 0.0
+        self._steps = self._unsettled = 0
+
+    def step(self, reward: float, info: dict[str, Any]) -> None:
+        """After a step."""
+        answers = self._env._part.tpdos[0]
+        names = answers.dtype.names
+        self._returned += reward
+        self._steps += 1
+        if not info.get("is_success"):
+            self._unsettled = self._steps
+        if "following_error_actual_value" in names:
+            error = np.abs(answers["following_error_actual_value"].astype(float)).max()
+            self._peak = max(self._peak, float(error))
+        if "torque_actual_value" in names:
+            self._squares += float(np.square(1e-3 * answers["torque_actual_value"]).max())
+
+    def values(self) -> dict[str, float]:
+        """By name."""
+        steps = max(self._steps, 1)
+        return {
+            "episode_return": self._returned, "success": float(self._unsettled < self._steps),
+            "settling_time": self._unsettled * self._env.step_time,
+            "peak_error": 1e6 * self._peak / self._env.units,
+            "rms_torque": (self._squares / steps) ** 0.5,
+        }  # fmt: skip
+
+
+def in_memory(env: ServoEnv, policy: Acting, episodes: int, seed: int) -> list[dict[str, float]]:
+    """The metrics of the same episodes in an environment without a bus, such as one of a twin."""
+    values = []
+    for episode in range(episodes):
+        seen, info = env.reset(seed=seed + episode)
+        policy.reset(seen, info)
+        figures, ended, steps = Figures(env), False, 0
+        while not ended and steps < env.STEPS:
+            seen, reward, ended, _, info = env.step(policy.act(seen))
+            figures.step(reward, info)
+            steps += 1
+        values.append(figures.values())
+    return values
 
 
 class _Plain:
@@ -228,8 +281,7 @@ def _guarded(line: PortLine) -> Iterator[None]:
     except Stopped as stopped:
         raise line.stop(stopped) from stopped.__cause__
     except (Exception, KeyboardInterrupt) as error:
-        name = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{error}"
-        raise line.stop(Stopped("", name)) from error
+        raise line.stop(error) from error
 
 
 def play(
@@ -307,7 +359,7 @@ def _episode(
     env: ServoEnv, line: PortLine, mind: _Mind, seen: np.ndarray, info: dict[str, Any],
     hold: np.ndarray, patience: float | None, slow: float,
 ) -> Played:  # fmt: skip
-    returned, late, running, ended, steps, action = 0.0, 0, 0, False, 0, hold
+    late, running, ended, steps, action, figures = 0, 0, False, 0, hold, Figures(env)
     while not ended and steps < env.STEPS:
         said = mind.ask(seen, line.patience if patience is None else patience)
         if said is None:
@@ -320,5 +372,7 @@ def _episode(
             line.timing.thinking.append(mind.took)
             action = slow * said[0] if slow != 1.0 else said[0]
         seen, reward, ended, _, info = env.step(action)
-        returned, steps = returned + reward, steps + 1
-    return Played(returned, steps, late, info)
+        figures.step(reward, info)
+        steps += 1
+    values = figures.values()
+    return Played(values["episode_return"], steps, late, info, values)

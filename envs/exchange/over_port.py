@@ -21,7 +21,7 @@ no time of its own; it keeps what a task reads of its drives.
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -50,6 +50,7 @@ OFF = 0x8000_0000  # COB-ID of a PDO that does not exist
 MASTER, BEAT, WATCH = 127, 0.02, 0.2  # node-id; s between heartbeats, s until drives miss one
 LIVES = 4  # questions of node guarding that may be missed
 WAIT = 2e-3  # s for a frame, while a master waits
+A_STEP, PATIENT = 5e-3, 0.05  # s of a SYNC, share of the clock
 OVERDUE = 0.1  # s, then a SYNC goes out although the last one was not answered
 APART = 4e-3  # s, between SYNCs while a master waits
 HEARTBEAT = Frame(0x700 + MASTER, b"\x05")
@@ -66,6 +67,9 @@ COMPARED = (  # objects that decide what a task's numbers mean, or when a drive 
     "min_position_limit", "max_position_limit", "quick_stop_deceleration",
 )  # fmt: skip
 INTERPOLATION = ("interpolation_time_period_value", "interpolation_time_index")  # 60C2h
+PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration")
+APPROACH = 0.4  # of them, on the way to the start: its gains may be set for slower motion
+REST = 0.3  # s that an axis stands before an episode: its integrator has come to rest
 NEAR = 1e-5  # m or rad from where an episode begins; no motion there
 MISSED = 3  # answers missing one after the other, until the guard stops the drives
 QUICK_STOP = 0x02  # controlword
@@ -146,13 +150,21 @@ class _Beating:
 
     def __init__(self, bus: FramePort, real: bool):
         self._bus, self._real, self._next, self._synced = bus, real, 0.0, 0.0
+        self._syncs = 0
         self.silent = not real  # no SYNC, so no time passes, until an episode is to begin
         self.answers: set[int] = set()  # identifiers that follow a SYNC
         self._owed: set[int] = set()  # of them, what has not come yet
         self.guarded: list[int] = []  # node-ids that are asked for their state (node guarding)
 
     def now(self) -> float:
-        return self._bus.now()
+        """Time (s); in lock-step that of the SYNCs, and a little of the clock's.
+
+        A drive has acted on a command after so many cycles, not after so many seconds; who waits
+        for an answer that does not come has to give up all the same.
+        """
+        if self._real:
+            return self._bus.now()
+        return self._syncs * A_STEP + PATIENT * self._bus.now()
 
     def wait(self, seconds: float | None = None) -> None:
         """How long an exchange waits for the first frame (s); the usual time if not given."""
@@ -164,7 +176,7 @@ class _Beating:
         self._synced = -math.inf
 
     def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
-        now, given = self._bus.now(), [*frames]
+        now, given = self.now(), [*frames]
         if now >= self._next or (not self._real and SYNC in given):
             self._next = now + BEAT
             asked = [Frame(0x700 + node_id, b"", remote=True) for node_id in self.guarded]
@@ -176,6 +188,7 @@ class _Beating:
         if SYNC in given and too_early and now < self._synced + OVERDUE:
             given = [frame for frame in given if frame != SYNC]
         elif SYNC in given:
+            self._syncs += 1
             self._synced, self._owed = now, set(self.answers)
         received = [*self._bus.exchange(given)]
         self._owed -= {frame.id for frame in received}
@@ -540,13 +553,34 @@ class PortLine:
         wanted = {axis: round(place * self._units) for axis, place in positions.items()}
         if any(abs(self._at(axis) - wanted[axis]) > NEAR * self._units for axis in wanted):
             self.master.set_mode(Mode.PROFILE_POSITION)
-            self.master.move_to(wanted)
+            with self._gently():
+                self.master.move_to(wanted)
         for axis in self._axes:
             for name in ("target_position", "target_velocity", "target_torque"):
                 if name in (self._rpdo.names or ()):
                     value = self._at(axis) if name == "target_position" else 0
                     self._side.port.write(axis, name, value)
         self.master.set_mode(mode)
+        if self._side.pace.real:
+            self.master.wait(REST)
+        else:
+            for _ in range(math.ceil(REST / self._period)):
+                self._side.send()
+                self._side.sample(PATIENT * LOCK_STEP_PATIENCE)
+
+    @contextmanager
+    def _gently(self) -> Iterator[None]:
+        """A share of the profile's speed and accelerations, as long as this lasts."""
+        port, kept = self._side.port, []
+        for axis in self._axes:
+            for name in PROFILE:
+                with suppress(SdoAbort, ValueError):
+                    value = port.upload(axis, name)
+                    port.write(axis, name, max(round(APPROACH * value), 1))
+                    kept.append((axis, name, value))
+        yield
+        for axis, name, value in kept:
+            port.write(axis, name, value)
 
     def _at(self, axis: str) -> int:
         return int(self._side.port.upload(axis, "position_actual_value"))
@@ -607,7 +641,7 @@ class PortLine:
         pace.wait(self._deadline)
         begin = pace.now()
         share = ANSWERS * self.phase * self._period
-        came = self._side.sample(share if pace.real else LOCK_STEP_PATIENCE)
+        came = self._side.sample(share if pace.real else PATIENT * LOCK_STEP_PATIENCE)
         if period:
             timing.waking.append(begin - self._deadline)
             timing.answers.append(pace.now() - begin)
@@ -658,7 +692,8 @@ class PortLine:
     def stop(self, error: BaseException) -> Stopped:
         """Quick stop of all drives and power off; -> why, which every further step raises."""
         if self.stopped is None:
-            told = error if isinstance(error, Stopped) else Stopped("", f"{error!r}")
+            name = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{error}" or f"{error!r}"
+            told = error if isinstance(error, Stopped) else Stopped("", name)
             self.stopped = told
             steps = (
                 lambda: self.master.control(QUICK_STOP), self._side.send, self.master.quick_stop,

@@ -1,6 +1,7 @@
 """`servogym eval` and `servogym compare`."""
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +40,11 @@ def _add_episodes(command: argparse.ArgumentParser) -> None:
     arguments.add(command)
     arguments.add_work(command)
     command.add_argument("--out", type=Path, help="folder (one of its own in out)")
+    command.add_argument(
+        "--port", metavar="OPTIONS",
+        help="on drives of a bus: the options of `servogym deploy` for it, as one word, such as "
+        '"-i socketcan -c can0 --yes"',
+    )  # fmt: skip
     command.set_defaults(run=_compare, folders=("out",))
 
 
@@ -64,9 +70,26 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
 
     if arguments.asked(options):
         return arguments.listing(options.env, console)
+    if options.port is not None:
+        return _deployed(options, console)
     request, work = asked(options), arguments.work(options)
     if getattr(options, "conditions", None) is not None:
         from ..evaluate import off_nominal
 
         return off_nominal.run(request, options.conditions, options.out, console, work)
     return compare.run(options.command, request, options.out, console, work)
+
+
+def _deployed(options: argparse.Namespace, console: Console) -> int:
+    """The same policies and episodes on a bus."""
+    from . import deploy
+
+    policies = asked(options).policies
+    parser = argparse.ArgumentParser("--port")
+    deploy.add(parser)
+    words = [options.env, "--drive", options.drive, "--seed", f"{options.seed}"]
+    words += ["--episodes", f"{options.episodes}"]
+    words += [word for policy in policies for word in ("--policy", policy)]
+    given = parser.parse_args([*words, *shlex.split(options.port)])
+    given.argument = [*(options.argument or ()), *(given.argument or ())] or None
+    return int(given.run(given, console))

@@ -24,7 +24,10 @@ CAPTURES = (".pcapng",)
 def add(deploy: argparse.ArgumentParser) -> None:
     """Its options."""
     deploy.add_argument("env", metavar="TASK", help="such as LinearAxis-v0")
-    deploy.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
+    deploy.add_argument(
+        "--policy", action="append", help=f"{arguments.POLICY} (hold); several are compared on the "
+        "same episodes",
+    )  # fmt: skip
     deploy.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     deploy.add_argument(
         "--ethercat", metavar="IFACE", help="network interface; without it the bus is CAN"
@@ -49,6 +52,10 @@ def add(deploy: argparse.ArgumentParser) -> None:
         help="of every step .csv; of every frame .pcapng on EtherCAT, .log (candump), .asc, .blf "
         "on CAN; repeatable",
     )  # fmt: skip
+    deploy.add_argument(
+        "--gap", action="store_true",
+        help="play the same episodes in memory, with --twin in the twin, and tell the difference",
+    )  # fmt: skip
     deploy.add_argument("--report", type=Path, help="episodes and times as .json")
     deploy.add_argument(
         "--phase", type=float, help="of a step, when set-points go out, 0..0.9 (0.4)"
@@ -71,7 +78,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
     if arguments.asked(options):
         return arguments.listing(options.env, console)
     with ExitStack() as stack:
-        env, make = _made(options, stack)
+        env, example = _made(options, stack)
         line = env.line
         for axis, guard in line.guards.items():
             console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
@@ -82,32 +89,90 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
             return 1
         if hasattr(signal, "SIGHUP"):  # a terminal that is closed, as Ctrl-C and SIGTERM
             signal.signal(signal.SIGHUP, signal.default_int_handler)
-        played: list[Any] = []
+        played: dict[str, list[Any]] = {}
         reason = ""
         try:
-            for episode in episodes_of(
-                env, episodes=options.episodes, make=make, slow=options.slow, seed=options.seed,
-                fast=not options.lock_step,
-            ):  # fmt: skip
-                played.append(episode)
-                _tell_episode(len(played), episode, console)
+            for policy in options.policy:
+                played[policy] = []
+                if len(options.policy) > 1:
+                    console.print(policy, style="bold", highlight=False, markup=False)
+                for episode in episodes_of(
+                    env, episodes=options.episodes, make=partial(_policy, policy, example,
+                    options.seed), slow=options.slow, seed=options.seed, fast=not options.lock_step,
+                ):  # fmt: skip
+                    played[policy].append(episode)
+                    _tell_episode(len(played[policy]), episode, console)
         except Stopped as stopped:
             reason = f"{stopped}"
             console.print(f"stopped: {reason}", style="red", highlight=False, markup=False)
+        env.close()
         if line.refused:
             console.print(f"without {' and '.join(line.refused)}", highlight=False)
         for axis in line.unwatched:
             console.print(f"{axis} has no watchdog for a lost master", style="yellow")
         _tell_times(line.timing, console)
+        tables = _compared(options, played, example)
+        _tell_compared(tables, console)
         if options.report:
-            told = {"episodes": [_row(e) for e in played], "stopped": reason}
-            told |= {"times": line.timing.as_dict()}
+            told: dict[str, Any] = {
+                "episodes": {name: [_row(e) for e in rows] for name, rows in played.items()},
+                "stopped": reason, "times": line.timing.as_dict(), "compared": tables,
+            }  # fmt: skip
             options.report.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
         return 1 if reason else 0
 
 
+def _compared(
+    options: argparse.Namespace, played: dict[str, list[Any]], example: Any
+) -> list[dict[str, Any]]:
+    """Metrics of policies against the first one, and of each against memory: means, differences."""
+    import numpy as np
+
+    from ...envs.environment.deployed import in_memory
+    from ..evaluate.metrics import difference
+
+    def against(what: str, one: list[Any], other: list[Any]) -> None:
+        n = min(len(one), len(other))
+        for metric in one[0] if n else ():
+            pair = [np.array([[row[metric] for row in rows[:n]]]) for rows in (one, other)]
+            apart = difference(*pair, share=True)
+            rows.append({
+                "what": what, "metric": metric, "episodes": n, "here": float(pair[0].mean()),
+                "there": float(pair[1].mean()), "difference": apart.value, "low": apart.low,
+                "high": apart.high,
+            })  # fmt: skip
+
+    rows: list[dict[str, Any]] = []
+    values = {name: [each.values for each in episodes] for name, episodes in played.items()}
+    first, *others = values
+    for name in others:
+        against(f"{name} - {first}", values[name], values[first])
+    if options.gap:
+        for name, own in values.items():
+            acting = _policy(name, example, options.seed)
+            there = in_memory(example, acting, len(own), options.seed)
+            against(f"{name}: bus - {'twin' if options.twin else 'memory'}", own, there)
+    return rows
+
+
+def _tell_compared(rows: list[dict[str, Any]], console: Console) -> None:
+    from rich.table import Table
+
+    for what in dict.fromkeys(row["what"] for row in rows):
+        own = [row for row in rows if row["what"] == what]
+        table = Table(title=f"{what}, {own[0]['episodes']} episodes")
+        for name in ("metric", "mean", "of the other", "difference", "95 % interval"):
+            table.add_column(name, justify="left" if name == "metric" else "right")
+        for row in own:
+            table.add_row(
+                row["metric"], *(f"{row[key]:.4g}" for key in ("here", "there", "difference")),
+                f"{row['low']:.3g} .. {row['high']:.3g}",
+            )  # fmt: skip
+        console.print(table)
+
+
 def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
-    """The environment on its bus, and what makes the policy; the stack closes both."""
+    """The environment on its bus, and the same in memory; the stack closes the first."""
     import gymnasium
 
     from ...envs.engine.checks import in_range, whole
@@ -117,7 +182,11 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     whole("--episodes", options.episodes, 1, 10**6)
     in_range("--slow", options.slow, 1e-3, 1.0)
     kind = task(options.env)
-    given = needed(options.policy) | dict(options.argument or ())
+    options.policy = options.policy or ["hold"]
+    given = dict(options.argument or ())
+    options.twin = given.get("twin")
+    for policy in options.policy:
+        given = needed(policy) | given
     example = kind(options.drive, **given)
     axes = [*(example.DRIVES or example.machine.drives)]
     side = _side(options, axes, stack)
@@ -136,7 +205,7 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     for path in options.log:
         if path.suffix == ".csv":
             stack.callback(_Log(path, line).close)
-    return env, partial(_policy, options.policy, example, options.seed)
+    return env, example
 
 
 def _policy(name: str, example: Any, seed: int) -> Any:
