@@ -263,10 +263,14 @@ def sentences(cells: Sequence[Row]) -> list[str]:
         others = [c for c in here if c["variant"] != AS_DELIVERED and np.isfinite(c["A"])]
         if base and others:
             worst = max(others, key=lambda c: c["A"])
+            apart = worst["A_low"] > base["A_high"]
             told.append(
-                f"Of method {BESIDE} on {mechanics}, A goes from {number(base['A'])} µm as "
-                f"delivered to {number(worst['A'])} µm with {worst['variant']}, and the worst "
-                f"error from {number(base['worst'])} to {number(worst['worst'])} µm."
+                f"Of method {BESIDE} on {mechanics}, A "
+                + ("goes" if apart else "does not change beyond its interval:")
+                + f" from {number(base['A'])} µm ({number(base['A_low'])} to "
+                f"{number(base['A_high'])}) as delivered to {number(worst['A'])} µm "
+                f"({number(worst['A_low'])} to {number(worst['A_high'])}) with {worst['variant']}; "
+                f"the worst error is {number(base['worst'])} and {number(worst['worst'])} µm."
             )
     return told
 
