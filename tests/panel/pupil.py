@@ -27,6 +27,7 @@ class Page:
     def __init__(self, url):
         self.url, self.elements, self.pictures = url, {}, 0
         self.socket, self.http, self.drops = None, None, 0
+        self.tab = str(uuid.uuid4())  # the same after a reload, as a browser's is
 
     async def enter(self, word, name):
         """Come in as a pupil."""
@@ -46,7 +47,7 @@ class Page:
     async def _connect(self, page):
         found = re.search(r"query: (\{.*?\}),\n", page)
         self.query = ast.literal_eval(re.sub(r"\btrue\b", "True", found[1])) | {
-            "document_id": str(uuid.uuid4()), "tab_id": str(uuid.uuid4()), "old_tab_id": "",
+            "document_id": str(uuid.uuid4()), "tab_id": self.tab, "old_tab_id": "",
         }  # fmt: skip
         self.client = self.query["client_id"]
         self.socket = socketio.AsyncClient(http_session=self.http, reconnection=False)

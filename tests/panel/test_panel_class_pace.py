@@ -25,6 +25,7 @@ from test_panel_pace import memory, processor_time
 pytest.importorskip("nicegui", reason="needs servogym[panel]")
 pupil = pytest.importorskip("pupil", reason="needs aiohttp and python-socketio")
 MINUTES = float(os.environ.get("SERVOGYM_MINUTES", "2"))
+PUPILS = int(os.environ.get("SERVOGYM_PUPILS", "24"))
 NUMBERS = ("0", "1", "-1", "10", "100", "250", "1e3", "-5e4", "300000", "1e9", "x", "", "0Fh")
 # what ends the page, asks for a file or takes minutes of the processor
 NOT = re.compile("leave-class|pick|tune|measure|run-compare|hand-over|parameters|csv|theme|file")
@@ -86,9 +87,9 @@ async def to_and_fro(pages, speeds, seconds):
 
 
 @pytest.mark.slow
-def test_a_class_of_24_keeps_real_time(tmp_path):
+def test_a_class_keeps_real_time(tmp_path):
     async def go(server):
-        pages = await class_of(server, 24)
+        pages = await class_of(server, PUPILS)
         speeds = [[] for _ in pages]
         await to_and_fro(pages, [[] for _ in pages], 10)
         before, used, begin = memory(server.process), processor_time(server.process), time.time()
@@ -99,12 +100,12 @@ def test_a_class_of_24_keeps_real_time(tmp_path):
         pictures = (sum(page.pictures for page in pages) - pictures) / passed / len(pages)
         mean = [sum(row) / len(row) for row in speeds]
         print(
-            f"\n24 pupils, {passed:.0f} s, load {os.getloadavg()[0]:.1f}: least "
+            f"\n{PUPILS} pupils, {passed:.0f} s, load {os.getloadavg()[0]:.1f}: least "
             f"{min(mean):.3f} of real time, mean {sum(mean) / len(mean):.3f}, "
             f"{pictures:.1f} pictures a second each, server {100 * share:.0f} % of a core, "
             f"{before:.0f} MB at first, {memory(server.process) - before:+.1f} MB"
         )
-        assert [limit(page) for page in pages] == [1000 + n for n in range(24)]
+        assert [limit(page) for page in pages] == [1000 + n for n in range(PUPILS)]
         assert memory(server.process) - before < 30 + 2 * MINUTES
         for page in pages:
             await page.leave()
@@ -214,4 +215,4 @@ def test_monkeys_in_a_class_leave_no_traceback_and_what_is_shown_is_the_drive(tm
 
 @pytest.mark.slow
 def test_monkeys_in_a_class_for_long(tmp_path):
-    monkeys(tmp_path, 24, 60 * MINUTES, int(time.time()))
+    monkeys(tmp_path, PUPILS, 60 * MINUTES, int(time.time()))
