@@ -90,7 +90,7 @@ class Classroom:
 
     def __init__(
         self, make: Callable[[int], Session], kind: str, drive: str,
-        exercises: Iterable[Exercise] = (), most: int = MOST, pictures: float = 8.0,
+        exercises: Iterable[Exercise] = (), most: int = MOST, pictures: float = 5.0,
         results: Path | None = None, word: str = "",
     ):  # fmt: skip
         if not 1 <= most <= 100:

@@ -27,7 +27,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "--host", default="127.0.0.1",
         help="listen on this address instead of the loopback; 0.0.0.0 for other computers",
     )  # fmt: skip
-    command.add_argument("--pictures", type=int, default=8, help="a second, 1..25 (8)")
+    command.add_argument("--pictures", type=int, default=5, help="a second, 1..25 (5)")
     command.add_argument("--no-browser", action="store_true", help="do not open a browser")
     command.set_defaults(run=_classroom)
 
