@@ -7,6 +7,7 @@ processor time; ``SERVOGYM_ETHERCRAB`` names a program that is built already.
 import os
 import shutil
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,33 @@ def test_31_ethercrab_scans_and_reaches_op_and_every_working_counter_is_right(
         for slave in result["slaves"]:
             assert (slave["vendor"], slave["product"], slave["revision"]) == (0x6A, 0x414B44, 2)
     assert result["sizes"] == [sizes, sizes]
+    assert (result["cycles"], result["wrong"], result["wkc"]) == (CYCLES, 0, 6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", ["frame", "dc", "real"])
+def test_ethercrab_with_sync0_stays_in_op_on_every_clock(program, clock):
+    """Each cycle is one period of DC time: on the clock frame exactly, else by the median.
+
+    On the clock real a master that is late loses a drive, as it should: then it tries again.
+    """
+    options = ("--drive", "generic", "--axis", "none", "--slaves", "2", "--clock", clock)
+    result = on_the_wire(
+        "ethercrab_master", "reach_op", *options, program=program, cycles=300, period=10,
+        in_time=lambda result: clock != "real" or not result["wrong"],
+    )  # fmt: skip
+    assert (result["cycles"], result["wrong"], result["wkc"]) == (300, 0, 6)
+    passed = sorted((b - a) / 1e6 for a, b in pairwise(result["times"]))
+    if clock == "frame":
+        assert (passed[0], passed[-1]) == (10.0, 10.0)
+    assert passed[len(passed) // 2] == pytest.approx(10.0, abs=2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", ["dc", "real"])
+def test_ethercrab_without_sync0_on_the_clocks_of_the_wall(program, clock):
+    options = ("--drive", "generic", "--axis", "none", "--slaves", "2", "--clock", clock)
+    result = on_the_wire("ethercrab_master", "reach_op", *options, program=program, cycles=CYCLES)
     assert (result["cycles"], result["wrong"], result["wkc"]) == (CYCLES, 0, 6)
 
 

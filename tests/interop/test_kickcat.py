@@ -24,8 +24,15 @@ def test_31_kickcat_reaches_op_at_the_end_of_a_line(model):
     check(model, second="")
 
 
-def check(model, **more):
-    options = ("--drive", model, "--axis", "none", "--slaves", "2")
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", ["dc", "real"])
+def test_kickcat_reaches_op_on_the_clocks_of_the_wall(clock):
+    """It knows no distributed clocks; a thousand cycles as quick as it can, each checked."""
+    check("generic", clock, ports=2)
+
+
+def check(model, clock="frame", **more):
+    options = ("--drive", model, "--axis", "none", "--slaves", "2", "--clock", clock)
     result = on_the_wire("kickcat_master", "reach_op", *options, **more)
     name, sizes = NAMES[model]
     assert result["slaves"] == 2

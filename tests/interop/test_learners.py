@@ -47,6 +47,12 @@ def has_learned(before, module):
     return any((before[name] != value).any() for name, value in after.items())
 
 
+def test_torchrl_makes_an_environment_by_its_id():
+    """It tries arguments that no environment of ours has, and reads the TypeError."""
+    taken = library("torchrl.envs.libs.gym").GymEnv(ID).rollout(5)
+    assert taken["next", "reward"].shape == (5, 1)
+
+
 @pytest.mark.parametrize("vector", [False, True])
 def test_torchrl_trains_with_ppo(vector):
     collectors, wrappers = library("torchrl.collectors"), library("torchrl.envs.libs.gym")
