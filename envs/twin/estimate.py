@@ -23,6 +23,7 @@ BLOCK, MOVE = 0.05, 0.25  # s, of the sandwich; of what is no noise but the same
 TRIES = (0.03, 1.0, 30.0)  # of the damping, side by side
 SMALL = 1e-4  # of the cost, a step that gains less is the last one of a search from far away
 CLOSE = 0.05  # of the sum of squares of white residuals; near the end the same
+GRAINS = 20  # shortest difference of what is rounded
 FINEST = 1e-5  # shortest difference of a derivative, of the value or of the first difference
 REPLICAS = 24
 CORRECTIONS = 2  # of the bias that noise brings
@@ -44,7 +45,7 @@ class Free:
         high: highest value.
         step: of the difference that the derivative is taken over.
         log: the search goes in ratios.
-        whole: the drive keeps it in whole numbers of its own.
+        grain: what the drive rounds it to, over its value.
         share: of the step that the derivative is taken over.
     """
 
@@ -54,7 +55,7 @@ class Free:
     high: float
     step: float
     log: bool = False
-    whole: bool = False
+    grain: float = 0.0
     share: float = 1.0
 
     def inner(self, value: float) -> float:
@@ -74,12 +75,11 @@ class Free:
     def finer(self, error: float) -> "Free":
         """With differences as long as the standard error, in which the machine is linear.
 
-        What a drive keeps in whole numbers keeps its first one.
+        They stay long enough to be seen behind what the drive rounds.
         """
-        if self.whole:
-            return self
         full = math.log1p(self.step) if self.log else 1.0
-        return replace(self, share=min(max(error / full, FINEST / self.step), 1.0))
+        least = max(FINEST, GRAINS * self.grain) / self.step
+        return replace(self, share=min(max(error / full, least), 1.0))
 
 
 @dataclass

@@ -25,6 +25,10 @@ DAMPINGS = (0.03, 0.1)  # ratios a spring begins with
 BEST = 3  # starts that are followed
 GAIN_GRID = [(v, p) for v in (0.45, 0.7, 1.0, 1.5, 2.4) for p in (0.5, 0.75, 1.0, 1.4)]
 PID = ("pid_gain", "pid_integral_gain", "pid_derivative_gain")
+KEPT = {  # what a drive keeps rounded, and its object
+    "velocity_gain": "velocity_control_gain", "integral_time": "velocity_control_time",
+    "position_gain": "position_control_gain", **{name: name for name in PID},
+}  # fmt: skip
 PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.1, 0.3, 1.0) for d in (0.7, 1.1, 1.6)]
 LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, about the lag that the first run shows
 GAP = 2e-6  # m or rad, of backlash, which a search looks at steps of
@@ -124,7 +128,7 @@ def fit(
             "runs on: its limits or its supply are others, give them with --read-gains or --set"
         )
     strongest = max(float(np.abs(each.torque).max()) for each in training) * abs(joint.gear)
-    free = _free(chosen, joint, start, gains_known, strongest)
+    free = _free(chosen, joint, start, gains_known, strongest, rough.inertia)
     search.told = lambda values, cost: told(
         f"{chosen.name}: {_shown(values, chosen)}, misfit {math.sqrt(cost):.3g}"
     )
@@ -304,12 +308,14 @@ def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str,
 
 def _free(
     chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool,
-    strongest: float,
+    strongest: float, inertia: float,
 ) -> list[Free]:  # fmt: skip
+    """What is looked for; the strongest force and the inertia at the shaft give it its steps."""
     names = [*chosen.unknown, LAG]
     if not gains_known:
         names += [*GAINS]
-    found = []
+    found, od = [], joint.drive.axis.od
+    whole = max(inertia, 1e-12) * (1.0 if chosen.mass == "rotor_inertia" else joint.gear**2)
     friction = max(start["coulomb_friction"], SLIGHT * strongest, 1e-9)
     for name in names:
         if name == LAG:
@@ -317,15 +323,17 @@ def _free(
             continue
         row = parameters.PARAMETERS[name]
         low, high = row.low, row.high
-        if name in ("coulomb_friction", "load_force"):
+        if name == chosen.mass:  # a small one beside the motor's: in shares of all that moves
+            found.append(Free(name, start[name], max(low, 1e-9), high, 0.05 * whole))
+        elif name in ("coulomb_friction", "load_force"):
             found.append(Free(name, start[name], low, high, 0.05 * friction))
         elif name == "backlash":
             found.append(Free(name, start[name], low, high, GAP))
         elif name == "viscous_friction":
             found.append(Free(name, start[name], low, high, max(0.1 * start[name], 1e-3)))
         else:
-            whole = name in (*GAINS, *PID)
-            found.append(Free(name, start[name], max(low, 1e-9), high, 0.02, True, whole))
+            grain = 1 / max(float(getattr(od, KEPT[name])), 1.0) if name in KEPT else 0.0
+            found.append(Free(name, start[name], max(low, 1e-9), high, 0.02, True, grain))
     return found
 
 
