@@ -129,7 +129,11 @@ class Joint:
         if self.unit != "rad":
             return -1
         body = int(self.model.jnt_bodyid[joint])
-        return body + 1 if self.mechanics.guide >= 0 else body
+        if self.mechanics.guide >= 0:
+            return body + 1
+        model = self.model  # what is fixed to it turns with it: that which has the inertia
+        fixed = np.flatnonzero(model.body_weldid == model.body_weldid[body])
+        return int(fixed[np.argmax(model.body_inertia[fixed, 2])])
 
 
 class Parameter(NamedTuple):

@@ -83,6 +83,11 @@ class Experiment:
         """Time from the first sample to the last (s)."""
         return float(self.time[-1] - self.time[0])
 
+    @property
+    def sampling(self) -> float:
+        """From a sample to the next (s)."""
+        return self.duration / max(len(self.time) - 1, 1)
+
     def until(self, end: float) -> "Experiment":
         """Its first part, to a time (s)."""
         keep = self.time <= end

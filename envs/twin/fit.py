@@ -35,6 +35,7 @@ GAP = 2e-6  # m or rad, of backlash, which a search looks at steps of
 SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of at least
 UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
 NOTHING = 0.1  # the same where the inertia that comes out could be one
+SELDOM = 4e-3  # s between samples, above which the closed form is no judge
 BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
 LIGHT = 0.6  # least inertia over that of the motor and what is known to be on it
 
@@ -127,8 +128,12 @@ def fit(
             f"{training[0].name}: the twin ends in fault {candidates.fault:04X}h, where the log "
             "runs on: its limits or its supply are others, give them with --read-gains or --set"
         )
+    inertia = rough.inertia
+    if not _plausible(rough):
+        place = joint.model, joint.machine.data, int(joint.coupling.dof), joint.gear
+        inertia = inertia_at_shaft(*place)
     strongest = max(float(np.abs(each.torque).max()) for each in training) * abs(joint.gear)
-    free = _free(chosen, joint, start, gains_known, strongest, rough.inertia)
+    free = _free(chosen, joint, start, gains_known, strongest, inertia)
     search.told = lambda values, cost: told(
         f"{chosen.name}: {_shown(values, chosen)}, misfit {math.sqrt(cost):.3g}"
     )
@@ -151,6 +156,7 @@ def fit(
             raise
     held = _judge(candidates, experiments, cuts, best)
     worse = _worse(search, Search(candidates, experiments), cuts, best, noise)
+    worse = max(worse, (held[0] / max(held[2], 1e-12)) ** 2)  # what is no noise is not told
     if complete:
         try:
             all_of_it = Search(candidates, experiments, told=search.told)
@@ -214,17 +220,19 @@ def refuse(
                 "give its rated torque (6076h), or its current with --torque-constant; record "
                 "again if the limit itself is another"
             )
+    if rough.one_way:
+        raise Unusable(
+            f"{name}: the axis moves in one direction only, so friction and a constant load look "
+            "alike: record moves there and back"
+        )
+    if experiments[0].sampling > SELDOM:
+        return  # torque and acceleration between the samples are not known: the replay judges
     if rough.explained < NOTHING or (rough.explained < UNEXPLAINED and rough.inertia <= 0.0):
         raise Unusable(
             f"{name}: torque and motion do not belong together (inertia and friction explain "
             f"{100 * max(rough.explained, 0):.0f} % of the torque): is it the torque of this "
             "axis, are --drive and the units right, and are the signs those of the drive? Record "
             "6064h and 6077h of one node"
-        )
-    if rough.one_way:
-        raise Unusable(
-            f"{name}: the axis moves in one direction only, so friction and a constant load look "
-            "alike: record moves there and back"
         )
     if not rough.accelerates and rough.inertia <= 0.0:
         raise Unusable(
@@ -245,6 +253,11 @@ def refuse(
         )
 
 
+def _plausible(rough: Rough) -> bool:
+    """Whether the closed form has found an inertia; of samples far apart it may have not."""
+    return rough.inertia > 0.0 and rough.explained >= UNEXPLAINED
+
+
 def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[float]]:
     """What is fitted, and from which time on each log is held out (s)."""
     if len(experiments) > 1:
@@ -263,6 +276,8 @@ def _start(
     nominal = row.get(joint)
     inertia = inertia_at_shaft(joint.model, joint.machine.data, int(joint.coupling.dof), gear)
     mass = nominal + (rough.inertia - inertia) * (1 if chosen.mass == "rotor_inertia" else gear**2)
+    if not _plausible(rough):
+        mass = nominal
     values = {
         chosen.mass: max(mass, 0.05 * nominal),
         "coulomb_friction": max(rough.coulomb * abs(gear), 0.05),

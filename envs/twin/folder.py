@@ -30,7 +30,7 @@ def content(
         if name == LAG:
             continue
         low, high = value, value
-        if name in free and fitted.complete:
+        if name in free and fitted.complete and not fitted.increment:
             low, high = fitted.estimate.interval(name)
         rows[name] = _row(value, low, high, parameters.unit(joint, name))
     for name in COMMISSIONED:  # of the drive, as it was taken to be

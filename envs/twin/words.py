@@ -44,12 +44,18 @@ ALWAYS = (
     "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "
     "constant. A second log with a known payload added would tell it."
 )
+COARSE = (
+    "With so few increments a turn inertia, friction and gains stand in for one another: the "
+    "motion is right, single parameters may be half as large again, and no intervals are given."
+)
 SWINGING = 0.2  # torque at rest of the highest one, above which the axis does not stand still
 
 
 def doubts(fitted: Fitted) -> list[str]:
     """Sentences about parameters that this log leaves open; none where it tells them all."""
-    return [text for text, _ in _open(fitted)] + _limit_cycle(fitted)
+    if fitted.increment:
+        return [COARSE, *_limit_cycle(fitted)]
+    return [text for text, _ in _open(fitted)]
 
 
 def missing(fitted: Fitted) -> tuple[str, ...]:
@@ -91,8 +97,6 @@ def _open(fitted: Fitted) -> list[tuple[str, str]]:
 
 def _limit_cycle(fitted: Fitted) -> list[str]:
     """A sentence about an axis that swings between increments where it should stand."""
-    if not fitted.increment:
-        return []
     measured, twin = [], []
     for experiment, run in zip(fitted.whole, fitted.simulated, strict=True):
         measured.append(experiment.torque[~experiment.moving])

@@ -432,3 +432,17 @@ def test_commands_take_a_twin(folder, recorded, tmp_path, capsys):
     said = capsys.readouterr().out
     assert (tmp_path / "replay.csv").is_file()
     assert float(said.split("(")[1].split("%")[0]) > 99.9
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_what_a_family_looks_for_is_there_in_its_machine(name):
+    """And can be set to another value than it has, with which it is another machine."""
+    family = FAMILIES[name]
+    joint = parameters.Joint(family.make("generic"), family.axis)
+    for unknown in family.unknown:
+        row = parameters.known(joint, unknown)
+        value = row.get(joint)
+        wanted = 1.25 * value if value else 0.01
+        row.set(joint, wanted)
+        assert row.get(joint) == pytest.approx(wanted)
+    assert parameters.PARAMETERS[family.mass].get(joint) > 0.0
