@@ -37,3 +37,15 @@ class Standing:
     def step(self, cycles: int = 1) -> None:
         """Let so many position cycles pass."""
         self.time += cycles * self.cycle_time
+
+
+@dataclass
+class Cycling(Standing):
+    """A drive that stands still, and whose cycles pass."""
+
+    def step(self, cycles: int = 1) -> None:
+        """Let so many position cycles pass."""
+        for drive in self.drives.values():
+            for _ in range(cycles):
+                drive.cycle(0.0)
+        self.time += cycles * self.cycle_time

@@ -14,11 +14,9 @@ import hashlib
 import json
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from .kernel.words import MODE_ABBREVIATION, State, state_of
-from .machine import Standing
 from .model.made import Made
 from .model.model import DriveModel, load
 from .model.rows import FORMATS, SIZES, Object
@@ -58,18 +56,6 @@ class Difference(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}: drive {self.drive}, model {self.model}"
-
-
-@dataclass
-class Cycling(Standing):
-    """A drive that stands still, and whose cycles pass."""
-
-    def step(self, cycles: int = 1) -> None:
-        """Let so many position cycles pass."""
-        for drive in self.drives.values():
-            for _ in range(cycles):
-                drive.cycle(0.0)
-        self.time += cycles * self.cycle_time
 
 
 class Line(Protocol):

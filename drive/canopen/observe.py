@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ..drive import Drive
+from ..machine import Cycling
 from ..master.errors import Timeout
 from ..model.model import DriveModel, load
 from ..objects.abort import Abort, SdoAbort
-from ..observation import ASKED, SETTLED, Cycling, danger, shown
+from ..observation import ASKED, SETTLED, danger, shown
 from ..observation import Observer as _Observer
 from .frame import Base, Frame
 from .node import Node

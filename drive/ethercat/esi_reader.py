@@ -5,6 +5,7 @@ maker's own, arrays, defaults as bytes, sync managers without a name, another en
 declared. What cannot be read at all is refused with file and line.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +36,8 @@ UNSIGNED = {8: 0x05, 16: 0x06, 32: 0x07, 64: 0x1B}
 TEXT = 0x09
 CONTROL = {1: 0x26, 2: 0x22, 3: 0x24, 4: 0x20}  # control byte of a sync manager by its use
 _TRUE = ("1", "true")
+DECLARED = re.compile(rb"""\s*<\?xml[^>]{0,200}?encoding\s*=\s*["']([^"']{1,40})["'][^>]*\?>""")
+KNOWN_ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii")  # to the parser itself
 
 
 class _Element(ElementTree.Element):
@@ -112,6 +115,14 @@ class _Reader:
     # -------------------------------------------------------------------- XML
 
     def _tree(self, data: bytes) -> ElementTree.Element:
+        declared = DECLARED.match(data)
+        name = declared[1].decode("ascii", "replace") if declared else ""
+        if declared and name.lower() not in KNOWN_ENCODINGS:  # such as gb2312
+            try:
+                text = data.decode(name)
+            except (LookupError, UnicodeError) as error:
+                raise self.error(1, f"no XML: encoding {name!r}: {error}") from None
+            data = text[text.find("?>") + 2 :].encode()
         try:
             return self._parsed(data, None)
         except expat.ExpatError as error:

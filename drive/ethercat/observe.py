@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ..drive import Drive
+from ..machine import Cycling
 from ..model.model import DriveModel, load
 from ..objects.abort import Abort, SdoAbort
-from ..observation import ASKED, SETTLED, Cycling, Observer, danger, shown
+from ..observation import ASKED, SETTLED, Observer, danger, shown
 from .al import AlState
 from .bus import Bus
 from .coe_header import Service, header

@@ -44,8 +44,9 @@ ACCESS = {"": "", "R": "w", "T": "r", "RT": ""}  # of CiA 306 behind rw, by PDO 
 CHIPS: dict[str, dict[int, bytes]] = {
     "et1100": {0x00: b"\x11", 0x04: b"\x08", 0x05: b"\x08", 0x06: b"\x08", 0x08: b"\xfc\x00"},
     "lan9252": {0x00: b"\xc0\x02", 0x04: b"\x03", 0x05: b"\x04", 0x06: b"\x04", 0x08: b"\xcc\x01"},
-    "emulated": {0x00: b"\x04", 0x04: b"\x08", 0x05: b"\x08", 0x06: b"\x08", 0x08: b"\xfc\x00",
-                 0x0502: b"\x20"},
+    # an IP core in an FPGA that emulates its EEPROM, as a Kollmorgen AKD shows it (observed)
+    "emulated": {0x00: b"\x04", 0x01: b"\x02", 0x04: b"\x04", 0x05: b"\x09", 0x06: b"\x08",
+                 0x07: b"\x0f", 0x08: b"\x84\x01", 0x0140: b"\x08\x0c", 0x0502: b"\x20"},
 }  # fmt: skip
 ASKED = {0x0000: 9, 0x0140: 2, 0x0502: 1}  # registers of a live slave: address and bytes
 
@@ -412,7 +413,9 @@ class _Maker(_Import):
             f"cycle_factor0 = {max(mode.cycle_factor0, 0)} }}"
             for n, mode in enumerate(device.dc_modes, 1)
         )
-        registers = {k: v for k, v in self.source.registers.items()}
+        # the controller loads its PDI control from the EEPROM (ETG.1000.4)
+        loaded = {0x0140: device.pdi_control.to_bytes(2, "little")} if device.pdi_control else {}
+        registers = loaded | self.source.registers
         lines = [
             f"# From {line(self.source.name)}; see README.md for what is inferred.",
             f"name = {json.dumps(line(device.name) or 'drive')}",

@@ -11,8 +11,9 @@ from servogym.drive.canopen.node import Node
 from servogym.drive.canopen.observe import Observer, of_model
 from servogym.drive.canopen.port import NodePort
 from servogym.drive.drive import Drive
+from servogym.drive.machine import Cycling
 from servogym.drive.model.model import load, model_names
-from servogym.drive.observation import Cycling, compare, opened, sealed
+from servogym.drive.observation import compare, opened, sealed
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
 from servogym.training.cli import main

@@ -356,6 +356,26 @@ def test_latin_1_without_a_declaration_is_taken_and_told(tmp_path):
     assert any(repair.where == "encoding" for repair in made.repairs)
 
 
+@pytest.mark.parametrize("encoding", ["gb2312", "shift_jis", "windows-1252", "utf-16", "UTF-8"])
+def test_an_encoding_that_is_declared_is_that_of_the_file(tmp_path, encoding):
+    name = "\u5e7f\u5dde" if encoding in ("gb2312", "shift_jis") else "M\xfcller"
+    text = FOREIGN.replace("iso-8859-1", encoding).replace("M\xfcller", name)
+    file = tmp_path / "drive.xml"
+    file.write_bytes(text.encode(encoding))
+    import_esi(file, tmp_path / "mine")
+    assert load(tmp_path / "mine", "ethercat").ethercat.vendor == f"{name} Antriebe"
+
+
+@pytest.mark.parametrize("encoding", ["iso-885-1", "rot13", "base64", "x" * 39])
+def test_an_encoding_that_there_is_not_is_one_line(tmp_path, capsys, encoding):
+    file = tmp_path / "drive.xml"
+    file.write_bytes(FOREIGN.replace("iso-8859-1", encoding).encode("latin-1"))
+    assert cli.main(["drives", "--from-esi", str(file), "-o", str(tmp_path / "mine")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"line 1: no XML: encoding {encoding!r}" in error
+
+
 def test_a_hundred_megabytes_are_refused_and_not_held(tmp_path, capsys):
     file = tmp_path / "large.xml"
     with file.open("wb") as stream:

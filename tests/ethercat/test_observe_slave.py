@@ -11,8 +11,9 @@ from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.observe import EtherCatLine, of_model
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
+from servogym.drive.machine import Cycling
 from servogym.drive.model.model import load, model_names
-from servogym.drive.observation import Cycling, Observer, compare, opened
+from servogym.drive.observation import Observer, compare, opened
 from servogym.training.cli import main
 
 MODELS = [name for name in model_names() if "ethercat" in load(name).buses]
