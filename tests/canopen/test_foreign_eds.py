@@ -169,6 +169,31 @@ def test_more_own_objects_than_the_record_has_place_for(made):
     assert "rx" in drive.model.objects[0x2000, 0].pdo
 
 
+def test_a_pdo_without_its_mapping_can_be_mapped(made):
+    rows = ("1401 0 5 ro 0 DefaultValue=2", "1401 1 7 rw 0 DefaultValue=$NODEID+0x300",
+            "1401 2 5 rw 0 DefaultValue=255")  # fmt: skip
+    model = made(sheet(SMALL, *rows))
+    assert "1601h" in {repair.where for repair in model.repairs}
+    described = eds.object_dictionary(model.folder, 5)
+    assert [described[0x1601][n].default for n in range(9)] == [0] * 9
+    drive = Drive(model.folder)
+    drive.write(0x1401, 1, 0x80000305)
+    drive.write(0x1601, 1, 0x607A0020)
+    drive.write(0x1601, 0, 1)
+    drive.write(0x1401, 1, 0x305)
+    assert int(drive.rpdos[1].width) == 4
+
+
+@pytest.mark.parametrize(
+    ("value", "index", "taken"),
+    [(0, 0, (1, -3)), (1, 0, (1, -3)), (2, -3, (2, -3)), (0, -3, (1, -3))],
+)
+def test_a_period_that_no_master_keeps_was_not_set(made, value, index, taken):
+    rows = (f"60C2 1 5 rw 0 DefaultValue={value}", f"60C2 2 2 rw 0 DefaultValue={index}")
+    drive = Drive(made(sheet(SMALL, *rows)).folder)
+    assert (drive.read(0x60C2, 1), drive.read(0x60C2, 2)) == taken
+
+
 def test_ten_thousand_objects(made):
     rows = [f"{0x2000 + n // 200:04X} {n % 200 + 1:x} 6 rw 0" for n in range(10_000)]
     assert made(sheet(SMALL, *rows)).objects > 10_000
