@@ -61,15 +61,17 @@ class Difference(NamedTuple):
 class Line(Protocol):
     """The way to one drive."""
 
-    about: Mapping[str, Any]  # the bus, and the address of the drive on it
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """The bus, and the address of the drive on it."""
 
-    def upload(self, index: int, subindex: int = 0) -> bytes:
+    def upload(self, index: int, subindex: int = 0, /) -> bytes:
         """The bytes of an object. Raises SdoAbort, and what its bus has for silence."""
 
-    def download(self, index: int, subindex: int, data: bytes) -> None:
+    def download(self, index: int, subindex: int, data: bytes, /) -> None:
         """Write an object; as `upload`."""
 
-    def wait(self, time: float) -> None:
+    def wait(self, time: float, /) -> object:
         """Let a time pass (s)."""
 
     def why_not_write(self) -> str:
@@ -418,7 +420,9 @@ def proposed(
     capabilities: dict[str, Any] = {}
     if modes != {int(mode) for mode in model.modes}:
         capabilities["modes"] = [
-            MODE_ABBREVIATION[mode] for mode in sorted(modes) if mode in MODE_ABBREVIATION
+            abbreviation
+            for mode, abbreviation in sorted(MODE_ABBREVIATION.items())
+            if mode in modes
         ]
     if methods != {*model.homing_methods}:
         known = dict.fromkeys((*model.homing_methods, *load("generic").homing_methods))

@@ -557,7 +557,7 @@ class _Import:
             table["homing_methods"] = methods
         self.result.toml["capabilities"] = table
 
-    def _mode(self, modes: list[int]) -> Mode | None:
+    def _mode(self, modes: list[Mode]) -> Mode | None:
         """The mode of a drive whose 6060h nobody can write, of the set-point in its RPDOs."""
         row = self.rows.get((0x6060, 0))
         if row is None or row["access"] not in ("ro", "const"):

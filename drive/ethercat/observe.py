@@ -192,17 +192,17 @@ class EtherCatLine:
         for name, text in SDO.items():
             found[name] = [self._sdo(bytes.fromhex(text))]
             self._abort()
-        for address in ASKED:
-            size = len(values.get(address, "")) // 2
-            if values.get(address, "abort").startswith("abort") or not 1 <= size <= 4:
+        for place in ASKED:
+            size = len(values.get(place, "")) // 2
+            if values.get(place, "abort").startswith("abort") or not 1 <= size <= 4:
                 continue
-            target = struct.pack("<HB", *address)
+            target = struct.pack("<HB", *place)
             too_long = b"\x21" + target + struct.pack("<I", size + 4) + bytes(size + 4)
-            found[f"{shown(address)} {size + 4} bytes"] = [self._sdo(too_long)]
+            found[f"{shown(place)} {size + 4} bytes"] = [self._sdo(too_long)]
             self._abort()
             if size > 1:
                 short = bytes([0x23 | (4 - size + 1) << 2]) + target + bytes(4)
-                found[f"{shown(address)} {size - 1} bytes"] = [self._sdo(short)]
+                found[f"{shown(place)} {size - 1} bytes"] = [self._sdo(short)]
         for service in SERVICES:
             found[f"CoE service {int(service)}"] = [
                 self._asked(Kind.COE, struct.pack("<H", service << 12) + bytes(8))
