@@ -152,6 +152,9 @@ def measured(
             tries.append((_doubt(once, gains_of(stand.drive)), once))
         _, response = min(tries, key=lambda one: one[0])
         response = response.with_earlier(before)
+        if stand.drive.axis.od.position_source:
+            load = identify(response.of_load, stand.drive)
+            response = replace(response, fitted_load=load)
         return replace(response, fitted=identify(response, stand.drive))
 
     main, also = found(False, amplitude, earlier), {}

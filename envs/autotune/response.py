@@ -58,6 +58,7 @@ class Response:
     filters: Filters | None = None  # of the torque command
     note: str = ""
     fitted: Plant | None = None
+    fitted_load: Plant | None = None  # the same to the speed of a second encoder, at the load
     # the same otherwise excited, by name; of all the smallest margins count
     also: tuple[tuple[str, "Response"], ...] = ()
 
@@ -80,22 +81,34 @@ class Response:
         frequencies = np.geomspace(0.1, 0.98 / (2 * self.cycle), GRID)
         narrow = [
             f * (1 + max(damping, 1e-3) * np.linspace(-6, 6, 25))
-            for r in self.fitted.resonances
+            for fit in (self.fitted, self.fitted_load)
+            if fit
+            for r in fit.resonances
             for f, damping in ((r.antiresonance, r.antidamping), (r.resonance, r.damping))
         ]
         frequencies = np.unique(np.concatenate([frequencies, *narrow]))
         frequencies = frequencies[(frequencies > 0.05) & (frequencies < 0.499 / self.cycle)]
         seen = self._sampled(self.fitted)
         plant = self.fitted(frequencies) * self._smooth(self.plant / seen, frequencies)
-        fitted, per_velocity = self.fitted, self._position_per_velocity
+        load, fitted = self.fitted_load, self.fitted_load or self.fitted
+        per_velocity = self._position_per_velocity
         turned = self._sampled(lambda f: fitted(f) * per_velocity(f))
-        position = per_velocity(frequencies) * self._smooth(
-            self.position_plant / turned / (self.plant / seen), frequencies
-        )
+        if load:  # whose antiresonances are not those of the motor
+            position = load(frequencies) * self._smooth(self.position_plant / turned, frequencies)
+        else:
+            ratio = self.position_plant / turned / (self.plant / seen)
+            position = plant * self._smooth(ratio, frequencies)
         return replace(
-            self, frequencies=frequencies, plant=plant, position_plant=plant * position,
-            coherence=np.ones(len(frequencies)), fitted=None, also=(),
+            self, frequencies=frequencies, plant=plant,
+            position_plant=position * per_velocity(frequencies),
+            coherence=np.ones(len(frequencies)), fitted=None, fitted_load=None, also=(),
         )  # fmt: skip
+
+    @property
+    def of_load(self) -> "Response":
+        """The same from torque to the speed of what the position is measured at."""
+        per_velocity = self._position_per_velocity(self.frequencies)
+        return replace(self, plant=self.position_plant / per_velocity)
 
     def _sampled(self, response: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         return sampled(response, self.frequencies, self.cycle, self.cycles)
