@@ -15,6 +15,7 @@ matplotlib = Later("matplotlib")
 plt = Later("matplotlib.pyplot")
 FOLDER = Path(__file__).parents[2] / "examples"
 LESSONS = sorted(FOLDER.glob("*.py"))
+LONG = ("12_your_machine_in_ten_minutes",)  # a fit in a process of its own
 
 # what a lesson claims, of the names it leaves behind
 FACTS = {
@@ -55,7 +56,11 @@ def test_a_lesson_begins_with_a_cell_of_text(lesson):
     assert text.startswith(f"# %% [markdown]\n# # {number} · ")
 
 
-@pytest.mark.parametrize("lesson", LESSONS, ids=lambda lesson: lesson.stem)
+@pytest.mark.parametrize(
+    "lesson",
+    [pytest.param(each, marks=[pytest.mark.slow] if each.stem in LONG else []) for each in LESSONS],
+    ids=lambda lesson: lesson.stem,
+)
 def test_a_lesson_draws_its_picture_and_its_claim_holds(lesson, tmp_path, monkeypatch):
     picture = tmp_path / "pictures" / "lesson.png"
     monkeypatch.chdir(tmp_path)
