@@ -135,14 +135,16 @@ class Response:
         """
         if other is None:
             return self
-        own, earlier = self._weight, other._weight
+        # other gains may ask for other lines
+        _, at, there = np.intersect1d(self.frequencies, other.frequencies, return_indices=True)
+        own, earlier = self._weight[at], other._weight[there]
         both = np.maximum(own + earlier, 1e-9)
-        return replace(
-            self,
-            plant=(own * self.plant + earlier * other.plant) / both,
-            position_plant=(own * self.position_plant + earlier * other.position_plant) / both,
-            coherence=both / (1 + both),
-        )
+        plant, position = self.plant.copy(), self.position_plant.copy()
+        coherence = self.coherence.copy()
+        plant[at] = (own * plant[at] + earlier * other.plant[there]) / both
+        position[at] = (own * position[at] + earlier * other.position_plant[there]) / both
+        coherence[at] = both / (1 + both)
+        return replace(self, plant=plant, position_plant=position, coherence=coherence)
 
     def differs(self, other: "Response") -> float:
         """Rms of the logarithm of the ratio of two plants, as far as both are known."""
