@@ -55,7 +55,7 @@ async def class_of(server, count):
     for number, page in enumerate(pages):
         await page.enter(WORD, f"Pupil {number}")
     for number, page in enumerate(pages):
-        await page.until(lambda page: page.text("state"))
+        await page.until(lambda page: page.text("control") == "In control")
         await page.click("go-motion")
         await page.until(lambda page: page.find("enable"))
         await page.type("set-max_torque", str(1000 + number))
@@ -191,7 +191,7 @@ def monkeys(tmp_path, count, seconds, seed):
         pages = [pupil.Page(server.url) for _ in range(count)]
         for number, page in enumerate(pages):
             await page.enter(WORD, f"Monkey {number}")
-            await page.until(lambda page: page.text("state"))
+            await page.until(lambda page: page.text("control") == "In control")
         done = await asyncio.gather(*(
             monkey(page, random.Random(seed + number), seconds)
             for number, page in enumerate(pages)
