@@ -18,7 +18,7 @@ from ...envs.environment.registry import short
 from ...envs.environment.servo_env import ServoEnv
 from ...envs.view.about import Metric
 from ..policies import LEARNED, POLICIES, SHIPPED, names, needed
-from ..policies.bound import BOUNDS
+from ..policies.bound import BOUNDS, INFERRED
 from ..report import markdown, number, origin, write_csv, write_page
 from ..scale.work import ALONE, Work
 from ..setup import Setup
@@ -28,7 +28,6 @@ from .metrics import metrics, summarise
 from .parts import Episodes, warm
 
 BOUND = "bound"
-INFERRED = ("GantrySway-v0", "Homing-v0")  # what `policies.bound` says of them
 STEPS = (0.2, 0.4, 0.6, 0.8, 0.9)  # of what is possible, in the profile
 ROUGHER = 1.3  # times the jerk of the reference of the task
 HEADING = (
@@ -170,7 +169,7 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
             f"{100 * np.mean(keeps):.0f} %",
         ])  # fmt: skip
     task = short(env.ID)
-    sure = "inferred" if task in INFERRED else "proven"
+    sure = "inferred" if env.ID in INFERRED else "proven"
     whole = "" if limit is None else _mean_share(best[None], limit, metric)
     where = (
         f"Bound ({sure}): {number(float(np.mean(limit)))}, best played in each episode: "
