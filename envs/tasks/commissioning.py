@@ -184,6 +184,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
     act = staticmethod(act)
     judge = staticmethod(judge)
 
+    BOUND = "commissioned"
     POLICIES = ("plc_timed", "plc", "informed_plc", "bound")
     REFERENCE = "plc"
     METRIC = "settling_time"

@@ -185,6 +185,7 @@ class CompliantAxisEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
+    BOUND = "positioned"
     POLICIES = (
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch",
         "ruckig+ff", "lqr", "adaptive_lqr", "identified+zv", "identified+zvd", "mpc",

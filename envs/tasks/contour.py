@@ -221,6 +221,7 @@ steps × `feed` × step time |
     judge = staticmethod(judge)
     datasheet: GantryParameters
 
+    BOUND = "contoured"
     POLICIES = ("constant_feed", "full_feed", "tuned_full_feed", "iterative_learning", "bound")
     REFERENCE = "full_feed"
     SLOWEST = SLOWEST

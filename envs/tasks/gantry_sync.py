@@ -192,6 +192,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     datasheet: GantryParameters
 
     STROKE = (STROKE, STROKE)
+    BOUND = "squared"
     POLICIES = ("squaring_slow", "squaring", "informed_squaring", "bound")
     REFERENCE = "squaring"
     METRIC = "settling_time"

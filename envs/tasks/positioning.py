@@ -164,6 +164,7 @@ class LinearAxisEnv(ServoEnv):
     )
     judge = staticmethod(judge)
 
+    BOUND = "positioned"
     POLICIES = (
         "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
         "ruckig+notch", "tuned_ruckig", "proportional", "pd",

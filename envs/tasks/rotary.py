@@ -150,6 +150,7 @@ class RotaryAxisEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
+    BOUND = "positioned"
     POLICIES = ("trapezoid", "ruckig", "proportional")
     REFERENCE = "ruckig"
     UNIT = "rad"

@@ -233,6 +233,7 @@ class GantrySwayEnv(ServoEnv):
     )
     act = staticmethod(act)
 
+    BOUND = "swayed"
     POLICIES = (
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch", "lqr",
         "adaptive_lqr", "identified+zv", "identified+zvd", "mpc", "informed_lqr",

@@ -196,6 +196,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
+    BOUND = "tracked"
     POLICIES = (
         "feed_forward", "disturbance_observer", "adaptive_feed_forward", "leading_feed_forward",
         "basis_feed_forward", "iterative_learning", "informed_adaptive_feed_forward",

@@ -21,7 +21,7 @@ from servogym.training.policies.bounds.times import Question, least_ticks, outsi
 
 MOVE = {"start": 0.1, "goal": 0.3}
 FREE = {"coulomb_friction": 0.0, "viscous_friction": 0.0}
-BOUNDED = [task for task in TASKS if task.ID in BOUNDS]
+BOUNDED = [task for task in TASKS if task.BOUND in BOUNDS]
 
 
 def begun(task=LinearAxisEnv, options=MOVE, **arguments):

@@ -64,7 +64,7 @@ def rows_of(env: type[ServoEnv]) -> list[str]:
 def chosen(tasks: Sequence[str]) -> list[type[ServoEnv]]:
     """Those of a list of ids without name space; all with a bound if it is empty."""
     bounded: list[type[ServoEnv]] = [
-        env for env in TASKS if env.ID in BOUNDS and BOUND in env.POLICIES
+        env for env in TASKS if env.BOUND in BOUNDS and BOUND in env.POLICIES
     ]
     known = {short(env.ID): env for env in bounded}
     for name in tasks:
@@ -169,7 +169,7 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
             f"{100 * np.mean(keeps):.0f} %",
         ])  # fmt: skip
     task = short(env.ID)
-    sure = "inferred" if env.ID in INFERRED else "proven"
+    sure = "inferred" if env.BOUND in INFERRED else "proven"
     whole = "" if limit is None else _mean_share(best[None], limit, metric)
     where = (
         f"Bound ({sure}): {number(float(np.mean(limit)))}, best played in each episode: "

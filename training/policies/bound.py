@@ -50,9 +50,9 @@ class Bound:
 
     def __init__(self, env: ServoEnv, seed: int = 0):
         scipy()
-        if env.ID not in BOUNDS:
+        if env.BOUND not in BOUNDS:
             raise ValueError(f"policy 'bound': no bound is known for {env.ID}")
-        self._env, self._of = env, BOUNDS[env.ID]
+        self._env, self._of = env, BOUNDS[env.BOUND]
         try:
             plant(env, 1)
         except NotLinear as error:
@@ -174,15 +174,13 @@ def _contoured(env: Any) -> dict[str, float]:
     return {"episode_return": float(env.STEPS), "contour_error": 0.0}
 
 
-BOUNDS: dict[str, Callable[[Any], dict[str, float]]] = {
-    "servogym/LinearAxis-v0": _positioned,
-    "servogym/CompliantAxis-v0": _positioned,
-    "servogym/RotaryAxis-v0": _positioned,
-    "servogym/LinearAxisTracking-v0": _tracked,
-    "servogym/GantrySway-v0": _swayed,
-    "servogym/GantrySync-v0": _squared,
-    "servogym/GantryContour-v0": _contoured,
-    "servogym/Homing-v0": _homed,
-    "servogym/Commissioning-v0": _commissioned,
+BOUNDS: dict[str, Callable[[Any], dict[str, float]]] = {  # by `Task.BOUND`
+    "positioned": _positioned,
+    "tracked": _tracked,
+    "swayed": _swayed,
+    "squared": _squared,
+    "contoured": _contoured,
+    "homed": _homed,
+    "commissioned": _commissioned,
 }
-INFERRED = ("servogym/GantrySway-v0", "servogym/Homing-v0")  # the others are proven
+INFERRED = ("swayed", "homed")  # the others are proven
