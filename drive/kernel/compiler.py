@@ -81,7 +81,7 @@ class Library(JITCodeLibrary):
     def _optimize_final_module(self):
         """Optimise what is linked, which nobody else calls: each block then fits its caller."""
         for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
+            if not function.is_declaration and function.linkage == llvm.Linkage.weak_odr:
                 function.linkage = "internal"
         passes, builder = self._codegen._module_pass_manager(**PASSES)
         passes.run(self._final_module, builder)
@@ -116,7 +116,8 @@ class _Part:
         module = library._final_module.clone()
         for function in module.functions:
             if not function.is_declaration and function.linkage == llvm.Linkage.external:
-                function.linkage = "linkonce_odr"  # several may hold it, unused it is left out
+                # several may hold it; taken over even if what calls it is linked later
+                function.linkage = "weak_odr"
         return module
 
 

@@ -240,7 +240,7 @@ def test_a_gantry_is_small_in_memory(values):
     machine = gantry(**values)
     size = mujoco.mj_sizeModel(machine.model) + machine.data.nbuffer + machine.data.narena
     size += machine.axes.nbytes + machine.couplings.nbytes
-    assert size < 100_000
+    assert size < 102_000  # 8.4 kB of it each drive
 
 
 @pytest.mark.parametrize(

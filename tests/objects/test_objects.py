@@ -133,6 +133,7 @@ PARAMETERS = [field for field, _ in act.TIMES.values()]
 PARAMETERS += [field for fields, _ in act.CHOICES.values() for field in fields]
 PARAMETERS += ["vl_internal_velocity", "stop_velocity", "vl_window", "vl_velocity_min_max_amount"]
 PARAMETERS += ["vl_anticlockwise"]
+PARAMETERS += ["homing_speed_own"]  # of models with a homing.csv: tests/model/test_own_homing.py
 
 
 def test_every_field_of_the_record_is_an_object_of_some_model():
