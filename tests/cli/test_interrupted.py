@@ -7,7 +7,9 @@ import pytest
 
 # sends itself SIGINT when a module is looked for, as if it came there
 PROGRAM = """
-import os, sys
+import os, signal, sys
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 
 class There:
     def find_spec(self, name, *_):

@@ -174,12 +174,12 @@ async def shown_is_drive(page):
         if address == "6041h:00":
             assert page.text("state") == state_of(int(page.text("live").split()[0]))
             continue
-        before = position(page)
-        await asyncio.sleep(0.5)
-        value = float(page.text("live").split()[0]) / 1000  # µm to mm
-        await asyncio.sleep(0.5)
-        low, high = sorted((before, position(page)))  # what has no friction any more drifts
-        assert low - 0.002 <= value <= high + 0.002, (low, value, high)
+        shown, read = [], []
+        for _ in range(8):  # an axis that monkeys have tuned may swing, one without friction drifts
+            shown.append(position(page))
+            read.append(float(page.text("live").split()[0]) / 1000)  # µm to mm
+            await asyncio.sleep(0.3)
+        assert max(min(shown), min(read)) <= min(max(shown), max(read)) + 0.002, (shown, read)
 
 
 def position(page):
