@@ -100,7 +100,8 @@ def test_the_commands_of_the_readme_run_as_they_are_printed(tmp_path):
     assert len(commands) > 9
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     scripts = str(Path(sys.executable).parent)
-    env = os.environ | {"PATH": f"{scripts}:{os.environ['PATH']}", "MPLBACKEND": "agg"}
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST", "NICEGUI"))}
+    env |= {"PATH": f"{scripts}:{os.environ['PATH']}", "MPLBACKEND": "agg"}
     for command in commands:
         serves = command.split()[1] in ("node", "ethercat", "panel")
         with subprocess.Popen(

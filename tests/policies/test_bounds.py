@@ -138,11 +138,11 @@ def above(task, rows, episodes, seed):
     for row in rows:
         [result] = comparison.evaluate(task.ID, [row], "generic", episodes, seed, arguments)
         for metric, limit in bound.values.items():
-            if not np.isfinite(limit).any():
-                continue
+            if metric not in result.metrics or not np.isfinite(limit).any():
+                continue  # a score follows from the others
             sign = -1.0 if result.metrics[metric].better == "low" else 1.0
             fair = np.array([not fault for fault in result.faults])
-            better = sign * (result.values[metric] - limit)
+            better = sign * (result.values[metric] - np.tile(limit, result.trainings))
             if (better[fair] > 1e-9).any():
                 found.append((row, metric, float(better[fair].max())))
     return found
