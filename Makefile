@@ -48,8 +48,9 @@ coverage: $(VENV)/test
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term-missing:skip-covered $(addprefix --ignore=tests/,$(NOT_THE_DRIVE))
 
 SHARE ?= 1/1
-slow: $(VENV)/test # SHARE=3/40: every 40th of them, from the third on
-	$(BIN)/python -m pytest -m slow --share $(SHARE)
+WHERE ?= tests
+slow: $(VENV)/test # SHARE=3/40: every 40th of them, from the third on; WHERE="FILES": those
+	$(BIN)/python -m pytest -m slow --share $(SHARE) $(WHERE)
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
