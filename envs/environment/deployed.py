@@ -288,6 +288,16 @@ def play(
     env: ServoEnv,
     act: Callable[[np.ndarray], Any] | None = None,
     episodes: int = 1,
+    **how: Any,
+) -> list[Played]:
+    """Play episodes to the end and return all of them; arguments and errors of `episodes_of`."""
+    return [*episodes_of(env, act, episodes, **how)]
+
+
+def episodes_of(
+    env: ServoEnv,
+    act: Callable[[np.ndarray], Any] | None = None,
+    episodes: int = 1,
     *,
     make: Callable[[], Acting] | None = None,
     patience: float | None = None,
@@ -295,8 +305,8 @@ def play(
     seed: int | None = None,
     memory: int = MEMORY,
     fast: bool = False,
-) -> list[Played]:
-    """Play episodes on an environment whose drives are on a bus.
+) -> Iterator[Played]:
+    """Play episodes on an environment whose drives are on a bus; yield each when it is over.
 
     Args:
         env: made with ``port``.
@@ -314,23 +324,6 @@ def play(
         ValueError: the environment is not on a bus.
         Stopped: the guard, the bus, the policy or Ctrl-C ended it; the drives have been stopped.
     """
-    return [*episodes_of(env, act, episodes, make=make, patience=patience, slow=slow, seed=seed,
-                         memory=memory, fast=fast)]  # fmt: skip
-
-
-def episodes_of(
-    env: ServoEnv,
-    act: Callable[[np.ndarray], Any] | None = None,
-    episodes: int = 1,
-    *,
-    make: Callable[[], Acting] | None = None,
-    patience: float | None = None,
-    slow: float = 1.0,
-    seed: int | None = None,
-    memory: int = MEMORY,
-    fast: bool = False,
-) -> Iterator[Played]:
-    """`play`, an episode after the other, each when it is over."""
     line = env.line
     if not isinstance(line, PortLine):
         raise ValueError("this environment has no drives on a bus: make it with port=...")
