@@ -7,7 +7,7 @@ OUT ?= out
 NOT_THE_DRIVE := cli docs engine evaluate learn pictures plants masters tasks view policies \
 	canopen/test_interop.py canopen/test_bus.py
 
-.PHONY: demo test tests docs lint types stub format bench coverage slow clean
+.PHONY: demo test tests docs lint types stub fix bench coverage slow clean
 
 demo: $(VENV)/run
 	$(BIN)/servogym demo --out $(OUT)
@@ -21,7 +21,6 @@ tests: $(VENV)/test # with byte code kept: each worker and each command would co
 
 lint: $(VENV)/test
 	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
 	$(MAKE) --no-print-directory types
 	$(BIN)/lint-imports
 
@@ -34,8 +33,7 @@ types: $(VENV)/test # under the names of the installed package, which mypy remem
 stub: $(VENV)/test # the record as types, after a change of its fields
 	$(BIN)/python tests/kernel/record_stub.py
 
-format: $(VENV)/test
-	$(BIN)/ruff format .
+fix: $(VENV)/test # what ruff can mend by itself
 	$(BIN)/ruff check --fix .
 
 bench: $(VENV)/run

@@ -38,7 +38,7 @@ LEADS_TO = {
         State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON,
         State.SWITCHED_ON,
     ),
-}  # fmt: skip
+}
 
 # whatever the command: statusword mask, value, quirk and what it has to be, next step
 HINDRANCES = (

@@ -30,7 +30,7 @@ __all__ = [
     "ENABLED", "MODE_ABBREVIATION", "TO_ENABLED", "Bit", "Controlword", "Limit", "Mode", "State",
     "Statusword", "Transition", "controlword_bits", "homing_path", "homing_words", "limits",
     "state_of", "statusword_bits", "transitions",
-]  # fmt: skip
+]
 
 
 class Transition(NamedTuple):
@@ -124,7 +124,7 @@ def controlword_bits(mode: int) -> tuple[Bit, ...]:
         Controlword.FAULT_RESET: ("fault_reset", "a rising edge resets the fault"),
         Controlword.HALT: ("halt", "1: stop and wait"),
         Controlword.CHANGE_ON_SET_POINT: ("change_on_set_point" if pp else "", ""),
-    }  # fmt: skip
+    }
     bits = []
     for n in range(16):
         name, meaning = named.get(1 << n, ("", ""))  # type: ignore[call-overload]

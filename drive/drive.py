@@ -465,7 +465,7 @@ class Drive:
             "kind": "drive", "model": self.model.name, "bus": self.model.bus,
             "objects": _layout(self.model),
             "record": RECORD, "sizes": sizes,
-        }  # fmt: skip
+        }
 
     def snapshot(self) -> bytes:
         """Return the complete state as bytes; `restore` continues from it bit by bit.

@@ -31,18 +31,18 @@ MOVED = 64  # position units in `SETTLED`: more than the noise of an encoder at 
 OPTIONS = (0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6086, 0x6098, 0x60F2)
 PARAMETERS = (*OPTIONS, 0x6065, 0x6066, 0x6067, 0x6068, 0x606D, 0x606E, 0x606F, 0x6070, 0x607C,
               0x607D, 0x607F, 0x6081, 0x6082, 0x6083, 0x6084, 0x6085, 0x6087, 0x6099, 0x609A,
-              0x60C5, 0x60C6, 0x60E0, 0x60E1)  # fmt: skip
+              0x60C5, 0x60C6, 0x60E0, 0x60E1)
 STATUSWORD, HOMING_METHOD, HOMING_METHODS = 0x6041, 0x6098, 0x60E3
 # numbers of data types in CiA 301
 TYPES = {0x01: "BOOLEAN", 0x02: "INTEGER8", 0x03: "INTEGER16", 0x04: "INTEGER32",
          0x05: "UNSIGNED8", 0x06: "UNSIGNED16", 0x07: "UNSIGNED32", 0x08: "REAL32",
-         0x09: "VISIBLE_STRING", 0x15: "INTEGER64", 0x1B: "UNSIGNED64"}  # fmt: skip
+         0x09: "VISIBLE_STRING", 0x15: "INTEGER64", 0x1B: "UNSIGNED64"}
 TRIED = range(-20, 41)  # values of option codes, modes and homing methods
 MODES = range(-10, 16)
 # objects that are asked for a wrong sub-index and sent a wrong length
 ASKED = ((0x1000, 0), (0x1001, 0), (0x1018, 1), (0x1018, 2), (0x6041, 0), (0x6060, 0), (0x6061, 0),
          (0x6064, 0), (0x606C, 0), (0x607A, 0), (0x6081, 0), (0x6083, 0), (0x60FF, 0),
-         (0x6502, 0))  # fmt: skip
+         (0x6502, 0))
 CONTROLWORDS = ((0x00,), (0x06,), (0x06, 0x00), (0x80,), (0x06, 0x80), (0x06, 0x06), (0x00, 0x06))
 
 
@@ -132,7 +132,7 @@ class Observer:
         reason = "as asked" if self._read_only else self._line.why_not_write()
         found: dict[str, Any] = {
             "format": FORMAT, "version": VERSION, "read_only": reason, **self._line.about
-        }  # fmt: skip
+        }
         self._scan()
         live = self._live()
         objects: dict[str, dict[str, Any]] = {}
@@ -334,7 +334,7 @@ def compare(drive: Mapping[str, Any], model: Mapping[str, Any]) -> list[Differen
             found.append(Difference(where, "object", *there))
             continue
         for what in ("value", "write", "low", "high", "values", "refused", "beyond_low",
-                     "beyond_high"):  # fmt: skip
+                     "beyond_high"):
             a, b = one.get(what), other.get(what)
             if a is None or b is None or a == b or "live" in (a, b):
                 continue
@@ -394,7 +394,7 @@ def proposed(
             continue
         own = rows.setdefault(where, {
             "index": f"0x{index:04X}", "subindex": f"0x{subindex:02X}", "section": "observed",
-        })  # fmt: skip
+        })
         if row is not None and row.data_type == "VISIBLE_STRING" and what in ("value", "length"):
             own["default"] = _text(ours)
         elif row is None or what == "length":
@@ -446,7 +446,7 @@ def _unknown(where: str, drive: Mapping[str, Any]) -> dict[str, Any]:
     data, writable = str(found.get("value", "")), found.get("write") == "yes"
     described = "".join(drive["dialogues"].get(f"{where}, entry", ()))
     cells = {"name": f"observed_{where[:4].lower()}_{where[6:8].lower()}", "object_type": "VAR",
-             "access": "rw" if writable else "ro", "default": "0"}  # fmt: skip
+             "access": "rw" if writable else "ro", "default": "0"}
     size = 0 if data.startswith(("abort", "live")) else len(data) // 2
     if described:  # SDO information: type, bits, access, name
         code, bits, access = struct.unpack_from("<HHH", bytes.fromhex(described))

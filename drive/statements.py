@@ -53,13 +53,13 @@ def statements(model: str | Path | DriveModel) -> Iterator[Statement]:
         yield Statement(
             f"{row.index:04X}h:{row.subindex:02X}h {row.name}", kind_of(row.section, row.note),
             _object(drive, row),
-        )  # fmt: skip
+        )
     yield from _choices(drive)
     for fault in drive.model.faults:
         yield Statement(
             f"fault {fault.name} {fault.code:04X}h {fault.meaning}".replace("  ", " "),
             kind_of(fault.section), _fault(drive.model, fault),
-        )  # fmt: skip
+        )
 
 
 def _answer(drive: Drive, row: Object, value: int | float) -> Abort:
@@ -106,7 +106,7 @@ def _choices(drive: Drive) -> Iterator[Statement]:
     modes, methods = {int(mode) for mode in model.modes}, set(model.homing_methods)
     for name, listed, tried in (
         ("modes_of_operation", modes, NUMBERS), ("homing_method", methods, METHODS)
-    ):  # fmt: skip
+    ):
         row = model.names.get(name)
         if row is None or row.access not in ("rw", "wo"):
             continue

@@ -35,7 +35,7 @@ ti = x.read("velocity_control_time") * 1e-6  # s
 print(f"60F9h:01 = {x.read('velocity_control_gain')} µNm·s/rad = {kp:.3f} Nm·s/rad")
 print(f"60F9h:02 = {x.read('velocity_control_time')} µs = {ti * 1e3:.2f} ms")
 print(f"60FBh:01 = {x.read('position_control_gain')} /1000 s = "
-      f"{x.read('position_control_gain') * x.axis.position_gain_unit:.0f} 1/s")  # fmt: skip
+      f"{x.read('position_control_gain') * x.axis.position_gain_unit:.0f} 1/s")
 
 # %% [markdown]
 # **How it is measured.** The axis travels at 0.1 m/s in mode csv, so that friction keeps its
@@ -110,7 +110,7 @@ for name, loop in zip(names, (*loops, calculated), strict=True):
     gm, pm, sm, _, crossover, _ = control.stability_margins(control.frd(loop, OMEGA, smooth=True))
     margins.append((pm, sm, crossover / (2 * np.pi)))
     print(f"{name}: crossover {margins[-1][2]:.0f} Hz, phase margin {pm:.0f}°, "
-          f"least distance from -1: {sm:.2f}")  # fmt: skip
+          f"least distance from -1: {sm:.2f}")
     assert gm == np.inf  # the phase does not reach -180° in what was measured, up to 500 Hz
 half, commissioned, fourfold, expected = margins
 assert abs(commissioned[0] - expected[0]) < 3.0  # degree
@@ -131,7 +131,7 @@ for label, loop, data, margin in zip(names, loops, steps, margins, strict=False)
     (line,) = response.plot(time, data["velocity_actual_value"] / 1e3, label=label)
     size.semilogx(FREQUENCIES, 20 * np.log10(abs(loop)), "o-", ms=3, color=line.get_color())
     angle.semilogx(FREQUENCIES, np.degrees(np.unwrap(np.angle(loop))), "o-", ms=3,
-                   color=line.get_color(), label=f"{label}: margin {margin[0]:.0f}°")  # fmt: skip
+                   color=line.get_color(), label=f"{label}: margin {margin[0]:.0f}°")
     angle.plot([margin[2]] * 2, [-180, margin[0] - 180], color=line.get_color(), lw=3)
 response.plot(time, data["velocity_demand_value"] / 1e3, "k--", lw=1, label="demand")
 response.set(xlabel="time (ms)", ylabel="velocity (mm/s)", title="step of the velocity demand")

@@ -72,7 +72,7 @@ for method, name in METHODS.items():
     figures[method] = built_in(machine, method, START)
     f = figures[method]
     print(f"method {method:>3}, {name:<28} {f.time:5.2f} s, error {f.error * 1e6:+7.1f} µm, "
-          f"{f.greatest_torque:4.0%} of the torque, {f.impact_energy * 1e3:.2f} mJ")  # fmt: skip
+          f"{f.greatest_torque:4.0%} of the torque, {f.impact_energy * 1e3:.2f} mJ")
 assert all(f.attained for f in figures.values())
 assert abs(figures[7].error) < abs(figures[-17].error)  # an index pulse beats a stop
 assert figures[-17].impact_energy > 0.0 == figures[17].impact_energy  # only the stop is hit

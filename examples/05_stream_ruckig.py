@@ -23,7 +23,7 @@ from servogym.envs.masters.port import MachinePort
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/05_stream_ruckig.png"))
 BUS_CYCLE = 1e-3  # s
 CHANNELS = ["position_demand_value", "velocity_demand_value", "velocity_actual_value",
-            "following_error_actual_value", "axis.torque"]  # fmt: skip
+            "following_error_actual_value", "axis.torque"]
 machine = linear_axis("generic", payload=5.0)
 machine.reset(positions={"x": 0.1})
 x = machine.drives["x"]
@@ -76,7 +76,7 @@ for name, data in runs.items():
     duration = (moving[-1] - moving[0] + 1) * machine.cycle_time
     figures[name] = np.abs(error).max(), np.sqrt(np.mean(error**2.0)), duration
     print(f"{name:<20} {duration * 1e3:4.0f} ms, following error peak {figures[name][0]:4.0f} µm, "
-          f"rms {figures[name][1]:5.1f} µm, window {window} µm")  # fmt: skip
+          f"rms {figures[name][1]:5.1f} µm, window {window} µm")
 steps, smooth = figures.values()
 assert smooth[0] < 0.7 * steps[0]  # the peak
 assert steps[0] < window

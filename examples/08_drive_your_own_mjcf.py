@@ -57,7 +57,7 @@ for name, x in machine.drives.items():
     masters[name].home()
     rated = x.read("motor_rated_torque") / 1e3
     print(f"{name}: {x.model.title}, rated {rated:.2f} Nm, "
-          f"60F9h:01 = {x.read('velocity_control_gain')}")  # fmt: skip
+          f"60F9h:01 = {x.read('velocity_control_gain')}")
 print(f"physics step {machine.model.opt.timestep * 1e6:g} µs")
 
 # %% [markdown]

@@ -35,7 +35,7 @@ def servogym(*words):
 
 plan, log, folder = FOLDER / "plan.csv", FOLDER / "moves.log", FOLDER / "twin"
 servogym("twin", "--plan", plan, "--mechanics", "rigid", "--range", 0.15, 0.35,
-         "--velocity", 0.6, "--acceleration", 8)  # fmt: skip
+         "--velocity", 0.6, "--acceleration", 8)
 run(NODE, plan, log)
 servogym("twin", log, "--mechanics", "rigid", "-o", folder)
 

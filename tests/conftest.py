@@ -102,13 +102,13 @@ TOGETHER = {
     ),
     "interop": ("interop/",),
     "control": ("autotune/test_bode", "autotune/test_tune", "docs/test_examples"),
-}  # fmt: skip
+}
 # what takes longest, first: or one worker waits for it at the end
 LONGEST_FIRST = (
     "torch", "test_panel_browser", "interop", "control", "test_memory", "test_pages",
     "test_picture", "test_scope_of_policies", "test_evaluate", "test_jit", "test_policies",
     "test_homing_gallery", "test_every_port", "test_watch", "test_over_ethercat",
-)  # fmt: skip
+)
 
 
 def group(nodeid):

@@ -41,7 +41,7 @@ class Setup:
     def of(
         cls, env: str | type[ServoEnv], drive: str = "generic",
         arguments: Mapping[str, Any] | None = None,
-    ) -> "Setup":  # fmt: skip
+    ) -> "Setup":
         """The setup of a task by its id or class. Raises ValueError for an unknown id."""
         kind = task(env)
         name = env if isinstance(env, str) else short(kind.ID)

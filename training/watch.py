@@ -20,7 +20,7 @@ FPS = 25  # images a second aimed at, each after a whole number of steps
 def run(
     setup: Setup, policy_name: str, episodes: int, seed: int, speed: float, record: Path | None,
     console: Console,
-) -> int:  # fmt: skip
+) -> int:
     """Play episodes of a policy, in a window or to a file.
 
     Args:
@@ -97,7 +97,7 @@ def run(
         console.print(
             f"{recording.frames} images, {1.0 / frame_time:g} a second: {record}",
             highlight=False, soft_wrap=True,
-        )  # fmt: skip
+        )
     return 0
 
 

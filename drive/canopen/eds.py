@@ -34,7 +34,7 @@ ASCII = str.maketrans(
 # what CiA 306 wants to be in [FileInfo], in its order and spelling
 FILE_INFO = ("FileName", "FileVersion", "FileRevision", "EDSVersion", "Description",
              "CreationTime", "CreationDate", "CreatedBy",
-             "ModificationTime", "ModificationDate", "ModifiedBy")  # fmt: skip
+             "ModificationTime", "ModificationDate", "ModifiedBy")
 
 # access and direction of a mapping -> AccessType of CiA 306: rww process output, rwr process input
 ACCESS = {("rw", "rx"): "rww", ("rw", "tx"): "rwr"}
@@ -244,7 +244,7 @@ def _complete(
     time, date = now.strftime("%I:%M%p"), now.strftime("%m-%d-%Y")
     what = "EDS" if node_id is None else f"DCF of node {node_id}"
     values = (_ascii(name), "1", "0", "4.0", _ascii(f"{what}: {model.title}"),
-              time, date, "servogym", time, date, "servogym")  # fmt: skip
+              time, date, "servogym", time, date, "servogym")
     file["FileInfo"] = dict(zip(FILE_INFO, values, strict=True))
     file["DeviceInfo"]["CompactPDO"] = "0"
     if node_id is not None:

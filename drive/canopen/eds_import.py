@@ -34,7 +34,7 @@ TYPES |= {0x0C: "TIME_OF_DAY", 0x0D: "TIME_DIFFERENCE"}
 ACCESS = {
     "ro": ("ro", "tx"), "wo": ("wo", "rx"), "rw": ("rw", "rxtx"), "rww": ("rw", "rx"),
     "rwr": ("rw", "tx"), "const": ("const", ""),
-}  # fmt: skip
+}
 SOURCE = "EDS"
 OFF = 0x8000_0000  # bit of an identifier: not valid
 MAKERS = range(0x2000, 0x6000)  # objects of the maker, which mean something else in each file
@@ -46,7 +46,7 @@ RESOLUTION, GEAR, FEED = 0x608F, 0x6091, 0x6092
 PERIOD, LONGEST_PERIOD = 0x60C2, 0.1  # s; inferred: a bus is quicker
 # set-point in an RPDO -> mode (inferred)
 SET_POINTS = {0x607A: Mode.CYCLIC_SYNC_POSITION, 0x60FF: Mode.CYCLIC_SYNC_VELOCITY,
-              0x6071: Mode.CYCLIC_SYNC_TORQUE}  # fmt: skip
+              0x6071: Mode.CYCLIC_SYNC_TORQUE}
 VELOCITY_UNIT, VELOCITY_FACTOR, REVOLUTIONS_PER_MINUTE = 0x60A9, 0x6096, 0xB447
 # where 0 says that the maker's tool has not set it yet, and nothing moves with it
 UNSET = (0x6072, 0x6073, 0x6075, 0x6076, RESOLUTION, GEAR, FEED, 0x6096, 0x6097, 0x60C2)
@@ -56,7 +56,7 @@ NEEDS = {
     Mode.PROFILE_VELOCITY: (0x60FF,), Mode.PROFILE_TORQUE: (0x6071,), Mode.HOMING: (0x6098,),
     Mode.INTERPOLATED_POSITION: (0x60C1,), Mode.CYCLIC_SYNC_POSITION: (0x607A, 0x60C2),
     Mode.CYCLIC_SYNC_VELOCITY: (0x60FF, 0x60C2), Mode.CYCLIC_SYNC_TORQUE: (0x6071, 0x60C2),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
     return Imported(
         folder, len(made.objects), tuple(made.unknown), tuple(made.left_out), tuple(made.repairs),
         sheet.node_id,
-    )  # fmt: skip
+    )
 
 
 class _Import:
@@ -173,7 +173,7 @@ class _Import:
                 pass
             elif known.index in NEEDED or known.name in ("modes_of_operation", "target_position"):
                 self.sheet.tell(entry.line, entry.where, data_type, known.data_type,
-                                "the profile has it so, and nothing works without it")  # fmt: skip
+                                "the profile has it so, and nothing works without it")
                 data_type = known.data_type
             else:
                 known, field = None, ""
@@ -188,20 +188,20 @@ class _Import:
             mapping = bool(entry.index & 0x200)
             if mapping and entry.subindex > ENTRIES:
                 self.sheet.tell(entry.line, entry.where, "a mapping entry", "left out",
-                                f"a PDO has {ENTRIES} at most here")  # fmt: skip
+                                f"a PDO has {ENTRIES} at most here")
                 return None
             usual = ("UNSIGNED32" if entry.subindex else "UNSIGNED8") if mapping else (
                 PDO_TYPES.get(entry.subindex, "UNSIGNED8" if entry.subindex == 0 else "")
-            )  # fmt: skip
+            )
             found = TYPES.get(entry.data_type, "")
             if usual and found != usual:
                 self.sheet.tell(entry.line, entry.where, found or f"{entry.data_type:02X}h", usual,
-                                "CiA 301 says so for PDOs")  # fmt: skip
+                                "CiA 301 says so for PDOs")
             return usual or TYPES.get(entry.data_type)
         data_type = TYPES.get(entry.data_type)
         if data_type is None:
             self.sheet.tell(entry.line, entry.where, f"data type {entry.data_type:02X}h",
-                            "left out", "there is no such type in CiA 301")  # fmt: skip
+                            "left out", "there is no such type in CiA 301")
         return data_type
 
     def _row(self, entry: Entry, data_type: str, known: Object | None) -> dict[str, Any]:
@@ -220,7 +220,7 @@ class _Import:
             "index": f"0x{entry.index:04X}", "subindex": f"0x{entry.subindex:02X}", "name": name,
             "object_type": entry.kind, "data_type": data_type, "access": access,
             "pdo": pdo if entry.mappable and code else "", "section": SOURCE,
-        }  # fmt: skip
+        }
         for column in ("unit", "storable", "field", "when", "hook", "note"):
             row[column] = own.get(column, "")
         if known is None:
@@ -237,7 +237,7 @@ class _Import:
             text = line(entry.default, 4096)
             if not text.isascii():
                 self.sheet.tell(entry.line, entry.where, text, "its ASCII characters",
-                                "a VISIBLE_STRING has no others")  # fmt: skip
+                                "a VISIBLE_STRING has no others")
             return text.encode("ascii", "ignore").decode()
         try:
             if data_type == "REAL64":
@@ -266,7 +266,7 @@ class _Import:
         high, _ = self._number(entry, entry.high, data_type, "high limit")
         if low is not None and high is not None and (low > high or low == high == 0):
             self.sheet.tell(entry.line, entry.where, f"limits {low}..{high}", "none",
-                            "no value lies in them")  # fmt: skip
+                            "no value lies in them")
             low = high = None
         low = lowest if low is None else low
         high = highest if high is None else high
@@ -277,11 +277,11 @@ class _Import:
             per_node = known.per_node if known is not None else False
         elif per_node and default + LAST_NODE > highest:
             self.sheet.tell(entry.line, entry.where, f"{default} and the node-id", str(default),
-                            f"an {data_type} does not hold the sum")  # fmt: skip
+                            f"an {data_type} does not hold the sum")
             per_node, low, high = False, min(low, default), max(high, default)
         elif not per_node and not low <= default <= high:
             self.sheet.tell(entry.line, entry.where, f"default {default}, limits {low}..{high}",
-                            "limits that have it", "a drive has its own default")  # fmt: skip
+                            "limits that have it", "a drive has its own default")
             low, high = min(low, default), max(high, default)
         allowed = ""
         if known is not None and not per_node:
@@ -304,7 +304,7 @@ class _Import:
         if not possible:
             factory = int(known.default)
             self.sheet.tell(entry.line, entry.where, f"default {default}", str(factory),
-                            f"{known.name} of the profile cannot be that")  # fmt: skip
+                            f"{known.name} of the profile cannot be that")
             low, high, default = min(low, factory), max(high, factory), factory
         if known.allowed is not None:
             return default, low, high, own["min"]
@@ -335,14 +335,14 @@ class _Import:
             signed = value - (1 << bits)
             if not text.lower().startswith("0x"):
                 self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(signed),
-                                f"the bits of an {data_type}")  # fmt: skip
+                                f"the bits of an {data_type}")
             return signed, per_node
         if lowest == 0 and -(1 << bits - 1) <= value < 0:
             taken = value + (1 << bits)
         else:
             taken = min(max(value, lowest), highest)
         self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(taken),
-                        f"an {data_type} has {lowest}..{highest}")  # fmt: skip
+                        f"an {data_type} has {lowest}..{highest}")
         return taken, per_node
 
     def _name(self, entry: Entry) -> str:
@@ -435,7 +435,7 @@ class _Import:
                     count = 0
                 for n, identifier in enumerate(PREDEFINED[direction][:count]):
                     self.pdos.append((direction, n + 1, f"0x{identifier:X}+node_id", 255, 0,
-                                             "", "", "", "", "empty", "inferred"))  # fmt: skip
+                                             "", "", "", "", "empty", "inferred"))
 
     def _mapping(self, direction: str, first: int, n: int) -> None:
         """A PDO whose mapping the file does not have carries nothing, and can be mapped."""
@@ -443,11 +443,11 @@ class _Import:
         if (first + n, 1) not in self.rows or (mapping, 0) in self.rows:
             return
         self.result.tell(0, f"{mapping:04X}h", f"nothing, and {first + n:04X}h is there", "empty",
-                         "a master reads both of a PDO")  # fmt: skip
+                         "a master reads both of a PDO")
         for subindex in range(9):
             code = 0x07 if subindex else 0x05
             self._take(Entry(mapping, subindex, f"{direction} mapping", "RECORD", code, "rw",
-                             False, "0", "", "", 0))  # fmt: skip
+                             False, "0", "", "", 0))
 
     def _pdo(self, direction: str, first: int, n: int) -> None:
         def value(subindex: int, otherwise: int) -> int:
@@ -460,10 +460,10 @@ class _Import:
         ]
         entries = self._entries(direction, first + 0x200 + n, [w for w in words if w])
         common = (direction, n + 1, self._identifier(direction, first + n, n),
-                  value(2, 255), value(3, 0))  # fmt: skip
+                  value(2, 255), value(3, 0))
         for position, (index, subindex, bits) in enumerate(entries, 1):
             self.pdos.append((*common, position, f"0x{index:04X}", f"0x{subindex:02X}", bits,
-                                     "", SOURCE))  # fmt: skip
+                                     "", SOURCE))
         if not entries:
             self.pdos.append((*common, "", "", "", "", "empty", SOURCE))
         given = {0: len(entries)} | {
@@ -505,7 +505,7 @@ class _Import:
                 own = 8 * SIZES[FORMATS[row["data_type"]]]
                 if direction not in row["pdo"]:
                     self.sheet.tell(at, where, f"{word:08X}h, of an object that is not mappable",
-                                    "mappable", "it is mapped")  # fmt: skip
+                                    "mappable", "it is mapped")
                     row["pdo"] = "rxtx" if row["pdo"] else direction
             if own != bits:
                 self.sheet.tell(at, where, f"{bits} bits", f"{own} bits", "the object has them")
@@ -572,9 +572,9 @@ class _Import:
     def _notes(self) -> None:
         made, node_id = self.result, self.sheet.node_id
         methods = "from 60E3h" if self.methods_said else (
-            "`inferred`: those of `generic`, 60E3h names none")  # fmt: skip
+            "`inferred`: those of `generic`, 60E3h names none")
         modes = "from 6502h" if self.modes_said else (
-            "`inferred`: those whose objects are there, 6502h has no default")  # fmt: skip
+            "`inferred`: those whose objects are there, 6502h has no default")
         units = (
             "from 608Fh, 6091h, 6092h"
             if (FEED, 1) in self.rows

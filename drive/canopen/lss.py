@@ -13,7 +13,7 @@ from typing import NamedTuple
 UNCONFIGURED = 255  # node-id of a slave that has none
 BIT_RATES = {  # bit timing table 0 -> bit/s; 5 and 9 (automatic) are not supported
     0: 1_000_000, 1: 800_000, 2: 500_000, 3: 250_000, 4: 125_000, 6: 50_000, 7: 20_000, 8: 10_000,
-}  # fmt: skip
+}
 CONFIRM = 0x80  # "bit checked" of a Fastscan that asks who takes part
 
 
@@ -146,7 +146,7 @@ class LssSlave:
         fits = (
             value == vendor, value == product,
             value <= revision, revision <= value, value <= serial, serial <= value,
-        )  # fmt: skip
+        )
         if not fits[step] or step not in (0, self._identified):
             self._identified = 0
             return

@@ -81,7 +81,7 @@ class Node:
         self._resettable = (
             self.emergency, self.sync, self.time_stamp, self.heartbeat, self.heartbeat_consumer,
             self.guarding, self._receiver, self._sdo,
-        )  # fmt: skip
+        )
         own = slice(drive.index, drive.index + 1)
         self._lost = drive.axes["connection_lost"][own]
         self._pulse = drive.axes["sync_pulse"][own]

@@ -141,7 +141,7 @@ class CanLine:
         found["node guarding"] = [
             frame.data.hex() for frame in [*guarded, *self.wait(SETTLED)]
             if frame.id == rtr.id and not frame.remote
-        ][:1]  # fmt: skip
+        ][:1]
         return found
 
     def _abort(self) -> None:

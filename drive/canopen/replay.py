@@ -51,7 +51,7 @@ def replay(machine: Machine, node_id: int, rows: Iterable[tuple[float, Frame]]) 
     decoders = [Decoder(drive.model, [node_id], ear(side)) for side in range(2)]
     waiting: dict[int, tuple[deque, deque]] = {}
     ours = {Base.ERROR_CONTROL + node_id, SDO_RESPONSE + node_id, 0x80 + node_id,
-            *(base + node_id for base in TPDO)}  # fmt: skip
+            *(base + node_id for base in TPDO)}
     begin: float | None = None
     cycle = round(machine.cycle_time * MICRO)
     now = ran = 0

@@ -30,7 +30,7 @@ class _Receive:
     __slots__ = (
         "deadline", "every", "failed", "heard_at", "number", "synchronous", "syncs", "waiting",
         "width",
-    )  # fmt: skip
+    )
 
     def __init__(self, number: int):
         self.number = number

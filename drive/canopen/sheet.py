@@ -145,7 +145,7 @@ def _decoded(sheet: Sheet, data: bytes) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         sheet.tell(line, "file", f"byte {data[error.start]:02X}h", "read as Windows-1252",
-                   "it is neither ASCII nor UTF-8")  # fmt: skip
+                   "it is neither ASCII nor UTF-8")
         return data.decode("cp1252", "replace")
 
 
@@ -173,7 +173,7 @@ def _sections(text: str, sheet: Sheet) -> list[_Section]:
         value = value.partition(";")[0].strip()
         if len(value) > LONGEST:
             sheet.tell(line, f"[{current.name}] {key}", f"{len(value)} characters",
-                       f"the first {LONGEST}", "longer than any object")  # fmt: skip
+                       f"the first {LONGEST}", "longer than any object")
             value = value[:LONGEST]
         current.values[key.strip().lower()] = value
     return [*found.values()]
@@ -214,11 +214,11 @@ def _object(sheet: Sheet, index: int, parts: dict[int | None, _Section], extras:
         kind = RECORD
     if kind in (ARRAY, RECORD) and not subs and head.get("datatype"):
         sheet.tell(head.line, f"{index:04X}h", KINDS[kind].lower(), "a variable",
-                   "it has no sub-indices, and a data type")  # fmt: skip
+                   "it has no sub-indices, and a data type")
         kind = VAR
     if kind not in KINDS:
         sheet.tell(head.line, f"{index:04X}h", f"object type {kind}", "left out",
-                   "it is not an object of a device")  # fmt: skip
+                   "it is not an object of a device")
         return
     if kind in (VAR, DOMAIN):
         _entry(sheet, index, 0, head, "VAR", DOMAIN_TYPE if kind == DOMAIN else None, "")
@@ -228,11 +228,11 @@ def _object(sheet: Sheet, index: int, parts: dict[int | None, _Section], extras:
         return
     if 0 not in subs:
         sheet.tell(head.line, f"{index:04X}h:00h", "missing", str(max(subs)),
-                   "the number of entries is there in every array and record")  # fmt: skip
+                   "the number of entries is there in every array and record")
         subs[0] = _Section("", head.line, {
             "parametername": "Number of entries", "datatype": "5", "accesstype": "const",
             "defaultvalue": str(max(subs)),
-        })  # fmt: skip
+        })
     for sub in sorted(subs):
         _entry(sheet, index, sub, subs[sub], KINDS[kind], None, name)
 
@@ -249,7 +249,7 @@ def _compact(sheet: Sheet, index: int, head: _Section, count: int, subs: dict, e
     subs.setdefault(0, _Section("", head.line, {
         "parametername": "NrOfObjects", "datatype": "5", "defaultvalue": str(entries),
         "accesstype": "rw" if writable else "ro",
-    }))  # fmt: skip
+    }))
     for n in range(1, count + 1):
         own = {"parametername": names.get(str(n), f"{head.get('parametername')}{n}")}
         if values.get(str(n)):
@@ -260,7 +260,7 @@ def _compact(sheet: Sheet, index: int, head: _Section, count: int, subs: dict, e
 def _entry(
     sheet: Sheet, index: int, sub: int, section: _Section, kind: str, data_type: int | None,
     group: str,
-) -> None:  # fmt: skip
+) -> None:
     where = f"{index:04X}h:{sub:02X}h"
     if data_type is None:
         data_type = _small(sheet, section, "datatype", 0)
@@ -284,7 +284,7 @@ def _entry(
         _small(sheet, section, "pdomapping", 0) != 0,
         value if value and not follows else default,
         section.get("lowlimit"), section.get("highlimit"), section.line, group,
-    )  # fmt: skip
+    )
 
 
 def _small(sheet: Sheet, section: _Section, key: str, otherwise: int) -> int:

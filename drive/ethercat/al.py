@@ -53,7 +53,7 @@ TRANSITIONS = frozenset(
         (_O, _S), (_O, _P), (_O, _I), (_S, _P), (_S, _I), (_P, _I),  # down, at will
         (_I, _B), (_B, _I),
     }
-)  # fmt: skip
+)
 
 REQUEST = 0x0F  # AL Control and AL Status, bits 3-0: the state
 ERROR = ACKNOWLEDGE = 0x10  # bit 4: error of the drive, acknowledged by the master

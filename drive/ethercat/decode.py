@@ -37,11 +37,11 @@ EEPROM_COMMANDS = {0: "idle", 1: "read", 2: "write", 4: "reload"}
 EEPROM_ERRORS = (  # bits of 0502h
     (0x0800, "checksum wrong"), (0x1000, "not loaded"), (0x2000, "refused"),
     (0x4000, "write not enabled"),
-)  # fmt: skip
+)
 QUIET = {  # polled again and again: told when they change
     R.AL_STATUS, R.AL_STATUS_CODE, R.SYNC_MANAGER + 5, R.SYNC_MANAGER + 13, R.DL_STATUS,
     R.EEPROM_CONTROL, R.SYSTEM_TIME, R.SYSTEM_TIME_DIFFERENCE,
-}  # fmt: skip
+}
 
 
 def _registers() -> dict[int, str]:
@@ -49,7 +49,7 @@ def _registers() -> dict[int, str]:
     names = {row.address: row.name for row in REGISTERS_TABLE if row.effect not in (3, 4)}
     return names | {
         R.AL_STATUS_CODE: "AL status code", R.EEPROM_CONTROL: "EEPROM control and status",
-    }  # fmt: skip
+    }
 
 
 REGISTERS = _registers()
@@ -299,7 +299,7 @@ class EtherCatDecoder:
                 if data[k + 6] & 1:
                     slave.managers[n] = start, length
                     lines.append(f"{slave.name}: sync manager {n} at {start:04X}h, {length} bytes, "
-                                 f"control {control:02X}h")  # fmt: skip
+                                 f"control {control:02X}h")
                 else:
                     slave.managers.pop(n, None)
             return lines
@@ -316,7 +316,7 @@ class EtherCatDecoder:
         what = EEPROM_COMMANDS.get(command, f"command {command}")
         where = f" word {slave.word:04X}h" if command == 2 and slave.word >= 0 else ""
         return [f"{slave.name}: EEPROM {what}{where}" + ("" if value & 1 else ", not enabled")
-                if command == 2 else f"{slave.name}: EEPROM {what}"]  # fmt: skip
+                if command == 2 else f"{slave.name}: EEPROM {what}"]
 
     def _eeprom_errors(self, slave: _Slave, data: bytes) -> list[str]:
         value = int.from_bytes(data[:2], "little")

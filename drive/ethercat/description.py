@@ -136,7 +136,7 @@ def describe(model: DriveModel, alias: int = 0) -> Description:
     tpdos = _pdos(model, model.tpdos, INPUTS, 0x1C13)
     out, out_length, in_, in_length = ethercat.mailbox
     sizes = [sum(pdo.bits for pdo in pdos if pdo.sync_manager != UNASSIGNED) // 8
-             for pdos in (rpdos, tpdos)]  # fmt: skip
+             for pdos in (rpdos, tpdos)]
     starts = ((out, out_length), (in_, in_length), *zip(ethercat.start, sizes, strict=True))
     controls = (*ethercat.mailbox_control, *ethercat.control)
     managers = [

@@ -26,13 +26,13 @@ from .sdo_info import DATA_TYPES, bits, members, object_name
 TYPES = {
     0x01: "BOOL", 0x02: "SINT", 0x03: "INT", 0x04: "DINT", 0x05: "USINT", 0x06: "UINT",
     0x07: "UDINT", 0x08: "REAL", 0x15: "LINT", 0x1B: "ULINT",
-}  # fmt: skip
+}
 _STRING, _DOMAIN = 0x09, 0x0F
 SM_KINDS = {1: "MBoxOut", 2: "MBoxIn", 3: "Outputs", 4: "Inputs"}
 FMMU_KINDS = {0: "Unused", 1: "Outputs", 2: "Inputs", 3: "MBoxState"}
 # bits of the CoE details -> attribute of the element CoE
 COE = {0x02: "SdoInfo", 0x04: "PdoAssign", 0x08: "PdoConfig", 0x10: "PdoUpload",
-       0x20: "CompleteAccess"}  # fmt: skip
+       0x20: "CompleteAccess"}
 PROTOCOLS = {name: 1 << PROTOCOL_NAMES.index(name) for name in ("EoE", "CoE", "FoE")}
 PROFILE = 402
 CONFIG = 14  # bytes of the SII that the slave controller loads

@@ -31,7 +31,7 @@ TYPES = {
     # as `ethercat xml` of IgH's master names them
     "INT8": 0x02, "INT16": 0x03, "INT32": 0x04, "INT64": 0x15,
     "UINT8": 0x05, "UINT16": 0x06, "UINT32": 0x07, "UINT64": 0x1B,
-}  # fmt: skip
+}
 UNSIGNED = {8: 0x05, 16: 0x06, 32: 0x07, 64: 0x1B}
 TEXT = 0x09
 CONTROL = {1: 0x26, 2: 0x22, 3: 0x24, 4: 0x20}  # control byte of a sync manager by its use
@@ -133,7 +133,7 @@ class _Reader:
                     pass
                 else:
                     self.tell(None, "encoding", "none declared, and no UTF-8", "ISO 8859-1",
-                              "every byte is a character of it")  # fmt: skip
+                              "every byte is a character of it")
                     return root
             raise self.error(error.lineno, f"no XML: {expat.ErrorString(error.code)}") from None
 
@@ -216,7 +216,7 @@ class _Reader:
             )
         if len(devices) > 1:
             self.tell(drives[0], "Device", f"{len(devices)} devices", _text(drives[0], "Type"),
-                      "the first that is a drive; --device names another")  # fmt: skip
+                      "the first that is a drive; --device names another")
         return drives[0]
 
     def _is_drive(self, device: ElementTree.Element) -> bool:
@@ -292,7 +292,7 @@ class _Reader:
             if not kind:
                 kind = n + 1 if n < len(SM_KINDS) else 0
                 self.tell(sm, f"Sm {n}", text or "no name", SM_KINDS.get(kind, "unused"),
-                          "sync managers come in this order")  # fmt: skip
+                          "sync managers come in this order")
             found.append(
                 SyncManager(
                     self._number(sm.get("StartAddress"), sm, f"Sm {n}"),
@@ -328,7 +328,7 @@ class _Reader:
             UNASSIGNED if manager is None else self._number(manager, element, where, UNASSIGNED),
             _flag(element, "Fixed", FIXED), tuple(entries),
             tuple(self._number(e.text, e, where) for e in element.iterfind("Exclude")),
-        )  # fmt: skip
+        )
 
     def _mode(self, element: ElementTree.Element) -> DcMode:
         def number(path: str) -> int:
@@ -342,7 +342,7 @@ class _Reader:
             _text(element, "Name"), number("AssignActivate"), number("CycleTimeSync0"),
             number("ShiftTimeSync0"), number("ShiftTimeSync1"), factor("CycleTimeSync0"),
             factor("CycleTimeSync1"),
-        )  # fmt: skip
+        )
 
     # -------------------------------------------------------------- dictionary
 
@@ -360,7 +360,7 @@ class _Reader:
             self.tell(element, where, name or f"{bits} bits", "OCTET_STRING", "an unknown type")
             return 0x0F
         self.tell(element, where, name or "no data type", f"unsigned, {bits} bits",
-                  "an unknown type of this length")  # fmt: skip
+                  "an unknown type of this length")
         return known
 
     def _objects(self, device: ElementTree.Element) -> Iterator[EsiObject]:
@@ -409,14 +409,14 @@ class _Reader:
                 yield self._entry(
                     item, info, element, index, first + n, label, name, ARRAY, types,
                     base=_text(inner, "BaseType"),
-                )  # fmt: skip
+                )
                 place += 1
 
     def _entry(
         self, item: ElementTree.Element, info: ElementTree.Element | None,
         parent: ElementTree.Element, index: int, subindex: int, name: str, group: str, kind: str,
         types: dict[str, ElementTree.Element], base: str = "",
-    ) -> EsiObject:  # fmt: skip
+    ) -> EsiObject:
         where = f"{index:04X}h:{subindex:02X}h"
         type_name = base or _text(item, "Type")
         own = types.get(type_name)
@@ -440,7 +440,7 @@ class _Reader:
             index, subindex, name, group, kind, data_type, access,
             "".join(letter for letter in "RT" if letter in mapping),
             values["Default"], values["Min"], values["Max"], getattr(item, "line", 0),
-        )  # fmt: skip
+        )
 
     def _value(
         self, info: ElementTree.Element | None, what: str, data_type: int, where: str

@@ -30,7 +30,7 @@ from .segment import Segment
 LIMITS = {  # of the numbers of a fault
     "count": (0, 1 << 31), "slave": (-1, 0xFFFF), "port": (0, PORTS - 1), "frames": (0, 1 << 31),
     "offset": (-0xFFFF, 0xFFFF),
-}  # fmt: skip
+}
 MILESTONES = ("frame", "cycle", "mailbox", "op")
 FULL = 0x08
 KINDS = {
@@ -136,7 +136,7 @@ class FaultyBus(Bus):
 
     KEPT: ClassVar[tuple[str, ...]] = (
         *Bus.KEPT, "happened", "_random", "_later", "_last", "_mailbox", "_seen",
-    )  # fmt: skip
+    )
 
     def __init__(
         self,

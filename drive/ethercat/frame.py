@@ -101,7 +101,7 @@ def pack(datagrams: Iterable[Datagram], source: bytes = MASTER) -> bytes:
     body = b"".join(parts)
     if not rows or len(body) > LONGEST - 16:
         raise ValueError(f"{len(rows)} datagrams with {len(body)} bytes: a frame has 1 or more, "
-                         f"up to {LONGEST - 16} bytes; send several frames")  # fmt: skip
+                         f"up to {LONGEST - 16} bytes; send several frames")
     head = BROADCAST + source + ETHERTYPE.to_bytes(2, "big")
     frame = head + (len(body) | DATAGRAMS << 12).to_bytes(2, "little") + body
     return frame.ljust(SHORTEST, b"\0")
@@ -149,7 +149,7 @@ def _datagrams(body: bytes, length: int) -> Iterator[Datagram]:
             raise ValueError(f"the datagram at byte {at} is longer than its frame")
         wkc = int.from_bytes(body[end : end + TAIL], "little")
         yield Datagram(command, adp, ado, body[at + HEADER : end], wkc, index, irq,
-                       bool(size & ROUND))  # fmt: skip
+                       bool(size & ROUND))
         at, more = end + TAIL, bool(size & MORE)
 
 

@@ -160,7 +160,7 @@ class MailboxClient:
         if len(data) <= 4 and not complete:
             command = 0x23 | (4 - len(data)) << 2
             self._sdo(struct.pack("<BHB", command, index, subindex) + data.ljust(4, b"\0"),
-                      index, subindex)  # fmt: skip
+                      index, subindex)
             return
         room = self._out[1] - HEADER.size - 10
         head = struct.pack("<BHBI", 0x31 if complete else 0x21, index, subindex, len(data))

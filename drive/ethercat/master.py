@@ -51,7 +51,7 @@ class RemoteSlave:
         self.mailbox = MailboxClient(
             master, self.station, (mailbox.out_start, mailbox.out_length),
             (mailbox.in_start, mailbox.in_length),
-        )  # fmt: skip
+        )
         self.outputs = bytearray()
         self.inputs = b""
 
@@ -97,7 +97,7 @@ class RemoteSlave:
             self.write(R.EEPROM_CONTROL, b"\1\2")
             if self._eeprom_ready() & 0x6000:
                 raise RuntimeError(f"slave {self.position}: word {word + at // 2} of its EEPROM "
-                                   "cannot be written")  # fmt: skip
+                                   "cannot be written")
 
     def _eeprom_ready(self) -> int:
         for _ in range(POLLS):

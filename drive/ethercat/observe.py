@@ -29,7 +29,7 @@ from .slave import Slave
 
 # registers that say what the controller is: address -> bytes
 REGISTERS = {0x0000: 1, 0x0001: 1, 0x0002: 2, 0x0004: 1, 0x0005: 1, 0x0006: 1, 0x0007: 1,
-             0x0008: 2, 0x0140: 2, 0x0502: 1}  # fmt: skip
+             0x0008: 2, 0x0140: 2, 0x0502: 1}
 UNSTEADY = ("serial_number", "alias", "tpdos", "rpdos")  # of a drive, or told one by one
 SDO = {  # bodies of SDO requests, as ETG.1000.6 answers or refuses them
     "unknown command specifier": "E041600000000000",

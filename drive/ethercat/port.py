@@ -102,7 +102,7 @@ class EtherCatPort:
         slaves = master.slaves or master.scan()
         if len(slaves) != len(self.models):
             raise ValueError(f"{len(slaves)} slaves answer, {len(self.models)} models are given: "
-                             f"{', '.join(self.models)}")  # fmt: skip
+                             f"{', '.join(self.models)}")
         if all(slave.state == AlState.INIT for slave in slaves):
             master.to_preop()
         self.nodes = {

@@ -20,10 +20,10 @@ from .mailbox import HEADER, Kind
 # registers that show times, or errors of a cable: first and behind
 CLOCKS = ((R.RECEIVE_TIME, R.SYSTEM_TIME_OFFSET), (R.SYSTEM_TIME_DIFFERENCE, 0x0930),
           (R.SPEED_COUNTER_DIFFERENCE, 0x0934), (R.START_TIME, R.SYNC0_CYCLE),
-          (R.LATCH_TIME, 0x09D0))  # fmt: skip
+          (R.LATCH_TIME, 0x09D0))
 CABLES = ((R.RX_ERRORS, 0x0314),)
 POLLED = (R.AL_STATUS, R.AL_STATUS_CODE, R.SYNC_MANAGER + 5, R.SYNC_MANAGER + 13,
-          R.EEPROM_CONTROL, R.DL_STATUS)  # fmt: skip
+          R.EEPROM_CONTROL, R.DL_STATUS)
 NAMED = 40  # bytes that are shown of a difference
 
 
@@ -78,7 +78,7 @@ class Replay:
         def hear(slave: str, row: Object, value: float) -> None:
             self._heard[side][f"{slave}: {row.index:04X}h:{row.subindex:02X}h {row.name}"] = (
                 row, value,
-            )  # fmt: skip
+            )
 
         return hear
 
@@ -210,11 +210,11 @@ class Replay:
             return
         if back.wkc != own.wkc:
             self.score.differs(f"process data {back.logical:08X}h", f"wkc {back.wkc}",
-                               f"wkc {own.wkc}", self._time)  # fmt: skip
+                               f"wkc {own.wkc}", self._time)
             return
         recorded, model = self._heard
         wrong = [(what, row, value, model[what][1]) for what, (row, value) in recorded.items()
-                 if what in model and model[what][1] != value]  # fmt: skip
+                 if what in model and model[what][1] != value]
         named = [each for each in wrong if not live(each[1])]
         if named:
             what, _, value, other = named[0]
@@ -223,4 +223,4 @@ class Replay:
             self.score.add(Verdict.PHYSICS)
         else:
             self.score.differs(f"process data {back.logical:08X}h", back.data.hex()[:NAMED],
-                               own.data.hex()[:NAMED], self._time)  # fmt: skip
+                               own.data.hex()[:NAMED], self._time)

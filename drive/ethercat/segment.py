@@ -117,7 +117,7 @@ class Segment:
         for i, station in enumerate(self.stations):
             if len(station.sii) > SII_BYTES:
                 raise ValueError(f"slave {i}: its SII has {len(station.sii)} bytes, there is room "
-                                 f"for {SII_BYTES}: shorten its strings or PDOs")  # fmt: skip
+                                 f"for {SII_BYTES}: shorten its strings or PDOs")
             self.escs["sii"][i, : len(station.sii)] = np.frombuffer(station.sii, np.uint8)
             self.escs["sii_size"][i] = len(station.sii)
             self._power_on(i, 0)

@@ -112,7 +112,7 @@ def _fixed(device: Description) -> bytes:
             standard.out_start, standard.out_length, standard.in_start, standard.in_length,
             device.protocols, device.size // KIBIBIT - 1, device.version,
         )
-    )  # fmt: skip
+    )
     image[CONFIGURED] = checksum(image[:CONFIGURED])
     return bytes(image)
 
@@ -124,7 +124,7 @@ def _categories(device: Description, strings: _Strings) -> list[tuple[int, bytes
         device.coe_details, device.foe_details, device.eoe_details, 0, device.ds402_channels, 0,
         device.flags,
         0, number(device.group), device.physical_ports, 0,
-    )  # fmt: skip
+    )
     managers = b"".join(
         _SYNC_MANAGER.pack(sm.start, sm.length, sm.control, 0, sm.enable, sm.kind)
         for sm in device.sync_managers
@@ -135,7 +135,7 @@ def _categories(device: Description, strings: _Strings) -> list[tuple[int, bytes
             mode.assign_activate, mode.cycle_factor0, number(mode.name), 0,
         )
         for mode in device.dc_modes
-    )  # fmt: skip
+    )
     tpdos, rpdos = _pdos(device.tpdos, number), _pdos(device.rpdos, number)
     contents: list[tuple[int, bytes]] = [
         (Category.STRINGS, strings.pack()),
@@ -175,7 +175,7 @@ def unpack(image: bytes) -> Description:
         vendor, product, revision, serial, _, _, _, _,
         boot_out, boot_out_length, boot_in, boot_in_length,
         out, out_length, in_, in_length, protocols, size, version,
-    ) = _FIXED.unpack_from(image)  # fmt: skip
+    ) = _FIXED.unpack_from(image)
     if check & 0xFF != checksum(image[:CONFIGURED]):
         raise ValueError(
             f"checksum {check & 0xFF:02X}h of the SII, not {checksum(image[:CONFIGURED]):02X}h"

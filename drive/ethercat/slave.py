@@ -338,7 +338,7 @@ class Slave:
             self.mailbox.state(), tuple(map(int, self.mailbox.services)), self._sdo.state(),
             self._sdo.size, self._foe.state(), self.emergencies.state(), self._identification,
             self.drive.operational,
-        )  # fmt: skip
+        )
         return seal(self._kind, {}, [repr(state).encode()])
 
     @property
@@ -356,7 +356,7 @@ class Slave:
             al_state, self.al.error, self.al._error_code, self.al._acknowledge,
             self.al._identify, mailbox, services, sdo, size, foe, emergencies,
             self._identification, self.drive.operational,
-        ) = ast.literal_eval(state.decode())  # fmt: skip
+        ) = ast.literal_eval(state.decode())
         self.al.state = AlState(al_state)
         self.mailbox.restore(mailbox)
         self.mailbox.services = {Kind(kind): self._offered[Kind(kind)] for kind in services}

@@ -103,7 +103,7 @@ _EDGE = {
                 (-1, FAST, _HOME_ON, 3, ERROR),
                 (+1, FAST, _HOME_OFF, 1, 1),
                 (+1, SLOW, _HOME_OFF, END, ERROR)]),
-}  # fmt: skip
+}
 _MIRROR = {17: 18, 19: 21, 20: 22, 23: 27, 24: 28, 25: 29, 26: 30}
 _MIRRORED_EVENT = {
     Event.NEGATIVE_LIMIT_ON: Event.POSITIVE_LIMIT_ON,

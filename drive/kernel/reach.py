@@ -136,7 +136,7 @@ def _code(found: _Reach, code: CodeType) -> None:
         code.co_name, code.co_flags, code.co_names, code.co_varnames, code.co_freevars,
         code.co_cellvars, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount,
         code.co_exceptiontable,
-    )  # fmt: skip
+    )
     used: dict[int, int] = {}
     instructions = bytearray()
     for operation, argument in _instructions(code):

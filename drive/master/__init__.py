@@ -21,4 +21,4 @@ from .port import Port, Units
 __all__ = [
     "BusError", "DriveFault", "HomingFailed", "Interlock", "Master", "NoPower", "Port", "Refused",
     "ServoError", "Timeout", "Units",
-]  # fmt: skip
+]

@@ -26,7 +26,7 @@ T = TypeVar("T")
 QUICK_STOP = SWITCHED_ON & ~C.QUICK_STOP
 LOST = (
     State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE
-)  # fmt: skip
+)
 CYCLIC = (Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE)
 UNHEARD = (ServoError, SdoAbort, ValueError)  # what telling a drive may raise
 
@@ -297,7 +297,7 @@ class Drives:
             step = "look at method, switches, speeds and time-out"
             if in_fault(self._fresh(axis)):  # to some models a fault as well
                 raise HomingFailed("homing failed", f"FAULT, {self._fault(axis)}",
-                                   f"{step}, then reset_fault()", self._shown(axis))  # fmt: skip
+                                   f"{step}, then reset_fault()", self._shown(axis))
             number = self._known(axis, "homing_error")
             said = "" if number is None else f"error {number}"
             raise HomingFailed("homing failed", said, step, self._shown(axis))

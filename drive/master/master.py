@@ -41,7 +41,7 @@ AT_REST: dict[int, str] = {  # by mode: the set-point that is dropped by a stop
     Mode.VELOCITY: "vl_target_velocity", Mode.PROFILE_VELOCITY: "target_velocity",
     Mode.PROFILE_TORQUE: "target_torque", Mode.CYCLIC_SYNC_POSITION: "target_position",
     Mode.CYCLIC_SYNC_VELOCITY: "target_velocity", Mode.CYCLIC_SYNC_TORQUE: "target_torque",
-}  # fmt: skip
+}
 HOMED = S.TARGET_REACHED | S.MODE_12
 # what makes a profile, if the drive has it; in proportion to the distance they make one time law
 PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
@@ -89,10 +89,10 @@ class Master(Drives):
 
         self._to_each(off)
         self._until(lambda axis, word: state_of(word) is not State.OPERATION_ENABLED, timeout,
-                    "disable operation", faulty=True)  # fmt: skip
+                    "disable operation", faulty=True)
         self.control(0)
         self._until(lambda axis, word: state_of(word) is State.SWITCH_ON_DISABLED or in_fault(word),
-                    timeout, "disable voltage", faulty=True)  # fmt: skip
+                    timeout, "disable voltage", faulty=True)
 
     def quick_stop(self, timeout: float = 10.0) -> None:
         """Make a quick stop; return when the axes stand in QUICK_STOP_ACTIVE or without power."""
@@ -117,7 +117,7 @@ class Master(Drives):
                 raise Timeout(
                     "fault reset", f"not within {timeout:g} s",
                     f"the cause of {faults} is still present", self._shown(*still),
-                )  # fmt: skip
+                )
             for word in (0, C.FAULT_RESET):
                 for axis in still:
                     self._tell(axis, "controlword", word)
@@ -144,10 +144,10 @@ class Master(Drives):
         if without:
             raise Refused(f"mode {mode.name}", f"drive {self.port.models[without[0]].name!r} of "
                           f"{', '.join(without)} does not have it",
-                          "choose a drive model that has it, see `servogym drives`")  # fmt: skip
+                          "choose a drive model that has it, see `servogym drives`")
         self._put("modes_of_operation", mode)
         self._until(lambda axis, word: self._mode(axis) == mode, timeout, f"mode {mode.name}",
-                    "6502h tells the modes the drive has")  # fmt: skip
+                    "6502h tells the modes the drive has")
 
     def follow(self, mode: Mode | str) -> None:
         """Prepare the drives, at rest, to follow set-points of a mode (objects in `AT_REST`).
@@ -163,7 +163,7 @@ class Master(Drives):
         name = AT_REST.get(mode)
         if name is None:
             raise Refused(f"mode {mode.name}", "it is not moved by set-points",
-                          f"choose one of {', '.join(Mode(m).name for m in AT_REST)}")  # fmt: skip
+                          f"choose one of {', '.join(Mode(m).name for m in AT_REST)}")
         self._power("set-points")
         if all(self._mode(a) == mode and not self._told(a) & C.HALT for a in self.axes):
             return
@@ -214,7 +214,7 @@ class Master(Drives):
             self._inside(targets)
         if len(self.axes) > 1 and not wait:
             raise Refused(what, "several drives with wait=False",
-                          "on a straight line they are waited for: leave it out")  # fmt: skip
+                          "on a straight line they are waited for: leave it out")
         if any(self._mode(axis) != Mode.PROFILE_POSITION for axis in self.axes):
             self.set_mode(Mode.PROFILE_POSITION)
         bits = ENABLED | relative * C.RELATIVE | immediate * C.CHANGE_SET_IMMEDIATELY
@@ -239,16 +239,16 @@ class Master(Drives):
             self.wait(self.port.latency)
         else:
             self._until(lambda axis, word: not word & S.MODE_12, end - self.port.now(),
-                        "set-point acknowledge to fall", powered=True)  # fmt: skip
+                        "set-point acknowledge to fall", powered=True)
         self.control(bits | C.NEW_SET_POINT)
         if full:
             self.wait(self.port.latency)
         self._until(lambda axis, word: bool(word & S.MODE_12), end - self.port.now(),
-                    "set-point acknowledge", powered=True)  # fmt: skip
+                    "set-point acknowledge", powered=True)
         self.control(bits)
         if wait:
             self._until(lambda axis, word: word & HOMED == S.TARGET_REACHED, end - self.port.now(),
-                        what, powered=True)  # fmt: skip
+                        what, powered=True)
 
     def _line(
         self, targets: Mapping[str, int], relative: bool
@@ -262,11 +262,11 @@ class Master(Drives):
             (axis, name): self._ask(axis, name)
             for axis, distance in distances.items() for name in PROFILE
             if distance and name in self.port.models[axis].names
-        }  # fmt: skip
+        }
         pace = {
             name: min((value / distances[axis] for (axis, n), value in kept.items() if n == name),
                       default=0.0) for name in PROFILE
-        }  # fmt: skip
+        }
         return {
             (axis, name): (value, max(1, round(pace[name] * distances[axis])))
             for (axis, name), value in kept.items()
@@ -294,7 +294,7 @@ class Master(Drives):
         self.control(ENABLED)
         self.wait(self.port.latency)
         self._until(lambda axis, word: bool(word & S.TARGET_REACHED), timeout,
-                    f"velocity {velocity}", powered=True)  # fmt: skip
+                    f"velocity {velocity}", powered=True)
         if duration is not None:
             self.wait(duration)
             self.jog(0.0, timeout=timeout)
@@ -314,7 +314,7 @@ class Master(Drives):
         self._power("resume")
         self.write("controlword", {
             axis: ENABLED | self._told(axis) & ~(COMMAND | C.HALT) for axis in self.axes
-        })  # fmt: skip
+        })
 
     def stop(self, timeout: float = 10.0) -> tuple[str, ...]:
         """Bring the axes to rest in any mode and keep them there until the next motion command.
@@ -351,11 +351,11 @@ class Master(Drives):
             timeout = min(timeout, COASTS)
         try:
             halted._until(lambda axis, word: state_of(word) is not State.OPERATION_ENABLED
-                          or halted._stands(axis, word), timeout, "stop")  # fmt: skip
+                          or halted._stands(axis, word), timeout, "stop")
         except Timeout as error:
             halted._stop()
             raise Timeout("stop", f"halt did not bring it to rest within {timeout:g} s",
-                          "a quick stop was commanded instead", error.status) from None  # fmt: skip
+                          "a quick stop was commanded instead", error.status) from None
         for axis, mode in powered.items():
             self[axis]._drop(mode)
         self.port.exchange()
@@ -406,7 +406,7 @@ class Master(Drives):
             self._until(
                 lambda axis, word: word & HOMED == HOMED, end - self.port.now(), "homing",
                 powered=True, homing=True, alarm=alarm,
-            )  # fmt: skip
+            )
         except (HomingFailed, Timeout):
             if len(self.axes) == 1:  # the start bit; several have made a quick stop
                 self.control(ENABLED)
@@ -441,4 +441,4 @@ class Master(Drives):
                     f"{axis}: {target * unit.position:g} {unit.name} is beyond the stroke "
                     f"{low * unit.position:g}..{high * unit.position:g} {unit.name} (software "
                     "position limits 607Dh)", "choose a target inside, or other limits",
-                )  # fmt: skip
+                )

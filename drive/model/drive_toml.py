@@ -40,7 +40,7 @@ KINDS: dict[str, type] = {  # of what drive.toml may say
     "buses": list,
     "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "quirks": dict,
     "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
-}  # fmt: skip
+}
 KEYS = {  # of the tables whose keys no other table of this file lists
     "cycle_time_us": ("current", "velocity", "position"),
     "motor": ("torque_time_constant_us", "rotor_inertia_kgm2"),
@@ -119,7 +119,7 @@ def merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
         key: base[key] | value if isinstance(value, dict) and isinstance(base.get(key), dict)
         else value
         for key, value in own.items()
-    }  # fmt: skip
+    }
 
 
 @dataclass

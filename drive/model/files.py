@@ -12,7 +12,7 @@ LARGEST = 16 * 2**20  # bytes of a text; our own have a hundredth of that
 KINDS = (
     (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe (FIFO)"), (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
-)  # fmt: skip
+)
 
 
 def regular(path: str | Path) -> int:

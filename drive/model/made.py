@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from .rows import OBJECT_COLUMNS
 
 PDO_COLUMNS = ("direction", "number", "cob_id", "transmission_type", "inhibit_time", "position",
-               "index", "subindex", "bits", "note", "section")  # fmt: skip
+               "index", "subindex", "bits", "note", "section")
 
 HEADING = "| line | object | the file says | taken | why |\n|---|---|---|---|---|\n"
 

@@ -40,7 +40,7 @@ COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}  # what
 WITHOUT_POSITION = (
     Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE,
     Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

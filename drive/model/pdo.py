@@ -11,7 +11,7 @@ from .rows import Object, integer, lines_of
 PDO_COLUMNS = (
     "direction", "number", "cob_id", "transmission_type", "inhibit_time", "index", "subindex",
     "bits",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

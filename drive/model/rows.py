@@ -43,7 +43,7 @@ FORMATS = {
 LENGTHS = {  # of those without a format that are not strings (bytes)
     "REAL64": 8, "TIME_OF_DAY": 6, "TIME_DIFFERENCE": 6,
     **{f"{kind}{bits}": bits // 8 for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
-}  # fmt: skip
+}
 TEXTS = ("VISIBLE_STRING", "DOMAIN")
 TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are not text
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
@@ -205,11 +205,11 @@ def own_stored(objects: dict[tuple[int, int], Object]) -> tuple[tuple[int, int, 
 OBJECT_COLUMNS = (
     "index", "subindex", "name", "object_type", "data_type", "access", "pdo", "unit", "min", "max",
     "default", "storable", "section", "note", "field", "when", "hook",
-)  # fmt: skip
+)
 FAULT_COLUMNS = (
     "emcy_code", "main", "sub", "meaning", "error_register_bit", "cause", "reaction", "changeable",
     "section",
-)  # fmt: skip
+)
 MORE_BYTES = 1 << 20  # objects beyond the record, which no PDO carries
 ALIGNMENT = 7  # bytes at most that an object's alignment leaves free
 LAST_NODE = 127  # what is added to a default at most
@@ -383,7 +383,7 @@ def _object(row, where, index, subindex, area, offset) -> Object:
         index, subindex, row["name"], row["object_type"], row["data_type"], row["access"],
         row["pdo"], row["unit"], low, high, allowed, default, row["storable"] == "yes",
         row["section"], row["note"], area, offset, row["when"], hook, bool(plus), where,
-    )  # fmt: skip
+    )
 
 
 def _check_number(default: str, data_type: str, where: str) -> None:

@@ -16,7 +16,7 @@ UNUSABLE = 0x3FFF_F800  # bit 29, an identifier of 29 bits, and the bits only su
 RESTRICTED = (  # CiA 301, restricted CAN-IDs
     (0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF),
     (0x701, 0x77F), (0x780, 0x7FF),
-)  # fmt: skip
+)
 
 
 class CobId(NamedTuple):

@@ -135,7 +135,7 @@ def _row(index, subindex, name, data_type, area, offset, access="rw", default=0)
     return Object(
         index, subindex, name, "RECORD", data_type, access, "", "", 0.0, float(2**bits - 1), None,
         default, access == "rw", "CiA 301", "", area, offset,
-    )  # fmt: skip
+    )
 
 
 def _constant(index, name, value) -> Object:

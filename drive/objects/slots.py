@@ -40,7 +40,7 @@ class Slot:
         slot = Slot.__new__(Slot)
         slot.row, slot.offset, slot.code, slot.writable = (
             self.row, self.offset, self.code, self.writable
-        )  # fmt: skip
+        )
         slot.reads, slot.hook, slot.raw, slot.kept = self.reads, self.hook, self.raw, self.kept
         slot.view = views[self.row.area]
         return slot

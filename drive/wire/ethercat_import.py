@@ -47,7 +47,7 @@ CHIPS: dict[str, dict[int, bytes]] = {
     # an IP core in an FPGA that emulates its EEPROM, as a Kollmorgen AKD shows it (observed)
     "emulated": {0x00: b"\x04", 0x01: b"\x02", 0x04: b"\x04", 0x05: b"\x09", 0x06: b"\x08",
                  0x07: b"\x0f", 0x08: b"\x84\x01", 0x0140: b"\x08\x0c", 0x0502: b"\x20"},
-}  # fmt: skip
+}
 ASKED = {0x0000: 9, 0x0140: 2, 0x0502: 1}  # registers of a live slave: address and bytes
 
 
@@ -96,7 +96,7 @@ def import_esi(
     return _made(
         _Source(file.device, file.vendor, file.objects, file.repairs, path.name,
                 "servogym drives --from-esi", CHIPS[chip], notes), folder, path,
-    )  # fmt: skip
+    )
 
 
 def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
@@ -111,7 +111,7 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
     return _made(
         _Source(device, f"vendor {device.vendor_id:08X}h", [], [], path.name,
                 "servogym drives --from-sii", CHIPS[chip], notes), folder, path,
-    )  # fmt: skip
+    )
 
 
 def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported:
@@ -143,12 +143,12 @@ def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported
         "Slave controller: registers 0000h-0008h, 0140h and 0502h as the slave shows them.",
         "Defaults are the values the slave had when it was asked." if found else
         "Its dictionary does not tell itself (no SDO information).",
-    ]  # fmt: skip
+    ]
     return _made(
         _Source(device, f"vendor {device.vendor_id:08X}h", found, [],
                 f"slave {position} on {interface}", "servogym drives --from-slave", registers,
                 notes), folder, Path(interface),
-    )  # fmt: skip
+    )
 
 
 def _unpacked(image: bytes, path: Path) -> Description:
@@ -215,13 +215,13 @@ class _Maker(_Import):
         else:
             if self.sheet.entries:
                 self.sheet.tell(0, "dictionary", f"{len(self.sheet.entries)} objects without 6040h "
-                                "and 6041h", "those of generic", "no drive works so")  # fmt: skip
+                                "and 6041h", "those of generic", "no drive works so")
                 self.sheet.entries.clear()
             self._pdos()
             made.objects = [self.rows[address] for address in sorted(self.rows)]
             made.notes = ["Objects: `inferred`, those of the model `generic`, and what PDOs map "
                           "beside them: there is no dictionary. A slave with SDO information tells "
-                          "its own: --from-slave."]  # fmt: skip
+                          "its own: --from-slave."]
         made.toml["buses"] = ["ethercat"]
         made.toml["defaults"] = self._identity()
         made.pdos = None
@@ -236,7 +236,7 @@ class _Maker(_Import):
     def _identity(self) -> dict[str, int]:
         device = self.source.device
         numbers = (device.vendor_id, device.product_code, device.revision_number,
-                   device.serial_number)  # fmt: skip
+                   device.serial_number)
         names = [self.base.objects[0x1018, n].name for n in range(1, 5)]
         if self.whole:
             for n, number in enumerate(numbers, 1):
@@ -252,7 +252,7 @@ class _Maker(_Import):
         device, counts = self.source.device, []
         for direction, manager, pdos in (("rx", 2, device.rpdos), ("tx", 3, device.tpdos)):
             kept = [(pdo, entries) for pdo in pdos
-                    if (entries := self._mapped(direction, pdo)) is not None]  # fmt: skip
+                    if (entries := self._mapped(direction, pdo)) is not None]
             order = sorted(kept, key=lambda row: row[0].flags & FIXED)  # those that are mappable
             self._mappable_pdos.append(sum(not pdo.flags & FIXED for pdo, _ in kept))
             self._write(direction, order)
@@ -278,7 +278,7 @@ class _Maker(_Import):
             if loose:
                 entries.extend(self._padded(direction, -(-loose // 8)))
                 self._repair(where, f"{loose} bits: gaps or parts of bytes", "objects that do "
-                             "nothing", "PDOs are whole objects here")  # fmt: skip
+                             "nothing", "PDOs are whole objects here")
             loose = 0
 
         for entry in pdo.entries:
@@ -293,7 +293,7 @@ class _Maker(_Import):
             entries = self._shorter(direction, where, entries)
         if len(entries) > ENTRIES or sum(bits for *_, bits in entries) > LONGEST:
             self._repair(where, f"{len(entries)} entries", "left out",
-                         f"at most {ENTRIES} entries and {LONGEST} bits here")  # fmt: skip
+                         f"at most {ENTRIES} entries and {LONGEST} bits here")
             return None
         return entries
 
@@ -312,7 +312,7 @@ class _Maker(_Import):
                 names = ", ".join(f"{i:04X}h:{s:02X}h" for i, s, _ in entries[at:end])
                 entries[at:end] = self._padded(direction, bits // 8)
                 self._repair(where, names, "objects that do nothing",
-                             f"at most {ENTRIES} entries here")  # fmt: skip
+                             f"at most {ENTRIES} entries here")
             at -= bool(at)
         return entries
 
@@ -325,7 +325,7 @@ class _Maker(_Import):
             index, subindex = PADDING + self._padding // 255, self._padding % 255 + 1
             code = {1: 0x05, 2: 0x06, 4: 0x07, 8: 0x1B}[part]
             self._take(Entry(index, subindex, f"padding {self._padding}", "RECORD", code,
-                             "rw" if direction == "rx" else "ro", True, "", "", "", 0))  # fmt: skip
+                             "rw" if direction == "rx" else "ro", True, "", "", "", 0))
             entries.append((index, subindex, 8 * part))
         return entries
 
@@ -339,7 +339,7 @@ class _Maker(_Import):
             if direction not in known.pdo:
                 pdo = "rxtx" if known.pdo else direction
                 self.rows[address] = {"index": f"0x{entry.index:04X}", "pdo": pdo,
-                                      "subindex": f"0x{entry.subindex:02X}"}  # fmt: skip
+                                      "subindex": f"0x{entry.subindex:02X}"}
             return True
         if row is None:
             code = {8: 0x05, 16: 0x06, 32: 0x07, 64: 0x1B}.get(entry.bits)
@@ -347,7 +347,7 @@ class _Maker(_Import):
                 return False
             data_type = entry.data_type or code
             self._take(Entry(entry.index, entry.subindex, entry.name or "mapped", "VAR", data_type,
-                             "rw" if direction == "rx" else "ro", True, "", "", "", 0))  # fmt: skip
+                             "rw" if direction == "rx" else "ro", True, "", "", "", 0))
             row = self.rows.get(address)
         if row is None or row.get("access") == "const":
             return False
@@ -364,7 +364,7 @@ class _Maker(_Import):
             head = (direction, number, f"0x{pdo.index:04X}", 0, 0)
             for place, (index, subindex, bits) in enumerate(entries, 1):
                 self.pdos.append((*head, place, f"0x{index:04X}", f"0x{subindex:02X}", bits,
-                                  line(pdo.name), SOURCE))  # fmt: skip
+                                  line(pdo.name), SOURCE))
             if not entries:
                 self.pdos.append((*head, "", "", "", "", line(pdo.name), SOURCE))
 
@@ -372,7 +372,7 @@ class _Maker(_Import):
         """PDOs assigned by default, as 1C12h and 1C13h take them here."""
         places = {pdo.index: n for n, (pdo, _) in enumerate(order)}
         wanted = [p.index for p in (*self.source.device.rpdos, *self.source.device.tpdos)
-                  if p.sync_manager == manager]  # fmt: skip
+                  if p.sync_manager == manager]
         found = sorted((index for index in wanted if index in places), key=places.__getitem__)
         where = f"{0x1C10 + manager:04X}h"
         if not found and order and wanted:
@@ -382,7 +382,7 @@ class _Maker(_Import):
         apart = {row.index: row.excludes for row, _ in order}
         if wrong := [i for i in found if {*apart[i]} & {*found}]:
             self._repair(where, ", ".join(f"{i:04X}h" for i in found), f"{found[0]:04X}h",
-                         f"{wrong[0]:04X}h excludes others of them")  # fmt: skip
+                         f"{wrong[0]:04X}h excludes others of them")
             return found[:1]
         return found
 
@@ -404,9 +404,9 @@ class _Maker(_Import):
         details = device.coe_details or 0x0D
         size = self._eeprom()
         control = [managers[kind].control if kind in managers else usual_
-                   for kind, usual_ in ((3, 0x24), (4, 0x20))]  # fmt: skip
+                   for kind, usual_ in ((3, 0x24), (4, 0x20))]
         boxes = [managers[kind].control if kind in managers else usual_
-                 for kind, usual_ in ((1, 0x26), (2, 0x22))]  # fmt: skip
+                 for kind, usual_ in ((1, 0x26), (2, 0x22))]
         modes = ", ".join(
             f"{{ name = {json.dumps(line(mode.name) or f'mode {n}')}, "
             f"assign_activate = 0x{mode.assign_activate & 0x7FFF:04X}, "
@@ -447,12 +447,12 @@ class _Maker(_Import):
             "hop_delay_ns = 500 # inferred", "error_settings = true # inferred",
             f"modes = [{modes}]",
             "", "[al]", f"bootstrap = {json.dumps(has_boot)}",
-        ]  # fmt: skip
+        ]
         return "\n".join(lines) + "\n"
 
     def _excludes(self) -> str:
         rows = [(pdo.index, pdo.excludes) for pdo in (*self.source.device.rpdos,
-                *self.source.device.tpdos) if pdo.excludes]  # fmt: skip
+                *self.source.device.tpdos) if pdo.excludes]
         return ", ".join(f"0x{index:04X} = {[*others]}" for index, others in rows)
 
     def _mailboxes(
@@ -461,15 +461,15 @@ class _Maker(_Import):
         """Start and length of both, the usual ones where the description has none that fit."""
         out, out_length, into, in_length = found = (
             boxes.out_start, boxes.out_length, boxes.in_start, boxes.in_length
-        )  # fmt: skip
+        )
         inside = all(MEMORY[0] <= start < start + length <= MEMORY[1]
-                     for start, length in ((out, out_length), (into, in_length)))  # fmt: skip
+                     for start, length in ((out, out_length), (into, in_length)))
         apart = out + out_length <= into or into + in_length <= out
         if inside and apart and min(out_length, in_length) > 16:
             return found
         self._repair(name, f"{out:04X}h {out_length}, {into:04X}h {in_length}",
                      f"{usual[0]:04X}h {usual[1]}, {usual[2]:04X}h {usual[3]}",
-                     "it lies in no memory, or is too short for SDO")  # fmt: skip
+                     "it lies in no memory, or is too short for SDO")
         return usual[0], usual[1], usual[2], usual[3]
 
     def _buffers(
@@ -494,7 +494,7 @@ class _Maker(_Import):
                 raise ValueError(f"no place for {need} bytes of process data beside the mailboxes")
             self._repair("Sm 2, Sm 3", ", ".join(f"{s:04X}h" for s in starts),
                          ", ".join(f"{s:04X}h" for s in pair),
-                         f"{need} bytes do not lie there")  # fmt: skip
+                         f"{need} bytes do not lie there")
             starts, length = [*pair], room(pair)
         return (starts[0], starts[1]), min(length, 1024)
 
@@ -524,7 +524,7 @@ class _Maker(_Import):
         )
         if taken != device.size:
             self._repair("Eeprom", f"{device.size} bytes", f"{taken}", "the image needs them, or "
-                         "there is no such size here")  # fmt: skip
+                         "there is no such size here")
         return taken
 
     def _ethercat_objects(self) -> str:
@@ -547,7 +547,7 @@ def _entry(row: EsiObject) -> Entry:
     return Entry(
         row.index, row.subindex, row.name, row.kind, row.data_type, access, bool(row.mapping),
         row.default, row.low, row.high, row.line, row.group,
-    )  # fmt: skip
+    )
 
 
 def _identity_entry(subindex: int, name: str, number: int) -> Entry:

@@ -90,7 +90,7 @@ def _states(master: EtherCatMaster, interface: str) -> list[AlState]:
         count = master.send(Datagram(Command.BRD, 0, R.AL_STATUS, bytes(2)))[0].wkc
     except TimeoutError:
         raise ValueError(f"--ethercat {interface}: no slave answers; is the cable in, and is the "
-                         "drive on?") from None  # fmt: skip
+                         "drive on?") from None
     found = [
         master.send(Datagram(Command.APRD, -n & 0xFFFF, R.AL_STATUS, bytes(2)))[0].data[0] & 0x0F
         for n in range(count)
@@ -177,7 +177,7 @@ class AskedSlave:
         self.mailbox = MailboxClient(
             _Registers(slave), 0, (box.out_start, box.out_length), (box.in_start, box.in_length),
             POLLS,
-        )  # fmt: skip
+        )
 
     def read(self, address: int, size: int) -> bytes:
         """Registers. Raises TimeoutError where the slave does not answer."""

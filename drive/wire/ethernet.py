@@ -113,7 +113,7 @@ class UdpPort:
         except OSError as error:
             self.socket.close()
             raise ValueError(f"--udp {address}: port {number}: {error.strerror}; is another "
-                             "`servogym ethercat` running?") from None  # fmt: skip
+                             "`servogym ethercat` running?") from None
         _wait(self.socket, wait)
         self.name = f"udp {address}:{self.socket.getsockname()[1]}"
         self._from: tuple[str, int] = "", 0

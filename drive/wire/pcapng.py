@@ -19,7 +19,7 @@ TIME_RESOLUTION, END = 9, 0  # options
 CLASSIC = {  # magic of a pcap file -> byte order, ns in a unit of its fractions
     b"\xd4\xc3\xb2\xa1": ("<", 1000), b"\xa1\xb2\xc3\xd4": (">", 1000),
     b"\x4d\x3c\xb2\xa1": ("<", 1), b"\xa1\xb2\x3c\x4d": (">", 1),
-}  # fmt: skip
+}
 
 
 class Packet(NamedTuple):
@@ -54,7 +54,7 @@ class Writer:
     def write(self, frame: bytes | memoryview, time: int, interface: int = 0) -> None:
         """Append a frame that was seen at `time` (ns)."""
         head = struct.pack("<IIIII", interface, time >> 32, time & 0xFFFFFFFF, len(frame),
-                           len(frame))  # fmt: skip
+                           len(frame))
         self._block(PACKET, head + _padded(bytes(frame)))
 
     def flush(self) -> None:

@@ -31,10 +31,10 @@ SCALES = {  # units of a column, and what one of them is in SI
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6,
     "rad": 1.0, "deg": math.pi / 180, "m/s": 1.0, "mm/s": 1e-3, "rad/s": 1.0, "Nm": 1.0,
     "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "1": 1.0,
-}  # fmt: skip
+}
 SI = {"s": "s", "ms": "s", "us": "s", "µs": "s", "m": "m", "mm": "m", "um": "m", "µm": "m",
       "rad": "rad", "deg": "rad", "m/s": "m/s", "mm/s": "m/s", "rad/s": "rad/s", "Nm": "Nm",
-      "mNm": "Nm", "A": "A", "mA": "A", "1": ""}  # fmt: skip
+      "mNm": "Nm", "A": "A", "mA": "A", "1": ""}
 CAPTURES = (".pcapng", ".pcap")
 TRACES = (".csv", ".npz")  # of `Trace.save`; a .csv may be a log of python-can as well
 Heard = Callable[[str, Object, float], None]

@@ -168,7 +168,7 @@ class SoemSlave:
                     item.index, subindex, _text(entry.name) or name, name, kind, data_type,
                     "rw" if readable and writable else "wo" if writable else "ro",
                     "R" * bool(access & 0x40) + "T" * bool(access & 0x80), value, "", "", bits,
-                )  # fmt: skip
+                )
 
     def _value(self, index: int, subindex: int, data_type: int) -> str:
         try:

@@ -134,7 +134,7 @@ def possible(amplitude: float, seed: int) -> None:
 def measured(
     stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
     lowest: float, highest: float, seed: int, earlier: Response | None = None, small: bool = False,
-) -> Response:  # fmt: skip
+) -> Response:
     """The response of a drive that is calm, with a plant fitted to it; the loops are of `gains`.
 
     Two drives that move one beam are measured together, then one against the other. What was
@@ -227,7 +227,7 @@ def _oscillates(stand: Stand) -> bool:
 def _measure(
     stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
     lowest: float, highest: float, seed: int, against: bool,
-) -> Response:  # fmt: skip
+) -> Response:
     random = np.random.default_rng(seed)
     span = _span(lowest)
     count = round(span / stand.period)
@@ -268,7 +268,7 @@ def _measure(
         [np.fft.rfft(column - column.mean())[lines] for column in (
             run[:, OFFSET], run[:, TORQUE], run[:, VELOCITY], np.gradient(run[:, POSITION]),
         )] for run in blocks
-    ]  # fmt: skip
+    ]
     d, u, v, x = (np.array(column) for column in zip(*spectra, strict=True))
     cycle, cycles = stand.rates()
     z = np.exp(2j * np.pi * frequencies * cycle)
@@ -289,7 +289,7 @@ def _measure(
         velocity_filter=float(stand.drive.axis.velocity_filter) or 1.0,
         amplitude=amplitude, speed=speed,
         unit=stand.unit, filters=filters_of(stand.drive), note=note,
-    )  # fmt: skip
+    )
 
 
 def _multisine(

@@ -93,7 +93,7 @@ def _unwrapped(loop: np.ndarray) -> np.ndarray:
 def _mark(
     gain: Axes, phase: Axes, found: Margins, frequencies: np.ndarray, loop: np.ndarray,
     degrees: np.ndarray, colour: str,
-) -> None:  # fmt: skip
+) -> None:
     """Draw the margins where they are, if that is where it was measured."""
     low, high = frequencies[0], frequencies[-1]
     seen = np.isfinite(degrees)

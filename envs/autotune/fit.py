@@ -44,7 +44,7 @@ def _seen(response: Response) -> Seen:
     return Seen(
         wide.frequencies, wide.plant, wide.position_plant, wide.cycle, wide.cycles,
         response.inertia, filters=wide.filters,
-    )  # fmt: skip
+    )
 
 
 def why_not(response: Response, asked: Asked) -> str:

@@ -50,7 +50,7 @@ def identify(response: Response, drive: Drive) -> Plant:
             lambda f: lag_and_filter(f, response.cycle, lag, share)
             * mechanics(f, response.cycle, values, pairs),
             frequencies, response.cycle, response.cycles,
-        )  # fmt: skip
+        )
         parts = np.log(np.maximum(abs(ratio), 1e-12)), np.angle(ratio)
         return np.concatenate([part * weight for part in parts])
 
@@ -86,7 +86,7 @@ def identify(response: Response, drive: Drive) -> Plant:
             Resonance(a, r, damping, antidamping) for a, antidamping, r, damping in sorted(found)
         ),
         error=float(np.sqrt(np.mean(decibel**2))),
-    )  # fmt: skip
+    )
 
 
 def _open(x: np.ndarray) -> tuple[tuple[float, float, float], list[Pair]]:

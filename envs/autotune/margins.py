@@ -37,7 +37,7 @@ class Margins:
         return Margins(
             gain.gain, phase.phase, phase.crossover, gain.phase_crossover,
             all(each.stable for each in loops), min(each.doubtful for each in loops),
-        )  # fmt: skip
+        )
 
     def __str__(self) -> str:
         if not self.stable:

@@ -83,7 +83,7 @@ def lag_and_filter(frequencies: np.ndarray, cycle: float, lag: float, share: flo
 def mechanics(
     frequencies: np.ndarray, cycle: float, values: tuple[float, float, float],
     pairs: Iterable[tuple[float, float, float, float]],
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Response of inertia, viscous friction, delay, and damped resonance pairs (Hz)."""
     inertia, viscous, delay = values
     s = 2j * np.pi * frequencies

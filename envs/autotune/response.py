@@ -102,7 +102,7 @@ class Response:
             self, frequencies=frequencies, plant=plant,
             position_plant=position * per_velocity(frequencies),
             coherence=np.ones(len(frequencies)), fitted=None, fitted_load=None, also=(),
-        )  # fmt: skip
+        )
 
     @property
     def of_load(self) -> "Response":
@@ -248,11 +248,11 @@ class Response:
     def _write(self, path: Path) -> None:
         columns: list[tuple[str, Any]] = [
             ("frequency (Hz)", self.frequencies), ("coherence", self.coherence),
-        ]  # fmt: skip
+        ]
         for name, values in (
             ("plant (rad/s/Nm)", self.plant), ("velocity loop", self.velocity_loop),
             ("position loop", self.position_loop),
-        ):  # fmt: skip
+        ):
             columns += [
                 (f"{name} (dB)", 20 * np.log10(np.abs(values))),
                 (f"{name} (degree)", np.degrees(np.unwrap(np.angle(values)))),

@@ -86,7 +86,7 @@ def trial(stand: Stand, distance: float | None) -> Trial:
             stand.machine.time, float(axis.position_demand) / stand.gear,
             int(axis.od.following_error_actual_value) * float(axis.rad_per_position_unit)
             / stand.gear, float(axis.torque_command),
-        ))  # fmt: skip
+        ))
 
     others = Master(MachinePort(stand.machine), *stand.master.axes)
     try:
@@ -102,7 +102,7 @@ def trial(stand: Stand, distance: float | None) -> Trial:
     return Trial(
         *step, time=time - time[0], demand=demand - demand[0], error=error_, torque=torque,
         following_error=float(np.max(abs(error_))) if moved else math.inf, note=note,
-    )  # fmt: skip
+    )
 
 
 def _distance(stand: Stand) -> float:

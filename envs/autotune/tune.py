@@ -67,7 +67,7 @@ class Tuned:
         notes = {
             "before, measured": self.before.note, "before, moved": old.note,
             "after, measured": self.after.note, "after, moved": new.note,
-        }  # fmt: skip
+        }
         return "\n".join([*lines, *(f"{when}: {note}" for when, note in notes.items() if note)])
 
     @property
@@ -173,7 +173,7 @@ def tune(
             before=before, after=after, trial_before=trial_before, trial_after=trial_after,
             together=tuple(stand.movers) if stand.movers[1:] else (),
             parameters=own.parameters.export(),
-        )  # fmt: skip
+        )
     finally:
         stand.put_back()
 
@@ -207,7 +207,7 @@ def _look(
     response = measured(
         stand, gains, note, amplitude, None, lowest_of(gains), HIGHEST / stand.period, seed,
         earlier, small=ride,
-    )  # fmt: skip
+    )
     return response, friction(stand) if ride else None
 
 

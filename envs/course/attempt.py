@@ -22,7 +22,7 @@ WORDS = ("controlword", "homing_method")
 MEASURED = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
     "following_error_actual_value",
-)  # fmt: skip
+)
 
 
 class Observer:
@@ -46,7 +46,7 @@ class Observer:
             for slot in self.drive.objects.slots.within("axis")
             if slot.row.format and slot.row.access == "rw" and slot.row.index >= 0x2000
             and not slot.row.name.startswith(("controlword", "target_", "modes_of_operation"))
-        ]  # fmt: skip
+        ]
         self._slots = {slot.row.name: slot for slot in slots}
         sizes = [(slot.row.name, slot.offset, slot.code.size) for slot in slots]
         self._places = np.concatenate([np.arange(at, at + size) for _, at, size in sizes])
@@ -86,7 +86,7 @@ class Observer:
         return Look(
             self.machine.time, *self._told, position * self._position, velocity * self._velocity,
             torque, self._peak, error * self._position, written, self._values,
-        )  # fmt: skip
+        )
 
     def _tell(self) -> tuple[str, str, str, str, str, bool, int, bool]:
         """What goes by names, which changes seldom."""
@@ -97,7 +97,7 @@ class Observer:
             drive.state.name, command_of(controlword).name, mode.name, cause_of(axis),
             refused(axis), bool(axis.homed), int(axis.od.homing_method) if homing else 0,
             not axis.standstill,
-        )  # fmt: skip
+        )
 
 
 @dataclass
@@ -180,7 +180,7 @@ class Attempt:
         return Report(
             self.exercise.name, self.done, self.step, self.wrong, [*self.times], self.hints,
             [*self.predictions],
-        )  # fmt: skip
+        )
 
     def predict(self, option: int) -> bool:
         """Answer the question of the step, once; returns whether the answer is right.

@@ -180,7 +180,7 @@ def load(path: str | Path) -> Exercise:
             path.stem, _text(data, "title"), str(data.get("about", "")), int(data.get("unit", 0)),
             str(data.get("axis", "linear")), _begin(data.get("begin", {})),
             tuple(_step(number, row) for number, row in enumerate(rows, 1)),
-        )  # fmt: skip
+        )
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, TypeError, ValueError) as error:
         raise ValueError(f"exercise {path}: {error}") from None
 
@@ -222,7 +222,7 @@ def _step(number: int, row: Any) -> Step:
             check(row["throughout"]) if "throughout" in row else {}, tuple(wrong),
             _prediction(row["predict"]) if "predict" in row else None,
             _begin(row.get("begin", {})),
-        )  # fmt: skip
+        )
     except (TypeError, ValueError) as error:
         raise ValueError(f"step {number}: {error}") from None
 
@@ -245,7 +245,7 @@ def _begin(row: Any) -> Begin:
     return Begin(
         dict(row.get("positions", {})), dict(row.get("write", {})), tuple(row.get("inject", ())),
         dict(row.get("disturb", {})),
-    )  # fmt: skip
+    )
 
 
 def _known(row: Any, names: tuple[str, ...], where: str) -> None:

@@ -30,7 +30,7 @@ from .parts import PARTS
 VIEWS: tuple[Any, ...] = (  # blocks whose result is an array
     arrays.positions, arrays.velocities, tick.coordinates, tick.speeds, parts.controls,
     friction.response,
-)  # fmt: skip
+)
 HOPPER = (9, 0)  # compute capability of an H100 or H200
 THREADS = 32  # of a block: 4096 machines are a block for each multiprocessor (not measured)
 ENTRY = "servogym"
@@ -51,7 +51,7 @@ def ptx(kernel: "Kernel", capability: tuple[int, int] = HOPPER) -> str:
         text, _ = cuda.compile(
             kernel.make(cuda), (types.int64,) * kernel.arguments,
             device=False, abi="numba", cc=capability,
-        )  # fmt: skip
+        )
     return text
 
 
@@ -117,7 +117,7 @@ def of_act(act: Any, drives: int, episode: np.dtype, command: np.dtype, rpdo: np
                 act(
                     integers_at(worlds + 8 * i, 1), episodes_at(episodes + a * i, 1),
                     commands_at(commands + b * i, 1), images_at(rpdos + c * i, 1, drives),
-                )  # fmt: skip
+                )
 
         return kernel
 
@@ -140,7 +140,7 @@ def of_judge(
                     integers_at(worlds + 8 * i, 1), episodes_at(episodes + a * i, 1),
                     rpdos_at(rpdos + b * i, 1, drives), tpdos_at(tpdos + c * i, 1, drives),
                     seen_at(observations + d * i, 1),
-                )  # fmt: skip
+                )
 
         return kernel
 
@@ -161,7 +161,7 @@ def of_control(
                 control(
                     integers_at(worlds + 8 * i, 1), controls_at(controls + a * i, 1, drives),
                     modes, images_at(rpdos + b * i, 1, drives),
-                )  # fmt: skip
+                )
 
         return kernel
 

@@ -36,7 +36,7 @@ VARIABLE = (
     "cam_poscom0",
     "tendon_stiffness", "tendon_length0", "tendon_invweight0",
     "actuator_acc0", "actuator_gainprm", "actuator_gear",
-)  # fmt: skip
+)
 FLOAT = np.dtype("f8")
 NO_IMAGES = np.zeros((1, 0), np.uint8)
 READ = ("position", "velocity", "torque", "position_demand")  # rad, rad/s, Nm, rad
@@ -128,7 +128,7 @@ class Machine:
         self._alive = [
             self.axes, self.couplings, self.mechanics, self.world, self._coordinates,
             self._directory, *((drive.rpdos, drive.tpdos) for drive in drives.values()),
-        ]  # fmt: skip
+        ]
 
     def __repr__(self) -> str:
         drives = ", ".join(f"{name}={drive.model.name}" for name, drive in self.drives.items())
@@ -151,7 +151,7 @@ class Machine:
             ("smooth_acceleration", self._data.qacc_smooth),
             ("stiffness", self._model.jnt_stiffness), ("damping", self._model.dof_damping),
             ("directions", self._directions), ("responses", self._responses),
-        ):  # fmt: skip
+        ):
             world[name] = address(array)
         for name, offset in OPTIONS.items():
             world[f"option_{name}"] = address(self._model.opt.gravity) + offset
@@ -298,7 +298,7 @@ class Machine:
     def replay(
         self, rows: Mapping[str, Any], read: Sequence[str] = READ, *,
         drive: str | None = None, arrives: Any = None,
-    ) -> dict[str, np.ndarray]:  # fmt: skip
+    ) -> dict[str, np.ndarray]:
         """Play the set-points of a log into a drive, one row per position cycle, compiled.
 
         The machine continues from its present state, enabled or not.
@@ -372,7 +372,7 @@ class Machine:
         return {
             "kind": "machine", "drives": {n: d.model.name for n, d in self.drives.items()},
             "MjModel": _checksum(self.model), "layout": LAYOUT,
-        }  # fmt: skip
+        }
 
     def snapshot(self) -> bytes:
         """Return the complete state as bytes; `restore` continues from it bit by bit.

@@ -97,7 +97,7 @@ mechanics_at = viewer(MECHANICS)
 MEMORY = (  # zero by a reset
     "friction_limit", "friction_force", "constraint",
     "stop", "impacts", "impact_last", "impact_largest", "impact_sum",
-)  # fmt: skip
+)
 
 # MJCF name after "<drive>.": the fields its numbers fill, the largest number, units
 NUMERICS = {

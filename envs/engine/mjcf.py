@@ -60,7 +60,7 @@ _ASKS = {
     "user": {"dim": 8},
     "texture": {"width height": 18},
     "hfield": {"nrow ncol": 32},
-}  # fmt: skip
+}
 _COPIES = ("replicate", "composite", "flexcomp", "attach")
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 _SILENT = re.compile(r"(?s)<!--.*?-->|<!\[CDATA\[.*?\]\]>")
@@ -192,7 +192,7 @@ def _opened(
     """Look through what MuJoCo opens while it parses, one in the other."""
     if "<!ENTITY" in text:
         raise ValueError("it declares entities (<!ENTITY ...>), which MJCF has none of: write out "
-                         "what they stand for")  # fmt: skip
+                         "what they stand for")
     if found := _NAN.search(_SILENT.sub("", text)):  # MuJoCo writes a log, and goes on with it
         raise ValueError(f"{found[1]} has a NaN: give a number")
     attributes = [(name, html.unescape(value[1:-1])) for name, value in _FILE.findall(text)]

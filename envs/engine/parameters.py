@@ -383,7 +383,7 @@ PARAMETERS: dict[str, Parameter] = {
     "torque_time_constant": Parameter("s", 0.0, 0.1, _lag, _set_lag, _always),
     "delay": Parameter("position cycles", 0.0, 1000.0, _delay, _set_delay, _always),
     "encoder_noise": Parameter("m", 0.0, 1e-2, _of_coupling("noise")[0], _set_noise, _always),
-}  # fmt: skip
+}
 
 
 def known(joint: Joint, name: str) -> Parameter:
@@ -407,7 +407,7 @@ def unit(joint: Joint, name: str) -> str:
         return text
     return {
         "N": "Nm", "N·s/m": "Nm·s/rad", "m/s": "rad/s", "m": "rad", "N/m": "Nm/rad",
-    }.get(text, text)  # fmt: skip
+    }.get(text, text)
 
 
 def get(machine: Machine, names: Iterable[str], drive: str | None = None) -> dict[str, float]:

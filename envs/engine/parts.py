@@ -41,7 +41,7 @@ def _move(moves, count, source, target):
     for move in moves_at(moves, count):
         old, new = (
             bytes_at(source + move.source, move.bytes), bytes_at(target + move.target, move.bytes)
-        )  # fmt: skip
+        )
         copy(old, new)
 
 

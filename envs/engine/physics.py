@@ -72,7 +72,7 @@ def _state(model: int, place: int) -> np.ndarray:
 STEPPING = (  # functions (model, data)
     "mj_step", "mj_step1", "mj_step2", "mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint",
     "mj_sensorAcc", "mj_checkAcc", "mj_compareFwdInv", "mj_Euler", "mj_implicit", "mj_resetData",
-)  # fmt: skip
+)
 LIBRARY = _library()
 mj_solve_m: Any = _solve_in_python
 mj_get_state: Any = _get_in_python
@@ -91,7 +91,7 @@ if not jit.DISABLED:
 (
     mj_step, mj_step1, mj_step2, mj_fwd_actuation, mj_fwd_acceleration, mj_fwd_constraint,
     mj_sensor_acc, mj_check_acc, mj_compare_fwd_inv, mj_euler, mj_implicit, mj_reset,
-) = _stepping  # fmt: skip
+) = _stepping
 
 CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias")  # called where one compiles
 

@@ -89,7 +89,7 @@ class Replay:
                 loop.run(
                     worlds, first.physics_steps, np.tile(images, (count, 1)),
                     found.view(np.uint8).reshape(count * n, -1),
-                )  # fmt: skip
+                )
         finally:
             for machine, values in zip(machines, kept, strict=True):
                 for name, value in values.items():

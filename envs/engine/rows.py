@@ -48,7 +48,7 @@ class Rows:
     def fetch(self, rows: Sequence[int]) -> np.ndarray:
         """Bring rows back, shape ``(len(rows), bytes)``."""
         some = self._wp.empty((len(rows), self._live.shape[1]), dtype=self._live.dtype,
-                              device=self._live.device)  # fmt: skip
+                              device=self._live.device)
         self._wp.copy(some, self._wp.indexedarray(self._live, self._at(rows)))
         return some.numpy().view(np.uint8)
 
@@ -79,7 +79,7 @@ class Records:
     def __init__(
         self, wp: Any, device: Any, here: np.ndarray, kind: np.dtype, columns: int = 0,
         memory: Any = None,
-    ):  # fmt: skip
+    ):
         self._wp = wp
         self.kind, self._columns, self._here = kind, columns, here.view(np.ndarray)
         self._staged = np.zeros((len(here), max(columns, 1)), kind)

@@ -55,7 +55,7 @@ class _Table:
              record[name].itemsize)
             for i in range(drives)
             for name in record.names or ()
-        ]  # fmt: skip
+        ]
         self.moves = len(moves)
         packs = np.array(moves, MOVE)
         unpacks = np.array([(b, a, size) for a, b, size in moves], MOVE)
@@ -80,7 +80,7 @@ class Worlds:
     def __init__(
         self, machines: Sequence[Machine], device: str = "cuda", *, ticks: int = 1,
         images: "Images | None" = None,
-    ):  # fmt: skip
+    ):
         self.wp, self._mjw = packages()
         self.device = found(self.wp, device)
         self.machines = list(machines)
@@ -161,7 +161,7 @@ class Worlds:
             ("axes", "axes"), ("couplings", "couplings"), ("mechanics", "mechanics"),
             ("pdos", "directory"), ("qpos", "qpos"), ("qvel", "qvel"),
             ("kept_warmstart", "warmstart"), ("kept_ctrl", "ctrl"),
-        ):  # fmt: skip
+        ):
             world[name] = own + _offset(self._rows.dtype, field)
         for name, array in (
             ("mj_qpos", d.qpos), ("mj_qvel", d.qvel), ("ctrl", d.ctrl), ("inertia", d.M),
@@ -169,7 +169,7 @@ class Worlds:
             ("smooth_acceleration", d.qacc_smooth), ("stiffness", m.jnt_stiffness),
             ("damping", m.dof_damping), ("responses", self._responses[0]),
             ("directions", self._directions[0]), ("present", self.present),
-        ):  # fmt: skip
+        ):
             world[name] = array.ptr + row % array.shape[0] * array.strides[0]
         world["response_row"] = self._responses.strides[0]
         for name, table in zip(("rpdo", "tpdo"), self._images, strict=True):
@@ -360,4 +360,4 @@ def _row(machine: Machine) -> np.dtype:
             ("pdos", PDO, (pdos,)), ("end", "i8"),
         ],
         align=True,
-    )  # fmt: skip
+    )

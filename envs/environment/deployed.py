@@ -91,7 +91,7 @@ class Figures:
             "settling_time": self._unsettled * self._env.step_time,
             "peak_error": 1e6 * self._peak / self._env.units,
             "rms_torque": (self._squares / steps) ** 0.5,
-        }  # fmt: skip
+        }
 
 
 def in_memory(env: ServoEnv, policy: Acting, episodes: int, seed: int) -> list[dict[str, float]]:
@@ -351,7 +351,7 @@ def episodes_of(
 def _episode(
     env: ServoEnv, line: PortLine, mind: _Mind, seen: np.ndarray, info: dict[str, Any],
     hold: np.ndarray, patience: float | None, slow: float,
-) -> Played:  # fmt: skip
+) -> Played:
     late, running, ended, steps, action, figures = 0, 0, False, 0, hold, Figures(env)
     while not ended and steps < env.STEPS:
         said = mind.ask(seen, line.patience if patience is None else patience)

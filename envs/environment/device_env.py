@@ -71,10 +71,10 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._there = there = Worlds(
             [env.machine for env in self.envs], device, ticks=self._batch.ticks,
             images=Images((rpdo, drives), (tpdo, drives)),
-        )  # fmt: skip
+        )
         self._stream = torch.cuda.ExternalStream(
             there.device.stream.cuda_stream, self._wp.device_to_torch(there.device)
-        ) if there.device.is_cuda else None  # fmt: skip
+        ) if there.device.is_cuda else None
         with worlds.room(n, there.device):
             self._make_tables(there)
         self._before = [self._compiled("act", "episodes", "commands", "rpdos")]

@@ -55,7 +55,7 @@ MAX_HISTORY = 100
 INTERPOLATING = {  # modes in which the drive has to know the period of the set-points, 60C2h
     Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY,
     Mode.CYCLIC_SYNC_TORQUE,
-}  # fmt: skip
+}
 
 
 class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
@@ -229,7 +229,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             ticks=self.cycles_per_step * self.machine.physics_steps,
             modes=self.MODES if self.face == PDO else (),
             history=self._history, previous_action=self._previous_action, prices=self.prices,
-        )  # fmt: skip
+        )
 
     def join(self, batch: Batch, row: int) -> None:
         """Use a row of `batch` for observations and images from the next reset on."""
@@ -428,7 +428,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
                 list(self._injected), self._steps, copy.deepcopy(self._np_random),
                 copy.deepcopy((self.action_space, self.observation_space)),
                 None if self.line is None else self.line.state(),
-            )  # fmt: skip
+            )
 
     def resume(self, kept: tuple[Any, ...]) -> None:
         """Continue from a result of `kept` of an environment with the same arguments."""

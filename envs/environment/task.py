@@ -32,7 +32,7 @@ class Task:
     TPDO: ClassVar[tuple[str, ...]] = (  # objects it sees, beside statusword and mode displayed
         "position_actual_value", "torque_actual_value", "velocity_actual_value",
         "following_error_actual_value",
-    )  # fmt: skip
+    )
     ID: ClassVar[str]  # in the registry of Gymnasium
     STEPS: ClassVar[int] = 200  # of an episode, until time truncates it
     STEP_TIME: ClassVar[float] = 5e-3  # of the agent (s), with every drive

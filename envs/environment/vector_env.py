@@ -60,7 +60,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self._arguments = {
             "task": task, "autoreset_mode": autoreset_mode, "threads": threads,
             "max_episode_steps": max_episode_steps, **arguments,
-        }  # fmt: skip
+        }
         self.num_envs = whole("num_envs", num_envs, 1, MOST)
         if arguments.get("port") is not None:
             raise ValueError(
@@ -197,7 +197,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             anew = self._ended.copy()
             if anew.any():
                 infos = {"final_obs": self._observed(), "_final_obs": anew,
-                         "final_info": self._infos(), "_final_info": anew}  # fmt: skip
+                         "final_info": self._infos(), "_final_info": anew}
         else:
             self._ended |= resting
         self._restart(np.flatnonzero(anew).tolist())

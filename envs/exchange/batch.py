@@ -29,7 +29,7 @@ REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO im
 JUDGED = [
     ("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?"),
     ("_world", "i8"),  # address of its machine while its task acts or judges, else 0
-]  # fmt: skip
+]
 # What a step may cost beside what a task judges, taken off its reward: price × the mean over the
 # drives. torque: (6077h / rated torque)² at the end of the step, in proportion to the loss in the
 # winding. jerk: (its change in the step / rated torque)², since what is moved has one mass.
@@ -136,7 +136,7 @@ class Batch:
         self, task, n: int, *, drives: int, rpdo: np.dtype, tpdo: np.dtype, ticks: int,
         modes: Sequence[int] = (), history: int = 1, previous_action: bool = False,
         prices: tuple[float, float] = (0.0, 0.0),
-    ):  # fmt: skip
+    ):
         self._act = telling(task.act, acting(task.act))
         self._judge_each = telling(task.judge, judging(task.judge))
         self.ticks = ticks
@@ -184,7 +184,7 @@ class Batch:
             self.worlds, self.episodes, self.actions, self._commands, self._controls, self.rpdos,
             self.tpdos, self.observations, self._seen, self._status, self._rpdo_images,
             self._tpdo_images,
-        )  # fmt: skip
+        )
         machine: Any = self.machines[begin]
         return Part._make([*(array[begin:end] for array in arrays), machine.turn])
 

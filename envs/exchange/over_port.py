@@ -65,7 +65,7 @@ IDENTITY = ("vendor_id", "product_code")
 COMPARED = (  # objects that decide what a task's numbers mean, or when a drive gives up
     "following_error_window", "following_error_time_out", "max_profile_velocity", "max_torque",
     "min_position_limit", "max_position_limit", "quick_stop_deceleration",
-)  # fmt: skip
+)
 INTERPOLATION = ("interpolation_time_period_value", "interpolation_time_index")  # 60C2h
 PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration")
 APPROACH = 0.4  # of them, on the way to the start: its gains may be set for slower motion
@@ -247,7 +247,7 @@ class CanDrives:
     def _map(
         self, node: Any, communication: int, mapping: int, cob_id: int, kind: int,
         names: Sequence[str],
-    ) -> None:  # fmt: skip
+    ) -> None:
         def put(index: int, subindex: int, value: int, size: int) -> None:
             node.sdo.download(index, subindex, value.to_bytes(size, "little"))
 
@@ -352,7 +352,7 @@ class EtherCatDrives:
         self.port = EtherCatPort(
             self._master, models, outputs=outputs, inputs=inputs,
             now=self.pace.now if self.pace.real else time.monotonic,
-        )  # fmt: skip
+        )
         self.port.cyclic = self.pace.real
 
     def awake(self) -> None:
@@ -399,7 +399,7 @@ class PortLine:
     def __init__(
         self, machine: Machine, axes: Sequence[str], images: Sequence[np.dtype],
         pdos: Sequence[Sequence[Sequence[str]]], period: float, units: float, side: DriveSide,
-    ):  # fmt: skip
+    ):
         self._machine, self._axes, self._period, self._units = machine, [*axes], period, units
         self._rpdo, self._tpdo = images
         self._side = side
@@ -475,7 +475,7 @@ class PortLine:
             torque=1e-3 * read("max_torque"),
             following_error=read("following_error_window") * unit,
             following_error_time=1e-3 * read("following_error_time_out", 0.0),
-        )  # fmt: skip
+        )
 
     @property
     def lost(self) -> int:
@@ -698,7 +698,7 @@ class PortLine:
             steps = (
                 lambda: self.master.control(QUICK_STOP), self._side.send, self.master.quick_stop,
                 lambda: self.master.control(0), self._side.send, lambda: self._side.arm(False),
-            )  # fmt: skip
+            )
             for act in steps:
                 with suppress(BaseException):  # Ctrl-C as well: a stop always stands
                     act()

@@ -62,4 +62,4 @@ class Timing:
         return told | {
             "steps": len(self.waking), "period": self.period, "missed": self.missed,
             "lost": self.lost, "stale": self.stale, "share": self.share,
-        }  # fmt: skip
+        }

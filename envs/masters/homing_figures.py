@@ -175,6 +175,6 @@ def built_in(
             method, bool(figures[0].attained), float(figures[0].error), machine.time - began,
             float(figures[0].greatest_torque), float(figures[0].impact_energy),
             bool(drive.axis.index_near),
-        )  # fmt: skip
+        )
     finally:
         machine.restore(before)

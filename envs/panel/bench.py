@@ -25,7 +25,7 @@ from .set_points import SetPoints
 CHANNELS = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
     "following_error_actual_value",
-)  # fmt: skip
+)
 MOVES = 600.0  # s of the drives' time a motion may take
 MESSAGES = 50
 HERE = ":"  # between an axis and its channel, where there are several axes
@@ -35,7 +35,7 @@ ENDED = "ended by another command"
 STREAMED = {  # what is moved by set-points goes on until it gets another one
     Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.INTERPOLATED_POSITION,
     Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
-}  # fmt: skip
+}
 BUTTONS = {"enable()": "Enable", "reset_fault()": "Reset fault", "home()": "Home"}
 
 
@@ -256,7 +256,7 @@ class Bench:
     def run(
         self, what: str, motion: Callable[[], Any], axis: str = "", *, through: bool = False,
         goes_on: bool = False,
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Carry out a motion; -> what came of it, empty if all went well.
 
         Args:
@@ -318,7 +318,7 @@ class Bench:
             f"{axis}: mode {Mode(mode).name.lower()}",
             lambda: self.masters[axis].set_mode(Mode(mode)), axis, through=True,
             goes_on=mode in STREAMED,
-        )  # fmt: skip
+        )
 
     def home(self, axis: str, method: int | None = None) -> str:
         """Home; the method that is set if none is given."""

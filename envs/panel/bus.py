@@ -34,7 +34,7 @@ WATCHED = (
     "position_demand_value", "velocity_actual_value", "torque_actual_value",
     "following_error_actual_value", "target_position", "error_code", "homing_method",
     "digital_inputs",
-)  # fmt: skip
+)
 ABSENT = {
     "machine": "A picture in 3D needs the model of the machine; a bus tells positions alone.",
     "loops": "Loops are measured in every cycle of the controllers, on a copy of the machine; a "
@@ -76,7 +76,7 @@ class BusBench(Bench):
     def __init__(
         self, bus: FramePort, nodes: Mapping[str, int], model: str | Path | DriveModel = "generic",
         *, rate: float = RATE, units: Units | None = None, listen: bool = False, title: str = "",
-    ):  # fmt: skip
+    ):
         if not 1.0 <= rate <= FASTEST:
             raise ValueError(f"rate = {rate} samples/s is out of range 1..{FASTEST:g}")
         self.commands = not listen
@@ -260,7 +260,7 @@ class BusBench(Bench):
         try:
             row = self._named[name] if isinstance(name, str) else self._places[
                 name, int(arguments[0]) if len(arguments) > 1 else 0
-            ]  # fmt: skip
+            ]
         except KeyError:
             return f"the model has no object {name!r}"
         try:
@@ -301,7 +301,7 @@ class BusBench(Bench):
         return [
             image for where, image in self._images.copy().items()
             if where[:2] == (axis, direction) and image[1]
-        ]  # fmt: skip
+        ]
 
     def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
         """Return a reader of an object's last value; NaN where there is none."""

@@ -92,7 +92,7 @@ class Classroom:
         self, make: Callable[[int], Session], kind: str, drive: str,
         exercises: Iterable[Exercise] = (), most: int = MOST, pictures: float = 5.0,
         results: Path | None = None, word: str = "",
-    ):  # fmt: skip
+    ):
         if not 1 <= most <= 100:
             raise ValueError(f"--pupils = {most} is out of range 1..100")
         if word and not 6 <= len(word) <= LONGEST:
@@ -216,7 +216,7 @@ class Classroom:
                 report.step, len(pupil.exercise.steps), report.wrong, report.hints,
                 sum(report.predictions), len(report.predictions),
                 round(pupil.journal.cycle * pupil.attempt.machine.cycle_time, 3), run,
-            ))  # fmt: skip
+            ))
             if self._files is None:
                 return
             told = journal.told(self.kind, self.drive, pupil.axis, pupil.attempt, pupil.journal)

@@ -40,7 +40,7 @@ def unit_at(session: Session, disturbance: Disturbance, axis: str) -> str:
     turns = session.port.units(axis).name == "rad"
     return {"µm": "µrad", "N": "Nm"}.get(disturbance.unit, disturbance.unit) if turns else (
         disturbance.unit
-    )  # fmt: skip
+    )
 
 
 def disturb(session: Session, axis: str, disturbance: Disturbance, value: float) -> str:

@@ -8,7 +8,7 @@ LONGEST = 40  # characters that are told back
 def number(
     text: object, low: float = -math.inf, high: float = math.inf, unit: str = "", *,
     whole: bool = False,
-) -> float:  # fmt: skip
+) -> float:
     """The number in a field.
 
     Whole numbers may be hexadecimal: ``0x1F`` or ``1Fh``. A decimal comma is a point.

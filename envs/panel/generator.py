@@ -27,7 +27,7 @@ KINDS = {
                      ("sine", "square")),
     "torque": Kind("target_torque", (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE),
                    ("sine", "square")),
-}  # fmt: skip
+}
 
 
 class Most(NamedTuple):
@@ -70,7 +70,7 @@ def position(shape: str, way: float, frequency: float, most: Most) -> Wave:
     out, needed = travel(way, most)
     if needed > half:
         raise ValueError(f"there and back takes {2 * needed:.3g} s with 6081h and 6083h: "
-                         f"choose at most {0.5 / needed:.3g} Hz, or a shorter way")  # fmt: skip
+                         f"choose at most {0.5 / needed:.3g} Hz, or a shorter way")
 
     def wave(time: float) -> float:
         turn = time % (2 * half)

@@ -52,7 +52,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any] | None:
         "body": int(model.geom_bodyid[geom]),
         "pos": model.geom_pos[geom].tolist(), "quat": model.geom_quat[geom].tolist(),
         "size": model.geom_size[geom].tolist(), "colour": colour.tolist(),
-    }  # fmt: skip
+    }
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         begin, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
@@ -71,7 +71,7 @@ def _part(part: Part) -> dict[str, Any]:
     return {
         "kind": kind, "body": part.body, "pos": part.place, "quat": part.turned,
         "size": part.size, "colour": part.colour, "label": part.label, "decor": True,
-    }  # fmt: skip
+    }
 
 
 def _marks(machine: Machine, axis: int) -> list[dict[str, Any]]:
@@ -108,7 +108,7 @@ def _marks(machine: Machine, axis: int) -> list[dict[str, Any]]:
                 "pos": _centre(model, data, joint),
                 "along": data.xaxis[joint].tolist(),
             }
-        )  # fmt: skip
+        )
     return marks
 
 
@@ -144,7 +144,7 @@ class Poses:
         mujoco.mj_kinematics(machine.model, ghost)
         active = [coupling.switch_active.tolist() for coupling in machine.couplings]
         return {"now": self._told(here), "ghost": self._told(ghost) if away else None,
-                "switches": active}  # fmt: skip
+                "switches": active}
 
     def _told(self, data: mujoco.MjData) -> list[float]:
         poses = np.hstack((data.xpos[self._bodies], data.xquat[self._bodies])).astype(PLACE)

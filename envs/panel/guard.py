@@ -87,7 +87,7 @@ class Guard:
             await self.app(scope, receive, send)
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1")
-                   for name, value in scope["headers"]}  # fmt: skip
+                   for name, value in scope["headers"]}
         secure = headers.get("x-forwarded-proto", scope.get("scheme", "")) in ("https", "wss")
         plain = scope["type"] == "http"
         wrong, given, person = self.judge(headers, scope.get("query_string", b"").decode("latin-1"))
@@ -96,7 +96,7 @@ class Guard:
             place = headers.get("x-forwarded-prefix", "") + scope["path"]
             where = "/" + place.lstrip("/\\")  # of this server, whatever it looks like
             await answer(own, 303, "", (b"location", quote(where).encode()),
-                          (b"set-cookie", self._cookie(given, secure)))  # fmt: skip
+                          (b"set-cookie", self._cookie(given, secure)))
         elif not wrong and plain and scope["path"] == LEAVE:
             gone = self._cookie("", secure) + b"; Max-Age=0"
             await answer(own, 303, "", (b"location", b"."), (b"set-cookie", gone))
@@ -158,7 +158,7 @@ def _with_headers(send: Send) -> Send:
 async def answer(
     send: Send, status: int, text: str, *headers: tuple[bytes, bytes],
     kind: str = "text/plain",
-) -> None:  # fmt: skip
+) -> None:
     """A page of a few lines."""
     own = (b"content-type", f"{kind}; charset=utf-8".encode()), (b"cache-control", b"no-store")
     await send({"type": "http.response.start", "status": status, "headers": [*own, *headers]})

@@ -42,7 +42,7 @@ ACTS: dict[str, Callable[..., Any]] = {
 # what is done to the attempt instead
 ANSWERS: dict[str, Callable[..., Any]] = {
     "hint": Attempt.hint, "predict": Attempt.predict, "lose": Attempt.lose,
-}  # fmt: skip
+}
 CYCLES = "cycles"  # of an exchange, from here on
 
 
@@ -89,7 +89,7 @@ def told(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal) -
         "form": FORM, "exercise": attempt.exercise.name, "machine": kind, "drive": drive,
         "axis": axis, "cycles": journal.cycle, "report": asdict(attempt.report),
         "events": journal.events,
-    }  # fmt: skip
+    }
 
 
 def read(path: str | Path) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class Pupil:
         return Progress(
             self.exercise, attempt.step, step.text if step else "", attempt.wrong,
             tuple(attempt.times), attempt.hinted, attempt.hints, attempt.asks,
-        )  # fmt: skip
+        )
 
     @property
     def over(self) -> bool:

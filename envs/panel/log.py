@@ -31,7 +31,7 @@ class Log:
     def enter(
         self, time: float, kind: str, text: str, axis: str = "", who: str = "", reason: str = "",
         remedy: str = "",
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Enter an event. Raises ValueError for an unknown kind."""
         if kind not in KINDS:
             raise ValueError(f"kind {kind!r}: use one of {', '.join(KINDS)}")

@@ -82,7 +82,7 @@ class Reception:
         form = await _form(receive)
         if self._waiting >= WAITING:
             await answer(send, 503, _page(prefix, form, "Too many come at once: try again soon."),
-                         kind="text/html")  # fmt: skip
+                         kind="text/html")
             return True
         self._waiting += 1
         try:
@@ -101,7 +101,7 @@ class Reception:
             await answer(send, 403, _page(prefix, form, wrong), kind="text/html")
         else:
             await answer(send, 303, "", (b"location", f"{prefix}/".encode()),
-                         (b"set-cookie", cookie(place.token)))  # fmt: skip
+                         (b"set-cookie", cookie(place.token)))
         return True
 
 
@@ -117,7 +117,7 @@ def _page(prefix: str, form: dict[str, str] | None = None, wrong: str = "") -> s
     known: dict[str, Any] = {name: escape(text) for name, text in (form or {}).items()}
     said = f'<p role="alert">{escape(wrong)}</p>' if wrong else ""
     return PAGE % ({"name": "", "word": "", "longest": LONGEST, "prefix": prefix} | known
-                   | {"wrong": said})  # fmt: skip
+                   | {"wrong": said})
 
 
 async def _form(receive: Receive) -> dict[str, str]:

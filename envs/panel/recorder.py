@@ -54,7 +54,7 @@ class Recorder:
     def __init__(
         self, reader: Callable[[str], Callable[[], float]], unit_of: Callable[[str], str],
         period: float, channels: Sequence[str], depth: int = DEPTH,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._reader, self._unit_of, self.period, self.depth = reader, unit_of, period, depth
         self.run = Run.ROLL
         self.trigger: Trigger | None = None
@@ -224,7 +224,7 @@ class Recorder:
             known = self.trigger
             trigger = {"channel": known.channel, "edge": int(known.edge), "level": known.level}
         return {"channels": list(self.channels), "run": int(self.run), "span": self.span,
-                "before": self.before, "trigger": trigger}  # fmt: skip
+                "before": self.before, "trigger": trigger}
 
     def use(self, set_up: Mapping[str, Any]) -> None:
         """Be as a set-up says. Raises ValueError for what is none; nothing has changed then."""
@@ -245,7 +245,7 @@ class Recorder:
         self.choose([str(name) for name in set_up["channels"]])
         self.set_window(float(set_up["span"]), float(set_up["before"]))
         self.set_trigger(Run(set_up["run"]), str(trigger["channel"]), Edge(trigger["edge"]),
-                         float(trigger["level"]))  # fmt: skip
+                         float(trigger["level"]))
 
     def csv(self, shown: Mapping[str, tuple[float, str]] | None = None) -> str:
         """The samples of the picture, all of them, as a table.

@@ -55,7 +55,7 @@ def kept_token() -> str:
 def serve(
     session: Bench, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     pictures: int = 25, tell: Callable[[str], object] = print, token: str = "",
-) -> None:  # fmt: skip
+) -> None:
     """Serve the panel of a session until the process is told to end.
 
     Args:
@@ -88,13 +88,13 @@ def serve(
             )
 
     _run(root, Owner(token), begin, clock.stop, host=host, port=port,
-         title=f"servogym panel · {session.title}", browser=browser, token=token)  # fmt: skip
+         title=f"servogym panel · {session.title}", browser=browser, token=token)
 
 
 def serve_class(
     room: Classroom, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     tell: Callable[[str], object] = print, token: str = "",
-) -> None:  # fmt: skip
+) -> None:
     """Serve a class room until the process is told to end; as `serve`.
 
     Args:
@@ -124,7 +124,7 @@ def serve_class(
             tell(f"open to whoever reaches {host}; nothing is encrypted, see docs/how-to/class.md")
 
     _run(root, door, begin, room.end, host=host, port=port, title="servogym class room",
-         browser=browser, token=token)  # fmt: skip
+         browser=browser, token=token)
 
 
 def address(host: str, port: int) -> str:
@@ -148,7 +148,7 @@ def _pages() -> Any:
 def _run(
     root: Callable[[], Any], door: Door, begin: Callable[[], None], end: Callable[[], None], *,
     host: str, port: int, title: str, browser: bool, token: str,
-) -> None:  # fmt: skip
+) -> None:
     from nicegui import app, ui
 
     free(host, port)
@@ -159,4 +159,4 @@ def _run(
         root, host=host, port=port, title=title, show=f"/?token={token}" if browser else False,
         reload=False, tailwind=False, show_welcome_message=False, dark=False, favicon="⚙️",
         reconnect_timeout=10.0, uvicorn_logging_level="error", ws_per_message_deflate=False,
-    )  # fmt: skip
+    )

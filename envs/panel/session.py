@@ -24,7 +24,7 @@ FIELDS = tuple(
         "torque", "position", "velocity", "following_error", "velocity_command", "torque_command",
         "dc_link", "state",
     )
-)  # fmt: skip
+)
 
 
 class Laboratory(Protocol):
@@ -289,7 +289,7 @@ class Session(Bench):
             "injected": int(axis.injected),
             "rpdo": drive.pack(),
             "tpdo": drive.collect(),
-        }  # fmt: skip
+        }
 
 
 class _Port(MachinePort):

@@ -31,7 +31,7 @@ class SetPoints:
         """
         name, scale = self.bench.unit(axis)
         said = {"position": f"{value * scale:g} {name}", "velocity": f"{value * scale:g} {name}/s",
-                "torque": f"{value:g} %"}[kind]  # fmt: skip
+                "torque": f"{value:g} %"}[kind]
         what = f"{axis}: {kind} set-point {said}"
 
         def motion() -> None:
@@ -80,7 +80,7 @@ class SetPoints:
         """Limits of what is streamed. Raises Refused where it cannot be."""
         if self.bench.real_time:
             raise Refused("set-points", "the panel does not reach a node on a bus in each cycle",
-                          "use Move, or a master with PDOs and SYNC")  # fmt: skip
+                          "use Move, or a master with PDOs and SYNC")
         most = self.most(axis)
         if min(most) <= 0:
             raise Refused("set-points", "6081h or 6083h is 0", "write how fast it may be")
@@ -106,7 +106,7 @@ class SetPoints:
             )
             if most is not None and abs(value) * 10 > most:
                 raise Refused("torque", f"{value:g} % is more than 6072h allows, {most / 10:g} %",
-                              "choose less, or raise 6072h")  # fmt: skip
+                              "choose less, or raise 6072h")
             return round(value * 10)
         if kind == "velocity":
             fastest = self.most(axis).velocity
@@ -116,7 +116,7 @@ class SetPoints:
                 raise Refused(
                     "velocity", f"{value * scale:g} is more than 6081h allows, {allowed}",
                     "choose less, or raise 6081h",
-                )  # fmt: skip
+                )
             return round(value / units.velocity)
         return round(value / units.position)
 
@@ -129,7 +129,7 @@ class SetPoints:
             scale *= self.bench.units(axis).position
             stroke = f"{low * scale:g}..{high * scale:g} {name}"
             raise Refused("position", f"{raw * scale:g} {name} is beyond the stroke {stroke}",
-                          "choose a target inside")  # fmt: skip
+                          "choose a target inside")
 
     def _stream(self, axis: str, kind: str, wave: Wave, time: float) -> None:
         """Follow a wave, a set-point each exchange."""

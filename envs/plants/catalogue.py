@@ -22,7 +22,7 @@ from .rotary import rotary_axis
 # what a twin names as that which builds it
 BUILDERS: Mapping[str, Callable[..., Machine]] = {
     "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
-}  # fmt: skip
+}
 # machine by name, and where its axes stand at power-on (m)
 AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
     "linear": (linear_axis, {"x": 0.12}),

@@ -70,7 +70,7 @@ def commission_joint(
             machine, name, max_velocity=max_velocity, max_acceleration=max_acceleration,
             position_unit=position_unit, tuned=tuned,
             exact=max_velocity is not None or max_acceleration is not None,
-        )  # fmt: skip
+        )
     except tuning.Unmovable as error:
         gear = abs(machine.joint(name)[0])
         raise tuning.Unmovable(f"{error}; {_other(name, gear)}") from None
@@ -79,7 +79,7 @@ def commission_joint(
 def commission_shaft(
     machine: Machine, name: str, *, max_velocity: float | None, max_acceleration: float | None,
     position_unit: float, tuned: bool, exact: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """The same; a motor that cannot move its load is told without what a robot could change.
 
     A speed or ramp beyond the drive's range is refused where it is `exact`, else it is limited.
@@ -125,7 +125,7 @@ def commission_shaft(
             tuned_values = tuning.tuned(
                 machine, name, inertia=inertia + behind, motor_side=inertia, wanted=wanted,
                 per_unit=per_unit, window=FOLLOWING_ERROR_WINDOW,
-            )  # fmt: skip
+            )
             own_units.commission(drive, tuned_values, per_unit, exact=gains(drive, inertia))
         else:
             drive.commission(gains(drive, inertia))

@@ -223,7 +223,7 @@ def _leave_carriages_out(spec: mujoco.MjSpec) -> None:
     for part in (
         *(spec.actuator(name) for name in PAIR), spec.tendon("end1"), spec.tendon("end2"),
         spec.joint("skew"), spec.body("carriage1"), spec.body("carriage2"),
-    ):  # fmt: skip
+    ):
         spec.delete(part)
 
 
@@ -257,14 +257,14 @@ def _hang(spec: mujoco.MjSpec, p: GantryParameters) -> None:
         name="cable", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.003, 0, 0],
         fromto=[0, 0, 0, *box.pos], mass=0.0, rgba=[0.2, 0.2, 0.2, 1], contype=0, conaffinity=0,
         group=1,
-    )  # fmt: skip
+    )
 
 
 def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, tuned: bool) -> None:
     axis = LinearAxisParameters(
         feed_constant=FEED_CONSTANT, max_velocity=p.max_velocity,
         max_acceleration=p.max_acceleration, payload=p.payload,
-    )  # fmt: skip
+    )
     commission(machine, name, axis, tuned and name not in PAIR)  # these get their gains below
     if not drive.model.positions:
         return  # its motor and its ramps are parameters of its own
@@ -279,7 +279,7 @@ def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, t
         {"homing_method": method, "home_offset": offset,
          "min_position_limit": limits[0], "max_position_limit": limits[1]},
         _micrometre(machine, name),
-    )  # fmt: skip
+    )
 
 
 def _micrometre(machine: Gantry, name: str) -> float:
@@ -296,4 +296,4 @@ def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive) -> None:
     own_units.commission(
         drive, {"speed_during_search_for_switch": 50_000, "homing_acceleration": 2_000_000},
         _micrometre(machine, name),
-    )  # fmt: skip
+    )

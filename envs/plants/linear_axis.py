@@ -206,11 +206,11 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
     wanted = Profile(
         velocity=p.max_velocity * gear, acceleration=p.max_acceleration * gear,
         stop=2 * p.max_acceleration * gear, homing_speed=0.1 * gear, homing_acceleration=gear,
-    )  # fmt: skip
+    )
     tuned_values = tuning.tuned(
         machine, name, inertia=inertia, motor_side=motor_side, wanted=wanted,
         per_unit=per_unit, window=1e-3 * gear,
-    )  # fmt: skip
+    )
     own_units.commission(x, tuned_values, per_unit)
 
 

@@ -143,13 +143,13 @@ def filters_of(drive: Drive) -> Filters:
         cycle, float(od.torque_command_filter_time) * 1e-6,
         tuple(each for each in notches if 0.0 < each[0] < 0.49 / cycle),
         od.observer_bandwidth > 0,
-    )  # fmt: skip
+    )
 
 
 def pid_loop(
     pid: tuple[float, float, float], filters: Filters, frequencies: np.ndarray,
     velocity: np.ndarray, position: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Open loop of a PID position controller on a plant, shape ``(n,)``."""
     gain, integral, derivative = pid
     z, cycle = np.exp(2j * np.pi * frequencies * filters.cycle), filters.cycle

@@ -25,7 +25,7 @@ ELECTRICAL = {
 THERMAL = {
     "motor_winding_loss": 1e3, "motor_thermal_resistance": 1e3, "motor_thermal_time": 1,
     "motor_temperature_limit": 10,
-}  # fmt: skip
+}
 LINK = {"undervoltage": 200, "chopper_voltage": 390, "overvoltage": 430}  # V, of one of 325 V
 
 
@@ -54,7 +54,7 @@ def motor_and_encoder(p: Any, drive: Drive) -> dict[str, float]:
         inferred = rated_winding(
             float(od.motor_rated_torque) * 1e-3, float(od.motor_rated_current) * 1e-3,
             loss or float(od.motor_winding_loss) * 1e-3 or WINDING_LOSS,
-        )  # fmt: skip
+        )
         given |= {name: value for name, value in inferred.items() if given[name] is None}
     values: dict[str, float] = {}
     for name, value in given.items():

@@ -20,7 +20,7 @@ SAME = 1e-9  # relative difference of units that are equal
 INCREMENTS = 4  # of the encoder, the smallest window of a position or, a velocity cycle, of a speed
 WINDOWS = (
     "following_error_window", "position_window", "velocity_window", "velocity_threshold",
-)  # fmt: skip
+)
 
 
 def motor_and_factors(drive: Drive, values: Mapping[str, float]) -> None:

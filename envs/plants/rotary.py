@@ -125,7 +125,7 @@ def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.Mj
         slow_enough(
             "transmission_stiffness", p.transmission_stiffness, motor, p.inertia, timestep,
             ("Nm/rad", "kg·m²"),
-        )  # fmt: skip
+        )
     return compiled(spec)
 
 
@@ -139,7 +139,7 @@ def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
     commission_shaft(
         machine, "x", max_velocity=p.max_velocity, max_acceleration=p.max_acceleration,
         position_unit=p.unit, tuned=tuned,
-    )  # fmt: skip
+    )
     coupling = machine.couplings[0]
     own_units.commission(
         x,

@@ -28,7 +28,7 @@ HELD = 1e9  # kg or kg·m²
 WITHOUT = (
     mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_LIMIT,
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
-)  # fmt: skip
+)
 
 
 def seen(machine: Machine, names: str | Mapping[str, float], *, pushes: float = 1.0) -> Seen:
@@ -97,7 +97,7 @@ def seen(machine: Machine, names: str | Mapping[str, float], *, pushes: float = 
         # what a still motor does not change is not seen at its shaft
         tuple((x, y) for (x, _), (y, _) in zip(*vibrations, strict=False) if y > APART * x),
         filters,
-    )  # fmt: skip
+    )
 
 
 def _share(period: float, time: float) -> float:

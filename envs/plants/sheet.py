@@ -60,7 +60,7 @@ class Sizing:
             f"profile ({self.unit}/s, {self.unit}/s²)":
                 f"{self.velocity:.3g}, {self.acceleration:.3g}",
             "this motor allows": f"{self.highest_velocity:.3g}, {self.highest_acceleration:.3g}",
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         lines = [f"drive {self.drive} ({self.model}): {self.motor}; {self.gains}"]
@@ -113,4 +113,4 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
         highest_acceleration=load.acceleration(PEAK * motor.torque(speed), speed) / gear,
         resonances=plant.resonances, gains=gains, crossover=plant.crossover(gains),
         velocity_margins=velocity, position_margins=position,
-    )  # fmt: skip
+    )

@@ -131,7 +131,7 @@ def motor_of(drive: Drive) -> Motor:
     od = drive.axis.od
     rated = max(int(od.motor_rated_torque), 1) * 1e-3
     ceiling = min(int(od.max_torque), int(od.max_current),
-                  int(od.positive_torque_limit), int(od.negative_torque_limit))  # fmt: skip
+                  int(od.positive_torque_limit), int(od.negative_torque_limit))
     limit = float(od.max_motor_speed) * 2 * math.pi / 60
     constant = float(od.motor_torque_constant) * 1e-6
     back = float(od.motor_voltage_constant) * 1e-6 or constant
@@ -191,4 +191,4 @@ def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:
     return Profile(
         velocity, acceleration, max(min(wanted.stop, stop), acceleration),
         min(slower * wanted.homing_speed, velocity), homing,
-    )  # fmt: skip
+    )

@@ -48,7 +48,7 @@ class TooFast(ValueError):
 def slow_enough(
     name: str, stiffness: float, a: float, b: float, timestep: float,
     units: tuple[str, str] = ("N/m", "kg"),
-) -> None:  # fmt: skip
+) -> None:
     """Refuse a spring between two masses or inertias that vibrates too fast for the physics step.
 
     Args:

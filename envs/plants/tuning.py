@@ -134,7 +134,7 @@ def fitting(plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: flo
 def tuned(
     machine: Machine, name: str, *, inertia: float, motor_side: float, wanted: Profile,
     per_unit: float, window: float,
-) -> dict[str, float]:  # fmt: skip
+) -> dict[str, float]:
     """Objects of a drive with which it moves: gains, profile, window of the following error.
 
     Args:

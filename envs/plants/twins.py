@@ -161,7 +161,7 @@ def _checked(file: Path, content: Mapping[str, Any]) -> Twin:
         str(machine["axis"]), found, {k: float(v) for k, v in content["objects"].items()},
         {k: float(v) for k, v in content["held_out"].items()}, content["verdict"],
         float(content["cycle"]), float(content["lag"]),
-    )  # fmt: skip
+    )
 
 
 def checksum(content: Mapping[str, Any]) -> str:

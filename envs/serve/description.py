@@ -101,7 +101,7 @@ class BusRow:
         """Network interfaces of an EtherCAT bus."""
         return [self.interface] if isinstance(self.interface, str) and self.interface else [
             *self.interface
-        ]  # fmt: skip
+        ]
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Description:
         for machine in self.machines:
             if machine.bus not in names:
                 raise ValueError(f"machine.{machine.name}: bus = {machine.bus!r}: "
-                                 f"{hint(machine.bus, names)}")  # fmt: skip
+                                 f"{hint(machine.bus, names)}")
         for bus in self.buses:
             if not any(machine.bus == bus.name for machine in self.machines):
                 raise ValueError(f"bus.{bus.name}: no machine is on it")

@@ -42,7 +42,7 @@ def table(model: mujoco.MjModel, site: int) -> np.ndarray:
             rows.append(
                 [TURN if turns else SHIFT, coordinate, model.qpos0[coordinate],
                  *model.jnt_pos[joint], *model.jnt_axis[joint], 0.0]
-            )  # fmt: skip
+            )
     rows.append([OFFSET, 0, 0, *model.site_pos[site], *model.site_quat[site]])
     if len(rows) > LONGEST:
         raise ValueError(f"site {model.site(site).name!r} hangs on more than {LONGEST} links")

@@ -40,7 +40,7 @@ ATTAINED, HOMING_ERROR = 0x1000, 0x2000
 CAUSES = (
     "undervoltage", "overvoltage", "motor_temperature", "drive_temperature", "short_circuit",
     "encoder_loss",
-)  # fmt: skip
+)
 
 
 @block
@@ -163,7 +163,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
     RPDO = ("target_position",)
     TPDO = (
         "position_actual_value", "velocity_actual_value", "torque_actual_value", "error_code",
-    )  # fmt: skip
+    )
     ACTION = action("target_position")
     OBSERVATION = observation("goal", "position", "velocity", "torque", "fault_class", "milestones")
     EPISODE = episode(
@@ -267,7 +267,7 @@ def _faults(machine: Machine) -> tuple[str, ...]:
         name for name in drive.injectable
         if name.upper() in Cause.__members__
         and int(drive.axis.od.fault_reaction[Cause[name.upper()]]) not in harmless
-    )  # fmt: skip
+    )
 
 
 vector = partial(vectors, CommissioningEnv)

@@ -157,7 +157,7 @@ class CompliantAxisEnv(ServoEnv):
     OBSERVATION = observation(
         "distance", "position", "velocity", "following_error", "torque", "set_point",
         "deflection", "deflection_rate", "distance_logarithmic",
-    )  # fmt: skip
+    )
     EPISODE = episode(
         ("goal", "f8"),  # of the load (m)
         ("distance", "f8"),  # goal minus position of the load (m)
@@ -190,7 +190,7 @@ class CompliantAxisEnv(ServoEnv):
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch",
         "ruckig+ff", "lqr", "adaptive_lqr", "identified+zv", "identified+zvd", "mpc",
         "proportional", "informed_lqr", "informed_ruckig+zvd", "bound",
-    )  # fmt: skip
+    )
     REFERENCE = "ruckig"
     METRIC = "settling_time"
     CHANNELS = linear_axis_channels(

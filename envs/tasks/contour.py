@@ -245,7 +245,7 @@ steps × `feed` × step time |
             "speed of the\ntool (m/s)",
             lambda env: math.hypot(joint(env, "x")[1], joint(env, "y")[1]),
         ),
-    )  # fmt: skip
+    )
 
     def __init__(
         self,

@@ -121,7 +121,7 @@ class Fitting:
             f"settled within {factor * window:.2g} {small}":
                 "–" if math.isnan(settled) else f"{settled * 1e3:.0f} ms",
             "overshoot": f"{factor * over:.3g} {small}",
-        }  # fmt: skip
+        }
         return Judged(goal + away, settled, figures)
 
 
@@ -213,7 +213,7 @@ def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
         (*RobotEnv.POLICIES, "hold"),
         Goal("Goal", unit, round(low, 3), round(high, 3), round((low + high) / 2, 3)),
         f"position ({unit})", {"mjcf": str(mjcf), "drives": [*machine.drives]}, axis,
-    )  # fmt: skip
+    )
 
 
 def _rotary(mechanics: str) -> Fitting:
@@ -223,14 +223,14 @@ def _rotary(mechanics: str) -> Fitting:
         "Policies of RotaryAxis-v0 turn the axis to the goal, the shorter way round.",
         ("ruckig", "trapezoid", "proportional"), Goal("Goal", "°", 0, round(period, 3), 90),
         "angle (°)", {"mechanics": mechanics},
-    )  # fmt: skip
+    )
 
 
 LINEAR = _Linear(
     LinearAxisEnv, "Policies of LinearAxis-v0 bring the axis to the goal.",
     ("ruckig", "jerk_limited", "trapezoid", "proportional", "learned"),
     Goal("Goal", "mm", 0, 500, 300), "position (mm)",
-)  # fmt: skip
+)
 FITTING: dict[str, Fitting] = {  # by the name of the axis in `envs.plants.catalogue`
     "linear": LINEAR, "vertical": LINEAR,
     "rotary-table": _rotary("rotary_table"), "conveyor": _rotary("conveyor"),
@@ -242,7 +242,7 @@ FITTING: dict[str, Fitting] = {  # by the name of the axis in `envs.plants.catal
         ("full_feed", "constant_feed"), Goal("Radius", "mm", 5, 200, 40),
         "outside of the contour (µm)",
     ),
-}  # fmt: skip
+}
 NONE = {
     "gantry-x1x2": "Policies of GantrySync-v0 start with a bridge that lies skew by an unknown "
     "amount; here each drive has been referenced by itself. No policy can take over; "

@@ -212,7 +212,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
             window=lambda env: MM * env.skew_tolerance,
         ),
         Channel("velocity of the\nbridge (m/s)", lambda env: joint(env, "x")[1]),
-    )  # fmt: skip
+    )
 
     def __init__(
         self,
@@ -251,7 +251,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
                 ("start", STARTS), ("goal", GOALS), ("y", (0.0, Y_STROKE)),
                 ("skew", (-self.skew, self.skew)),
             )
-        }  # fmt: skip
+        }
         given = {name: options.get(name, value) for name, value in drawn.items()}
         limit = self.max_twist
         start = in_range("options['start']", given["start"], limit, STROKE - limit, "m")

@@ -124,7 +124,7 @@ def judge(episode, rpdos, tpdos, observation):
     accuracy, speed, gentleness = _terms(
         episode.error, episode._tolerance, episode._time, episode.impact_energy,
         episode.greatest_torque,
-    )  # fmt: skip
+    )
     ended = episode.attained
     episode.reward_accuracy = accuracy if ended else 0.0
     episode.reward_speed = speed if ended else 0.0
@@ -230,13 +230,13 @@ the positive one; -1 the negative, 0 none |
     TPDO = (
         "digital_inputs", "position_actual_value", "velocity_actual_value",
         "velocity_demand_value", "torque_actual_value",
-    )  # fmt: skip
+    )
     ACTION = action("velocity", "torque_limit", "reference")
     OBSERVATION = observation(
         "negative_limit_switch", "positive_limit_switch", "home_switch", "velocity", "torque",
         "velocity_error", "displacement", "torque_limit", "time", "switched", "from_edge",
         "from_edge_fine", "last_limit_switch",
-    )  # fmt: skip
+    )
     EPISODE = episode(
         *FIELDS,
         ("start", "f8"),  # m
@@ -276,7 +276,7 @@ the positive one; -1 the negative, 0 none |
             window=tolerance, nearest=30.0,
         ),
         Channel("velocity\n(m/s)", velocity),
-    )  # fmt: skip
+    )
     STROKE = (STROKE,)
     # what counts comes at the end, hundreds of steps later; a search goes on for a while
     HYPERPARAMETERS = {  # noqa: RUF012
@@ -380,7 +380,7 @@ the positive one; -1 the negative, 0 none |
     def built_in(
         self, method: int, objects: dict[str, int] | None = None,
         observer: Callable[[float], None] | None = None,
-    ) -> HomingFigures:  # fmt: skip
+    ) -> HomingFigures:
         """What a homing method of the drive makes of this episode's start, switches and loads.
 
         `objects` are written before, such as its speeds (position units/s); `observer` is called at
@@ -393,14 +393,14 @@ the positive one; -1 the negative, 0 none |
             return built_in(
                 self.machine, method, self.episode.start, stride=self.cycles_per_step,
                 objects={"max_torque": self._max_torque} | (objects or {}), observer=observer,
-            )  # fmt: skip
+            )
         finally:
             self.aim = None
 
     def judged(
         self, method: int, objects: dict[str, int] | None = None,
         observer: Callable[[float], None] | None = None,
-    ) -> dict[str, float]:  # fmt: skip
+    ) -> dict[str, float]:
         """What `built_in` does by the metrics of an evaluation; no settling time without a home."""
         figures = self.built_in(method, objects, observer)
         found = figures.attained
@@ -420,7 +420,7 @@ the positive one; -1 the negative, 0 none |
         return SEARCH + _worth(*_terms(
             figures.error, self.tolerance, figures.time, figures.impact_energy,
             figures.greatest_torque,
-        ))  # fmt: skip
+        ))
 
 
 vector = partial(vectors, HomingEnv)

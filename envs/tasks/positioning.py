@@ -148,7 +148,7 @@ class LinearAxisEnv(ServoEnv):
     OBSERVATION = observation(
         "distance", "position", "velocity", "following_error", "torque", "set_point",
         "distance_fine",
-    )  # fmt: skip
+    )
     EPISODE = episode(
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus position (m)
@@ -169,7 +169,7 @@ class LinearAxisEnv(ServoEnv):
         "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
         "ruckig+notch", "tuned_ruckig", "proportional", "pd",
         "informed_ruckig", "bound",
-    )  # fmt: skip
+    )
     REFERENCE = "ruckig"
     METRIC = "settling_time"
     CHANNELS = linear_axis_channels("carriage")

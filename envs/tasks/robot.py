@@ -168,7 +168,7 @@ class RobotEnv(ServoEnv):
         ("_reach", "f8"),
         ("_tolerance", "f8"),
         ("_resting", "f8"),
-    )  # fmt: skip
+    )
     act = staticmethod(act)
     judge = staticmethod(judge)
     POLICIES: tuple[str, ...] = ("proportional",)
@@ -177,7 +177,7 @@ class RobotEnv(ServoEnv):
         Channel("from the goal\n(m)", lambda env: float(env.episode.distance), nearest=15.0,
                 window=lambda env: env.tolerance),
         *FIRST_DRIVE,
-    )  # fmt: skip
+    )
 
     def __init__(
         self,
@@ -282,7 +282,7 @@ class RobotEnv(ServoEnv):
                 for key in ("min_position_limit", "max_position_limit", "profile_velocity",
                             "profile_acceleration",
                             "max_profile_velocity", "following_error_window")
-            }  # fmt: skip
+            }
             low, high = read["min_position_limit"], read["max_position_limit"]
             free = low >= high
             episode._low[i], episode._high[i] = (-math.inf, math.inf) if free else (low, high)

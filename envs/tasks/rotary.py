@@ -131,7 +131,7 @@ class RotaryAxisEnv(ServoEnv):
     OBSERVATION = observation(
         "distance", "cosine", "sine", "velocity", "following_error", "torque", "set_point",
         "distance_fine",
-    )  # fmt: skip
+    )
     EPISODE = episode(
         ("goal", "f8"),  # rad
         ("distance", "f8"),  # goal minus position, the shorter way (rad)

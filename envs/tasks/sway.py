@@ -238,7 +238,7 @@ class GantrySwayEnv(ServoEnv):
         "trapezoid", "jerk_limited", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+notch", "lqr",
         "adaptive_lqr", "identified+zv", "identified+zvd", "mpc", "informed_lqr",
         "informed_ruckig+zv", "bound",
-    )  # fmt: skip
+    )
     REFERENCE = "ruckig+zvd"  # plain ruckig leaves the load swinging, as holding still does
     METRIC = "settling_time"
     CHANNELS = _channels(0)

@@ -166,7 +166,7 @@ class LinearAxisTrackingEnv(ServoEnv):
     OBSERVATION = observation(
         "error", "reference", "reference_velocity", "reference_acceleration", "velocity",
         "following_error", "torque", ("preview", PREVIEW),
-    )  # fmt: skip
+    )
     EPISODE = episode(
         ("error", "f8"),  # reference minus position (m)
         ("rms_error", "f8"),  # m
@@ -201,7 +201,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         "feed_forward", "disturbance_observer", "adaptive_feed_forward", "leading_feed_forward",
         "basis_feed_forward", "iterative_learning", "informed_adaptive_feed_forward",
         "bound",
-    )  # fmt: skip
+    )
     REFERENCE = "feed_forward"
     METRIC = "load_error"
     METRICS = {  # noqa: RUF012

@@ -20,10 +20,10 @@ READ = ("torque", "position_demand", "shaft_angle", "zero_counts")
 COARSE = 2000  # increments a motor revolution, below which a place within one is looked at
 UNWATCHED = {  # the machine of the log has run on: what would stop its twin stands down
     "following_error_window": (2**31 - 1,), "undervoltage": (0,), "overvoltage": (2**31 - 1,),
-}  # fmt: skip
+}
 SMOOTH = 1 << 24  # increments a revolution: derivatives of what they round are noise
 UNITS = ("rad_per_position_unit", "rad_s_per_velocity_unit", "velocity_gain_unit",
-         "position_gain_unit")  # fmt: skip
+         "position_gain_unit")
 UNLIMITED = (2**31 - 1, 32767)  # 1/min, the first that the model takes
 MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
 
@@ -228,6 +228,6 @@ def _at(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
     weights = (
         -t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
         -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6,
-    )  # fmt: skip
+    )
     line = np.arange(len(rows))[:, None]
     return sum(w * rows[line, left + n - 1] for n, w in enumerate(weights))

@@ -174,7 +174,7 @@ class Search:
         self, candidates: Candidates, experiments: Sequence[Experiment],
         fixed: Mapping[str, float] | None = None,
         told: Callable[[Mapping[str, float], float], object] = lambda values, cost: None,
-    ):  # fmt: skip
+    ):
         self.candidates = candidates
         self.experiments = list(experiments)
         self._moving = [each.moving for each in self.experiments]
@@ -225,7 +225,7 @@ class Search:
     def descend(
         self, free: Sequence[Free], values: Mapping[str, float], noise: Noise, steps: int = 10,
         close: bool = False,
-    ) -> Estimate:  # fmt: skip
+    ) -> Estimate:
         """Levenberg and Marquardt, candidates side by side.
 
         With `close` it ends where the sum of squares stands still, of which one is a standard
@@ -308,7 +308,7 @@ class Search:
         return np.array([
             f.inner(max(f.outer(c), 1e-300) if f.log else f.outer(c))
             for f, c in zip(free, x, strict=True)
-        ])  # fmt: skip
+        ])
 
     def _linear(
         self, free: Sequence[Free], x: np.ndarray, noise: Noise, central: bool

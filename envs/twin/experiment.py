@@ -22,11 +22,11 @@ CYCLIC = {  # mode -> the set-point that comes once a bus cycle
     Mode.CYCLIC_SYNC_POSITION: "target_position", Mode.CYCLIC_SYNC_VELOCITY: "target_velocity",
     Mode.CYCLIC_SYNC_TORQUE: "target_torque",
     Mode.INTERPOLATED_POSITION: "interpolation_data_record",
-}  # fmt: skip
+}
 OCCASIONAL = {
     Mode.PROFILE_POSITION: "target_position", Mode.PROFILE_VELOCITY: "target_velocity",
     Mode.PROFILE_TORQUE: "target_torque",
-}  # fmt: skip
+}
 OFFSETS = ("position_offset", "velocity_offset", "torque_offset")
 # parameters of a move that a master may write in the log itself
 PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
@@ -96,7 +96,7 @@ class Experiment:
             self, rows={name: values[:n] for name, values in self.rows.items()},
             arrives=self.arrives[:n], time=self.time[keep], position=self.position[keep],
             torque=self.torque[keep],
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -117,14 +117,14 @@ class Scale:
         return cls(
             float(axis.rad_per_position_unit) / gear, float(axis.rad_s_per_velocity_unit) / gear,
             int(axis.od.motor_rated_torque) * 1e-6,
-        )  # fmt: skip
+        )
 
 
 def experiment(
     signals: Mapping[str, Signal], machine: Machine, name: str, *, log: str = "log",
     mode: int | None = None, torque_constant: float | None = None, cycle: float | None = None,
     hold: bool = False,
-) -> Experiment:  # fmt: skip
+) -> Experiment:
     """Make an experiment of what a log has of one drive.
 
     Args:
@@ -227,7 +227,7 @@ def experiment(
     return Experiment(
         log, used, step, period, rows, arrives, lead, float(measured[0]), time, measured, torques,
         (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0),
-    )  # fmt: skip
+    )
 
 
 def _fitting(asked: np.ndarray, measured: np.ndarray, quantum: float, log: str) -> None:
@@ -568,7 +568,7 @@ def _control(signals, written, arrives, clock, step, lead, count, per) -> None:
 def _written(signals: Mapping[str, Signal], drive: Drive) -> dict[str, float]:
     """What was written to parameters in the log: of the profile, and gains."""
     names = (*PROFILE, "velocity_control_gain", "velocity_control_time", "position_control_gain",
-             "velocity_feed_forward", "velocity_filter_time")  # fmt: skip
+             "velocity_feed_forward", "velocity_filter_time")
     return {
         name: float(signals[name].value[-1])
         for name in names

@@ -81,7 +81,7 @@ FAMILIES: Mapping[str, Family] = {
         Family("conveyor", "rotary_axis", {"mechanics": "conveyor"}, mass="inertia"),
         *(Family(f"gantry.{axis}", "gantry", {}, axis=axis) for axis in ("x", "y", "z")),
     )
-}  # fmt: skip
+}
 AUTO = ("rigid", "spring", "toothed_belt")  # that ``auto`` tries, one after the other
 
 

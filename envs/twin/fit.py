@@ -28,7 +28,7 @@ PID = ("pid_gain", "pid_integral_gain", "pid_derivative_gain")
 KEPT = {  # what a drive keeps rounded, and its object
     "velocity_gain": "velocity_control_gain", "integral_time": "velocity_control_time",
     "position_gain": "position_control_gain", **{name: name for name in PID},
-}  # fmt: skip
+}
 PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.1, 0.3, 1.0) for d in (0.7, 1.1, 1.6)]
 LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, about the lag that the first run shows
 GAP = 2e-6  # m or rad, of backlash, which a search looks at steps of
@@ -80,7 +80,7 @@ class Fitted:
             found = (
                 experiment.position - run.position[0], run.demand[0] - experiment.position,
                 experiment.torque - run.torque[0], experiment.torque,
-            )  # fmt: skip
+            )
             for column, values in zip(left, found, strict=True):
                 column.append(values[at])
         position, error, torque, whole = (
@@ -89,7 +89,7 @@ class Fitted:
         return {
             "position_rms": position, "following_error": position / max(error, 1e-12),
             "torque": torque / max(whole, 1e-12),
-        }  # fmt: skip
+        }
 
     @property
     def verdict(self) -> str:
@@ -102,7 +102,7 @@ class Fitted:
 def fit(
     experiments: Sequence[Experiment], drive: str | DriveModel, chosen: Family,
     *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
-) -> Fitted:  # fmt: skip
+) -> Fitted:
     """Fit one family.
 
     Args:
@@ -148,7 +148,7 @@ def fit(
         for steps in () if candidates.coarse else (4, 8):
             noise = colour([each[0] for each in search.residuals([best])])
             estimate = search.descend(estimate.finer(candidates.smooth), best, noise, steps,
-                                      close=True)  # fmt: skip
+                                      close=True)
             best = estimate.values
     except KeyboardInterrupt:
         complete = False
@@ -175,7 +175,7 @@ def fit(
         chosen, estimate.values, estimate, rough, *held, joint.unit, candidates.runs,
         candidates.increment if candidates.coarse else 0.0, complete, candidates, simulated,
         list(experiments), cuts,
-    )  # fmt: skip
+    )
 
 
 def choose(
@@ -183,7 +183,7 @@ def choose(
     built: Mapping[str, Any] | None = None, objects: Mapping[str, float] | None = None,
     *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
     free: Sequence[str] = (),
-) -> tuple[Fitted, list[Fitted]]:  # fmt: skip
+) -> tuple[Fitted, list[Fitted]]:
     """Fit families until one explains the logs; -> the best by held-out error, and all."""
     tried: list[Fitted] = []
     for name in names:
@@ -317,14 +317,14 @@ def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str,
         float(np.mean((np.interp(times - s, experiment.time, run.position[0])
                        - experiment.position[inside]) ** 2))
         for s in shifts
-    ]  # fmt: skip
+    ]
     return float(shifts[int(np.argmin(errors))])
 
 
 def _free(
     chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool,
     strongest: float, inertia: float,
-) -> list[Free]:  # fmt: skip
+) -> list[Free]:
     """What is looked for; the strongest force and the inertia at the shaft give it its steps."""
     names = [*chosen.unknown, LAG]
     if not gains_known:
@@ -355,7 +355,7 @@ def _free(
 def _starts(
     search: Search, chosen: Family, joint: parameters.Joint, start: dict[str, float],
     noise: Noise, gains_known: bool,
-) -> list[dict[str, float]]:  # fmt: skip
+) -> list[dict[str, float]]:
     """Several places to begin, where there are local minima."""
     starts = [start]
     if "pid_gain" in chosen.extra:
@@ -363,14 +363,14 @@ def _starts(
             start | {name: start[name] * share for name, share in zip(PID, shares, strict=True)
                      if name in chosen.extra} | {LAG: start[LAG] + late}
             for shares in PID_GRID for late in LATE
-        ]  # fmt: skip
+        ]
         starts = [grid[n] for n in np.argsort(search.cost(grid, noise))[:2]]
     elif not gains_known:
         grid = [
             start | {"velocity_gain": start["velocity_gain"] * v,
                      "position_gain": start["position_gain"] * p}
             for v, p in GAIN_GRID
-        ]  # fmt: skip
+        ]
         starts = [grid[int(np.argmin(search.cost(grid, noise)))]]
     if chosen.spring:
         stiffness, damping = chosen.spring
@@ -412,7 +412,7 @@ def _worse(
 def _judge(
     candidates: Candidates, experiments: Sequence[Experiment], cuts: Sequence[float],
     values: Mapping[str, float],
-) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+) -> tuple[float, float, float, float, float, float]:
     """Errors held out, what noise of the encoder would leave, share explained, the noise."""
     left_p, left_t, quiet_p, quiet_t, wave, sizes = [], [], [], [], [], []
     coarse, increment = candidates.coarse, candidates.increment
@@ -446,7 +446,7 @@ def _judge(
         position, torque, math.hypot(rms(quiet_p), math.sqrt(quantum[0])),
         math.hypot(rms(quiet_t), math.sqrt(quantum[1])),
         1.0 - position / max(rms(wave), 1e-12), float(np.mean(sizes)),
-    )  # fmt: skip
+    )
 
 
 def _noise(left: np.ndarray, simulated: np.ndarray, quantum: float) -> float:

@@ -14,7 +14,7 @@ from .fit import Fitted
 from .words import ALWAYS, doubts, verdict
 
 COMMISSIONED = (*GAINS, "velocity_filter_time", "velocity_feed_forward",
-                "acceleration_feed_forward", "backlash")  # fmt: skip
+                "acceleration_feed_forward", "backlash")
 DIGITS = 6  # of what is written
 
 
@@ -75,7 +75,7 @@ def content(
                                "ratio": _short(each.ratio), "verdict": each.verdict}
             for each in tried
         },
-    }  # fmt: skip
+    }
     found["checksum"] = checksum(json.loads(json.dumps(found)))
     return found
 
@@ -95,7 +95,7 @@ def _digest(log: Path) -> str:
 def save(
     folder: str | Path, fitted: Fitted, drive: str, logs: Sequence[Path] = (),
     tried: Sequence[Fitted] = (),
-) -> Path:  # fmt: skip
+) -> Path:
     """Write the file into a folder, which is made if need be; -> the file."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

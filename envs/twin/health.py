@@ -11,7 +11,7 @@ ABSOLUTE = ("load_force", "backlash")  # told in their units
 WATCHED = (  # in the order they are told
     "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "load_stiffness",
     "transmission_stiffness", "load_damping", "transmission_damping", "backlash",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -71,4 +71,4 @@ def table(found: list[Change]) -> list[dict[str, Any]]:
         {"name": c.name, "before": c.before, "now": c.now, "change": c.change, "low": c.low,
          "high": c.high, "unit": c.unit, "certain": c.certain}
         for c in found
-    ]  # fmt: skip
+    ]

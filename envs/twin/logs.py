@@ -15,7 +15,7 @@ def read(
     logs: Sequence[str | Path], machine: Machine, drive: str | DriveModel, name: str, *,
     who: str | None = None, columns: str | None = None, mode: int | None = None,
     torque_constant: float | None = None, cycle: float | None = None, hold: bool = False,
-) -> list[Experiment]:  # fmt: skip
+) -> list[Experiment]:
     """Experiments of the logs, in their order.
 
     Args:

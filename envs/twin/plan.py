@@ -17,7 +17,7 @@ KINDS = {  # what a move tells: shares of speed and acceleration, and how far, t
     "slow": ((0.1, 0.5, 0.03), (0.05, 0.5, 0.02)),
     "ring": ((1.0, 1.0, 0.1), (0.6, 1.0, 0.05)),
     "sweep": (),
-}  # fmt: skip
+}
 WHOLE = ("acceleration", "speed", "slow")  # what an experiment for an unknown axis holds
 SWEEP = (5.0, 100.0, 3.0)  # Hz from, to, and how long (s)
 SHARE_OF_SWEEP = 0.3  # of the highest acceleration
@@ -64,7 +64,7 @@ def plan(
                 _move(here, goal, speed * limits.velocity, acceleration * limits.acceleration,
                       limits.jerk, period),
                 goal * rest,
-            ]  # fmt: skip
+            ]
             here = goal
     if sweep or "sweep" in kinds:
         parts += [middle + _sweep(limits, period), np.full(round(REST / period), middle)]

@@ -65,7 +65,7 @@ def regress(experiments: list[Experiment], gear: float) -> Rough:
         float(full[0]), float(full[1]), float(full[2]), float(full[3]),
         1.0 - float(np.var(left)) / spread if spread > 0 else 0.0, bool(one_way),
         accelerating > 0.05 * np.sqrt(spread), (speed[moving], wanted - matrix[:, 0] * full[0]),
-    )  # fmt: skip
+    )
 
 
 def _derivatives(values: np.ndarray, half: int, period: float) -> tuple[np.ndarray, ...]:

@@ -43,7 +43,7 @@ def report(folder: Path, fitted: Fitted, content: Mapping[str, Any]) -> list[Pat
         lines.insert(2, "Tried: " + ", ".join(
             f"{name} ({each['ratio']:.3g} times the floor)"
             for name, each in content["tried"].items()
-        ) + ".\n")  # fmt: skip
+        ) + ".\n")
     (folder / "report.md").write_text("\n".join(lines), encoding="utf-8")
     return [folder / "report.md", *(folder / name for name in PICTURES)]
 
@@ -94,7 +94,7 @@ def _motion(path: Path, fitted: Fitted) -> None:
     panels[0].set_title(
         f"{experiment.name}: {fitted.verdict}"
         + (", right of the dotted line held out" if 0 < cut < time[-1] else ""), fontsize=10,
-    )  # fmt: skip
+    )
     _save(figure, path)
 
 
@@ -111,7 +111,7 @@ def _friction(path: Path, fitted: Fitted) -> None:
     at = np.linspace(float(speed.min()), float(speed.max()), 200) / gear
     law = fitted.values["coulomb_friction"] * np.sign(at) + fitted.values["viscous_friction"] * at
     panel.plot(at, law - fitted.values.get("load_force", 0.0) + _weight(fitted), color=SOFT,
-               lw=1.4, label="twin: Coulomb and viscous")  # fmt: skip
+               lw=1.4, label="twin: Coulomb and viscous")
     panel.set_xlabel(f"speed ({unit})")
     panel.set_ylabel(f"torque without inertia ({force})")
     panel.grid(**GRID)

@@ -25,7 +25,7 @@ MOVES = {  # what tells two parameters apart, and the kinds of moves (`plan.KIND
     frozenset(("transmission_stiffness", "transmission_damping")): (RING, "ring"),
     frozenset(("velocity_gain", "position_gain")): (GAINS, ""),
     frozenset(("velocity_gain", "integral_time")): (GAINS, ""),
-}  # fmt: skip
+}
 ALONE = {
     "payload": ("add moves with more acceleration", "acceleration"),
     "inertia": ("add moves with more acceleration", "acceleration"),
@@ -38,7 +38,7 @@ ALONE = {
     "transmission_stiffness": ("add short, sharp moves, or a sweep over the resonance", "sweep"),
     "transmission_damping": ("add short, sharp moves with a rest behind each", "ring"),
     "backlash": ("add slow moves to both sides, short ones", "slow"),
-}  # fmt: skip
+}
 OTHERS = ("record moves that differ more in speed and acceleration", "acceleration")
 ALWAYS = (
     "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "

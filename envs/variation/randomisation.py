@@ -105,7 +105,7 @@ def _parameter(name: str, low: float | None = None, high: float | None = None) -
     return Knob(
         row.low if low is None else low, row.high if high is None else high, row.unit, turn,
         lambda machine: max(row.get(Joint(machine, drive)) for drive in machine.drives),
-    )  # fmt: skip
+    )
 
 
 KNOBS = {

@@ -69,7 +69,7 @@ def linear_axis(what: str, *more: Channel) -> tuple[Channel, ...]:
         ),
         Channel(f"velocity of the\n{what} (m/s)", velocity),
         *more,
-    )  # fmt: skip
+    )
 
 
 def _driven(env: Any, coordinates: np.ndarray, place: str) -> float:
@@ -120,7 +120,7 @@ def drives(several: bool) -> tuple[Channel, ...]:
             window=_window, wide=True,
         ),
         Channel(torque, _torque, window=_torque_limit),
-    )  # fmt: skip
+    )
 
 
 def of(env: Any) -> tuple[Channel, ...]:

@@ -49,7 +49,7 @@ def _linear_axis(model: mujoco.MjModel) -> Iterator[Part]:
         yield Part(0, BOX, (half[0] - 0.012, 0.004, 0.003), (x, 0.024 * side, top + 0.003), STEEL)
     yield Part(0, BOX, (half[0], 0.008, 0.0012), (x, 0.0, top + 0.0012), BELT)
     yield Part(0, CYLINDER, (0.022, 0.02, 0.0), (-0.115, -0.015, 0.035), STEEL,
-               (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))  # fmt: skip
+               (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
     yield Part(0, BOX, (0.034, 0.004, 0.034), (-0.115, -0.033, 0.036), STEEL)
     for place in (x - half[0] + 0.04, x, x + half[0] - 0.04):
         yield Part(0, BOX, (0.02, 0.05, 0.005), (place, 0.0, 0.005), DARK)
@@ -57,15 +57,15 @@ def _linear_axis(model: mujoco.MjModel) -> Iterator[Part]:
     for number in range(51):  # a tick each 10 mm, where the middle of the carriage stands
         long = 0.009 if number % 10 == 0 else 0.006 if number % 5 == 0 else 0.0035
         yield Part(0, BOX, (0.0009 if number % 5 == 0 else 0.0005, 0.0006, long),
-                   (0.01 * number, front - 0.0014, 0.047 - long), INK)  # fmt: skip
+                   (0.01 * number, front - 0.0014, 0.047 - long), INK)
     for number in range(0, 501, 100):
         yield Part(0, BOX, (1e-4, 1e-4, 1e-4), (1e-3 * number, front - 0.002, 0.014), INK,
-                   label=f"{number}")  # fmt: skip
+                   label=f"{number}")
     carriage = model.body("carriage").id
     yield Part(carriage, BOX, (0.0015, 0.0006, 0.013), (0.0, -0.0456, -0.003), SIGNAL)
     for corner in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         yield Part(carriage, CYLINDER, (0.004, 0.0015, 0.0),
-                   (0.042 * corner[0], 0.037 * corner[1], 0.0145), STEEL)  # fmt: skip
+                   (0.042 * corner[0], 0.037 * corner[1], 0.0145), STEEL)
 
 
 def _rotary_axis(model: mujoco.MjModel) -> Iterator[Part]:
@@ -74,7 +74,7 @@ def _rotary_axis(model: mujoco.MjModel) -> Iterator[Part]:
     thick, radius = 0.015, 0.25
     yield Part(table, CYLINDER, (radius * 0.998, 0.0012, 0.0), (0.0, 0.0, thick), STEEL)
     yield Part(table, CYLINDER, (radius - 0.03, 0.0014, 0.0), (0.0, 0.0, thick + 0.0004),
-               tuple(map(float, model.mat("table").rgba)))  # type: ignore[arg-type]  # fmt: skip
+               tuple(map(float, model.mat("table").rgba)))  # type: ignore[arg-type]
     yield Part(table, CYLINDER, (0.055, 0.006, 0.0), (0.0, 0.0, thick + 0.004), STEEL)
     yield Part(table, CYLINDER, (0.02, 0.007, 0.0), (0.0, 0.0, thick + 0.006), DARK)
     for degree in range(0, 360, 10):
@@ -85,7 +85,7 @@ def _rotary_axis(model: mujoco.MjModel) -> Iterator[Part]:
             table, BOX, (long, 0.0012 if degree % 30 == 0 else 0.0007, 0.0006),
             (at * math.cos(angle), at * math.sin(angle), thick + 0.0018), INK, _about_z(angle),
             f"{degree}" if degree % 90 == 0 else "",
-        )  # fmt: skip
+        )
     for number in range(6):
         angle = math.radians(30 + 60 * number)
         place = (0.125 * math.cos(angle), 0.125 * math.sin(angle), thick + 0.0018)
@@ -94,7 +94,7 @@ def _rotary_axis(model: mujoco.MjModel) -> Iterator[Part]:
     yield Part(0, BOX, (0.2, 0.2, 0.006), (0.0, 0.0, 0.006), STEEL)
     yield Part(0, BOX, (0.02, 0.006, height / 2 + 0.006), (radius + 0.03, 0.0, height / 2), DARK)
     yield Part(0, BOX, (0.016, 0.0025, 0.002), (radius + 0.016, 0.0, height + thick + 0.004),
-               SIGNAL)  # fmt: skip
+               SIGNAL)
 
 
 def _gantry(model: mujoco.MjModel) -> Iterator[Part]:
@@ -105,16 +105,16 @@ def _gantry(model: mujoco.MjModel) -> Iterator[Part]:
         top, under = z + float(half[2]), z - float(half[2])
         for end in (-1, 1):
             yield Part(0, BOX, (0.025, 0.025, under / 2),
-                       (x + end * (float(half[0]) - 0.03), y, under / 2), STEEL)  # fmt: skip
+                       (x + end * (float(half[0]) - 0.03), y, under / 2), STEEL)
             yield Part(0, BOX, (0.05, 0.05, 0.006), (x + end * (float(half[0]) - 0.03), y, 0.006),
-                       DARK)  # fmt: skip
+                       DARK)
         yield Part(0, BOX, (float(half[0]) - 0.01, 0.006, 0.004), (x, y, top + 0.002), DARK)
         yield Part(0, BOX, (0.03, 0.035, 0.03), (x - float(half[0]) - 0.03, y + 0.01 * side, z),
-                   DARK)  # fmt: skip
+                   DARK)
         for number in range(9):  # a tick each 100 mm
             yield Part(0, BOX, (0.0015, 0.0008, 0.014),
                        (0.1 * number, y + side * (float(half[1]) + 0.0008), z + 0.012), INK,
-                       label=f"{100 * number}" if side < 0 and number % 2 == 0 else "")  # fmt: skip
+                       label=f"{100 * number}" if side < 0 and number % 2 == 0 else "")
     bridge = model.body("bridge").id
     for beam in ("beam1", "beam2"):
         x = float(model.geom(beam).pos[0])
@@ -130,7 +130,7 @@ def _gantry(model: mujoco.MjModel) -> Iterator[Part]:
 
 PLANTS: dict[str, Callable[[mujoco.MjModel], Iterator[Part]]] = {
     "linear axis": _linear_axis, "rotary axis": _rotary_axis, "gantry": _gantry,
-}  # fmt: skip
+}
 
 
 def scale(low: np.ndarray, high: np.ndarray, floor: float) -> list[Part]:
@@ -143,7 +143,7 @@ def scale(low: np.ndarray, high: np.ndarray, floor: float) -> list[Part]:
         rows.append(
             Part(0, BOX, (SQUARE / 2, 0.008, 0.0015),
                  (begin + SQUARE * (number + 0.5), y, floor + 0.0015), (INK, WHITE)[number % 2])
-        )  # fmt: skip
+        )
     end = (begin + SQUARE * (steps + 0.4), y, floor + 1e-3)
     rows.append(Part(0, BOX, (1e-4, 1e-4, 1e-4), end, INK, label=f"{steps * SQUARE:.1f} m"))
     return rows

@@ -91,7 +91,7 @@ def _line(machine: Machine, i: int, name: str, drive: Drive) -> Line:
         "mm" if sliding else "mrad",
         ", ".join(text for limit, text in LIMIT_NAME.items() if active & limit),
         drive.fault,
-    )  # fmt: skip
+    )
 
 
 class Overlay:
@@ -110,7 +110,7 @@ class Overlay:
         for x, title in (
             (NAME, "drive"), (STATE, "state"), (MODE, "mode"),
             (BAR, "following error (root scale) / window"), (LIMIT, "active limit"),
-        ):  # fmt: skip
+        ):
             draw.text((x, 13), title, DIM, _font(13), "lm")
         for i, name in enumerate(drives):
             y = TITLES + ROW * i
@@ -192,7 +192,7 @@ class Overlay:
         middle = y + 14
         draw.rounded_rectangle((STATE, y + 4, MODE - 10, y + 24), 5, STATE_COLOUR[line.state])
         draw.text(((STATE + MODE - 10) // 2, middle), line.state.name.lower().replace("_", " "),
-                  "white" if line.state == State.FAULT else "black", _font(15), "mm")  # fmt: skip
+                  "white" if line.state == State.FAULT else "black", _font(15), "mm")
         draw.text((MODE, middle), line.mode, TEXT, _font(15), "lm")
         inside = abs(line.error) <= line.window
         share = line.error / line.window if line.window else line.error * math.inf
@@ -231,7 +231,7 @@ def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 def _write(
     draw: ImageDraw.ImageDraw, place: tuple[int, int], text: str, width: int, colour: str,
     font: ImageFont.FreeTypeFont,
-) -> None:  # fmt: skip
+) -> None:
     """Text from `place` (left, middle) to the right, shortened to `width` (px) with an ellipsis."""
     if font.getlength(text) > width:
         while text and font.getlength(text + "…") > width:

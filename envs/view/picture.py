@@ -193,7 +193,7 @@ class Picture:
                 "\n".join(f"{line.name}  {_plain(line)}" for line in machine),
                 "\n".join(f"limit {line.limits}" if line.limits else "" for line in machine),
             ),
-        ]  # fmt: skip
+        ]
 
     def _ghosts(self, scene: mujoco.MjvScene) -> None:
         """Add what has a ghost, translucent, where it should be: bodies, or all that moves."""
@@ -235,7 +235,7 @@ class Picture:
                 geom, part.kind, np.array(part.size),
                 data.xpos[part.body] + body.reshape(3, 3) @ np.array(part.place), turn,
                 np.array(part.colour, np.float32),
-            )  # fmt: skip
+            )
             geom.label = part.label
             scene.ngeom += 1
 
@@ -283,7 +283,7 @@ class Picture:
         wanted = self._env.path()
         if len(wanted):
             tracks = [np.array([place[body][:2] for place in self._path if body in place])
-                      for body in self._env.ghosts()]  # fmt: skip
+                      for body in self._env.ghosts()]
             self._overlay.inset(image, wanted[:, :2], tracks)
 
     def close(self) -> None:

@@ -54,7 +54,7 @@ def make(name: str, n: int, **arguments):
     return gymnasium.make_vec(
         f"servogym.envs:servogym/{name}", n, vectorization_mode="vector_entry_point",
         autoreset_mode=AutoresetMode.SAME_STEP, previous_action=True, **arguments,
-    )  # fmt: skip
+    )
 
 
 def net(seen: int, told: int, gain: float) -> nn.Sequential:
@@ -167,7 +167,7 @@ def train(given: Arguments) -> list[tuple[int, float]]:
         update(agent, optimiser, given, [
             part.flatten(0, 1)
             for part in (seen_all, actions_all, chances, advantages, advantages + values)
-        ])  # fmt: skip
+        ])
         if done // given.evaluate > (done - given.rollout * given.envs) // given.evaluate:
             curve.append((done, evaluate(agent, scale, judged)))
             print(f"{done} steps: {curve[-1][1]:.1f}", flush=True)
@@ -222,5 +222,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     for field in fields(Arguments):
         parser.add_argument(f"--{field.name.replace('_', '-')}", type=field.type,
-                            default=field.default)  # fmt: skip
+                            default=field.default)
     train(Arguments(**vars(parser.parse_args())))

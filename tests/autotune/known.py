@@ -48,7 +48,7 @@ def plant(machine, names):
     speed = np.zeros((1, size))
     speed[0, : 2 * n], speed[0, -2], speed[0, -1] = (
         share / period * angle[0], -share / period, 1 - share,
-    )  # fmt: skip
+    )
     whole, into = np.zeros((size, size)), np.zeros((size, 1))
     whole[: 2 * n, : 2 * n], whole[: 2 * n, [2 * n]] = a, torque * (1 - lag)
     into[: 2 * n], into[2 * n] = torque * lag, lag
@@ -68,7 +68,7 @@ def loops(machine, names, gains=None):
     pi = control.ss(
         [[1.0]], [[period / gains.integral_time]], [[gains.velocity_gain]],
         [[gains.velocity_gain]], period,
-    )  # fmt: skip
+    )
     velocity = control.series(pi, mechanics)
     # closed with its command held for a position cycle, the angle looked at as it begins
     closed = control.feedback(velocity, control.ss([], [], [], [[1.0, 0.0]], period))
@@ -77,7 +77,7 @@ def loops(machine, names, gains=None):
     position = control.ss(
         np.linalg.matrix_power(a, cycles), held * gains.position_gain, closed.C[1:], 0,
         period * cycles,
-    )  # fmt: skip
+    )
     return velocity[0, 0], position
 
 

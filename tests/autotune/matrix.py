@@ -31,7 +31,7 @@ COUNT = 2e-6  # of the encoder
 HEADING = (
     "axis", "drive or resonance", "gains", "velocity loop", "known", "position loop", "known",
     "commissioned (µm)", "before (µm)", "after (µm)", "s", "reached",
-)  # fmt: skip
+)
 HEAD = """# Tuning from detuned gains
 
 `tune` from gains that are 0.3 and 3 times those of the commissioned axis, for margins of 6 dB and
@@ -89,7 +89,7 @@ CASES = [
         ("gantry 1", "x"), ("gantry 1", "y"), ("gantry 1", "z"),
         ("gantry 2", "x1"), ("gantry 2", "x2"), ("gantry 2", "x1 x2"),
     ) for factor in FACTORS),
-]  # fmt: skip
+]
 
 
 def in_the_middle(machine):
@@ -123,7 +123,7 @@ def springy(name, frequency, drive="generic"):
         stiffness = (2 * math.pi * frequency) ** 2 * reduced
         damping = 2 * 0.02 * math.sqrt(stiffness * reduced)
         return made(name, drive, tuned=False, transmission_stiffness=stiffness,
-                    transmission_damping=damping)  # fmt: skip
+                    transmission_damping=damping)
     p = FAMILY[name]
     rotor = p.rotor_inertia if p.rotor_inertia is not None else load(drive).rotor_inertia
     gear = 2 * math.pi / p.feed_constant
@@ -166,7 +166,7 @@ class Played:
             micro(self.commissioned), micro(tuned.trial_before.following_error),
             micro(tuned.trial_after.following_error), f"{self.cpu:.1f}",
             said if tuned.reached else tuned.reason,
-        ]  # fmt: skip
+        ]
 
 
 def play(case):
@@ -224,7 +224,7 @@ def kept(path):
     """Rows that a page has."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     rows = [[cell.strip() for cell in line[1:-1].split(" | ")] for line in lines
-            if re.match(r"\| \w.*×", line)]  # fmt: skip
+            if re.match(r"\| \w.*×", line)]
     return {tuple(row[:3]): row for row in rows if len(row) == len(HEADING)}
 
 
@@ -237,7 +237,7 @@ def main(path):
                 rows[key] = play(case).row
                 order = {(c.axis, c.variant, f"×{c.factor:g}"): i for i, c in enumerate(CASES)}
                 path.write_text(page(sorted(rows.values(), key=lambda r: order[tuple(r[:3])])),
-                                encoding="utf-8")  # fmt: skip
+                                encoding="utf-8")
             done(1)
 
 

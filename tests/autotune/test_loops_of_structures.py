@@ -44,7 +44,7 @@ def drive(folder, structure):
             ("pid_observer", "rigid"), ("pid_observer", "toothed_belt"),
         )),
     ],
-)  # fmt: skip
+)
 def test_an_axis_with_other_loops_is_commissioned_moves_and_is_measured_as_such(
     structure, mechanics, tmp_path
 ):

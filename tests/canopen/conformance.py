@@ -67,7 +67,7 @@ def fuzz(cases, seed, frames, node_id=1):
     bus = Bus(node_id)
     random_ = random.Random(seed)
     known = [parse(line.split()[1]) for text in cases.values() for line in text.splitlines()
-             if line.strip().startswith(">") and "#" in line]  # fmt: skip
+             if line.strip().startswith(">") and "#" in line]
     for n in range(frames):
         frame = random_.choice(known)
         if random_.random() < 0.7:
@@ -80,7 +80,7 @@ def fuzz(cases, seed, frames, node_id=1):
             frame = Frame(
                 random_.randrange(0x800), random_.randbytes(random_.randint(0, 8)),
                 random_.random() < 0.2, random_.random() < 0.1,
-            )  # fmt: skip
+            )
         bus.time += random_.randrange(2000)
         bus.node.receive(frame, bus.time)
         if n % 4 == 0:

@@ -45,7 +45,7 @@ class Outcome:
 
     def __str__(self) -> str:
         return (f"| {self.name} | {self.imported} | {self.objects} | {self.repairs} | "
-                f"{self.started} | {self.enabled} | {self.homed} | {self.moved} |")  # fmt: skip
+                f"{self.started} | {self.enabled} | {self.homed} | {self.moved} |")
 
 
 def until(condition, seconds=20.0):
@@ -167,7 +167,7 @@ def main(folder):
     movable = [o for o in started if o.can_move]
     moved = [o for o in movable if o.moved == "100 mm"]
     print(f"\n{len(files)} files: {len(imported)} imported, {len(started)} started, "
-          f"{len(moved)} of {len(movable)} with the objects for it moved 100 mm")  # fmt: skip
+          f"{len(moved)} of {len(movable)} with the objects for it moved 100 mm")
 
 
 if __name__ == "__main__":

@@ -178,7 +178,7 @@ def node(tmp_path):
              "-c", "239.74.163.79", "--bus-kwargs", f"port={port}", "--log", str(log)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             env={**os.environ, "COLUMNS": "200"},
-        )  # fmt: skip
+        )
         processes.append(process)
         line = process.stdout.readline()
         while "as node" not in line:

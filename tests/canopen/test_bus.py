@@ -220,7 +220,7 @@ def process(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "COLUMNS": "200", "CAN_CONFIG": json.dumps({"port": PORT})},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
-    )  # fmt: skip
+    )
     yield process
     process.kill()
     process.communicate()

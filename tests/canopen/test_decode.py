@@ -81,7 +81,7 @@ def test_a_session_is_told_from_boot_up_to_fault():
     assert "NMT start node 1" in told
     assert "RPDO1[1] controlword=000Fh ENABLE_OPERATION" in told
     enabled = [line for line in told if line.startswith("TPDO1[1] statusword=")
-               and "OPERATION_ENABLED" in line]  # fmt: skip
+               and "OPERATION_ENABLED" in line]
     assert enabled[-1].endswith(
         "modes_of_operation_display=1 PROFILE_POSITION position_actual_value=0"
     )
@@ -97,7 +97,7 @@ def test_the_line_of_the_manual():
     tell(
         "601#23001A0220006460", "581#60001A0200000000", "601#2F001A0002000000",
         "581#60001A0000000000", decoder=decoder,
-    )  # fmt: skip
+    )
     assert tell("181#3706E02E0000", decoder=decoder) == [
         "TPDO1[1] statusword=0637h OPERATION_ENABLED target_reached position_actual_value=12000"
     ]
@@ -184,7 +184,7 @@ def test_what_is_read_of_a_mapping_is_followed_too():
         ("601#404160", "unknown 601#404160"),
         ("00000181#3706", "unknown 181#3706"),
     ],
-)  # fmt: skip
+)
 def test_one_frame(frame, line):
     assert tell(frame) == [line]
 
@@ -192,7 +192,7 @@ def test_one_frame(frame, line):
 def test_guarding_is_told_from_heartbeat_by_its_request():
     assert tell("701#05", "701#R", "701#05") == [
         "heartbeat[1] OPERATIONAL", "guarding[1] request", "guarding[1] OPERATIONAL toggle=0",
-    ]  # fmt: skip
+    ]
 
 
 def test_the_mode_names_the_bits():
@@ -282,7 +282,7 @@ def test_random_and_mutated_frames_are_told_without_an_exception(seed):
     session.map_tpdo1()
     session.send("601#4008100000000000", "601#6000000000000000", "601#A408100010000000",
                  "601#A300000000000000", "601#C67A600004000000", "601#8139300000000000",
-                 "7E5#0401000000000000", "701#R", "080#01", "000#0101", "201#0F00")  # fmt: skip
+                 "7E5#0401000000000000", "701#R", "080#01", "000#0101", "201#0F00")
     known = [frame for _, frame in session.frames]
     chance = random.Random(seed)
     decoder = Decoder("generic", range(1, 5))
@@ -297,7 +297,7 @@ def test_random_and_mutated_frames_are_told_without_an_exception(seed):
             frame = Frame(
                 chance.randrange(0x800), chance.randbytes(chance.randint(0, 64)),
                 chance.random() < 0.2, chance.random() < 0.1,
-            )  # fmt: skip
+            )
         line = decoder.decode(frame)
         assert line
         assert line.isprintable()
@@ -382,7 +382,7 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, refused, name, content, sa
         (".log", ["(1.0) can0 181#3706", "(1.0) can0 181#3706", "(1.0) can0 181#37x6"]),
         (".csv.gz", ["t,a,e,r,e,d,d", "1.0,0x181,0,0,0,2,NwY=", "1.0,0xXYZ,0,0,0,2,NwY="]),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_line_is_named_with_its_file_and_number(tmp_path, capsys, suffix, lines):
     path = tmp_path / f"run{suffix}"
     with gzip.open(path, "wt") if suffix.endswith(".gz") else path.open("w") as file:

@@ -84,7 +84,7 @@ def test_default_and_parameter_value_are_what_the_drive_has_after_power_on(tmp_p
             # the float of a REAL32 is the nearest of 32 bits
             now = slot.get()
             value = struct.unpack("f", struct.pack("f", read.value))[0] if slot.row.format == "f" \
-                else read.value  # fmt: skip
+                else read.value
             assert value == now, f"{index:04X}h:{subindex:02X}h"
 
 
@@ -339,7 +339,7 @@ def bus(tmp_path_factory):
     result = subprocess.run(
         [sys.executable, "-c", "from dcfgen.cli import main; main()", "-v", "bus.yml"],
         capture_output=True, text=True, timeout=60, cwd=folder,
-    )  # fmt: skip
+    )
     assert result.returncode == 0, result.stderr
     assert (folder / "master.dcf").is_file()
     return folder, nodes

@@ -114,7 +114,7 @@ def test_names_in_an_eds_are_text_and_no_paths(tmp_path):
     assert load(made.folder).title.startswith("../../")
     assert sorted(x.name for x in made.folder.iterdir()) == [
         "README.md", "drive.toml", "objects.csv", "pdo.csv",
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def sheet(rows=SMALL, *more):
         name = index if sub == "." else f"{index}sub{sub}"
         lines.append(f"[{name}]\nParameterName=Object {name}\nObjectType=0x7\nDataType={kind}\n"
                      f"AccessType={access}\nPDOMapping={mapped}\n"
-                     + "".join(f"{line}\n" for line in "".join(rest).split("|")))  # fmt: skip
+                     + "".join(f"{line}\n" for line in "".join(rest).split("|")))
     objects = "".join(f"{n}=0x{index}\n" for n, index in enumerate(listed, 1))
     lists = f"[MandatoryObjects]\nSupportedObjects={len(listed)}\n{objects}"
     return lists + "\n".join(lines)
@@ -134,7 +134,7 @@ def test_a_default_outside_its_range_or_type_is_repaired_and_told(made, row, add
      ("-5", -5), ("0x-5", None), ("0xFFFFFFFF", 0xFFFFFFFF), ("5.0", 5), ("5.5", None), ("", None),
      ("$NODEID+0x200", (0x200, True)), ("0x200 + $NODEID", (0x200, True)), ("$NodeID", (0, True)),
      ("$NODEID + 0x40000180", (0x40000180, True)), ("0x200+$NODEID+1", None)],
-)  # fmt: skip
+)
 def test_numbers_as_files_write_them(text, value):
     if value is None:
         with pytest.raises(ValueError, match="is not a number"):
@@ -171,7 +171,7 @@ def test_more_own_objects_than_the_record_has_place_for(made):
 
 def test_a_pdo_without_its_mapping_can_be_mapped(made):
     rows = ("1401 0 5 ro 0 DefaultValue=2", "1401 1 7 rw 0 DefaultValue=$NODEID+0x300",
-            "1401 2 5 rw 0 DefaultValue=255")  # fmt: skip
+            "1401 2 5 rw 0 DefaultValue=255")
     model = made(sheet(SMALL, *rows))
     assert "1601h" in {repair.where for repair in model.repairs}
     described = eds.object_dictionary(model.folder, 5)
@@ -213,7 +213,7 @@ TYPES = {
     "TIME_DIFFERENCE": ("0x0D", b"\1\2\3\4\5\6", 6), "OCTET_STRING": ("0x0A", b"\0\xff\1", 0),
     "UNICODE_STRING": ("0x0B", "Ω".encode("utf-16-le"), 0), "DOMAIN": ("0x0F", bytes(300), 0),
     "VISIBLE_STRING": ("9", b"a longer text than four bytes", 0),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", TYPES)
@@ -269,7 +269,7 @@ STRUCTURE = [
     ("a mapping of what says it is none", lambda t: re.sub(
         r"(Object 6041\n(?:.*\n){3})PDOMapping=1", r"\1PDOMapping=0", t), "1A00h:01h",
      "not mappable"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(
@@ -431,7 +431,7 @@ OWN_UNITS = {
     "a range of the profile velocity": [
         "607F . 7 rw 0 DefaultValue=500|LowLimit=1|HighLimit=600000"],
     "a read-only homing method": [],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", OWN_UNITS)
@@ -584,7 +584,7 @@ def damaged(text, chance):
             lines.insert(n, chance.choice(("[", "]", "=", "x", "[6040]", "[1600sub99]", "\0"[:0])))
         elif kind == 2 and equals:
             others = ("-1", "0xFFFFFFFFFFFFFFFFFF", "1e400", "nan", "", "$NODEID", "9" * 40, "0x",
-                      "$NODEID+0x80000000", "65536", "-2147483649", "µ")  # fmt: skip
+                      "$NODEID+0x80000000", "65536", "-2147483649", "µ")
             lines[n] = f"{key}={chance.choice(others)}"
         elif kind == 3 and key in ("DataType", "ObjectType", "AccessType"):
             lines[n] = f"{key}={chance.choice(('0', '1', '2', '7', '8', '9', '15', '27', 'ro'))}"

@@ -27,7 +27,7 @@ def test_a_frame_is_read(text, frame):
     "text",
     ["hello", "", "#", "601", "601#4", "601#zz", "800#", "20000000#", "601#001122334455667788",
      "-1#", "601#R9", "601##1", "0x601#00", "601#40 41", None, 601],
-)  # fmt: skip
+)
 def test_what_is_no_frame_is_refused_with_an_example(text):
     with pytest.raises(ValueError, match=f"{re.escape(repr(text))} is not a frame .* 601#40416000"):
         parse(text)

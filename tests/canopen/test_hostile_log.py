@@ -130,7 +130,7 @@ def test_a_whole_blf_is_read(tmp_path, suffix):
 
 
 COLUMNS = "ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER, " \
-    "dlc INTEGER, data BLOB"  # fmt: skip
+    "dlc INTEGER, data BLOB"
 TABLES = {
     "a view without end": [
         "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "

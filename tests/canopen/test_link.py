@@ -36,7 +36,7 @@ def test_a_frame_of_zeros_has_a_stuff_bit_after_each_five():
 @pytest.mark.parametrize(("bits", "added"), [
     ("00000", 1), ("0000", 0), ("0000011110", 2), ("000001111", 2), ("00000111", 1),
     ("1111100000", 2), ("01" * 20, 0), ("0" * 10, 2),
-])  # fmt: skip
+])
 def test_a_stuff_bit_begins_the_next_run(bits, added):
     assert stuff_bits(bits) == added
 
@@ -80,7 +80,7 @@ def test_arbitration_prefers_low_identifiers_then_data_then_base_frames():
         Frame(0x100), Frame(0x101), Frame(0x101, remote=True), Frame(0x101 << 18, extended=True),
         Frame(0x101 << 18, remote=True, extended=True), Frame(0x101 << 18 | 1, extended=True),
         Frame(0x102),
-    ]  # fmt: skip
+    ]
     assert sorted(reversed(order), key=priority) == order
 
 

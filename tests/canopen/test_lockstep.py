@@ -117,7 +117,7 @@ def test_sdo_is_answered_while_time_stands_still_between_syncs(request, tmp_path
         answers = [str(frame) for frame in CanLink(here).receive(0)]
     assert answers == [
         "701#00", "702#00", "581#4300100092010200", "582#4300100092010200", "701#7F",
-    ]  # fmt: skip
+    ]
     assert lock_step.time == PERIOD
     times = [line.split()[0] for line in log.read_text().splitlines()]
     assert times == ["(0.000000)"] * 8 + ["(0.001000)"]  # the guarding answer follows the SYNC

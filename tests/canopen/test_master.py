@@ -438,7 +438,7 @@ def test_a_segment_that_is_lost_begins_the_transfer_anew():
         + """< 581#0031323334353637
         > 601#7000000000000000
         < 581#1D38000000000000"""
-    )  # fmt: skip
+    )
     assert SdoClient(script, 1, timeout=0.1).upload(0x1008) == b"12345678"
     assert script.lines == []
 

@@ -181,7 +181,7 @@ def test_nothing_is_written_while_another_drive_on_the_bus_is_enabled():
 
 def test_an_observation_that_was_altered_is_refused(tmp_path, capsys):
     found = sealed({"format": "servogym observation", "version": 1, "bus": "can", "node_id": 1,
-                    "read_only": "", "objects": {}, "dialogues": {}})  # fmt: skip
+                    "read_only": "", "objects": {}, "dialogues": {}})
     assert opened(json.dumps(found), "x") == found
     for spoilt in (json.dumps(found | {"node_id": 2}), "[]", "{}", "hello", json.dumps({})):
         with pytest.raises(ValueError, match=r"x (was altered|is no)"):

@@ -251,7 +251,7 @@ RAW = (
     "NoneType", "__init__", "object has no", "unexpected keyword", "not supported between",
     "could not convert", "unsupported operand", "positional argument", "unhashable", "must be real",
     "invalid literal", "has no len", "not iterable", "not subscriptable", "broadcast",
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

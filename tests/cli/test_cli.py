@@ -215,7 +215,7 @@ def shell(script, **environment):
     return subprocess.run(
         ["bash", "-c", script.replace("servogym", run)], capture_output=True, text=True,
         env=os.environ | environment, timeout=300,
-    )  # fmt: skip
+    )
 
 
 def test_a_pipe_that_is_closed_early_is_no_error():

@@ -120,7 +120,7 @@ def whole(**changed):
         "OBSERVATION": observation("distance"), "EPISODE": episode(), "act": nothing,
         "judge": nothing, "_make": lambda self, model: linear_axis(model),
         "_begin": lambda self, options: self.place({"x": 0.2}),
-    } | changed  # fmt: skip
+    } | changed
     return type("Part", (ServoEnv,), {k: v for k, v in given.items() if v is not None})
 
 
@@ -148,7 +148,7 @@ def test_a_task_that_lacks_something_says_what(name):
         ("_make", lambda self, model: None), ("_make", lambda self, model: linear_axis),
         ("_begin", lambda self: None), ("_begin", lambda self, options, more: None),
     ],
-)  # fmt: skip
+)
 def test_what_a_task_has_wrong_is_told(name, value):
     with pytest.raises(ValueError, match=rf"^task Part: {name} [^\n]+$"):
         whole(**{name: value})()

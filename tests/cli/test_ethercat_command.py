@@ -127,11 +127,11 @@ def served(tmp_path):
         pytest.skip(str(error))
     log = tmp_path / "run.pcapng"
     command = [sys.executable, "-W", "error", "-m", "servogym.training.cli", "ethercat", "--udp",
-               "--axis", "none", "--slaves", "2", "--log", str(log)]  # fmt: skip
+               "--axis", "none", "--slaves", "2", "--log", str(log)]
     server = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
+    )
     try:
         yield server, log
     finally:

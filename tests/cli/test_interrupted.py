@@ -27,11 +27,11 @@ sys.exit(main())
     "module",
     ["servogym.training", "servogym.training.cli", "argparse", "rich", "rich.console",
      "servogym.training.cli.drives", "numpy", "servogym.drive.model"],
-)  # fmt: skip
+)
 def test_ctrl_c_while_a_module_is_loaded(module):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM.format(module=module)], capture_output=True, text=True,
         check=False,
-    )  # fmt: skip
+    )
     assert done.stderr == "interrupted\n"
     assert done.returncode == 130

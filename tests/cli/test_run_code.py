@@ -55,7 +55,7 @@ def served(monkeypatch):
     monkeypatch.setattr(
         EtherCatServer, "run",
         lambda s, **_: drives.extend(x.drive for x in s.bus.segment.stations),
-    )  # fmt: skip
+    )
     return drives
 
 

@@ -23,7 +23,7 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "generic.log"
 
 def test_a_trigger_with_pre_trigger_catches_the_crossing(tmp_path):
     arguments = ["--channels", "6064h,axis.torque", "--trigger", "6064h:rising:20000",
-                 "--before", "50", "--depth", "150", "--out", str(tmp_path)]  # fmt: skip
+                 "--before", "50", "--depth", "150", "--out", str(tmp_path)]
     assert main(["scope", "rigid", *arguments]) == 0
     with (tmp_path / "scope.csv").open(encoding="utf-8") as file:
         head, *rows = csv.reader(file)
@@ -56,7 +56,7 @@ def columns(folder):
 def test_a_log_of_candump_is_shown_as_its_frames_have_it(tmp_path):
     frames = [line.split() for line in GOLDEN.read_text("utf-8").splitlines()]
     told = [(float(time.strip("()")), int.from_bytes(bytes.fromhex(frame[4:8]), "little"))
-            for time, _, frame, _ in frames if frame.startswith("181#")]  # fmt: skip
+            for time, _, frame, _ in frames if frame.startswith("181#")]
     begin = float(frames[0][0].strip("()"))
     assert main(["scope", str(GOLDEN), "--channels", "statusword", "--out", str(tmp_path)]) == 0
     names, rows = columns(tmp_path)
@@ -76,7 +76,7 @@ def test_a_trigger_finds_the_fault_reset_in_a_log_and_a_recording_is_a_log(tmp_p
             [text.replace("6040h", "controlword") for text in trigger] if out == again else trigger
         )
         assert main(["scope", str(log), "--channels", "statusword,controlword", *named,
-                     "--out", str(out)]) == 0  # fmt: skip
+                     "--out", str(out)]) == 0
     names, rows = columns(again)
     assert names == ["time", "statusword", "controlword"]
     assert len(rows) == 9
@@ -143,7 +143,7 @@ def test_a_running_node_is_polled_and_left_alone(node, tmp_path):
     threading.Thread(target=fault_while_it_looks, daemon=True).start()
     assert main(["scope", "bus", *bus, "--rate", "100", "--trigger", "6041h:change",
                  "--before", "5", "--depth", "20", "--duration", "60",
-                 "--out", str(tmp_path)]) == 0  # fmt: skip
+                 "--out", str(tmp_path)]) == 0
     names, rows = columns(tmp_path)
     word = names.index("statusword")
     assert len(rows) == 20

@@ -356,7 +356,7 @@ WRONG = {
             lab.drive.write("target_position", lab.drive.read("position_actual_value")),
             lab.master.set_mode(Mode.CYCLIC_SYNC_POSITION), lab.wait(0.1)),
     },
-}  # fmt: skip
+}
 
 
 def test_every_exercise_has_a_solution_and_at_least_five_wrong_ways():
@@ -425,7 +425,7 @@ def test_hints_are_given_one_by_one_and_counted():
 def test_numbers_in_hints_do_not_trip_the_drive_again(name):
     """A value that a hint names is one with which the exercise passes."""
     given = {"31_find_why_it_trips": (("max_torque", 3000), ("profile_acceleration", 500_000)),
-             "41_position_gain": (("position_control_gain", 80_000),)}  # fmt: skip
+             "41_position_gain": (("position_control_gain", 80_000),)}
     for parameter, value in given.get(name, ()):
         assert any(str(value) in hint for step in files.named(name).steps for hint in step.hints)
         lab = begin(name)
@@ -454,7 +454,7 @@ def test_numbers_in_hints_do_not_trip_the_drive_again(name):
          "options=['d','e']\nanswer=2\nwhy='f'", "answer = 2 is out of range 0..1"),
         ("title = ", "exercise"),
     ],
-)  # fmt: skip
+)
 def test_an_exercise_that_cannot_be_right_is_refused_with_its_file(tmp_path, text, said):
     file = tmp_path / "wrong.toml"
     file.write_text(text)

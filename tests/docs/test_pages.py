@@ -124,7 +124,7 @@ def test_links_lead_to_files():
         (name, target) for name, text in PAGES.items()
         for target in re.findall(r"\]\(([^)#\s]+)", text)
         if not target.startswith(("http://", "https://"))
-    ]  # fmt: skip
+    ]
     assert links
     assert [x for x in links if not ((ROOT / x[0]).parent / x[1]).exists()] == []
 

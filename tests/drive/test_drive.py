@@ -96,7 +96,7 @@ def test_the_advice_names_what_a_bit_means_in_the_model():
         ("write", (0x6040, 0, 1, 2)), ("write", (0x6040,)), ("write", ("controlword",)),
         ("write", ("controlword", 0, 6)), ("read", ("controlword", 3)),
     ],
-)  # fmt: skip
+)
 def test_a_call_with_too_many_or_too_few_values_is_refused(call, arguments):
     drive = Drive()
     with pytest.raises(TypeError, match="sub-index"):

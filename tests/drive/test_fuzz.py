@@ -14,7 +14,7 @@ WORDS = (0, 2, 6, 7, 0x0F, 0x1F, 0x3F, 0x80, 0x10F)
 INPUTS = (
     "negative_limit_switch", "positive_limit_switch", "home_switch", "enable_input", "sto_input",
     "connection_lost", "sync_pulse",
-)  # fmt: skip
+)
 
 
 def random_access(drive, slot, chance):

@@ -88,7 +88,7 @@ def model_of(name, friction, integrator, solver, cone, jacobian, flag):
         density=1000 if "water" in name else 0, body=MODELS[name].format(friction=own),
         extra=EXTRA.get(name, ""),
         lagging=LAGGING if "lags" in name else OF_CALLBACKS if "laws" in name else "",
-    )  # fmt: skip
+    )
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.integrator = int(getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}"))
     model.opt.solver = int(getattr(mujoco.mjtSolver, f"mjSOL_{solver}"))
@@ -108,7 +108,7 @@ def all_of(model, data):
         np.asarray(part).tobytes()
         for part in (state, data.qacc, data.qfrc_constraint, data.sensordata, data.energy,
                      data.solver_fwdinv, data.cfrc_int)
-    )  # fmt: skip
+    )
 
 
 LAWS = {

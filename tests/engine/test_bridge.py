@@ -129,7 +129,7 @@ def test_the_bridge_vibrates_against_its_carriages_at_the_second_resonance():
     machine = gantry(
         x_drives=2, coupling_stiffness=1e6, coupling_damping=0.0, skew_damping=0.0,
         timestep=62.5e-6, **FREE,
-    )  # fmt: skip
+    )
     machine.reset(positions={"x1": 0.4, "x2": 0.4, "y": 0.25})
     _, high = skew_modes(machine, 1e6, 2000.0)
     machine.data.joint("skew").qpos[0] = 1e-4

@@ -17,7 +17,7 @@ MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n
 def picture():
     """A PNG of one pixel."""
     chunks = ((b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0)),
-              (b"IDAT", zlib.compress(bytes(4))), (b"IEND", b""))  # fmt: skip
+              (b"IDAT", zlib.compress(bytes(4))), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in chunks
@@ -53,7 +53,7 @@ WANTS = {
     "height field": ('<asset><hfield name="h" file="{}field.bin" size="1 1 1 1"/></asset>', ""),
     "model": ('<asset><model name="m" file="{}more.xml"/></asset>', ""),
     "flexcomp": ("", '<flexcomp name="f" type="mesh" file="{}part.obj" dim="2" mass="1"/>'),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", WANTS)
@@ -142,7 +142,7 @@ HUGE = {
     "height field": ('<asset><hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/></asset>',
         ""),
     "sensor": ('<sensor><user name="s" dim="2000000000"/></sensor>', ""),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", HUGE)

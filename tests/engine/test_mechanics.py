@@ -47,7 +47,7 @@ def test_friction_falls_with_the_speed_as_stribeck_says(velocity):
     machine = linear_axis(
         payload=100, coulomb_friction=10, static_friction=20, viscous_friction=0,
         stribeck_velocity=0.01,
-    )  # fmt: skip
+    )
     expected = 10 + 10 * math.exp(-((velocity / 0.01) ** 2))
     assert resistance(machine, 0.2, velocity) == pytest.approx(expected, rel=0.02)
     assert resistance(machine, 0.2, -velocity) == pytest.approx(-expected, rel=0.02)
@@ -107,7 +107,7 @@ def test_a_held_motor_lets_the_carriage_move_by_the_gap_and_the_spring():
     machine = linear_axis(
         transmission_stiffness=stiffness, transmission_damping=2000, backlash=gap,
         brake_torque=100, **BARE,
-    )  # fmt: skip
+    )
     places = []
     for sign in (-1, 1):
         force_on(machine, sign * force)
@@ -120,7 +120,7 @@ def test_nothing_acts_within_the_gap():
     machine = linear_axis(
         transmission_stiffness=1e6, transmission_damping=100, backlash=1e-3, brake_torque=100,
         **BARE,
-    )  # fmt: skip
+    )
     machine.data.qvel[1] = 0.01
     machine.step(80)
     assert machine.data.qpos[1] == pytest.approx(0.01 * machine.time, rel=1e-3)
@@ -152,7 +152,7 @@ def test_the_end_stop_takes_the_kinetic_energy(mechanics):
     machine = linear_axis(
         mechanics=mechanics, static_friction=0, chain_drag=0, chain_drag_growth=0,
         cogging_torque=0, **BARE,
-    )  # fmt: skip
+    )
     m = machine.mechanics[0]
     machine.reset(positions={"x": 0.5})
     machine.data.qvel[0] = 0.4
@@ -218,7 +218,7 @@ def test_a_preset_vibrates_at_its_two_mass_resonance(mechanics):
         mechanics=mechanics, timestep=0.00025 / 8, static_friction=0, chain_drag=0,
         chain_drag_growth=0, cogging_torque=0, backlash=0, brake_torque=0,
         transmission_damping=0, **BARE,
-    )  # fmt: skip
+    )
     p = FAMILY[mechanics]
     machine.reset(positions={"x": 0.4})
     machine.data.qpos[1] = 1e-4

@@ -467,7 +467,7 @@ def ended(tmp_path_factory):
         [sys.executable, "-c", f"import json\n{BEGIN}\n{FORKS}", str(folder)],
         input=json.dumps(programs), capture_output=True, text=True, timeout=600,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     said = dict(json.loads(line) for line in done.stdout.splitlines())
     return {

@@ -94,7 +94,7 @@ def test_every_parameter_that_is_there_reads_back_what_was_set(make):
         wanted = 2.0 if name == "delay" else wanted
         if name == "static_friction":
             wanted = max(wanted, 1.1 * parameters.get(machine, ["coulomb_friction"])[
-                "coulomb_friction"])  # fmt: skip
+                "coulomb_friction"])
         parameters.put(machine, {name: wanted})
         assert parameters.get(machine, [name])[name] == pytest.approx(wanted, rel=1e-4), name
     machine.step(10)
@@ -106,7 +106,7 @@ def test_what_is_set_is_what_would_have_been_built():
         "payload": 2.5, "carriage_mass": 2.0, "coulomb_friction": 30.0, "viscous_friction": 70.0,
         "rotor_inertia": 1e-4, "inclination": 20.0, "cogging_torque": 0.02, "cogging_order": 12.0,
         "torque_ripple": 0.01, "static_friction": 33.0, "stribeck_velocity": 0.02,
-    }  # fmt: skip
+    }
     built, turned = linear_axis(**values), linear_axis(static_friction=12.5)
     gains = {
         name: parameters.get(built, [name])[name]

@@ -126,7 +126,7 @@ class TestOnADevice:
             gym.make_vec(task.ID, 4, max_episode_steps=3, autoreset_mode="SameStep",
                          randomise=DRAWN, **where)
             for where in ({"threads": 1}, {"device": DEVICE})
-        ]  # fmt: skip
+        ]
         ours, theirs = vectors
         acts, mask = np.full(ours.action_space.shape, 0.1, np.float32), np.array([0, 1, 0, 1], bool)
         step = lambda vector: vector.step(acts)  # noqa: E731
@@ -136,7 +136,7 @@ class TestOnADevice:
         )
         count = 0
         for do in (lambda vector: vector.reset(seed=7), step, seeded, *[step] * 4, partly, step,
-                   partly, *[step] * 4):  # fmt: skip
+                   partly, *[step] * 4):
             (here, *_, infos), (there, *_, its) = map(do, vectors)
             begun = ours._steps == 0
             np.testing.assert_array_equal(begun, theirs._steps == 0)
@@ -195,7 +195,7 @@ class TestOnADevice:
         pytest.importorskip("stable_baselines3")
         small = ["--envs", "4", "--argument", "max_episode_steps=5", "--setting", "n_steps=8",
                  "--setting", "batch_size=16", "--setting", "n_epochs=1", "--device", DEVICE,
-                 "--evaluate-every", "64"]  # fmt: skip
+                 "--evaluate-every", "64"]
         to = ["--out", str(tmp_path / "run")]
         assert cli.main(["train", "LinearAxis-v0", "--steps", "32", *small, *to]) == 0
         assert cli.main(["train", "LinearAxis-v0", "--steps", "64", "--resume", *to]) == 0

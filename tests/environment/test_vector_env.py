@@ -30,7 +30,7 @@ def single(**arguments):
 def test_it_is_bit_for_bit_the_environments_one_by_one(mode, threads, randomise):
     arguments = {
         "faults": {"encoder_loss": 0.02}, "following_error_window": 0.005, "randomise": randomise,
-    }  # fmt: skip
+    }
     peers = SyncVectorEnv([lambda: single(**arguments) for _ in range(4)], autoreset_mode=mode)
     vector = make_vector(4, autoreset_mode=mode, threads=threads, max_episode_steps=25, **arguments)
     one, _ = peers.reset(seed=7)

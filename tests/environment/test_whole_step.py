@@ -15,7 +15,7 @@ TAKEN = {  # by a library that merges infos with what else a step gives
     "reward", "rewards", "observation", "obs", "next_obs", "next", "action", "terminated",
     "truncated", "done", "episode", "final_obs", "final_info", "TimeLimit.truncated",
     "terminal_observation",
-}  # fmt: skip
+}
 
 
 def ruckig(env, seed=0):

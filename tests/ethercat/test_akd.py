@@ -22,7 +22,7 @@ SIZES = {0x1701: 6, 0x1702: 6, 0x1720: 14, 0x1721: 8, 0x1722: 16, 0x1723: 16, 0x
 INPUTS = {
     0x1B01: 6, 0x1B02: 6, 0x1B20: 32, 0x1B21: 6, 0x1B22: 32, 0x1B23: 32, 0x1B24: 6, 0x1B25: 32,
     0x1B26: 18,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("pdo", "size"), [*SIZES.items(), *INPUTS.items()])

@@ -18,7 +18,7 @@ from servogym.envs.plants.catalogue import axis_for, ethercat_line
 from servogym.training.cli import main
 
 READ = [(0x1000, 0), (0x1018, 1), (0x1018, 4), (0x605A, 0), (0x6065, 0), (0x6081, 0), (0x6083, 0),
-        (0x6098, 0), (0x6041, 0), (0x6064, 0), (0x5FFF, 0)]  # fmt: skip
+        (0x6098, 0), (0x6041, 0), (0x6064, 0), (0x5FFF, 0)]
 PLANTED = {(0x605A, 0): "6", (0x6065, 0): "4711", (0x6083, 0): "4712", (0x1018, 1): "0xABC"}
 MS = 1_000_000
 
@@ -101,7 +101,7 @@ def test_a_session_with_a_model_is_answered_by_it_again(model, slaves):
 def test_each_planted_difference_is_named_and_none_is_invented(planted):
     score = scored(session(str(planted)), "generic")
     told = {difference.what.removeprefix("slave 1001h: ") for difference in
-            score.differences.values()}  # fmt: skip
+            score.differences.values()}
     objects = {what[:9] for what in told if what[5:6] == ":"}
     assert objects == {f"{i:04X}h:{s:02X}h" for i, s in PLANTED}
     # the identity stands in the EEPROM as well

@@ -134,7 +134,7 @@ def told(*exchanges, managers=True):
     """Lines of the last exchange: (command, address, sent, back, working counter)."""
     decoder, lines = EtherCatDecoder("kollmorgen_akd"), []
     rows = [(Command.FPWR, 0x0800, struct.pack("<HHBBBB", start, 1024, control, 0, 1, 0), None, 1)
-            for start, control in ((0x1800, 0x26),)]  # fmt: skip
+            for start, control in ((0x1800, 0x26),)]
     rows += [(Command.FPWR, 0x0808, struct.pack("<HHBBBB", 0x1C00, 1024, 0x22, 0, 1, 0), None, 1)]
     for command, address, sent, back, counter in [*(rows if managers else []), *exchanges]:
         out = Datagram(command, 0x1001, address, sent)
@@ -182,7 +182,7 @@ def test_a_command_to_the_eeprom_is_told_by_what_it_does(sent, lines):
 def test_an_eeprom_that_refuses_is_told():
     assert told((Command.FPRD, 0x0502, bytes(2), b"\x80\x60", 1)) == [
         "slave 1001h: EEPROM: refused", "slave 1001h: EEPROM: write not enabled"
-    ]  # fmt: skip
+    ]
 
 
 def test_an_empty_mailbox_that_is_polled_tells_nothing_and_a_full_one_does():

@@ -43,7 +43,7 @@ COUNTERS = {
     C.BRD: (1, 1, 2), C.BWR: (1, 1, 2), C.BRW: (3, 3, 6),
     C.LRD: (1, 0, 2), C.LWR: (1, 0, 2), C.LRW: (3, 0, 6),
     C.ARMW: (1, 1, 2), C.FRMW: (1, 1, 2),
-}  # fmt: skip
+}
 
 
 def _address(command, hit):
@@ -194,7 +194,7 @@ def broken_frames(seed, count):
                                     0x1000, 0x1080, 0x2FFE, 0xFFFF]),
                      chance.randbytes(chance.choice([0, 1, 2, 8, 16, 64])))
             for _ in range(chance.randint(1, 4))
-        ]  # fmt: skip
+        ]
         frame = bytearray(pack(rows))
         kind = chance.randrange(6)
         if kind == 0:
@@ -242,7 +242,7 @@ def test_09_no_frame_does_harm_in_a_million():
     lambda f: f[:29],
     lambda f: f[:14] + b"\x0e\x40" + f[16:], lambda f: f[:14] + b"\x0e\x50" + f[16:],
     lambda f: f[:14] + b"\xff\x17" + f[16:], lambda f: f[:22] + b"\xff\x07" + f[24:],
-])  # fmt: skip
+])
 def test_09_bad_frames_are_counted_and_not_answered(one_slave, change):
     assert one_slave.exchange(change(pack([Datagram(C.FPRD, 0x1001, 0, bytes(2))])), 0) is None
     assert fprd(one_slave, 0, 0x030C, 1).data == b"\1"

@@ -28,7 +28,7 @@ def in_both(device):
         eoe_details=min(device.eoe_details, 1),
         fmmus=tuple(0 if kind == 0xFF else kind for kind in device.fmmus),
         flags=device.flags & 0x0C,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -49,10 +49,10 @@ def test_11_a_file_is_read_back_row_by_row_and_nothing_is_repaired(model, read):
     assert found.device == in_both(wanted.device)
     assert found.vendor == wanted.vendor
     for ours, theirs in zip(wanted.device.rpdos + wanted.device.tpdos,
-                            found.device.rpdos + found.device.tpdos, strict=True):  # fmt: skip
+                            found.device.rpdos + found.device.tpdos, strict=True):
         assert theirs.excludes == ours.excludes
     rows = {(o.index, o.subindex): (o.name, o.data_type, o.access, o.mapping)
-            for o in found.objects}  # fmt: skip
+            for o in found.objects}
     assert rows == {
         address: (row.name, row.data_type, row.access, row.pdo)
         for address, row in wanted.dictionary.items()

@@ -35,7 +35,7 @@ def same(device, of):
         if field.name in ("rpdos", "tpdos"):
             assert pdos(getattr(device, field.name)) == pdos(getattr(of, field.name))
         elif field.name not in ("vendor_strings", "serial_number", "ds402_channels", "size",
-                                "eoe_details", "fmmus", "flags", "version"):  # fmt: skip
+                                "eoe_details", "fmmus", "flags", "version"):
             assert getattr(device, field.name) == getattr(of, field.name), field.name
 
 
@@ -197,7 +197,7 @@ def test_each_departure_of_a_makers_file_is_a_row_of_its_readme(foreign, tmp_pat
         ("Device", "2 devices"), ("Fmmu", "DynamicOutputs"), ("Sm 2", "no name"),
         ("60C2h:00h", "access readwrite"), ("1600h", "8 bits: gaps or parts of bytes"),
         ("1A00h", "8 bits: gaps or parts of bytes"), ("1700h", "17 entries"),
-    ):  # fmt: skip
+    ):
         assert expected in told
     readme = (tmp_path / "sd1" / "README.md").read_text("utf-8")
     for repair in made.repairs:
@@ -221,7 +221,7 @@ MANY = "".join(
     f"<Entry><Index>#x{0x2600 + n:X}</Index><BitLen>16</BitLen></Entry>"
     f"<Entry><Index>#x{0x2500 + n:X}</Index><BitLen>1</BitLen></Entry>"
     "<Entry><Index>0</Index><BitLen>7</BitLen></Entry>" for n in range(18)
-)  # fmt: skip
+)
 PDOS = f"""<EtherCATInfo><Vendor><Id>1</Id></Vendor><Descriptions><Devices><Device>
 <Type ProductCode="#x1">D</Type><Sm>MBoxOut</Sm><Sm>MBoxIn</Sm><Sm>Outputs</Sm><Sm>Inputs</Sm>
 <RxPdo Fixed="1" Sm="2"><Index>#x1600</Index><Exclude>#x1605</Exclude><Entry><Index>#x6040</Index>
@@ -287,7 +287,7 @@ def test_where_6060h_is_read_only_the_mode_is_that_of_the_set_point(tmp_path):
         f"<Info><DefaultData>00</DefaultData></Info><Flags><Access>ro</Access></Flags></Object>"
         for index, kind, bits in ((0x6040, "UINT", 16), (0x6041, "UINT", 16), (0x6060, "SINT", 8),
                                   (0x6064, "UDINT", 32), (0x607A, "UDINT", 32))
-    )  # fmt: skip
+    )
     file = tmp_path / "one_mode.xml"
     profile = f"<Profile><Dictionary><Objects>{rows}</Objects></Dictionary></Profile>"
     file.write_text(PDOS.replace("<Sm>MBoxOut", f"{profile}<Sm>MBoxOut", 1))
@@ -339,7 +339,7 @@ EXTERNAL = (
         (b"<a>" * 200, "more than 100 elements in one another"),
         (FOREIGN.encode("utf-16"), "no XML"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_esi_is_one_line_with_file_and_line(tmp_path, refused, content, says):
     file = tmp_path / "drive.xml"
     file.write_bytes(content)

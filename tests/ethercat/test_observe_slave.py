@@ -63,7 +63,7 @@ remote_bit = { value = 1, source = "planted" }
 SHOWS = {
     "mode tq": "mode 4", "homing methods": "6098h:00h", "abort code": "6060h:00h 5 bytes",
     "remote bit": "controlword 0006h", "without 60F2h": "60F2h:00h", "without 60D8h": "60D8h:00h",
-}  # fmt: skip
+}
 # what else a planted difference shows in: descriptions, lists, the EEPROM, lengths of strings
 ALSO = re.compile(
     r"EEPROM, (vendor_id|product_code|revision_number|coe_details|foe_details|protocols|mailbox|"

@@ -244,7 +244,7 @@ def test_19_leaving_op_while_enabled_stops_the_axis_within_eight_periods():
 @pytest.mark.parametrize("line_of_fault", [
     "drop", "drop at=frames:3", "drop at=cycle:x", "drop count=many", "nonsense", "drop wkc=3",
     "wkc command=LXW", "drop rate=2", "",
-])  # fmt: skip
+])
 def test_a_fault_that_is_none_is_refused_with_the_choices(line_of_fault):
     if line_of_fault == "drop":
         assert Fault.parse("drop") == Fault("drop")

@@ -105,7 +105,7 @@ def test_35_delays_of_a_line_of_eight_are_multiples_of_the_hop():
 def test_35_delays_of_a_branch():
     #   0 -1- 1 -1- 2      port 3 of slave 1 has slaves 3 and 4: it is passed first
     links = [((-1, 0), (0, 0)), ((0, 1), (1, 0)), ((1, 3), (2, 0)), ((2, 1), (3, 0)),
-             ((1, 1), (4, 0)), ((1, 2), (5, 0))]  # fmt: skip
+             ((1, 1), (4, 0)), ((1, 2), (5, 0))]
     wire = bus(*[AKD] * 6, hop=700, links=links)
     master = EtherCatMaster(wire)
     master.scan()
@@ -140,7 +140,7 @@ def test_35_delays_where_a_slave_in_the_middle_is_the_wrong_way_round():
 
 def test_35_delays_of_a_branch_behind_a_slave_the_wrong_way_round():
     links = [((-1, 0), (0, 0)), ((0, 1), (1, 1)), ((1, 2), (2, 0)), ((1, 0), (3, 0)),
-             ((1, 3), (4, 2)), ((0, 3), (5, 0))]  # fmt: skip
+             ((1, 3), (4, 2)), ((0, 3), (5, 0))]
     wire = bus(*[AKD] * 6, hop=700, links=links)
     master = EtherCatMaster(wire)
     master.scan()

@@ -71,10 +71,10 @@ def test_the_image_of_the_akd_has_what_a_real_one_had():
     assert (device.ds402_channels, device.flags, device.eoe_details) == (1, 0x05, 3)
     assert [(sm.start, sm.control) for sm in device.sync_managers] == [
         (0x1800, 0x26), (0x1C00, 0x22), (0x1100, 0x24), (0x1140, 0x20)
-    ]  # fmt: skip
+    ]
     assert [(mode.name, mode.assign_activate) for mode in device.dc_modes] == [
         ("DcSync", 0x0300), ("DcOff", 0x0000)
-    ]  # fmt: skip
+    ]
     flags = {pdo.index: pdo.flags for pdo in device.rpdos + device.tpdos}
     assert {flag for index, flag in flags.items() if index & 0xF00 in (0x700, 0xB00)} == {0x0010}
     assert {flag for index, flag in flags.items() if index & 0xF00 in (0x600, 0xA00)} == {0}
@@ -104,7 +104,7 @@ AKD_PDOS = {
     pdo: [(0x6063, 0, 32), (0x2050, 0, 32), (0x606C, 0, 32), (0x60FD, 0, 32), (0x60F4, 0, 32),
           (latch, 0, 32), (0x6041, 0, 16), (0x6077, 0, 16), (0x20A5, 0, 16), (0x3470, 4, 16)]
     for pdo, latch in ((0x1B20, 0x20A0), (0x1B22, 0x20A1), (0x1B23, 0x20A6))
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("pdo", AKD_PDOS, ids="{:04X}h".format)

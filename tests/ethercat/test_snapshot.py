@@ -84,7 +84,7 @@ def kept():
     machine.step(10)
     return {
         "segment": slave.segment, "slave": slave.slave, "drive": slave.drive, "machine": machine,
-    }  # fmt: skip
+    }
 
 
 def damaged(snapshot, seed):
@@ -105,7 +105,7 @@ def damaged(snapshot, seed):
         size = min(8, other - at, len(data) - other)
         data[at : at + size], data[other : other + size] = (
             data[other : other + size], data[at : at + size],
-        )  # fmt: skip
+        )
     return bytes(data)
 
 

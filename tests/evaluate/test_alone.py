@@ -12,13 +12,13 @@ CASES = [  # one a law, and those that ask the data sheet most
     "LinearAxis-v0 ruckig", "LinearAxisTracking-v0 adaptive_feed_forward",
     "CompliantAxis-v0 adaptive_lqr", "GantryContour-v0 full_feed", "GantrySync-v0 squaring",
     "Homing-v0 search",
-]  # fmt: skip
+]
 ALL = [
     f"{name} {policy}"
     for name in ("LinearAxis-v0", "LinearAxisTracking-v0", "CompliantAxis-v0", "GantryContour-v0",
                  "GantrySync-v0", "GantrySway-v0", "Homing-v0", "Commissioning-v0")
     for policy in ("learned", *task(name).POLICIES) if policy != "bound"
-]  # fmt: skip
+]
 
 
 def played(evaluator, policy, seeds):

@@ -85,7 +85,7 @@ def test_a_condition_is_the_evaluation_with_these_arguments(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "says"), [("wind", "'wind' is unknown here"), (
-    "stiffness_of_range", "'stiffness_of_range' is unknown here")])  # fmt: skip
+    "stiffness_of_range", "'stiffness_of_range' is unknown here")])
 def test_a_condition_that_does_not_exist_or_suit_is_one_line(name, says, tmp_path, refused):
     arguments = f"compare LinearAxisTracking-v0 --policies hold --conditions {name}"
     assert says in refused([*arguments.split(), "--out", str(tmp_path)])

@@ -43,7 +43,7 @@ def test_a_second_stage_is_drawn_over_its_own_range(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("make", [lambda path: None, lambda path: (
-    training(path / "seed_1", [1], 0.0), training(path / "seed_2", [2], 0.0))])  # fmt: skip
+    training(path / "seed_1", [1], 0.0), training(path / "seed_2", [2], 0.0))])
 def test_nothing_in_common_is_one_line(make, tmp_path, capsys):
     make(tmp_path)
     assert cli.main(["curves", str(tmp_path)]) == 2

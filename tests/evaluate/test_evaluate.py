@@ -165,7 +165,7 @@ def test_a_built_in_method_is_worth_what_an_agent_gets_for_the_same_figures():
     figures = env.built_in(23)._replace(
         error=info["error"], time=info["time"], impact_energy=info["impact_energy"],
         greatest_torque=info["greatest_torque"],
-    )  # fmt: skip
+    )
     assert env.worth(figures) == pytest.approx(total, abs=1e-9)
     result = Evaluator("Homing-v0", episodes=2).run("built_in:17")
     assert result.values["success"].all()

@@ -120,7 +120,7 @@ def seed_of_a_suite(head, files):
 
 def seed_of_a_suite_in_a_vector(head, files):
     about(files, seed=1, start=json.loads(files[f"{FIRST}/{ABOUT}"])
-          | {"seed": HELD_OUT - 1_000, "envs": 200_000})  # fmt: skip
+          | {"seed": HELD_OUT - 1_000, "envs": 200_000})
 
 
 def another_seed_than_its_folder(head, files):

@@ -25,7 +25,7 @@ def test_the_command_writes_page_and_values_and_no_row_is_above_100_percent(tmp_
         float(cell.removesuffix(" %"))
         for line in page.splitlines() if line.count("|") == 10 and " % |" in line
         for cell in line.split(" | ")[3:4]
-    ]  # fmt: skip
+    ]
     assert len(shares) == 6
     assert max(shares) <= 100.0
     rows = (tmp_path / "headroom.csv").read_text().splitlines()

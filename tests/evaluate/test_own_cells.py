@@ -65,7 +65,7 @@ def test_positioning_takes_axes_payloads_distances_strategies_and_parameters(her
 
     def lag(found):
         return np.mean([float(r["peak_following_error_um"]) for r in found
-                        if r["strategy"] == "trapezoid"])  # fmt: skip
+                        if r["strategy"] == "trapezoid"])
 
     assert lag(softer) > 1.5 * lag(plain)
 

@@ -16,7 +16,7 @@ def policy(settling, torque=(1, 1, 1), trainings=1, **differences):
     values = {
         "settling_time": summary(*settling), "rms_torque": summary(*torque),
         "success": summary(0.5, 0, 1),
-    }  # fmt: skip
+    }
     rows = {
         metric: dict(zip(("value", "low", "high"), row, strict=True))
         for metric, row in differences.items()
@@ -35,7 +35,7 @@ def folder(
     data = {
         "command": "servogym compare ...", "env": "LinearAxis-v0", "policies": policies,
         "against": against,
-    }  # fmt: skip
+    }
     (path / "compare.json").write_text(json.dumps(data), encoding="utf-8")
     (path / "README.md").write_text("# Learned\n\n" + text, encoding="utf-8")
     return path

@@ -28,7 +28,7 @@ from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep
 NAMES = {task.ID: task for task in TASKS}
 LINEAR, TRACKING, CONTOUR = (
     "servogym/LinearAxis-v0", "servogym/LinearAxisTracking-v0", "servogym/GantryContour-v0",
-)  # fmt: skip
+)
 DRIVE = {"can": "generic", "ethercat": load("generic", "ethercat")}
 
 

@@ -84,7 +84,7 @@ SCALES = {
     "its window 6065h": "following_error_window",
 }
 OBJECTS = {"606Ch": "velocity_actual_value", "60F4h": "following_error_actual_value",
-           "6077h": "torque_actual_value"}  # fmt: skip
+           "6077h": "torque_actual_value"}
 
 
 @pytest.mark.parametrize("task", TASKS, ids=IDS)
@@ -121,7 +121,7 @@ FLAGS = ("active", "active, else 0", "set", "yes, else 0", "at least once")
 def test_flags_are_0_or_1_and_all_else_lies_within_the_box(task):
     env = made(task)
     flags = [n for numbers, *_, scale in table(task, "Observation") if scale in FLAGS
-             for n in numbers]  # fmt: skip
+             for n in numbers]
     generator = np.random.default_rng(2)
     for seed in range(3):
         observation, _ = env.reset(seed=seed)
@@ -139,7 +139,7 @@ def test_a_record_of_records_counts_and_names_all_its_numbers():
     assert fields.width(record) == 9
     names = fields.names(record)
     assert names[:6] == ["goal", "ahead[0, 0]", "ahead[0, 1]", "ahead[1, 0]", "ahead[1, 1]",
-                         "axes[0].distance"]  # fmt: skip
+                         "axes[0].distance"]
     assert fields.slots(record) == {"goal": slice(0, 1), "ahead": slice(1, 5), "axes": slice(5, 9)}
     seen = fields.named(
         record, np.arange(20, dtype=np.float32)

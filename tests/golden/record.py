@@ -54,7 +54,7 @@ def parameters(model):
             for address, slot in drive.objects.slots.items()
             if address[0] >= 0x2000 and slot.row.access == "rw" and slot.row.storable
             and slot.row.format and slot.row.area == "axis"
-        }  # fmt: skip
+        }
 
     wanted = values()
     drive.reset()
@@ -159,7 +159,7 @@ def begin(master, target, stations=None):
 def move(master, target):
     begin(master, target)
     master.wait(lambda s: s.statusword & S.TARGET_REACHED and not s.statusword & S.MODE_12,
-                f"target {target}")  # fmt: skip
+                f"target {target}")
     for station in master.stations:
         assert abs(station.position - target) <= NEAR
         assert abs(station.position - truth(station)) < 500

@@ -18,7 +18,7 @@ CAN = {"interface": "udp_multicast", "channel": "239.74.163.9"}
 TASKS = {
     "linear": "servogym/LinearAxis-v0", "tracking": "servogym/LinearAxisTracking-v0",
     "contour": "servogym/GantryContour-v0",
-}  # fmt: skip
+}
 FAST, LOW, HIGH = 0.6, 0.05, 0.45  # envelope of the hostile policies: m/s, m
 QUIET = 5e-3  # m/s
 
@@ -27,7 +27,7 @@ def _network():
     commands = (
         "link set lo up", "route add 224.0.0.0/4 dev lo", "link add va type veth peer name vb",
         "link set va up", "link set vb up",
-    )  # fmt: skip
+    )
     for command in commands:
         subprocess.run(["ip", *command.split()], check=False, capture_output=True)
 
@@ -339,7 +339,7 @@ HOSTILE = {  # policy, and what is said of it
     "faults": (_then(4, _signal(signal.SIGSEGV)), "SIGSEGV"),
     "closes all files": (_then(4, _close_all), f"{ENDED}|{LATE}"),
     "interrupts its parent": (_then(4, _parent), "Ctrl-C"),
-}  # fmt: skip
+}
 
 
 def hostile(bus, names):
@@ -368,7 +368,7 @@ def hostile(bus, names):
                     play(
                         env, lambda seen, policy=policy, steps=steps, space=space:
                         policy(next(steps), space), 3, patience=0.1, seed=5, memory=1 << 29,
-                    )  # fmt: skip
+                    )
                 except Stopped as stopped:
                     reason = f"{stopped}"
                 env.close()
@@ -390,11 +390,11 @@ def killed(bus, number=signal.SIGKILL):
         where = (
             ["--ethercat", "vb"] if bus == "ethercat"
             else ["-i", CAN["interface"], "-c", CAN["channel"]]
-        )  # fmt: skip
+        )
         command = [
             sys.executable, "-m", "servogym.training.cli", "deploy", "LinearAxis-v0", "--yes",
             "--policy", "hold", "--episodes", "50", "--home", "17", *where,
-        ]  # fmt: skip
+        ]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
             until = time.monotonic() + 60.0
             moved = set()

@@ -9,6 +9,6 @@ def reach_op(program, cycles, period=0):
     done = subprocess.run(
         [program, "vb", str(cycles), str(period)],
         capture_output=True, text=True, timeout=280, check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.splitlines()[-1])

@@ -44,7 +44,7 @@ def outcome(file, place):
     moved = "no 607Ah in its PDOs" if way is None else f"{way * unit * 1e3:.2f} mm"
     return [*cells, "yes" if found["state"] == 8 else hex(found["state"]),
             "yes" if found["status"] & 0x6F == 0x27 else f"{found['status']:04X}h",
-            found.get("why", moved)]  # fmt: skip
+            found.get("why", moved)]
 
 
 def main(folder):

@@ -68,7 +68,7 @@ def scan():
         {"name": s.name, "vendor": s.man, "product": s.id, "revision": s.rev,
          "outputs": len(s.output), "inputs": len(s.input)}
         for s in master.slaves
-    ]  # fmt: skip
+    ]
     master.close()
     return result
 
@@ -161,7 +161,7 @@ def suffer(line, models=("kollmorgen_akd", "kollmorgen_akd")):
             "state": state, "seen": seen, "refused": refused, "states": states, "steps": steps,
             "back": [s.state for s in master.slaves], "expected": master.expected_wkc,
             "last": one_cycle(master),
-        }  # fmt: skip
+        }
         master.close()
     return result
 
@@ -214,7 +214,7 @@ def home_and_move(distance=100_000, method=1, cycles=1000):
     master.config_map()
     assert master.state_check(pysoem.SAFEOP_STATE, 5_000_000) == pysoem.SAFEOP_STATE
     axis = Axis(master, slave, ("<iHh", ("target_position", "controlword", "torque_offset")),
-                ("<iH", ("position", "statusword")))  # fmt: skip
+                ("<iH", ("position", "statusword")))
     master.state = pysoem.OP_STATE
     axis.cycle()
     master.write_state()
@@ -251,7 +251,7 @@ def home_and_move(distance=100_000, method=1, cycles=1000):
     return {
         "homed": homed, "end": seen["position"], "statusword": seen["statusword"],
         "trace": hashlib.sha256(struct.pack(f"<{len(trace)}i", *trace)).hexdigest(),
-    }  # fmt: skip
+    }
 
 
 # ------------------------------------------------- process images, clocks, redundancy
@@ -300,7 +300,7 @@ def fixed_pdos(pairs):
             "pdos": [output, given], "safe": safe, "sizes": [len(slave.output), len(slave.input)],
             "managers": [register(slave, 0x0812, 2), register(slave, 0x081A, 2)],
             "mapping": mapping, "status": [before, after], "moved": moved,
-        })  # fmt: skip
+        })
         master.state = pysoem.INIT_STATE
         master.write_state()
         master.close()
@@ -340,7 +340,7 @@ def as_found(distance, cycles=4000):
         return struct.unpack(form, slave.sdo_read(index, 0))[0]
 
     found = {"identity": [slave.man, slave.id, slave.rev], "sizes": [len(out), len(slave.input)],
-             "state": state, "moved": None}  # fmt: skip
+             "state": state, "moved": None}
     try:
         put(0x6060, b"\x08")
     except pysoem.SdoError as error:
@@ -455,7 +455,7 @@ def redundancy(cycles=150):
             links.append([register(slave, 0x0110, 2) for slave in master.slaves])
     master.read_state()
     result = {"state": state, "seen": seen, "expected": master.expected_wkc, "links": links,
-              "states": [s.state for s in master.slaves]}  # fmt: skip
+              "states": [s.state for s in master.slaves]}
     master.close()
     return result
 
@@ -495,7 +495,7 @@ def kilohertz(server, seconds=5.0):
     result = {
         "safe": state, "state": master.state_check(pysoem.OP_STATE, 50_000), "wrong": wrong,
         "late": late, "memory_kib": sizes, "clock": [register(s, 0x092C, 4) for s in master.slaves],
-    }  # fmt: skip
+    }
     master.close()
     return result
 
@@ -556,7 +556,7 @@ def with_sync0(clock, when, period=10, cycles=100):
         "safe": safe, "state": slave.state, "code": slave.al_status, "wrong": wrong,
         "status": status[-1],
         "passed": [(b - a) / 1e6 for a, b in itertools.pairwise(times)],
-    }  # fmt: skip
+    }
     slave.dc_sync(False, 0)
     master.state = pysoem.INIT_STATE
     master.write_state()
@@ -580,4 +580,4 @@ def imported(folder):
                 raise
             time.sleep(0.02)
     return {"name": made.name, "objects": made.objects, "pdos": made.pdos,
-            "repairs": [str(repair) for repair in made.repairs]}  # fmt: skip
+            "repairs": [str(repair) for repair in made.repairs]}

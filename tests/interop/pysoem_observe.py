@@ -54,4 +54,4 @@ def while_enabled():
     master.close()
     written = [where for where, one in found["objects"].items() if "write" in one]
     return {"read_only": found["read_only"], "before": before, "after": after, "state": state,
-            "written": written}  # fmt: skip
+            "written": written}

@@ -31,7 +31,7 @@ def enable_home_and_move():
     disabled = axis.state.name
     soem.close()
     return {"enabled": enabled, "places": places, "refused": refused, "wrong": soem.wrong,
-            "disabled": disabled}  # fmt: skip
+            "disabled": disabled}
 
 
 def second_server():

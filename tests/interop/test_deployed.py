@@ -10,7 +10,7 @@ BUSES = ("can", "ethercat")
 SAMPLE = (
     "chatters 2", "NaN at 4", "words at 4", "raises SystemExit", "leaves at once", "kills itself",
     "holds the interpreter", "fills the memory", "creeps 0.2",
-)  # fmt: skip
+)
 
 
 def over(bus, scenario, **arguments):

@@ -66,7 +66,7 @@ def test_ethercrab_with_sync0_stays_in_op_on_every_clock(program, clock):
     result = on_the_wire(
         "ethercrab_master", "reach_op", *options, program=program, cycles=300, period=10,
         in_time=lambda result: clock != "real" or not result["wrong"],
-    )  # fmt: skip
+    )
     assert (result["cycles"], result["wrong"], result["wkc"]) == (300, 0, 6)
     passed = sorted((b - a) / 1e6 for a, b in pairwise(result["times"]))
     if clock == "frame":

@@ -76,7 +76,7 @@ def test_torchrl_trains_with_ppo(vector):
     actor = ProbabilisticActor(
         TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True,
-    )  # fmt: skip
+    )
     critic = ValueOperator(MLP(in_features=7, out_features=1, num_cells=[32]), ["observation"])
     loss, advantage = ClipPPOLoss(actor, critic), GAE(gamma=0.98, lmbda=0.95, value_network=critic)
     optimizer = torch.optim.Adam(loss.parameters(), 3e-4)
@@ -119,7 +119,7 @@ def test_tianshou_trains_with_ppo(workers):
     policy = ProbabilisticActorPolicy(
         actor=actor, action_space=space,
         dist_fn=lambda told: torch.distributions.Independent(torch.distributions.Normal(*told), 1),
-    )  # fmt: skip
+    )
     critic = ContinuousCritic(preprocess_net=Net(state_shape=7, hidden_sizes=[32]))
     algorithm = PPO(policy=policy, critic=critic, optim=AdamOptimizerFactory(lr=3e-4))
     before = weights(actor)
@@ -130,7 +130,7 @@ def test_tianshou_trains_with_ppo(workers):
             update_step_num_repetitions=2, batch_size=256, test_in_training=False, verbose=False,
             show_progress=False,
         )
-    )  # fmt: skip
+    )
     envs.close()
     assert found.train_step == STEPS
     assert has_learned(before, actor)

@@ -149,7 +149,7 @@ def test_40_a_broken_ring_keeps_every_working_counter():
         "pysoem_master", "redundancy", *AKD, "--slaves", "4", "--axis", "none",
         "--fault", "break_link at=op:30 slave=1", "--fault", "heal_link at=op:201 slave=1", ports=2,
         in_time=lambda result: result["seen"] == every,
-    )  # fmt: skip
+    )
     assert result["state"] == OP
     assert result["seen"] == every
     assert result["states"] == [OP] * 4
@@ -165,7 +165,7 @@ def test_41_a_kilohertz_on_the_clock_dc_keeps_working_counters_and_memory(second
     result = on_the_wire(
         "pysoem_master", "kilohertz", *AKD, "--slaves", "2", "--clock", "dc",
         timeout=900, seconds=seconds,
-    )  # fmt: skip
+    )
     assert (result["safe"], result["state"]) == (4, OP)
     assert result["wrong"] == []
     assert abs(result["memory_kib"][1] - result["memory_kib"][0]) <= 1024
@@ -180,7 +180,7 @@ def check_clock(clock, when):
     result = on_the_wire(
         "pysoem_master", "with_sync0", "--drive", "generic", *options, clock=clock, when=when,
         in_time=lambda result: result["state"] == OP and result["status"] == 0x27,
-    )  # fmt: skip
+    )
     assert (result["safe"], result["state"], result["code"]) == (4, OP, 0)
     assert result["wrong"] == 0
     assert result["status"] == 0x27, "operation enabled"

@@ -97,7 +97,7 @@ def test_13_the_eeprom_is_read_and_written():
     result = on_the_wire("pysoem_services", "eeprom", *AKD)
     assert [int.from_bytes(bytes.fromhex(word)[:4], "little") for word in result["identity"]] == [
         0x6A, 0x414B44, 2
-    ]  # fmt: skip
+    ]
     assert (result["before"], result["after"]) == ("0000", "4200")
 
 
@@ -110,7 +110,7 @@ def test_29_lost_replies_are_recovered_by_the_retry_of_soem():
     result = on_the_wire(
         "pysoem_services", "lossy", "forked", line="lose at=mailbox:1 rate=0.05 count=0",
         in_time=lambda result: set(result["failed"]) <= {"WkcError -1"},  # 0: a late answer
-    )  # fmt: skip
+    )
     assert len(result["failed"]) < 6
     assert set(result["failed"]) <= {"WkcError -1"}
     assert result["read"] == ["AKD-P00606-NBCC-E000"] * (60 - len(result["failed"]))

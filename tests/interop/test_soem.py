@@ -28,7 +28,7 @@ def sources(folder):
         [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", ":all:",
          "--no-build-isolation", "--dest", str(folder), wanted],
         capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     archive = next(folder.glob("pysoem-*.tar.gz"), None)
     if archive is None:
         pytest.skip(f"no sources of {wanted}: {done.stderr.strip()[-200:]}")

@@ -34,7 +34,7 @@ ATTEMPTS = 10
 LATE = (
     "WkcError", "ConfigMapError", "did not go on in time",
     "Bus.cc:795: Timeout", "error while checking mailboxes", "OP is not reached",
-)  # fmt: skip
+)
 
 
 @functools.cache
@@ -47,7 +47,7 @@ def why_not() -> str:
     tried = subprocess.run(
         [*UNSHARE, "-n", "ip", "link", "add", "va", "type", "veth", "peer", "name", "vb"],
         capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     if tried.returncode:
         return f"no veth pair in a user namespace: {tried.stderr.strip()}"
     return ""
@@ -61,7 +61,7 @@ class _Helper:
             [*UNSHARE, sys.executable, str(HERE / "wire.py")],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
             env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # who has threads cannot fork
-        )  # fmt: skip
+        )
         atexit.register(self.close)
 
     def close(self):
@@ -96,7 +96,7 @@ def on_the_wire(
     if reason := why_not():
         pytest.skip(reason)
     task = {"module": module, "scenario": scenario, "server": server, "ports": ports,
-            "arguments": arguments}  # fmt: skip
+            "arguments": arguments}
     for _ in range(ATTEMPTS):
         status, said = _helper().do(task, timeout)
         if status == 0 and in_time(result := json.loads(said.splitlines()[-1])):

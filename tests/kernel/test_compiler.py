@@ -119,7 +119,7 @@ def numba_as_it_is(function):
     return (
         codegen._library_class, record.__repr__, functions.BaseFunction.get_call_type,
         postproc.PostProcessor.run, gc.isenabled(),
-    )  # fmt: skip
+    )
 
 
 def test_a_compile_leaves_numba_as_it_was_also_when_it_fails():
@@ -260,7 +260,7 @@ def test_a_machine_compiled_by_plain_numba_does_the_same_to_the_bit():
         done = subprocess.run(
             [sys.executable, "-c", MACHINE], env=os.environ | {"SERVOGYM_PLAIN_NUMBA": setting},
             capture_output=True, text=True, check=True,
-        )  # fmt: skip
+        )
         answers.append(done.stdout.split())
     assert [plain for plain, _ in answers] == ["False", "True"]
     assert answers[0][1] == answers[1][1]

@@ -138,7 +138,7 @@ def running(**objects):
     shaft.write(
         profile_acceleration=100_000_000, profile_deceleration=50_000_000,
         quick_stop_deceleration=200_000_000, target_velocity=10_000_000, **objects,
-    )  # fmt: skip
+    )
     shaft.enable(3)
     shaft.step(600)
     assert abs(shaft.read("velocity_actual_value") - 10_000_000) < 50_000
@@ -345,7 +345,7 @@ ABORTED = {
                           S.QUICK_STOP_ACTIVE),
     S.QUICK_STOP_ACTIVE: (S.QUICK_STOP_ACTIVE, S.FAULT, S.SWITCH_ON_DISABLED,
                           S.QUICK_STOP_ACTIVE),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("code", range(4))

@@ -22,7 +22,7 @@ def edges(method):
         17: (NEGATIVE, +1), 18: (POSITIVE, -1), 19: (left, -1), 20: (left, +1), 21: (right, +1),
         22: (right, -1), 23: (left, -1), 24: (left, +1), 25: (right, -1), 26: (right, +1),
         27: (right, +1), 28: (right, -1), 29: (left, +1), 30: (left, -1),
-    }[method if method >= 17 else method + 16]  # fmt: skip
+    }[method if method >= 17 else method + 16]
     return edge * INCREMENTS, direction
 
 
@@ -49,7 +49,7 @@ def axis_with_switches(method, turns, **objects):
         homing_method=method, speed_during_search_for_switch=SEARCH,
         speed_during_search_for_zero=CRAWL, homing_acceleration=40_000_000,
         following_error_window=0xFFFFFFFF, homing_timeout=60_000, **objects,
-    )  # fmt: skip
+    )
     switches()
     shaft.step()
     return shaft

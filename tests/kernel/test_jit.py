@@ -195,7 +195,7 @@ def python(code, folder, **environment):
         [sys.executable, "-W", "error", "-c", textwrap.dedent(code)], cwd=folder,
         env=os.environ | environment, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    )
 
 
 def test_the_digest_is_the_same_in_every_process(tmp_path):

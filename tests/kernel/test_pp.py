@@ -15,7 +15,7 @@ def pp(shaft):
     shaft.write(
         profile_velocity=20_000_000, profile_acceleration=200_000_000,
         profile_deceleration=100_000_000, following_error_window=200_000,
-    )  # fmt: skip
+    )
     return shaft.enable(1)
 
 
@@ -247,7 +247,7 @@ def test_an_end_velocity_leaves_room_to_stop_before_the_software_limit(far, jerk
         profile_velocity=20_000_000, profile_acceleration=200_000_000,
         profile_deceleration=100_000_000, motion_profile_type=3 if jerk else 0,
         profile_jerk_1=max(jerk, 1),
-    )  # fmt: skip
+    )
     shaft.enable(1)
     places = []
     shaft.after = lambda: places.append(shaft.read("position_demand_value"))
@@ -264,7 +264,7 @@ def test_a_new_target_near_the_software_limit_brakes_with_all_the_deceleration_t
         min_position_limit=-100_000, max_position_limit=3_000_000, profile_velocity=20_000_000,
         profile_acceleration=50_000_000, profile_deceleration=100_000_000,
         motion_profile_type=3, profile_jerk_1=4_000_000_000,
-    )  # fmt: skip
+    )
     shaft.enable(1)
     give(shaft, 3_000_000)
     places = []

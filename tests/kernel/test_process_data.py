@@ -79,7 +79,7 @@ def test_map_pdos_by_name_and_pack_and_unpack(drive):
     drive.cycle(0.0)
     assert drive.unpack(drive.exchange(image)) == {
         "statusword": 0x250, "position_actual_value": 0,
-    }  # fmt: skip
+    }
     assert drive.read("target_position") == -2
     with pytest.raises(ValueError, match="velocity_offset: not mapped"):
         drive.pack(velocity_offset=1)

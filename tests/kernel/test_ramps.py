@@ -327,7 +327,7 @@ def _excess_inside(axis, v, a, speed, up, down, jerk, worst):
     for i in range(axis.segments):
         u, begin, j = (
             axis.segment_begin_velocity[i], axis.segment_acceleration[i], axis.segment_jerk[i],
-        )  # fmt: skip
+        )
         jump = max(jump, abs(u - v))
         if smooth:
             worst[4] = max(worst[4], abs(begin - a) / hardest)
@@ -503,7 +503,7 @@ def test_an_end_velocity_out_of_reach_is_what_can_be_reached_without_a_run_up(st
     assert 0 < end < 10.0
     if jerk == 0.0:
         assert end == pytest.approx(math.sqrt(2 * 400 * (0.05 + max(-start, 0) * 3 / 2 / 300)
-                                              + max(start, 0) ** 2))  # fmt: skip
+                                              + max(start, 0) ** 2))
     assert out[:, 0].min() >= -(braked(-start, 0.0, 300.0, jerk, jerk) if start < 0 else 0.0) - 1e-4
 
 
@@ -664,7 +664,7 @@ def test_a_short_sine_move_is_two_whole_waves():
 @given(
     st.floats(-30, 30), st.floats(-20, 20), st.floats(-80, 80), st.floats(1, 30),
     st.floats(20, 200), st.floats(20, 200), st.floats(0, 20),
-)  # fmt: skip
+)
 def test_sine_moves_from_any_state_end_at_the_target_within_their_limits(
     target, v, a, speed, acceleration, deceleration, end
 ):

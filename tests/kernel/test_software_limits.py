@@ -18,7 +18,7 @@ def homed():
     shaft.write(
         min_position_limit=MIN, max_position_limit=MAX, quick_stop_deceleration=RATE,
         following_error_window=0xFFFFFFFF, torque_slope=1_000_000,
-    )  # fmt: skip
+    )
     return shaft
 
 
@@ -209,7 +209,7 @@ def test_absolute_moves_count_on_over_the_ends_of_an_integer32(side, step):
     shaft.write(
         min_position_limit=0, max_position_limit=0, profile_velocity=0xFFFFFFFF,
         profile_acceleration=0xFFFFFFFF, following_error_window=0xFFFFFFFF,
-    )  # fmt: skip
+    )
     shaft.enable(1)
     shown = shaft.read("position_demand_value")
     target = (shown + side * step + 2**31) % 2**32 - 2**31

@@ -26,7 +26,7 @@ PUBLISHED = (  # written each cycle, not stored
     "position_demand_value", "position_actual_value", "velocity_demand_value",
     "velocity_actual_value", "touch_probe_position", "following_error_actual_value",
     "control_effort", "velocity_actual_value_filtered", "latch_position",
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ FACTOR_FIELDS = {
 INDEX = {
     "position_factor": 0x6093, "velocity_encoder_factor": 0x6094, "acceleration_factor": 0x6097,
     "gear_ratio": 0x6091, "feed_constant": 0x6092, "velocity_factor": 0x6096,
-}  # fmt: skip
+}
 
 
 def kind(slot):
@@ -214,7 +214,7 @@ PARAMETERS = (  # what the cycle works with
     "homing_acceleration", "max_slippage", "following_error_window", "position_window",
     "velocity_window", "velocity_threshold", "position_error_limit", "correction_limit",
     "dead_band", "limit_deceleration",
-)  # fmt: skip
+)
 
 
 def physics(drive):

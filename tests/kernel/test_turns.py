@@ -74,7 +74,7 @@ def test_moves_on_a_turn_of_a_million_units_end_where_the_table_says(option, tar
         positioning_option_code=option << 6, profile_velocity=20_000_000,
         profile_acceleration=200_000_000, profile_deceleration=200_000_000,
         following_error_window=0xFFFFFFFF,
-    )  # fmt: skip
+    )
     shaft.enable(1)
     for target, end in zip(targets, ends, strict=True):
         shaft.write(target_position=target)

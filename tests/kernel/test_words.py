@@ -48,7 +48,7 @@ def test_statusword_bits_are_named_by_mode():
     assert decode_statusword(word, Mode.PROFILE_POSITION) == [
         "OPERATION_ENABLED", "voltage_enabled", "remote", "target_reached",
         "set_point_acknowledge", "following_error",
-    ]  # fmt: skip
+    ]
     assert decode_statusword(word, Mode.HOMING)[-2:] == ["homing_attained", "homing_error"]
     assert decode_statusword(0x0004)[0] == "INVALID"
 

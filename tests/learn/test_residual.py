@@ -78,7 +78,7 @@ def made(tmp_path_factory):
         ID, out=out, steps=256, envs=8, residual="feed_forward", bounds=BOUNDS, settings=SMALL,
         arguments={"max_episode_steps": 10, "previous_action": True}, checkpoint_every=128,
         evaluate_every=128,
-    ))  # fmt: skip
+    ))
     return out
 
 
@@ -150,7 +150,7 @@ def test_sb3_corrects_with_the_same_arguments():
         ("--residual lqr --bounds 0.1,0.1", "policy 'lqr' is for"),
         ("--residual nobody --bounds 0.1,0.1", "'nobody', which is not a registered policy"),
     ],
-)  # fmt: skip
+)
 def test_a_residual_that_does_not_fit_is_one_line(arguments, says, tmp_path, refused):
     assert says in refused(["train", ID, *arguments.split(), "--out", str(tmp_path / "run")])
 

@@ -30,7 +30,7 @@ def lacking(model):
     modes = set(load(model).modes)
     csp, hm, pv, pp = (
         Mode.CYCLIC_SYNC_POSITION, Mode.HOMING, Mode.PROFILE_VELOCITY, Mode.PROFILE_POSITION,
-    )  # fmt: skip
+    )
     needed = {"servogym/Homing-v0": {hm, pv}, "servogym/Commissioning-v0": {hm, pp}}
     return {task.ID: needed.get(task.ID, {csp, hm}) - modes for task in TASKS}
 

@@ -23,7 +23,7 @@ def first(tmp_path_factory):
     train(Training(
         ID, out=out, steps=128, envs=8, residual=BASE, bounds=[0.05, 0.02],
         arguments=SHORT, settings=SMALL, **EVERY,
-    ))  # fmt: skip
+    ))
     return out
 
 
@@ -32,7 +32,7 @@ def test_it_begins_with_these_weights_and_what_is_not_given_is_as_it_was(first, 
     train(Training(
         ID, out=tmp_path, steps=128, start=first, settings={"learning_rate": 0.0},
         arguments={"randomise": {"delay": [0, 1, 0.5]}}, residual="leading_feed_forward", **EVERY,
-    ))  # fmt: skip
+    ))
     before, after = weights.load(first / "best"), weights.load(tmp_path / "best")
     for name, array in before.network.items():
         assert array.tobytes() == after.network[name].tobytes()

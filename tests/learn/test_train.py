@@ -42,7 +42,7 @@ SMALL = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_
 SAC_SMALL = {
     "buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "gradient_steps": 1,
     "policy_kwargs": {"net_arch": [8]},
-}  # fmt: skip
+}
 
 
 def brief(out, steps=256, *, console=None, progress=False, **arguments):
@@ -143,7 +143,7 @@ def learners():
     """What SB3 itself trained, and its maker, by algorithm."""
     made = {}
     for name, settings in (("PPO", {"n_steps": 16, "batch_size": 64, "n_epochs": 1}), ("SAC", {
-        "buffer_size": 400, "learning_starts": 64, "batch_size": 32})):  # fmt: skip
+        "buffer_size": 400, "learning_starts": 64, "batch_size": 32})):
 
         def fresh(name=name, settings=settings):
             env = VecNormalize(VecMonitor(sb3.make(ID, 8, **SHORT)))
@@ -259,7 +259,7 @@ def test_the_state_of_another_network_is_refused(learners, tmp_path):
         (ID, {"envs": 9}, "envs = 8, asked for is 9"),
         (ID, {"arguments": {}}, "asked for is {}"),
     ],
-)  # fmt: skip
+)
 def test_a_checkpoint_of_something_else_is_refused_naming_both(made, env_id, arguments, says):
     with pytest.raises(ValueError, match=r"checkpoint .*another --out") as refusal:
         train(Training(env_id, out=made, resume=True, **arguments))
@@ -526,7 +526,7 @@ def test_trainings_of_different_seeds_share_no_episode():
 def test_a_run_has_streams_of_its_own_unless_it_says_otherwise(tmp_path):
     runs = {}
     for name, more in (("own", {}), ("same", {"streams": "independent"}),
-                       ("theirs", {"streams": "consecutive"})):  # fmt: skip
+                       ("theirs", {"streams": "consecutive"})):
         brief(tmp_path / name, 128, settings=SMALL | more)
         runs[name] = weights.load(checkpoint.numbered(tmp_path / name)[-1]).network
     assert all((runs["own"][n] == runs["same"][n]).all() for n in runs["own"])

@@ -23,7 +23,7 @@ ID = "LinearAxis-v0"
 TRAIN = [
     "train", ID, "--envs", "4", "--steps", "10000000", "--checkpoint-every", "256",
     "--evaluate-every", "256", "--argument", "max_episode_steps=10", "--setting", "n_epochs=1",
-]  # fmt: skip
+]
 TEMPLATE = """
 import json, os, signal, sys
 from servogym.training import cli
@@ -56,7 +56,7 @@ def command():
     with subprocess.Popen(
         [sys.executable, "-c", TEMPLATE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         env=os.environ | plain,
-    ) as template:  # fmt: skip
+    ) as template:
 
         def start(arguments, where):
             print(json.dumps([arguments, str(where)]), file=template.stdin, flush=True)

@@ -120,7 +120,7 @@ def test_a_motion_needs_power(bench):
     for command in (
         lambda m: m.move_to(0.1), lambda m: m.home(), lambda m: m.jog(0.1), Master.halt,
         Master.resume,
-    ):  # fmt: skip
+    ):
         with pytest.raises(
             NoPower, match=r"no power; x: statusword .*; it needs enable\(\) first"
         ) as e:
@@ -141,7 +141,7 @@ def test_what_a_drive_cannot_do_is_refused_in_words(bench):
         master.move_to({"y": 0.2})
     with pytest.raises(Refused, match=r"mode \w+: drive '\w+' of x does not have it") as e:
         master.set_mode(next(iter(set(Mode) - {Mode.NONE} - {*bench.drive.model.modes}), None)
-                        or pytest.skip("it has all modes"))  # fmt: skip
+                        or pytest.skip("it has all modes"))
     assert isinstance(e.value, ValueError)
     assert bench.place == pytest.approx(HERE, abs=NEAR)
 

@@ -12,7 +12,7 @@ from servogym.drive.drive import Drive
 from servogym.drive.model.model import load, model_names
 
 CELLS = (b"", b"-1", b"0x", b"1e5", b"99999999999", b"rw", b"{", b"{1..", b"{0..99999999999}",
-         b"od[3]", b"@", b"factor", b"nan")  # fmt: skip
+         b"od[3]", b"@", b"factor", b"nan")
 VALUES = (b" -1", b' "x"', b" []", b" {}", b" 0", b" 1e400", b" nan", b" true", b" 7777777")
 BYTES = (b"[", b"\0", b"\xff", b'"', b",", b"\n", b"9" * 21)
 

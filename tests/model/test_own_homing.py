@@ -74,7 +74,7 @@ def returned(machine, speed):
     found = built_in(
         machine, -9, 0.45, objects=objects,
         observer=lambda _: seen.append(float(machine.data.qvel[0])),
-    )  # fmt: skip
+    )
     assert abs(found.error) < 20e-6
     back = np.array(seen)
     return np.median(back[back < -1e-3])

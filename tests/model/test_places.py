@@ -34,7 +34,7 @@ def test_a_number_with_too_few_bytes_is_refused_by_name():
     ("name", "value", "fits"),
     [("controlword", 65535, True), ("controlword", 65536, False), ("controlword", -1, False),
      ("controlword", 1.5, False), ("controlword", "15", False), ("target_position", 2**31, False)],
-)  # fmt: skip
+)
 def test_a_number_that_its_type_does_not_hold_is_refused(name, value, fits):
     row = load("generic").number(name)
     if fits:

@@ -169,7 +169,7 @@ DIALOGUES = [
      " < 585#4283210005000000"),
     ("bonfiglioli_act", "6 address 0 switches the interface off", "> 601#2283210000000000"
      " < 581#6083210000000000 > 601#4083210000000000"),
-]  # fmt: skip
+]
 
 
 def ids(value):

@@ -23,7 +23,7 @@ PRINTED = {  # words of the manuals
     "WARNING (0x6510:38 default 0)": Reaction.WARNING,
     "NO ACTION (0x6510:22 default 0)": Reaction.IGNORE,
     "immediate switch-off": Reaction.DISABLE,
-}  # fmt: skip
+}
 EITHER_WAY = (  # an end of the way and the other one
     (Cause.NEGATIVE_BLOCKED, Cause.POSITIVE_BLOCKED),
     (Cause.SOFTWARE_LIMIT_MIN, Cause.SOFTWARE_LIMIT_MAX),

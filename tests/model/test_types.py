@@ -52,7 +52,7 @@ def installed(tmp_path_factory):
     copy = folder / "source"
     copy.mkdir()
     for name in ("__init__.py", "py.typed", "drive", "envs", "assets", "training",
-                 "pyproject.toml", "README.md", "LICENSE"):  # fmt: skip
+                 "pyproject.toml", "README.md", "LICENSE"):
         (copy / name).symlink_to(ROOT / name)
     subprocess.run([sys.executable, "-c", code], cwd=copy, check=True, capture_output=True)
     (wheel,) = folder.glob("*.whl")
@@ -78,7 +78,7 @@ def test_a_users_script_is_checked_and_the_record_completes(installed, tmp_path)
          f"--python-executable={installed[0]}", script.name],
         cwd=tmp_path, capture_output=True, text=True,
         env={key: value for key, value in os.environ.items() if key != "MYPYPATH"},
-    )  # fmt: skip
+    )
     said = [line for line in run.stdout.splitlines() if line.startswith(script.name)]
     assert len(said) == len(EXPECTED), run.stdout + run.stderr
     for line, expected in zip(said, EXPECTED, strict=True):

@@ -17,7 +17,7 @@ SAVE = 0x65766173
 NOT_KEPT = (  # what the act of a reset is about, or follows from others
     "act_node_id", "data_set", "single_set", "act_connection", "act_slope_up", "act_slope_down",
     "act_amount", "act_poles",
-)  # fmt: skip
+)
 
 
 def number(row, chance):

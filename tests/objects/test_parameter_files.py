@@ -68,7 +68,7 @@ def test_values_that_do_not_go_together_are_named_and_the_file_ignored(file):
     drive.write("feed", values["feed"])
     written(file, profile_velocity=4711, gear_motor_revolutions=2_147_483_563, **{
         name: value for name, value in values.items() if name in drive.model.names
-    })  # fmt: skip
+    })
     with pytest.warns(UserWarning, match=r"is ignored.*general internal incompatibility"):
         drive = Drive(parameter_file=file)
     assert drive.read("profile_velocity") == drive.model.names["profile_velocity"].default
@@ -264,7 +264,7 @@ def frames(node, *texts):
 
 
 CONFIGURE = ("7E5#0401000000000000", "7E5#1105000000000000", "7E5#1300020000000000",
-             "7E5#1700000000000000")  # fmt: skip
+             "7E5#1700000000000000")
 
 
 def test_what_lss_stores_is_there_after_power_on_and_survives_1011h(file):

@@ -63,7 +63,7 @@ def test_an_object_with_behaviour_comes_with_its_folder(tmp_path):
 def test_two_folders_have_hooks_of_one_name_each_its_own(tmp_path):
     ones = folder(tmp_path, hook="strength"), folder(
         tmp_path, hook="strength", hooks=HOOKS.replace("100", "50"), sub="second"
-    )  # fmt: skip
+    )
     for own, unit in zip(ones, (100, 50), strict=True):
         run_code(own)
         drive = Drive(own)
@@ -200,7 +200,7 @@ def test_the_drive_needs_numpy_and_numba_only():
     refused = [
         "mujoco", "gymnasium", "can", "canopen", "msgpack", "matplotlib", "PIL", "rich", "ruckig",
         "torch", "stable_baselines3", "nicegui",
-    ]  # fmt: skip
+    ]
     done = subprocess.run(
         [sys.executable, "-c", ALONE.format(refused=refused)], capture_output=True, text=True
     )

@@ -31,7 +31,7 @@ NONSENSE = (
     "<script>window.hacked=1</script>", "<img src=x onerror=window.hacked=1>", "'; DROP TABLE",
     '"', "\\", "{{7*7}}", "${7}", "%s%n", "None", "true", "[]", "../../etc/passwd", "9" * 400,
     "A" * 10_000,
-)  # fmt: skip
+)
 FIELD_PAGES = ("motion", "scope", "loops", "experiments", "objects")
 TEXTS = ("snapshot-name", "policy", "search")  # fields for words
 
@@ -51,13 +51,13 @@ class Server:
         command = [
             *self.prefix, sys.executable, "-m", "servogym.training.cli", *self.arguments,
             "--no-browser", "--port", str(self.port),
-        ]  # fmt: skip
+        ]
         # nicegui looks whether pytest runs it
         environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=self.log,
             env=environment | {"PYTHONUNBUFFERED": "1"}, text=True,
-        )  # fmt: skip
+        )
         for line in self.process.stdout:
             if found := re.search(rf"{self.url}\?token=(\S+)", line):
                 self.token = found[1]
@@ -148,7 +148,7 @@ def fields(page, name):
     """The fields for numbers of a page."""
     inputs = at(page, f"page-{name}").locator("input[data-test]:not([role=combobox]):visible")
     return [test for field in inputs.all()
-            if (test := field.get_attribute("data-test")) not in TEXTS]  # fmt: skip
+            if (test := field.get_attribute("data-test")) not in TEXTS]
 
 
 TYPE = """(told) => {

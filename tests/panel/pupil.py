@@ -48,17 +48,17 @@ class Page:
         found = re.search(r"query: (\{.*?\}),\n", page)
         self.query = ast.literal_eval(re.sub(r"\btrue\b", "True", found[1])) | {
             "document_id": str(uuid.uuid4()), "tab_id": self.tab, "old_tab_id": "",
-        }  # fmt: skip
+        }
         self.client = self.query["client_id"]
         self.socket = socketio.AsyncClient(http_session=self.http, reconnection=False)
         self.socket.on("update", self._update)
         self.socket.on("run_javascript", self._picture)
         query = "&".join(f"{name}={str(value).lower() if value is True else value}"
-                         for name, value in self.query.items())  # fmt: skip
+                         for name, value in self.query.items())
         await self.socket.connect(
             f"{self.url}?{query}", transports=["websocket"],
             socketio_path="_nicegui_ws/socket.io", wait_timeout=60,
-        )  # fmt: skip
+        )
 
     async def _update(self, data):
         self._see(data)
@@ -112,7 +112,7 @@ class Page:
                 await self.socket.emit("event", {
                     "id": int(number), "client_id": self.client,
                     "listener_id": event["listener_id"], "args": args,
-                })  # fmt: skip
+                })
                 return
         raise LookupError(f"{test} has no {kind}")
 
@@ -131,7 +131,7 @@ class Page:
             element["props"]["data-test"] for element in self.elements.values()
             if element.get("props", {}).get("data-test") and tag in ("", element.get("tag"))
             and any(event["type"] == kind for event in element.get("events", ()))
-        )  # fmt: skip
+        )
 
     async def until(self, holds, time=60.0):
         """Wait until something holds of the page."""

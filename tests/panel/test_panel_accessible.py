@@ -14,7 +14,7 @@ from test_panel_classroom import WORD, come, teacher
 pytestmark = needs_chromium
 PAGES = (
     "state", "motion", "scope", "machine", "loops", "experiments", "objects", "lessons", "log",
-)  # fmt: skip
+)
 SMALL = """() => [...document.querySelectorAll(
     "button, a[href], input, select, [role=button], [role=checkbox], [tabindex='0']")].filter(e => {
   const box = (e.closest(".q-field") || e).getBoundingClientRect();
@@ -150,7 +150,7 @@ def test_axe_finds_nothing_critical_or_serious_in_a_class_room(class_pages, axe,
         (each["id"], each["impact"], node["html"][:120])
         for each in result["violations"] if each["impact"] in ("critical", "serious")
         for node in each["nodes"]
-    ] == []  # fmt: skip
+    ] == []
 
 
 def test_the_page_has_a_language_one_main_part_and_one_heading(page):
@@ -192,5 +192,5 @@ def test_axe_finds_nothing_critical_or_serious_on_any_page(page, axe, theme):
             (name, each["id"], each["impact"], node["html"][:120])
             for each in result["violations"] if each["impact"] in ("critical", "serious")
             for node in each["nodes"]
-        ]  # fmt: skip
+        ]
     assert found == []

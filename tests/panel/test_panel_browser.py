@@ -88,7 +88,7 @@ def test_what_is_no_target_is_refused_beside_the_field_and_nothing_moves(page):
     before = at(page, "position").inner_text()
     beside = page.locator(".q-field", has=at(page, "target")).locator(".q-field__messages")
     for typed, words in (("", "enter a number"), ("12;drop", "“12;drop” is not a number"),
-                         ("nan", "not a finite number"), ("900", "beyond the stroke")):  # fmt: skip
+                         ("nan", "not a finite number"), ("900", "beyond the stroke")):
         move(page, typed)
         expect(beside).to_contain_text(words)
     assert at(page, "position").inner_text() == before
@@ -348,7 +348,7 @@ def test_the_keyboard_reaches_everything_in_order_and_shows_where_it_is(page):
     assert seen == [
         "pause", "single", "speed", "control", "theme", "quick-stop", "go-state", "go-motion",
         "go-scope",
-    ]  # fmt: skip
+    ]
     page.keyboard.press("Enter")
     expect(at(page, "page-scope")).to_be_visible()
 
@@ -516,7 +516,7 @@ def test_a_node_on_a_bus_is_watched_commanded_and_says_what_a_bus_cannot_give(br
 UPGRADE = {
     "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
     "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
-}  # fmt: skip
+}
 SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport="
 
 
@@ -538,7 +538,7 @@ def cookie(server, **headers):
     "header",
     [{}, {"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"},
      {"Host": "evil.example", "Origin": "http://evil.example"}, {"Cookie": "servogym_panel=x"}],
-)  # fmt: skip
+)
 def test_strangers_are_refused_on_the_loopback_too(server, header):
     """A page, a poll and a WebSocket, of who does not know the token."""
     for path in ("/", "/?token=guess", f"{SOCKET}polling"):
@@ -552,7 +552,7 @@ def test_strangers_are_refused_on_the_loopback_too(server, header):
 @pytest.mark.parametrize(
     "header", [{"Origin": "http://evil.example"}, {"Origin": "http://localhost:1"},
                {"Sec-Fetch-Site": "cross-site"}]
-)  # fmt: skip
+)
 def test_a_strangers_page_in_the_same_browser_gets_no_websocket(server, header):
     """Its request has our cookie where it is a page of another port."""
     status, *_ = answer(server, f"{SOCKET}websocket", UPGRADE | cookie(server) | header)
@@ -563,7 +563,7 @@ def test_a_strangers_page_in_the_same_browser_gets_no_websocket(server, header):
     ("host", "more"),
     [("localhost:{port}", {}), ("localhost:9", {}), ("127.0.0.1", {}), ("labpc", {}),
      ("127.0.0.1:{port}", {"X-Forwarded-Host": "lab.example", "Origin": "https://lab.example"})],
-)  # fmt: skip
+)
 def test_behind_a_proxy_another_port_and_by_a_bare_name_it_is_served(server, host, more):
     """`ssh -L 9:localhost:8402`, a reverse proxy with and without the Host of the browser."""
     host = host.format(port=server.port)

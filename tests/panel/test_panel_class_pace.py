@@ -36,7 +36,7 @@ def served(tmp_path, *options):
     """A class room whose errors are in a file; none is an error of ours."""
     with (tmp_path / "errors").open("w+") as errors:
         server = Server("--code", WORD, "--results", str(tmp_path / "results"), *options,
-                        command="classroom", log=errors)  # fmt: skip
+                        command="classroom", log=errors)
         try:
             yield server
             assert server.process.poll() is None
@@ -153,7 +153,7 @@ async def settled(page):
 STATES = {  # statusword & 6Fh, CiA 402-2 table 30; the rest is & 4Fh
     0x21: "ready to switch on", 0x23: "switched on", 0x27: "operation enabled",
     0x07: "quick stop active",
-}  # fmt: skip
+}
 
 
 def state_of(word):
@@ -195,7 +195,7 @@ def monkeys(tmp_path, count, seconds, seed):
         done = await asyncio.gather(*(
             monkey(page, random.Random(seed + number), seconds)
             for number, page in enumerate(pages)
-        ))  # fmt: skip
+        ))
         for page in pages:
             await shown_is_drive(page)
             await page.leave()

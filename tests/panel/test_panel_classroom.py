@@ -84,7 +84,7 @@ def test_tokens_and_codes_are_of_one_place_each(room):
     ("options", "said"),
     [("--pupils 0", "out of range 1..100"), ("--code abc", "give 6..32"),
      ("--pictures 99", "1..25"), ("--axis tower", "tower"), ("--port 0", "1..65535")],
-)  # fmt: skip
+)
 def test_an_option_that_cannot_be_is_refused(options, said, capsys):
     assert main(["classroom", "--no-browser", "--port", "18993", *options.split()]) == 2
     assert said in capsys.readouterr().err
@@ -107,7 +107,7 @@ class Visit:
         self.passed, told = None, []
         named = [(n.replace("_", "-").encode(), v.encode("latin-1")) for n, v in headers.items()]
         scope = {"type": "http", "path": path, "method": method, "query_string": query.encode(),
-                 "headers": named}  # fmt: skip
+                 "headers": named}
 
         async def receive():
             return {"type": "http.request", "body": body}
@@ -153,7 +153,7 @@ def test_who_has_the_code_gets_a_cookie_that_opens_one_place(room, monkeypatch):
     assert visit.ask(cookie=headers["set-cookie"].partition(";")[0])[0] == 200
     assert visit.passed is ada
     proxy = {"x_forwarded_proto": "https", "x_forwarded_host": "school.example",
-             "x_forwarded_prefix": "/servo", "origin": "https://school.example"}  # fmt: skip
+             "x_forwarded_prefix": "/servo", "origin": "https://school.example"}
     status, headers, _ = visit.join("Grace", **proxy)
     assert headers["location"] == "/servo/"
     assert "; Secure" in headers["set-cookie"]
@@ -350,7 +350,7 @@ def test_what_is_no_run_is_refused_in_words(text, tmp_path, capsys):
 def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("class")
     server = Server("--pictures", "4", "--pupils", "3", "--code", WORD, "--results", str(folder),
-                    command="classroom")  # fmt: skip
+                    command="classroom")
     server.folder = folder
     yield server
     server.kill()

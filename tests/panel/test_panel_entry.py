@@ -80,7 +80,7 @@ def test_the_token_stays_the_same_and_is_this_users_alone(tmp_path, monkeypatch)
      ("--samples 3", "give --node-id"), ("--samples 0", "give --node-id"),
      ("-i virtual", "give --node-id"), ("-i virtual -c here --node-id 5 --samples 0", "samples/s"),
      ("--listen", "give --node-id"), ("--joint elbow", "--mjcf")],
-)  # fmt: skip
+)
 def test_an_option_that_would_do_nothing_is_refused(options, said, capsys):
     assert main(["panel", "--no-browser", "--port", "18991", *options.split()]) == 2
     assert said in capsys.readouterr().err

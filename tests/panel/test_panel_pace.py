@@ -214,7 +214,7 @@ def test_the_first_move_comes_within_20_s_of_the_command():
             expect(at(page, "doing")).to_contain_text("move to")
             passed = time.monotonic() - begin
             print(f"\nfirst move {passed:.1f} s after the command, {opened - begin:.1f} s of them "
-                  f"until the browser is there, load {os.getloadavg()[0]:.1f}")  # fmt: skip
+                  f"until the browser is there, load {os.getloadavg()[0]:.1f}")
             browser.close()
     finally:
         server.kill()

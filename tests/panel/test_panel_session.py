@@ -175,7 +175,7 @@ def test_a_set_up_is_kept_and_brought_back_and_what_is_none_changes_nothing(sess
     scope.use(kept)
     assert scope.set_up() == kept
     for wrong in ({}, [], {"channels": []}, kept | {"channels": ["nonsense"]}, kept | {"run": 9},
-                  kept | {"span": "long"}, kept | {"more": 1}, kept | {"trigger": 3}):  # fmt: skip
+                  kept | {"span": "long"}, kept | {"more": 1}, kept | {"trigger": 3}):
         with pytest.raises(ValueError, match=r"set-up|channel|Run|convert"):
             scope.use(wrong)
         assert scope.set_up() == kept

@@ -42,7 +42,7 @@ def test_a_travel_keeps_speed_and_acceleration_and_arrives_at_rest(way, speed, r
 
 
 @given(st.sampled_from([(k, s) for k, kind in KINDS.items() for s in kind.shapes]), sizes, sizes,
-       sizes)  # fmt: skip
+       sizes)
 def test_a_wave_is_within_the_limits_or_refused(which, size, speed, rate):
     (kind, shape), most = which, Most(speed, rate)
     frequency = 1 / (2 * travel(1.01 * size, most)[1]) if kind == "position" else rate / 7 / size
@@ -99,7 +99,7 @@ def test_the_generator_follows_its_sine_and_ends_at_rest_where_it_began(session)
     inside = (times > 0.1) & (times < 2.0)
     ideal = 0.2 + 0.025 * (1 - np.cos(2 * np.pi * 2.0 * times[inside]))
     lag = min(np.abs(np.interp(times[inside] - late, times[inside], ideal) - at[inside] * 1e-6)
-              [200:].max() for late in np.arange(0, 0.02, 0.0005))  # fmt: skip
+              [200:].max() for late in np.arange(0, 0.02, 0.0005))
     assert lag < 1e-3
     assert session.machine.drives["x"].state is State.OPERATION_ENABLED
     assert session.machine.data.qpos[0] == pytest.approx(0.2, abs=1e-3)

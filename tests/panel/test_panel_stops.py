@@ -182,7 +182,7 @@ def test_what_waits_is_dropped_by_a_stop_and_what_comes_after_it_is_a_new_comman
     *waiting, stopped = clock.ask(lambda _: [
         clock.move(lambda s: s.home("x", 35)), clock.move(lambda s: 1 / 0),
         clock.stop_motion(lambda s: s.stop()),
-    ]).result(20)  # fmt: skip
+    ]).result(20)
     assert stopped.result(20) == ""
     assert over(motion.result(20))
     assert all(over(each.result(20)) for each in waiting)

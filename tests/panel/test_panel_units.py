@@ -13,7 +13,7 @@ MEASURED = {
     "following_error_window": "position", "home_offset": "position", "max_torque": "torque",
     "position_actual_value": "position", "velocity_actual_value": "velocity",
     "torque_actual_value": "torque", "homing_acceleration": "acceleration",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("model", SERVOS)

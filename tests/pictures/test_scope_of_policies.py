@@ -45,7 +45,7 @@ def test_a_trace_is_what_the_environment_does_alone():
                 1e3 * (info["goal"] - info["distance"]), 1e3 * info["deflection"],
                 step.error_peak, step.torque_peak / shaft.rated_torque,
             )
-        )  # fmt: skip
+        )
     load, deflection, error, torque = np.array(seen).T
     assert one.time.tolist() == pytest.approx([i * env.step_time for i in range(env.STEPS + 1)])
     np.testing.assert_allclose(column(one, "load (mm)")[1:, VALUE], load, atol=1e-9)

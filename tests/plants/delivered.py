@@ -31,7 +31,7 @@ INVERTER = "bonfiglioli_act"
 SERVOS = (
     "generic", "festo_cmmp_as", "festo_cmmp_as_m0", "festo_cmms", "festo_cmmd",
     "metronix_ars2000", "kollmorgen_akd",
-)  # fmt: skip
+)
 MODELS = (*SERVOS, INVERTER)
 LIMITS = 6.0, 35.0  # dB and degree, of every loop
 REST = 0.5  # s after a move
@@ -57,14 +57,14 @@ class Plant:
 
 def _linear(name):
     return Plant(linear_axis, {"mechanics": name}, "payload", (1.0, 5.0, 10.0, 20.0, 50.0, 100.0),
-                 "kg", {"x": 0.12}, {"x": 0.25}, 0.1, (0.48, 0.02))  # fmt: skip
+                 "kg", {"x": 0.12}, {"x": 0.25}, 0.1, (0.48, 0.02))
 
 
 def _gantry(names):
     at = {"x": 0.3, "x1": 0.3, "x2": 0.301, "y": 0.2, "z": -0.1}
     places = {name: at[name] for name in names}
     return Plant(gantry, {"x_drives": len(names) - 2}, "payload", (0.0, 0.5, 2.0, 5.0, 8.0, 10.0),
-                 "kg", places, places, 0.1, (0.0, 0.0))  # fmt: skip
+                 "kg", places, places, 0.1, (0.0, 0.0))
 
 
 PLANTS = {
@@ -79,12 +79,12 @@ PLANTS = {
     ),
     "gantry": _gantry(("x", "y", "z")),
     "gantry-x1x2": _gantry((*PAIR, "y", "z")),
-}  # fmt: skip
+}
 USUAL = {
     **{name: p.payload for name, p in FAMILY.items()},
     **{name: p.inertia for name, p in ROTARY_FAMILY.items()},
     "gantry": 2.0, "gantry-x1x2": 2.0,
-}  # fmt: skip
+}
 STROKES = {"x": (0.78, 0.02), "y": (0.48, 0.02), "z": (-0.28, -0.02)}  # of a gantry
 
 
@@ -201,7 +201,7 @@ def _beams(machine):
     names = [*machine.drives]
     return [PAIR, *((n,) for n in names if n not in PAIR)] if PAIR[0] in names else [
         (n,) for n in names
-    ]  # fmt: skip
+    ]
 
 
 def margins(machine):
@@ -354,7 +354,7 @@ def _settling(machine, beam, way):
 HEADING = (
     "mechanics", "drive", "moves with", "refused", "it takes", "margins of the model",
     "measured by bode", "tune changes settling by",
-)  # fmt: skip
+)
 HEAD = """# Every axis as delivered
 
 Each drive model on all mechanics with six loads: built, enabled, homed by the switch (a gantry with
@@ -380,22 +380,22 @@ def page(outcomes):
             if not own:
                 continue
             loads = {kind: ", ".join(f"{o.cell.load:g}" for o in own if o.kind == kind)
-                     for kind in ("moves", "refused")}  # fmt: skip
+                     for kind in ("moves", "refused")}
             red = "; ".join(f"{o.kind} at {o.cell.load:g}: {o.said}" for o in own
-                            if o.kind not in loads)  # fmt: skip
+                            if o.kind not in loads)
             takes = ", ".join(dict.fromkeys(f"{o.takes:.3g}" for o in own if o.kind == "refused"))
             rows.append([
                 plant, model, f"{loads['moves']} {p.unit}" + (f"; {red}" if red else ""),
                 loads["refused"] or "–", takes or "–", _pair(own, "known"), _pair(own, "measured"),
                 _change(own),
-            ])  # fmt: skip
+            ])
     return HEAD + "\n".join(sentences(outcomes)) + "\n\n" + markdown(HEADING, rows)
 
 
 def sentences(outcomes):
     """What the table says, with its numbers."""
     count = {kind: sum(o.kind == kind for o in outcomes)
-             for kind in ("moves", "refused", "fault", "silent")}  # fmt: skip
+             for kind in ("moves", "refused", "fault", "silent")}
     allowed = [o for o in outcomes if o.cell.torque_allows]
     movers = sum(o.kind == "moves" for o in allowed)
     servo = [o for o in outcomes if math.isfinite(o.measured[0])]
@@ -437,11 +437,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("page", type=Path)
     parser.add_argument("--kept", type=Path, default=Path("out/delivered.jsonl"),
-                        help="what has been played, to go on from")  # fmt: skip
+                        help="what has been played, to go on from")
     parser.add_argument("--only", default="", help="cells with this in their name")
     parser.add_argument("--untuned", action="store_true", help="leave `tune` out")
     parser.add_argument("--some", action="store_true",
-                        help="measure with the usual and the heaviest load only")  # fmt: skip
+                        help="measure with the usual and the heaviest load only")
     options = parser.parse_args()
     options.kept.parent.mkdir(parents=True, exist_ok=True)
     outcomes = kept(options.kept)

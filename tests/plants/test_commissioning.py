@@ -91,7 +91,7 @@ def test_what_vibrates_without_damping_is_damped_by_its_drive(mechanics, timeste
         mechanics=mechanics, timestep=timestep, transmission_damping=0, backlash=0, brake_torque=0,
         static_friction=0, coulomb_friction=0, viscous_friction=0, chain_drag=0,
         chain_drag_growth=0, cogging_torque=0, efficiency=1,
-    )  # fmt: skip
+    )
     margins(machine)
     machine.reset(positions={"x": 0.25})
     machine.data.qpos[1] += 1e-4

@@ -15,7 +15,7 @@ G = 9.81
 RIGID = {
     "coulomb_friction": 0.0, "viscous_friction": 0.0, "efficiency": 1.0, "backlash": 0.0,
     "transmission_stiffness": 0.0,
-}  # fmt: skip
+}
 
 
 def master_of(machine):
@@ -124,7 +124,7 @@ def lifting_torque(efficiency, direction):
         tuned=False,  # for a moment, beyond the rated torque
         inclination=90.0, payload=10.0, coulomb_friction=0.0, viscous_friction=0.0,
         transmission_stiffness=1e6, transmission_damping=400.0, efficiency=efficiency,
-    )  # fmt: skip
+    )
     machine.reset(positions={"x": 0.3 if direction < 0 else 0.1})
     x = machine.drives["x"]
     in_mode(machine, Mode.PROFILE_VELOCITY, target_velocity=direction * 50_000)
@@ -149,7 +149,7 @@ def test_a_gear_of_half_efficiency_locks_itself(efficiency, locks):
     machine = linear_axis(
         inclination=90.0, coulomb_friction=0.0, viscous_friction=0.0,
         transmission_stiffness=1e6, transmission_damping=400.0, efficiency=efficiency,
-    )  # fmt: skip
+    )
     machine.reset(positions={"x": 0.4})
     machine.step(4000)
     fallen = 0.4 - machine.data.qpos[0]
@@ -161,7 +161,7 @@ def test_a_motor_warms_as_one_thermal_mass():
     machine = linear_axis(
         brake_torque=100.0, motor_winding_loss=loss, motor_thermal_resistance=resistance,
         motor_thermal_time=time, motor_temperature_limit=150.0,
-    )  # fmt: skip
+    )
     x = machine.drives["x"]
     in_mode(machine, Mode.PROFILE_TORQUE, i2t_time=0)
     machine.couplings["brake_friction"] = 0.0
@@ -183,7 +183,7 @@ def displaced(load_encoder):
     machine = linear_axis(
         transmission_stiffness=1e6, transmission_damping=300.0, coulomb_friction=0.0,
         load_encoder=load_encoder,
-    )  # fmt: skip
+    )
     machine.reset(positions={"x": 0.2})
     x = machine.drives["x"]
     x.write("homing_method", 37)

@@ -29,13 +29,13 @@ def turning(encoder=65536, **objects):
         mechanics="rotary_table", inertia=INERTIA, gear_ratio=1.0, rotor_inertia=0.0,
         coulomb_friction=0.0, viscous_friction=VISCOUS, efficiency=1.0, backlash=0.0,
         transmission_stiffness=0.0, max_velocity=100.0, tuned=False,
-    )  # fmt: skip
+    )
     x = machine.drives["x"]
     x.commission({
         "encoder_increments": encoder, "following_error_window": 2**32 - 1,
         "acceleration_feed_forward": FFA * 1e9, "max_motor_speed": 60_000,
         "min_position_range_limit": 0, "max_position_range_limit": 0,
-    } | objects)  # fmt: skip
+    } | objects)
     machine.reset()
     master = Master(MachinePort(machine), "x")
     master.set_mode(Mode.CYCLIC_SYNC_POSITION)
@@ -46,7 +46,7 @@ def turning(encoder=65536, **objects):
 PID = {
     "control_structure": 1, "pid_gain": GAIN * 1e6, "pid_integral_gain": INTEGRAL * 1e3,
     "pid_derivative_gain": DERIVATIVE * 1e6, "velocity_torque_feed_forward": FFV * 1e6,
-}  # fmt: skip
+}
 
 
 def wave(machine, x, cycles=1200, amplitude=2.0):
@@ -58,7 +58,7 @@ def wave(machine, x, cycles=1200, amplitude=2.0):
         before = machine.data.qpos[0]
         machine.step()
         rows.append((x.axis.position_demand, x.axis.velocity_demand, x.axis.acceleration_demand,
-                     before))  # fmt: skip
+                     before))
     return np.array(rows)
 
 
@@ -142,7 +142,7 @@ def test_a_coarse_encoder_with_an_observer_follows_it_within_one_increment(encod
         encoder, observer_bandwidth=bandwidth * 10, observer_inertia=INERTIA * 1e12,
         velocity_control_gain=gain * 1e6, velocity_control_time=gain / integral * 1e6,
         position_control_gain=kv * 1e3,
-    )  # fmt: skip
+    )
     rows = wave(machine, x, amplitude=6.0)
     increment = 2 * math.pi / encoder
     loop, state = Loop(increment), np.zeros(3)
@@ -244,12 +244,12 @@ def test_why_says_what_stands_between_position_error_and_torque():
     machine, x = turning(
         **PID, notch_frequency_2=455, torque_command_filter_time=800, observer_bandwidth=300,
         observer_inertia=3e8, motor_resistance=2_000_000, motor_torque_constant=500_000,
-    )  # fmt: skip
+    )
     for words in (
         "PID position controller gives the torque (P 6 Nm/rad, I 90 Nm/(rad·s), D 0.12 Nm·s/rad)",
         "notch filter at 45.5 Hz", "low-pass of 800 µs", "observer of 30 Hz, told 0.0003 kg·m²",
         "325 V gives less torque the faster it turns, and none at 6207 1/min",
-    ):  # fmt: skip
+    ):
         assert words in x.why()
     x.inject("following_error")
     machine.step(20)

@@ -21,7 +21,7 @@ def motor(torque=3000, timestep=None, **objects):
         mechanics="rotary_table", inertia=INERTIA, gear_ratio=1.0, rotor_inertia=0.0,
         coulomb_friction=0.0, viscous_friction=0.0, efficiency=1.0, backlash=0.0,
         transmission_stiffness=0.0, max_velocity=100.0, tuned=False, timestep=timestep,
-    )  # fmt: skip
+    )
     x = machine.drives["x"]
     x.commission(
         {
@@ -29,7 +29,7 @@ def motor(torque=3000, timestep=None, **objects):
             "supply_voltage": U * 1e3, "undervoltage": 0, "max_motor_speed": 60_000,
             "torque_slope": 2**32 - 1, "link_capacitance": 0,
         } | objects
-    )  # fmt: skip
+    )
     machine.reset()
     master = Master(MachinePort(machine), "x")
     master.set_mode(Mode.PROFILE_TORQUE)
@@ -102,7 +102,7 @@ def test_a_supply_behind_a_resistance_sags_by_its_current_and_braking_charges_th
     machine, x = motor(
         300, supply_resistance=500_000, link_capacitance=1000, chopper_voltage=40_000,
         overvoltage=60_000,
-    )  # fmt: skip
+    )
     rows = []
     for _ in range(200):
         machine.step()

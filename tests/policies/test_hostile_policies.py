@@ -109,7 +109,7 @@ def test_weights_that_were_changed_are_refused(downloaded, capsys):
         ("trainings.json", {"commands": [f"servogym train {TASK} --demonstrate evil.py:act"],
                             "steps": {"1": 100}}),
     ],
-)  # fmt: skip
+)
 def test_a_page_of_somebody_else_is_repeated_without_its_programs(
     name, content, downloaded, capsys
 ):

@@ -47,7 +47,7 @@ def elsewhere(cases, variables):
     done = subprocess.run(
         [sys.executable, __file__, *cases],
         capture_output=True, text=True, check=True, env=os.environ | variables,
-    )  # fmt: skip
+    )
     return done.stdout.splitlines()
 
 
@@ -73,7 +73,7 @@ def test_sums_are_added_one_after_the_other(widths, last):
         (generator.normal(size=pair).astype(np.float32),
          generator.normal(size=pair[1]).astype(np.float32))
         for pair in pairwise(widths)
-    ]  # fmt: skip
+    ]
     numbers = np.concatenate([part.ravel() for layer in layers for part in layer])
     for _ in range(50):
         seen = generator.normal(size=widths[0]).astype(np.float32)

@@ -25,7 +25,7 @@ FOLDERS = sorted(SHIPPED.glob("*/seed_*"))
 GOLDEN = Path(__file__).parent / "learned_actions.npz"  # as played from SB3's own files
 ABOUT = {
     "env_id": CompliantAxisEnv.ID, "algorithm": "PPO", "hyperparameters": {}, "arguments": {},
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

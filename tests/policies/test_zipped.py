@@ -31,7 +31,7 @@ CASES = {
     "PPO use_sde": {"use_sde": True},
     "PPO deep": {"policy_kwargs": lambda: {"net_arch": {"pi": [8, 8, 8], "vf": [4]}}},
     "PPO flat": {"policy_kwargs": lambda: {"net_arch": []}},
-}  # fmt: skip
+}
 
 
 def saved(folder, name, settings, *, normalised=False):

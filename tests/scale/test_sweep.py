@@ -28,7 +28,7 @@ def test_a_grid_has_a_row_a_cell_and_each_is_the_comparison_of_that_cell(tmp_pat
     (row,) = (
         row for row in found
         if (row["payload"], row["seed"], row["policy"]) == ("8.5", "1", "ruckig")
-    )  # fmt: skip
+    )
     by_hand = {"payload": 8.5, "randomise": {"delay": 3.0}}
     results = evaluate("LinearAxis-v0", ["ruckig"], "generic", 2, 1, by_hand)
     (summary,) = summaries(results)[row["metric"]]
@@ -79,6 +79,6 @@ def test_trainings_over_hyper_parameters_leave_their_policies(tmp_path):
     ("sweep LinearAxis-v0 --policies hold --seeds a", "--seeds = 'a'"),
     ("sweep LinearAxis-v0 --policies hold --vary weight=3", "see the arguments of"),
     ("sweep LinearAxis-v0 --policies hold --trials 2", "--trials has nothing to look for"),
-])  # fmt: skip
+])
 def test_a_mistake_of_a_sweep_is_one_line(command, says, tmp_path, refused):
     assert says in refused([*command.split(), "--out", str(tmp_path)])

@@ -206,7 +206,7 @@ class Still:
     "compare LinearAxis-v0 --policies hold,ruckig --episodes 3 --conditions delay",
     "benchmark homing --quick",
     "benchmark positioning --quick",
-])  # fmt: skip
+])
 def test_the_files_of_two_workers_are_those_of_none(command, tmp_path):
     for folder, more in (("alone", []), ("two", ["--workers", "2"])):
         assert cli.main([*command.split(), "--out", str(tmp_path / folder), *more]) == 0

@@ -43,7 +43,7 @@ def test_the_worst_at_a_corner_is_that_of_the_square():
     near = [
         abs(info["contour_error"]) for q, _, info in seen
         if min(abs(q[x] - CENTRE[0]), abs(q[y] - CENTRE[1])) >= 0.04 - 2e-3
-    ]  # fmt: skip
+    ]
     assert env.figures()["corner_error"] == pytest.approx(1e6 * max(near), rel=1e-6)
 
 

@@ -50,12 +50,12 @@ def stream(machine, name, set_points, period, rng, *, dropped=0.005, jitter=2e-4
     machine.reset({name: float(set_points[0])})
     machine.step()
     here = round(float(set_points[0]) * machine.joint(name)[0] / float(
-        drive.axis.rad_per_increment))  # fmt: skip
+        drive.axis.rad_per_increment))
     drive.axis.zero_counts, drive.axis.homed = int(drive.axis.counts) - here, 1
     drive.commission({
         "interpolation_time_index": -3, "interpolation_time_period_value": round(period * 1e3),
         "following_error_window": 2**31 - 1,
-    })  # fmt: skip
+    })
     per, lead = round(period / machine.cycle_time), round(0.3 / period)
     units = np.round(np.concatenate([np.full(lead, set_points[0]), set_points]) / unit)
     rows_of = Replay(name, ["controlword", "modes_of_operation", "target_position"], READ)
@@ -113,7 +113,7 @@ def main(words):
     arguments = {
         "known": "known" in words, "period": 1e-2 if "10ms" in words else 1e-3,
         "truth": more.get("true"), "drive": more.get("drive", "generic"),
-    }  # fmt: skip
+    }
     all_errors, all_covered, ratios, verdicts, costs = {}, [], [], [], []
     for seed in range(first, last):
         try:
@@ -135,12 +135,12 @@ def main(words):
         print(
             f"{seed} {family}: held out {1e6 * twin.held_position:.2f} µm, {ratios[-1]:.2f} of the "
             f"floor, {twin.verdict}, {cost:.1f} s: {shown}", flush=True,
-        )  # fmt: skip
+        )
     print(f"{family} {arguments}: {len(verdicts)} machines")
     print({verdict: verdicts.count(verdict) for verdict in dict.fromkeys(verdicts)})
     if ratios:
         print(f"of the floor: within 1.3 {np.mean(np.array(ratios) <= 1.3):.2f}, within 2 "
-              f"{np.mean(np.array(ratios) <= 2):.2f}, largest {max(ratios):.2f}")  # fmt: skip
+              f"{np.mean(np.array(ratios) <= 2):.2f}, largest {max(ratios):.2f}")
         print(f"processor time: median {np.median(costs):.1f} s, largest {max(costs):.1f} s")
     for name, values in all_errors.items():
         print(f"{name}: median {100 * np.median(values):.2f} %, largest {100 * max(values):.1f} %")

@@ -13,13 +13,13 @@ from servogym.envs.engine import parameters
 
 NODE = 1
 RPDO = (("controlword", 0x6040, 16), ("modes_of_operation", 0x6060, 8),
-        ("target_position", 0x607A, 32))  # fmt: skip
+        ("target_position", 0x607A, 32))
 TPDO = (("statusword", 0x6041, 16), ("position_actual_value", 0x6064, 32),
-        ("torque_actual_value", 0x6077, 16))  # fmt: skip
+        ("torque_actual_value", 0x6077, 16))
 
 
 def moves(rng, seconds, period, *, low=0.05, high=0.45, speed=(0.1, 0.8), acceleration=(2, 10),
-          jerk=(100, 1000), rest=0.06):  # fmt: skip
+          jerk=(100, 1000), rest=0.06):
     """Point-to-point moves with rests, one set-point a period (m)."""
     here = 0.5 * (low + high)
     parts, count = [np.full(round(0.05 / period), here)], 0
@@ -35,7 +35,7 @@ def moves(rng, seconds, period, *, low=0.05, high=0.45, speed=(0.1, 0.8), accele
         ruckig.Ruckig(1).calculate(wanted, trajectory)
         times = np.arange(0, trajectory.duration, period)
         parts += [np.array([trajectory.at_time(t)[0][0] for t in times]),
-                  np.full(round(rest / period), goal)]  # fmt: skip
+                  np.full(round(rest / period), goal)]
         here, count = goal, sum(map(len, parts))
     return np.concatenate(parts)[: round(seconds / period)]
 
@@ -85,7 +85,7 @@ class Node:
 
     def configure(self):
         for base, mapping, cob, rows in ((0x1400, 0x1600, 0x200, RPDO), (0x1800, 0x1A00, 0x180,
-                                                                          TPDO)):  # fmt: skip
+                                                                          TPDO)):
             self.download(base, 1, 0x80000000 | cob + NODE, 4)
             self.download(mapping, 0, 0, 1)
             for n, (_, index, bits) in enumerate(rows, 1):
@@ -123,7 +123,7 @@ def hide(machine, rng, names, spread=1.0):
 
 
 def csp_log(machine, file, rng, *, seconds=4.0, period=1e-3, noise=0.5e-6, home=True, dropped=0.0,
-            jitter=0.0, places=None, **shape):  # fmt: skip
+            jitter=0.0, places=None, **shape):
     """Moves in csp with hidden noise, recorded by a logger with clock jitter; -> the file."""
     parameters.put(machine, {"encoder_noise": noise})
     machine.couplings["noise_state"] = int(rng.integers(1, 2**62))

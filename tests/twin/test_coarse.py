@@ -21,17 +21,17 @@ from servogym.training.cli import main
 MOTOR = {
     "feed_constant": 0.00028, "tuned": False, "dc_link_voltage": 48.0,
     "motor_torque_constant": 0.043, "motor_resistance": 0.8, "motor_inductance": 0.9e-3,
-}  # fmt: skip
+}
 DRIVE = {
     "control_structure": 1, "pid_gain": 50_000, "pid_integral_gain": 1_000,
     "pid_derivative_gain": 420, "encoder_increments": 24, "acceleration_feed_forward": 0,
     "velocity_feed_forward": 0, "link_capacitance": 0, "motor_rated_torque": 100,
     "motor_rated_current": 2_400, "max_torque": 4_800, "max_current": 4_800,
-}  # fmt: skip
+}
 HIDDEN = {"rotor_inertia": 3.1e-6, "coulomb_friction": 250.0, "viscous_friction": 6e3,
-          "load_force": 90.0, "supply_voltage": 44.5}  # fmt: skip
+          "load_force": 90.0, "supply_voltage": 44.5}
 COLUMNS = ("time=t:ms,target_position=asked:mm,position_actual_value=is:mm,"
-           "torque_actual_value=torque:mNm")  # fmt: skip
+           "torque_actual_value=torque:mNm")
 INCREMENT = 0.00028 / 24  # m
 
 
@@ -63,7 +63,7 @@ def test_the_voltage_of_the_winding_is_seen_at_the_highest_speed(table):
     spindle = FAMILIES["spindle"].given(MOTOR, DRIVE)
     machine = spindle.make("generic")
     found = logs.read([table], machine, "generic", "x", columns=COLUMNS, mode=8, cycle=1e-3,
-                      hold=True)  # fmt: skip
+                      hold=True)
     assert _voltage(found, parameters.Joint(machine, "x")) == pytest.approx(44.5, rel=0.02)
 
 
@@ -80,7 +80,7 @@ def test_a_coarse_spindle_is_found_to_an_increment(table, tmp_path):
         "--read-gains", str(tmp_path / "drive.json"), "--columns", COLUMNS, "--hold",
         "--free", "supply_voltage,pid_gain,pid_integral_gain,pid_derivative_gain",
         "-o", str(folder),
-    ]) == 0  # fmt: skip
+    ]) == 0
     content = json.loads((folder / "twin.json").read_text())
     assert content["held_out"]["position_rms"] < 1.3 * INCREMENT
     found = content["parameters"]

@@ -156,12 +156,12 @@ def test_health_finds_friction_that_has_grown(folder, recorded, tmp_path, capsys
     worn = linear_axis()
     parameters.put(worn, hidden | {"coulomb_friction": 1.18 * hidden["coulomb_friction"]})
     log = made.csp_log(worn, tmp_path / "new.log", np.random.default_rng(8), dropped=0.005,
-                       jitter=2e-4, seconds=3.0)  # fmt: skip
+                       jitter=2e-4, seconds=3.0)
     assert main(["twin", "--against", str(folder), str(log), "-o", str(tmp_path / "health")]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("coulomb friction +")
     found = {c["name"]: c for c in json.loads((tmp_path / "health/health.json").read_text())[
-        "changes"]}  # fmt: skip
+        "changes"]}
     assert found["coulomb_friction"]["certain"]
     assert found["coulomb_friction"]["low"] < 18.0 < found["coulomb_friction"]["high"]
     assert not found["payload"]["certain"]
@@ -182,7 +182,7 @@ def test_health_finds_a_gap_that_has_grown_by_4_um(tmp_path):
     drive = linear_axis(mechanics="ball_screw").drives["x"].axis.od
     gains.write_text(json.dumps({n: int(getattr(drive, n)) for n in GAIN_OBJECTS}))
     assert main(["twin", str(log), "--mechanics", "ball_screw", "--read-gains", str(gains),
-                 "-o", twin]) == 0  # fmt: skip
+                 "-o", twin]) == 0
     assert main(["twin", "--against", twin, str(new), "-o", str(health)]) == 0
     found = {c["name"]: c for c in json.loads((health / "health.json").read_text())["changes"]}
     assert found["backlash"]["certain"]
@@ -211,7 +211,7 @@ def test_a_log_says_what_it_cannot_tell_apart_and_which_move_would(fitted):
     assert missing(fitted) == ()
     blind = tied(fitted, "coulomb_friction", "viscous_friction")
     assert any("hardly told apart" in text and "third of the speed" in text
-               for text in doubts(blind))  # fmt: skip
+               for text in doubts(blind))
     assert missing(blind)[0] == "speed"
 
 
@@ -260,7 +260,7 @@ BAD = {
             else s},
         "nothing was recorded",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("other", "said"), BAD.values(), ids=BAD)
@@ -290,7 +290,7 @@ UNFIT = {
     "positions in another unit": (dict.fromkeys(BOTH, other(lambda v: 10 * v)), "units"),
     "set-points in another unit": ({"target_position": other(lambda v: 1000 * v)}, "travel"),
     "set-points of another axis": ({"target_position": other(lambda v: v + 7e6)}, "home it"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("change", "said"), UNFIT.values(), ids=UNFIT)
@@ -304,7 +304,7 @@ def test_moves_in_one_direction_are_refused(tmp_path):
     at = np.clip(np.arange(3000) * 1e-3, 0, 2.8) / 0.35
     steps = np.floor(at) + 0.5 - 0.5 * np.cos(np.pi * (at % 1))  # eight, all to the right
     log = made.csp_log(linear_axis(), tmp_path / "up.log", np.random.default_rng(1),
-                       places=0.05 + 0.05 * steps)  # fmt: skip
+                       places=0.05 + 0.05 * steps)
     with pytest.raises(Unusable, match="one direction"):
         usable(experiment(streams(log), linear_axis(), "x"))
 
@@ -342,7 +342,7 @@ def test_a_table_without_its_current_scale_says_which_option(tmp_path):
     table.write_text("t,x,i\n" + rows)
     with pytest.raises(Unusable, match="--torque-constant"):
         logs.read([table], linear_axis(), "generic", "x", columns="time=t:ms,target_position=x:mm,"
-                  "position_actual_value=x:mm,current_actual_value=i:A")  # fmt: skip
+                  "position_actual_value=x:mm,current_actual_value=i:A")
 
 
 def test_a_log_without_a_drive_is_one_line(tmp_path, capsys):

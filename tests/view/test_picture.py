@@ -69,7 +69,7 @@ def test_a_line_says_what_the_objects_say(env):
     x = env.drive
     assert (line.name, line.state, line.mode) == (
         "x", State.OPERATION_ENABLED, "cyclic sync position",
-    )  # fmt: skip
+    )
     assert 1e3 * line.error == pytest.approx(x.read("following_error_actual_value"), abs=1.0)
     assert (line.window, line.unit) == (20.0, "mm")
     assert line.limits == "torque"
@@ -111,7 +111,7 @@ def test_the_parts_of_the_overlay_change_with_what_they_show(env):
     moving = overlay(env.machine)
     for begin, end, changes in (
         (STATE, MODE, False), (MODE, BAR, False), (BAR, BAR + BAR_WIDTH, True), (LIMIT, WIDTH, True)
-    ):  # fmt: skip
+    ):
         before, after = (columns(image, begin, end) for image in (rest, moving))
         assert (before != after).any() == changes
     env.drive.inject("overvoltage")
@@ -144,7 +144,7 @@ def test_a_gantry_has_a_line_for_each_drive(env):
     states = [line.state for line in lines(machine)]
     assert states == [
         State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED,
-    ]  # fmt: skip
+    ]
     three, one = (overlay(m)[HEAD:].any(axis=(1, 2)).sum() for m in (machine, env.machine))
     assert three - one == 2 * ROW
 
@@ -182,7 +182,7 @@ def test_a_contour_is_drawn_with_what_was_driven_step_by_step(gl):
     image = env.render()
     env.close()
     red = [(each[..., 0] > 150) & (each[..., 1] < 110) & (each[..., 2] < 110)
-           for each in (before, image)]  # fmt: skip
+           for each in (before, image)]
     corner = slice(HEAD + 12, HEAD + 12 + INSET), slice(WIDTH - INSET - 12, WIDTH - 12)
     floor = slice(HEIGHT // 2, HEIGHT - 115), slice(0, WIDTH - INSET - 24)
     assert red[0][corner].sum() < 5
@@ -286,7 +286,7 @@ def test_a_contour_is_seen_from_above_with_what_was_driven():
 @pytest.mark.parametrize(
     "make", [linear_axis, rotary_axis, gantry, lambda: RobotEnv().machine],
     ids=["linear", "rotary", "gantry", "arm"],
-)  # fmt: skip
+)
 def test_the_camera_has_the_machine_and_all_its_motion_in_sight(make):
     machine = make()
     model, below, above = machine.model, 0.25, 0.06
@@ -333,7 +333,7 @@ def test_a_robot_has_its_goal_pose_as_a_ghost(goals):
     mujoco.mj_kinematics(robot, there)
     moved = [g for g in range(robot.ngeom) if not np.allclose(
         [*there.geom_xpos[g], *there.geom_xmat[g]],
-        [*env.machine.data.geom_xpos[g], *env.machine.data.geom_xmat[g]], atol=1e-5)]  # fmt: skip
+        [*env.machine.data.geom_xpos[g], *env.machine.data.geom_xmat[g]], atol=1e-5)]
     drawn = ghosts_of(env)
     assert len(drawn) == len(moved) > 0
     for geom, (_, place, turn) in zip(moved, drawn, strict=True):

@@ -133,7 +133,7 @@ def _show(results: dict[str, Any], console: Console) -> None:
         table.add_row(
             name, f"{r['servogym_per_s']:.0f}", f"{r['canopen_per_s']:.0f}", f"{r['ratio']:.2f}",
             f"{r['servogym_others_share']:.0%}, {r['canopen_others_share']:.0%}",
-        )  # fmt: skip
+        )
     console.print(table)
     r = results["lockstep"]
     low, high = r["single_periods_quartiles"]

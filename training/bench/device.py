@@ -74,7 +74,7 @@ def measure(drive: str, device: str) -> tuple[list[dict[str, float]], dict[str, 
             beside = {
                 "machines": n, "cycles_per_s": _cycles(peer, n) / cores,
                 "after_steps": WARM + STEPS[kind], **_apart(vector, peer),
-            }  # fmt: skip
+            }
             peer.close()
         alone = _seconds(vector, vector.step_physics, STEPS[kind])
         graphs, vector.in_graphs = vector.in_graphs, False
@@ -84,7 +84,7 @@ def measure(drive: str, device: str) -> tuple[list[dict[str, float]], dict[str, 
             "machines": n, "cycles_per_s": cycles / alone,
             "step_ms": 1e3 * alone, "step_ms_no_graph": 1e3 * plain, "in_graphs": graphs,
             "steps_per_s": n / whole, "cycles_per_s_whole": cycles / whole,
-        })  # fmt: skip
+        })
         vector.close()
     return rows, beside
 
@@ -107,7 +107,7 @@ def run(drive: str, device: str, as_json: bool, console: Console) -> int:
         "drive": drive, "device": device, "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in packages}, "rows": rows,
         "beside": beside,
-    }  # fmt: skip
+    }
     if as_json:
         console.file.write(json.dumps(results, indent=1) + "\n")
         return 0
@@ -115,7 +115,7 @@ def run(drive: str, device: str, as_json: bool, console: Console) -> int:
     for column in (
         "machines", "drive cycles/s\nwith physics", "ms a step\nin graphs", "without",
         "drive cycles/s\nwhole step", "steps/s",
-    ):  # fmt: skip
+    ):
         table.add_column(column, justify="right")
     for row in rows:
         shown = [f"{row[key]:,.0f}" for key in ("machines", "cycles_per_s")]

@@ -191,7 +191,7 @@ def start_times() -> dict[str, float]:
             result = subprocess.run(
                 [sys.executable, "-c", _START],
                 env=environment, capture_output=True, text=True, check=True,
-            )  # fmt: skip
+            )
             times.append(float(result.stdout))
     return {"cold_start_s": times[0], "warm_start_s": times[1]}
 
@@ -219,7 +219,7 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
         table.add_row(
             name, f"{r['mj_step_ns']:.0f}", f"{r['drive_and_mj_step_ns']:.0f}",
             f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
-        )  # fmt: skip
+        )
     console.print(table)
     console.print(
         "friction: of mj_step by its constraint solver, ours outside of it, which is part of the "

@@ -159,6 +159,6 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
         table.add_row(
             row["id"], f"{row['step_s'] * 1e3:g}", f"{row['steps_per_s']:,.0f}",
             f"{row['times_real_time']:,.1f}",
-        )  # fmt: skip
+        )
     console.print(table)
     return 0

@@ -77,7 +77,7 @@ def clocks(frames: int, rows: int) -> dict[str, Any]:
         (median), and working counters that were wrong.
     """
     names = {"frame": (Clock.FRAME, False), "frame, SYNC0": (Clock.FRAME, True),
-             "dc, SYNC0": (Clock.DC, True), "real": (Clock.REAL, False)}  # fmt: skip
+             "dc, SYNC0": (Clock.DC, True), "real": (Clock.REAL, False)}
     buses = {name: _Clocked(clock, sync0) for name, (clock, sync0) in names.items()}
     spent: dict[str, list[float]] = {name: [] for name in names}
     for _ in range(rows):
@@ -94,7 +94,7 @@ def clocks(frames: int, rows: int) -> dict[str, Any]:
             "in_op": bus.master.slaves[0].state == AlState.OPERATIONAL,
         }
         for name, bus in buses.items()
-    }  # fmt: skip
+    }
 
 
 class _Clocked:
@@ -138,7 +138,7 @@ def on_the_wire(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
     done = subprocess.run(
         ["unshare", "-Urn", sys.executable, "-m", __name__, str(slaves), axis, str(cycles)],
         capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     if done.returncode:
         return {"left_out": (done.stderr.strip().splitlines() or ["it failed"])[-1]}
     return json.loads(done.stdout.splitlines()[-1])
@@ -153,7 +153,7 @@ def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
 
     for command in (
         "link add va type veth peer name vb", "link set va up", "link set vb up",
-    ):  # fmt: skip
+    ):
         subprocess.run(["ip", *command.split()], check=True)
     segment, machines = ethercat_line([MODEL] * slaves, axis)
     server = EtherCatServer(Bus(segment, machines), [RawPort("va")])
@@ -186,7 +186,7 @@ def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
         os.kill(child, signal.SIGTERM)
         os.waitpid(child, 0)
     return {"best": max(rates), "median": statistics.median(rates), "wrong": wrong,
-            "in_op": state == pysoem.OP_STATE}  # fmt: skip
+            "in_op": state == pysoem.OP_STATE}
 
 
 def run(repeat: int, as_json: bool, console: Console) -> int:

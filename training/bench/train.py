@@ -107,6 +107,6 @@ def run(drive: str, as_json: bool, console: Console) -> int:
     for row in rows:
         name, rate, rollout, update, ratio, of_rollouts = row.values()
         table.add_row(name, f"{rate:.0f}", f"{rollout:.0f}", f"{update:.0f}", f"{ratio:.2f}",
-                      f"{of_rollouts:.2f}")  # fmt: skip
+                      f"{of_rollouts:.2f}")
     console.print(table)
     return 0

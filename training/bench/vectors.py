@@ -140,7 +140,7 @@ def measure(drive: str, repeat: int) -> dict[str, Any]:
         "vectors": rows,
         # a block is over in a millisecond: who else works here would decide it
         "drives": _rates(list(drives(drive)), CYCLES, repeat, time.process_time),
-    }  # fmt: skip
+    }
 
 
 def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
@@ -159,6 +159,6 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
             table.add_column(head, justify="left" if head in ("", "of") else "right")
         for row in rows:
             table.add_row(row["name"], row["what"], str(row["envs"]), f"{row['per_s']:,.0f}",
-                          f"{row['ours_over']:.2f}")  # fmt: skip
+                          f"{row['ours_over']:.2f}")
         console.print(table)
     return 0

@@ -41,7 +41,7 @@ def _seconds(
     done = subprocess.run(
         [sys.executable, "-m", "servogym.training.cli", *words],
         capture_output=True, text=True, env=os.environ | variables,
-    )  # fmt: skip
+    )
     seconds = time.perf_counter() - begin
     if done.returncode:
         raise RuntimeError(f"servogym {' '.join(words)}: {done.stderr.strip()}")
@@ -66,7 +66,7 @@ def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> d
                 _seconds(env, policies, drive, serial, SERVOGYM_THREADS="1"),
                 _seconds(env, policies, drive, alone),
                 _seconds(env, policies, drive, shared, ["--workers", str(workers)]),
-            ))  # fmt: skip
+            ))
             if not _files(serial) == _files(alone) == _files(shared):
                 raise RuntimeError(f"{env}: the files of {workers} workers are not those of none")
     return {
@@ -84,7 +84,7 @@ def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> d
 def run(
     drive: str, workers: int, compared: Sequence[tuple[str, str]], repeat: int, as_json: bool,
     console: Console,
-) -> int:  # fmt: skip
+) -> int:
     """Measure and print; -> exit status. `compared`: environments and policies; else `rows`."""
     results: dict[str, Any] = {"workers": workers, "cores": os.cpu_count(), "rows": []}
     if hasattr(os, "getloadavg"):
@@ -101,7 +101,7 @@ def run(
         f"before {results.get('load_before', 'unknown')}; the files are the same"
     )
     heads = ("one thread\n(s)", "alone\n(s)", f"--workers {workers}\n(s)",
-             "over\none thread", "over\nalone")  # fmt: skip
+             "over\none thread", "over\nalone")
     for column in ("", *heads):
         table.add_column(column, justify="right" if column else "left")
     for row in results["rows"]:

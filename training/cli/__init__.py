@@ -175,7 +175,7 @@ COMMANDS = {
         "sweep", "play or train in each cell of tasks, drives, conditions, seeds and values",
         "sweep LinearAxis-v0 --policies trapezoid,ruckig --drives generic,kollmorgen_akd",
     ),
-}  # fmt: skip
+}
 FORMAT = warnings.formatwarning
 # threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
 BLAS = "OPENBLAS_NUM_THREADS"
@@ -289,7 +289,7 @@ def _told(error: BaseException) -> str:
 def _warned(
     message: Warning | str, category: type[Warning], filename: str, lineno: int,
     line: str | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """A warning to the user in a line; of others, with its place."""
     if category is UserWarning:
         return f"servogym: {message}\n"

@@ -23,12 +23,12 @@ def add(parser: argparse._ActionsContainer) -> None:
         "--argument", action="append", metavar="NAME=VALUE", type=_argument, nargs="?",
         const=(LISTED, None),
         help="of the environment, VALUE in JSON or text; repeatable; without a value: lists them",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--twin", dest="argument", action="append", metavar="FOLDER",
         type=lambda folder: ("twin", folder),
         help="of `servogym twin`: its plant and drive; the same as --argument twin=FOLDER",
-    )  # fmt: skip
+    )
 
 
 def add_real_time(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def add_real_time(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--real-time", action="store_true",
         help="before all other programs, where the system permits it (SCHED_FIFO, locked memory)",
-    )  # fmt: skip
+    )
 
 
 def real_time(options: argparse.Namespace, console: Console) -> None:
@@ -57,7 +57,7 @@ def add_run_code(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "--run-code", action="store_true",
             help="you have read the hooks.py in the folder of the drive model: run it",
-        )  # fmt: skip
+        )
 
 
 def consent(options: argparse.Namespace) -> None:
@@ -81,7 +81,7 @@ def add_work(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ray", nargs="?", const="", metavar="ADDRESS",
         help="a Ray cluster: HOST:PORT, ray://HOST:PORT, auto; without: one is started here",
-    )  # fmt: skip
+    )
     parser.add_argument("--resume", action="store_true", help="only what is missing in --out")
 
 

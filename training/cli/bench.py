@@ -21,15 +21,15 @@ def add(bench: argparse.ArgumentParser) -> None:
     bench.add_argument(
         "--gpu", nargs="?", const="cuda", metavar="DEVICE",
         help="machines on a device of warp: cuda if none is named, cuda:1, cpu",
-    )  # fmt: skip
+    )
     bench.add_argument(
         "--workers", nargs="?", const=2, type=int, metavar="N",
         help="comparisons alone and by N processes (2)",
-    )  # fmt: skip
+    )
     bench.add_argument(
         "--compare", nargs=2, action="append", default=[], metavar=("ENV", "POLICIES"),
         help="of --workers: one comparison instead of one of each learned task; repeatable",
-    )  # fmt: skip
+    )
     bench.add_argument("--json", action="store_true", help="machine-readable")
     bench.set_defaults(run=_bench)
 
@@ -43,7 +43,7 @@ def _bench(options: argparse.Namespace, console: Console) -> int:
         return worker_bench.run(
             options.drive, options.workers, options.compare, options.repeat or 1, options.json,
             console,
-        )  # fmt: skip
+        )
     options.repeat = options.repeat or 200
     if options.train:
         from ..bench import train as train_bench

@@ -81,10 +81,10 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
     payloads = _numbers("payload", options.payload)
     chosen: dict[str, Any] = {
         "mechanics": arguments.listed(options.mechanics), "parameter_file": options.parameter_file,
-    }  # fmt: skip
+    }
     if positioning:
         chosen |= {"payloads": payloads, "distances": _numbers("distance", options.distance),
-                   "strategies": arguments.listed(options.policy)}  # fmt: skip
+                   "strategies": arguments.listed(options.policy)}
     else:
         if len(payloads) > 1:
             raise ValueError(f"--payload = {options.payload}: homing takes one payload")
@@ -132,4 +132,4 @@ def _learned(options: argparse.Namespace, console: Console) -> int:
     return leaderboard.enter(
         chosen, policy, entry, command, options.out, console, arguments.work(options),
         tasks=tasks, conditions=conditions,
-    )  # fmt: skip
+    )

@@ -31,7 +31,7 @@ def _bode(options: argparse.Namespace, console: Console) -> int:
     response = bode(
         machine, name, amplitude=options.amplitude, speed=options.speed, lowest=options.lowest,
         highest=options.highest, seed=options.seed,
-    )  # fmt: skip
+    )
     print(response)
     options.out.mkdir(parents=True, exist_ok=True)
     for suffix in (".png", ".csv"):

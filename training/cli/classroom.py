@@ -14,19 +14,19 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--axis", default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
-    )  # fmt: skip
+    )
     command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     command.add_argument("--lessons", type=Path, help="folder with exercises of your own")
     command.add_argument(
         "--results", type=Path, metavar="DIR",
         help="write results.csv there and each run, which `servogym course replay` plays",
-    )  # fmt: skip
+    )
     command.add_argument("--code", default="", help="code of the class; one is drawn if not given")
     command.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
     command.add_argument(
         "--host", default="127.0.0.1",
         help="listen on this address instead of the loopback; 0.0.0.0 for other computers",
-    )  # fmt: skip
+    )
     command.add_argument("--pictures", type=int, default=5, help="a second, 1..25 (5)")
     command.add_argument("--no-browser", action="store_true", help="do not open a browser")
     command.set_defaults(run=_classroom)
@@ -63,7 +63,7 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
     room = Classroom(
         make, options.axis, options.drive, [each for each in lessons if each.axis == options.axis],
         options.pupils, options.pictures, options.results, options.code,
-    )  # fmt: skip
+    )
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         make(1).exchange()
 

@@ -28,7 +28,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "--conditions", nargs="?", const="all", metavar="NAMES",
         help="off nominal: delay, noise, friction, … (all), a list of names or axes, or "
         "transfer: every drive, mechanics",
-    )  # fmt: skip
+    )
     _add_episodes(command)
 
 
@@ -44,7 +44,7 @@ def _add_episodes(command: argparse.ArgumentParser) -> None:
         "--port", metavar="OPTIONS",
         help="on drives of a bus: the options of `servogym deploy` for it, as one word, such as "
         '"-i socketcan -c can0 --yes"',
-    )  # fmt: skip
+    )
     command.set_defaults(run=_compare, folders=("out",))
 
 

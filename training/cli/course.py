@@ -63,7 +63,7 @@ def _course(options: argparse.Namespace, console: Console) -> int:
         elif report.done:
             right = f", {sum(report.predictions)} of {len(report.predictions)} predictions right"
             tell(f"{file}: {report.exercise} passed after {report.times[-1]:.2f} s"
-                 f"{right if report.predictions else ''}")  # fmt: skip
+                 f"{right if report.predictions else ''}")
         else:
             why = report.wrong or "its goal was not reached"
             tell(f"{file}: {report.exercise} failed at step {report.step + 1}: {why}")

@@ -14,7 +14,7 @@ def add(decode: argparse.ArgumentParser) -> None:
     decode.add_argument(
         "log", type=Path,
         help=".log of candump, .asc, .blf, .trc, .csv; .pcapng and .pcap of EtherCAT",
-    )  # fmt: skip
+    )
     decode.add_argument(
         "--drive",
         help="drive model, see `servogym drives` (generic; on EtherCAT that of the identity)",

@@ -27,7 +27,7 @@ def add(deploy: argparse.ArgumentParser) -> None:
     deploy.add_argument(
         "--policy", action="append", help=f"{arguments.POLICY} (hold); several are compared on the "
         "same episodes",
-    )  # fmt: skip
+    )
     deploy.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     deploy.add_argument(
         "--ethercat", metavar="IFACE", help="network interface; without it the bus is CAN"
@@ -40,7 +40,7 @@ def add(deploy: argparse.ArgumentParser) -> None:
     deploy.add_argument(
         "--limits", action="append", default=[], metavar="[AXIS=]LOW:HIGH",
         help="positions (m or rad) of the guard, instead of 607Dh; repeatable",
-    )  # fmt: skip
+    )
     for name, unit in (("velocity", "m/s or rad/s"), ("acceleration", "m/s²"), ("jerk", "m/s³")):
         deploy.add_argument(f"--max-{name}", type=float, help=f"of set-points ({unit})")
     deploy.add_argument("--home", type=int, metavar="METHOD", help="reference the drives first")
@@ -51,11 +51,11 @@ def add(deploy: argparse.ArgumentParser) -> None:
         "--log", type=Path, action="append", default=[],
         help="of every step .csv; of every frame .pcapng on EtherCAT, .log (candump), .asc, .blf "
         "on CAN; repeatable",
-    )  # fmt: skip
+    )
     deploy.add_argument(
         "--gap", action="store_true",
         help="play the same episodes in memory, with --twin in the twin, and tell the difference",
-    )  # fmt: skip
+    )
     deploy.add_argument("--report", type=Path, help="episodes and times as .json")
     deploy.add_argument(
         "--phase", type=float, help="of a step, when set-points go out, 0..0.9 (0.4)"
@@ -64,7 +64,7 @@ def add(deploy: argparse.ArgumentParser) -> None:
     deploy.add_argument(
         "--lock-step", action="store_true",
         help="time passes with the steps: for served machines whose clock is sync_end or frame",
-    )  # fmt: skip
+    )
     buses.add(deploy)
     arguments.add(deploy)
     deploy.set_defaults(run=_deploy, files=("log", "report"))
@@ -99,7 +99,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
                 for episode in episodes_of(
                     env, episodes=options.episodes, make=partial(_policy, policy, example,
                     options.seed), slow=options.slow, seed=options.seed, fast=not options.lock_step,
-                ):  # fmt: skip
+                ):
                     played[policy].append(episode)
                     _tell_episode(len(played[policy]), episode, console)
         except Stopped as stopped:
@@ -117,7 +117,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
             told: dict[str, Any] = {
                 "episodes": {name: [_row(e) for e in rows] for name, rows in played.items()},
                 "stopped": reason, "times": line.timing.as_dict(), "compared": tables,
-            }  # fmt: skip
+            }
             options.report.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
         return 1 if reason else 0
 
@@ -140,7 +140,7 @@ def _compared(
                 "what": what, "metric": metric, "episodes": n, "here": float(pair[0].mean()),
                 "there": float(pair[1].mean()), "difference": apart.value, "low": apart.low,
                 "high": apart.high,
-            })  # fmt: skip
+            })
 
     rows: list[dict[str, Any]] = []
     values = {name: [each.values for each in episodes] for name, episodes in played.items()}
@@ -167,7 +167,7 @@ def _tell_compared(rows: list[dict[str, Any]], console: Console) -> None:
             table.add_row(
                 row["metric"], *(f"{row[key]:.4g}" for key in ("here", "there", "difference")),
                 f"{row['low']:.3g} .. {row['high']:.3g}",
-            )  # fmt: skip
+            )
         console.print(table)
 
 
@@ -242,7 +242,7 @@ def _tell_episode(number: int, episode: Any, console: Console) -> None:
     console.print(
         f"episode {number}: return {episode.returned:.3f} by the encoder, {success}, "
         f"{episode.steps} steps, {episode.late} actions late", highlight=False,
-    )  # fmt: skip
+    )
 
 
 def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any:

@@ -23,7 +23,7 @@ def add(drives: argparse.ArgumentParser) -> None:
     drives.add_argument(
         "--from-slave", metavar="IFACE",
         help="make one from a slave that answers, by SDO information; needs servogym[soem]",
-    )  # fmt: skip
+    )
     drives.add_argument("--device", help="with --from-esi: one of several, by type or name")
     drives.add_argument(
         "--position", type=int, default=0, help="with --from-slave: which one, from 0 on (0)"
@@ -31,15 +31,15 @@ def add(drives: argparse.ArgumentParser) -> None:
     drives.add_argument(
         "--chip", choices=("et1100", "lan9252", "emulated"), default="et1100",
         help="with --from-esi and --from-sii: slave controller; emulated: its EEPROM is (et1100)",
-    )  # fmt: skip
+    )
     drives.add_argument(
         "--strict", action="store_true",
         help="with --from-eds: refuse a file that departs from CiA 306, and list where",
-    )  # fmt: skip
+    )
     drives.add_argument(
         "--check", action="store_true",
         help="try what the model states (objects, ranges, modes, faults) and print its data sheet",
-    )  # fmt: skip
+    )
     drives.add_argument("-o", "--out", type=Path, help="folder of the model made, new or empty")
     drives.set_defaults(run=_drives)
 
@@ -129,7 +129,7 @@ def _of_ethercat(options: argparse.Namespace) -> int:
 
     if options.out is None or options.model is not None:
         raise ValueError("--from-esi, --from-sii or --from-slave and -o FOLDER belong together, "
-                         "without a model")  # fmt: skip
+                         "without a model")
     if options.from_esi:
         made = import_esi(options.from_esi, options.out, device=options.device, chip=options.chip)
     elif options.from_sii:

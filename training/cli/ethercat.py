@@ -24,15 +24,15 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "-i", "--interface", action="append", default=[],
         help="such as veth1; a second one is the second port of the master (redundancy)",
-    )  # fmt: skip
+    )
     command.add_argument(
         "--udp", nargs="?", const="127.0.0.1", metavar="ADDRESS",
         help="listen on UDP port 88A4h instead (127.0.0.1)",
-    )  # fmt: skip
+    )
     command.add_argument(
         "--drive", action="append",
         help="drive model (kollmorgen_akd); several are in a line in their order",
-    )  # fmt: skip
+    )
     command.add_argument(
         "--axis",
         default="linear",
@@ -44,7 +44,7 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--fault", action="append", default=[], metavar="LINE",
         help='such as "drop at=cycle:100 count=3" or "retreat at=op:50 slave=1"; repeatable',
-    )  # fmt: skip
+    )
     command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
     arguments.add_real_time(command)
     command.set_defaults(run=_ethercat, files=("log",))
@@ -101,7 +101,7 @@ def _serve(options: argparse.Namespace, console: Console, ports: "list[Port]") -
         bus, ports,
         Writer(options.log, names) if options.log else None,
         lambda line: console.print(line, soft_wrap=True),
-    )  # fmt: skip
+    )
     signal.signal(signal.SIGTERM, lambda *_: server.stop())
     signal.signal(signal.SIGINT, lambda *_: server.stop())
     console.print(f"{len(segment)} slaves on {', '.join(names)}, clock {options.clock}")
@@ -145,7 +145,7 @@ def _table(server: "EtherCatServer", rate: float) -> Table:
         table.add_row(
             str(i), station.drive.model.name, AL_STATES.get(status & 0x0F, f"{status:02X}h"),
             f"{code:04X}h" if status & 0x10 else "", station.drive.state.name,
-        )  # fmt: skip
+        )
     return table
 
 

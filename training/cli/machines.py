@@ -72,7 +72,7 @@ def add(parser: argparse.ArgumentParser, others: str = "") -> None:
         "machine", nargs="?", default="rigid",
         help=f"{', '.join(NAMES)}, {'' if others else 'or '}an MJCF file{others and ', '}{others} "
         "(rigid)",
-    )  # fmt: skip
+    )
     parser.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     parser.add_argument("--axis", help="drive of the machine (the first); joint of an MJCF")
     parser.add_argument("--gear", type=float, help="of an MJCF: rad of motor per m or rad")
@@ -80,7 +80,7 @@ def add(parser: argparse.ArgumentParser, others: str = "") -> None:
     parser.add_argument(
         "--set", action="append", metavar="NAME=VALUE", default=[], type=_value,
         help="parameter of the machine, as payload=10; repeatable",
-    )  # fmt: skip
+    )
     parser.add_argument("--twin", type=Path, help="folder of `servogym twin`, instead of a machine")
     parser.add_argument(
         "--parameter-file", type=Path, help="the drive's stored parameters, of `servogym tune`"
@@ -143,7 +143,7 @@ def _machine(options: argparse.Namespace) -> Machine:
     makers: dict[str, Callable[..., Machine]] = {
         **dict.fromkeys(FAMILY, linear_axis), **dict.fromkeys(ROTARY_FAMILY, rotary_axis),
         **dict.fromkeys(GANTRIES, gantry),
-    }  # fmt: skip
+    }
     if name in makers:
         given = GANTRIES.get(name, {"mechanics": name})
         try:

@@ -31,7 +31,7 @@ def add(node: argparse.ArgumentParser) -> None:
         "--parameter-file", type=Path,
         help="where 1010h and LSS store, and power-on looks; of several drives each has its own, "
         "with the node-id in its name",
-    )  # fmt: skip
+    )
     arguments.add_real_time(node)
     node.set_defaults(run=_node, files=("log", "parameter_file"))
 

@@ -16,18 +16,18 @@ def add(observe: argparse.ArgumentParser) -> None:
     observe.add_argument("--node-id", type=int, default=1, help="of the drive, 1..127 (1)")
     observe.add_argument(
         "--ethercat", metavar="IFACE", help="the drive is a slave at this interface, such as eth0"
-    )  # fmt: skip
+    )
     observe.add_argument("--position", type=int, default=0, help="of the slave, from 0 on (0)")
     observe.add_argument(
         "--drive", default="generic",
         help="model to compare with; while observing, whose data types the objects have (generic)",
-    )  # fmt: skip
+    )
     observe.add_argument("--read-only", action="store_true", help="write nothing to the drive")
     observe.add_argument("--compare", type=Path, metavar="FILE", help="an observation made before")
     observe.add_argument(
         "-o", "--out", type=Path,
         help="file for the observation; with --compare a folder for a model that says the same",
-    )  # fmt: skip
+    )
     buses.add(observe)
     observe.set_defaults(run=_observe)
 
@@ -49,7 +49,7 @@ def _observe(options: argparse.Namespace, console: Console) -> int:
         )
     options.out.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     wrote = "nothing was written to it: " + found["read_only"] if found["read_only"] else (
-        "what was written to it is put back")  # fmt: skip
+        "what was written to it is put back")
     print(
         f"{options.out}: {len(found['objects'])} objects, {len(found['dialogues'])} dialogues of "
         f"{drive}; {wrote}"
@@ -85,7 +85,7 @@ def _slave(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str
     return observe(
         options.ethercat, options.position, load(options.drive, "ethercat"),
         read_only=options.read_only, tell=tell,
-    )  # fmt: skip
+    )
 
 
 def _compare(options: argparse.Namespace, console: Console) -> int:
@@ -116,7 +116,7 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         print(difference)
     count = len({difference.where for difference in differences})
     print(f"{file}: {count} of {len(found['objects']) + len(found['dialogues'])} objects and "
-          f"dialogues differ from {model.name}")  # fmt: skip
+          f"dialogues differ from {model.name}")
     if options.out is not None:
         write(proposed(differences, model, file.name, found), options.out, data_sheet)
         print(f"{options.out}: a model on top of {model.name}, its rows are marked observed")

@@ -32,7 +32,7 @@ def add(panel: argparse.ArgumentParser) -> None:
         "--node-id", type=int, action="append",
         help="1..127, repeatable: watch, and command if asked to, nodes on a bus instead of a "
         f"machine of one's own; without -i on -i {INTERFACE} -c {CHANNEL}",
-    )  # fmt: skip
+    )
     panel.add_argument(
         "--listen", action="store_true", help="send nothing on the bus; PDOs alone are seen"
     )
@@ -40,7 +40,7 @@ def add(panel: argparse.ArgumentParser) -> None:
     panel.add_argument(
         "--units", metavar="M[,M/S]",
         help="on a bus: a position unit in m, a velocity unit in m/s (the same)",
-    )  # fmt: skip
+    )
     panel.add_argument(
         "--lessons", type=Path, help="folder with exercises of your own, .toml files"
     )
@@ -48,7 +48,7 @@ def add(panel: argparse.ArgumentParser) -> None:
     panel.add_argument(
         "--host", default="127.0.0.1",
         help="listen on this address instead of the loopback",
-    )  # fmt: skip
+    )
     panel.add_argument("--pictures", type=int, default=25, help="a second, 1..60 (25)")
     panel.add_argument("--no-browser", action="store_true", help="do not open a browser")
     panel.set_defaults(run=_panel)
@@ -113,7 +113,7 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
         return BusBench(
             AdapterPort(adapter), nodes, options.drive, rate=rate, units=units,
             listen=options.listen, title=f"{', '.join(nodes)} on {place}",
-        ), adapter  # fmt: skip
+        ), adapter
     except ValueError:
         adapter.shutdown()
         raise
@@ -142,7 +142,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
             server.serve(
                 bench, host=options.host, port=options.port, browser=not options.no_browser,
                 pictures=options.pictures, tell=tell,
-            )  # fmt: skip
+            )
         finally:
             adapter.shutdown()
         return 0
@@ -169,5 +169,5 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
         session, host=options.host, port=options.port,
         browser=not options.no_browser, pictures=options.pictures,
         tell=tell,
-    )  # fmt: skip
+    )
     return 0

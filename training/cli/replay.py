@@ -21,7 +21,7 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--most", type=int, default=40,
         help="without a machine: differences that are listed, most frequent first (40)",
-    )  # fmt: skip
+    )
     command.set_defaults(run=_replay, machine=None)
 
 
@@ -59,7 +59,7 @@ def _of_can(options: argparse.Namespace) -> "Score":
     from ...envs.plants.catalogue import axis_for
 
     rows = [(message.timestamp, frame) for message in messages(options.log)
-            if (frame := to_frame(message)) is not None]  # fmt: skip
+            if (frame := to_frame(message)) is not None]
     node_id = options.node_id or node_of(frame for _, frame in rows)
     if node_id is None:
         raise ValueError(f"{options.log}: no node answers in it; name one with --node-id")
@@ -71,7 +71,7 @@ def _show(score: "Score", most: int, console: Console) -> None:
 
     explained = score.total - score.counts[Verdict.DIFFERS]
     console.print(f"{explained} of {score.total} answers are equal or explained: " + ", ".join(
-        f"{score.counts[verdict]} {verdict}" for verdict in Verdict))  # fmt: skip
+        f"{score.counts[verdict]} {verdict}" for verdict in Verdict))
     rows = sorted(score.differences.values(), key=lambda row: (-row.count, row.first))
     if not rows:
         return

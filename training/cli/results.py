@@ -18,7 +18,7 @@ def add(results: argparse.ArgumentParser) -> None:
     results.add_argument(
         "--train", nargs="?", const="", metavar="OUT",
         help="train all again into this folder; without it only tell the commands and CPU-seconds",
-    )  # fmt: skip
+    )
     results.add_argument(
         "--suite",
         help="of a benchmark: checks the submissions in the folder, writes the leaderboard",
@@ -75,7 +75,7 @@ def _leaderboard(options: argparse.Namespace, console: Console) -> int:
     return leaderboard.rank(
         suite.read(options.suite), options.folder, options.out or options.folder / "README.md",
         console, arguments.work(options), run_code=options.run_code,
-    )  # fmt: skip
+    )
 
 
 def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:

@@ -14,7 +14,7 @@ from . import bus as buses
 CHANNELS = [
     "position_demand_value", "position_actual_value", "following_error_actual_value",
     "torque_actual_value", "statusword",
-]  # fmt: skip
+]
 OF_A_MACHINE = [*CHANNELS[:3], "axis.torque_command", "statusword"]
 BUS = "bus"
 MOST = 6  # panels of a log without any of them
@@ -31,7 +31,7 @@ def add(scope: argparse.ArgumentParser) -> None:
     scope.add_argument(
         "--channels", help="objects by name or as 6064h and 60F9h:01, with commas; of a machine "
         "axis.FIELD of the record as well",
-    )  # fmt: skip
+    )
     scope.add_argument(
         "--trigger", help="CHANNEL:EDGE:LEVEL, EDGE of rising, falling, above, change"
     )
@@ -95,7 +95,7 @@ def _scope(options: argparse.Namespace, console: Console) -> int:
     recording.save(options.out / "scope.csv")
     draw(recording, options.out / "scope.png")
     print(f"{len(recording)} samples{said}: {options.out / 'scope.csv'}, "
-          f"{options.out / 'scope.png'}")  # fmt: skip
+          f"{options.out / 'scope.png'}")
     return 0
 
 
@@ -116,7 +116,7 @@ def _of_machine(options: argparse.Namespace):
     trace = Trace(
         drive, [named(channel) for channel in _asked(options) or OF_A_MACHINE],
         **_window(options, _trigger(options.trigger, named)),
-    )  # fmt: skip
+    )
     master = Master(MachinePort(machine, lambda: trace.sample(machine.time)), name)
     master.set_mode(Mode.PROFILE_POSITION)
     master.enable()

@@ -18,7 +18,7 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "file", help="machine file, see the how-to page on serving; or the id of a task, such as "
         "LinearAxis-v0, whose machine is served as `servogym deploy` commands it",
-    )  # fmt: skip
+    )
     of_task = command.add_argument_group("of a task, what else stands in the file")
     of_task.add_argument("--drive", default="", help="drive model (generic)")
     of_task.add_argument("-i", "--interface", default="", help="of python-can")
@@ -36,7 +36,7 @@ def add(command: argparse.ArgumentParser) -> None:
     arguments.add(of_task)
     command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
     command.add_argument("--check", action="store_true", help="read the file and build the "
-                         "machines, but open no bus")  # fmt: skip
+                         "machines, but open no bus")
     arguments.add_real_time(command)
     command.set_defaults(run=_serve)
 
@@ -76,7 +76,7 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
                     for name, drive in laboratory.machines[machine.name].drives.items()
                 )
                 tell(f"{bus.name} on {laboratory.where[bus.name]}, clock {bus.clock}: "
-                     f"{machine.name} with {drives}")  # fmt: skip
+                     f"{machine.name} with {drives}")
         while not ended.wait(0.25):
             laboratory.check()
     return 0
@@ -98,7 +98,7 @@ def _of_task(options: argparse.Namespace) -> dict[str, Any]:
         bus = {
             "kind": "can", "interface": options.interface or buses.INTERFACE,
             "channel": options.channel or (buses.CHANNEL if not options.interface else ""),
-        }  # fmt: skip
+        }
     machine = {"bus": "bus", "task": options.file, "drive": options.drive or "generic"}
     if not options.ethercat:
         machine["node_id"] = options.node_id or 1

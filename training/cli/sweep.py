@@ -19,7 +19,7 @@ def add(sweep: argparse.ArgumentParser) -> None:
     sweep.add_argument("envs", help="environments, separated by commas")
     sweep.add_argument("--policies", default="", help="that play in each cell")
     sweep.add_argument("--train", default="", choices=("PPO", "SAC"), type=str.upper,
-                       help="train one in each cell instead")  # fmt: skip
+                       help="train one in each cell instead")
     sweep.add_argument("--steps", type=int, default=100_000, help="of each training (100000)")
     sweep.add_argument("--drives", default="generic", help="models, separated by commas")
     sweep.add_argument("--conditions", default="", help="as those of `servogym compare`")
@@ -27,7 +27,7 @@ def add(sweep: argparse.ArgumentParser) -> None:
     sweep.add_argument(
         "--vary", action="append", default=[], metavar="NAME=VALUES", type=_varied,
         help="of the environment or hyper-parameter: 1,2,5; with --trials LOW..HIGH[:log] too",
-    )  # fmt: skip
+    )
     sweep.add_argument("--trials", type=int, help="of an Optuna study instead of the grid")
     sweep.add_argument("--episodes", type=int, default=50, help="of each cell, 1..1000 (50)")
     arguments.add(sweep)
@@ -75,13 +75,13 @@ def _sweep(options: argparse.Namespace, console: Console) -> int:
         [Setup.of(env, arguments=given) for env in arguments.listed(options.envs)],
         arguments.listed(options.policies), options.drives.split(","), options.conditions,
         _seeds(options.seeds), dict(options.vary), options.episodes, options.train, options.steps,
-    )  # fmt: skip
+    )
     if options.trials is not None and options.trials < 1:
         raise ValueError(f"--trials = {options.trials} is out of range 1..")
     given = {"--policies": options.policies, "--train": options.train, "--drives": options.drives,
              "--conditions": options.conditions, "--seeds": options.seeds,
              "--episodes": str(options.episodes), "--trials": str(options.trials or ""),
-             "--steps": str(options.steps) if options.train else ""}  # fmt: skip
+             "--steps": str(options.steps) if options.train else ""}
     words = ["servogym", "sweep", options.envs]
     words += [word for name, value in given.items() if value for word in (name, value)]
     for name, values in options.vary:

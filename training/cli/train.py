@@ -35,7 +35,7 @@ def add(train: argparse.ArgumentParser) -> None:
     train.add_argument(
         "--setting", action="append", metavar="NAME=VALUE", type=arguments.named,
         help="hyper-parameter, VALUE in JSON; repeatable",
-    )  # fmt: skip
+    )
     train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
     train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
     train.add_argument("--checkpoint-every", type=int, help="steps (50000)")

@@ -19,7 +19,7 @@ def add(tune: argparse.ArgumentParser) -> None:
     tune.add_argument(
         "--detuned", type=float, default=1.0, metavar="FACTOR",
         help="begin with velocity and position gain times this (1)",
-    )  # fmt: skip
+    )
     tune.add_argument(
         "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"
     )
@@ -43,7 +43,7 @@ def _tune(options: argparse.Namespace, console: Console) -> int:
     tuned = tune(
         machine, name, gain_margin=options.gain_margin, phase_margin=options.phase_margin,
         move=options.move, amplitude=options.amplitude, seed=options.seed,
-    )  # fmt: skip
+    )
     print(tuned)
     for file in ("tune.png", "parameters.json"):
         tuned.save(options.out / file)

@@ -14,7 +14,7 @@ from . import bus as buses
 GAIN_OBJECTS = (
     "velocity_control_gain", "velocity_control_time", "position_control_gain",
     "velocity_filter_time", "velocity_feed_forward",
-)  # fmt: skip
+)
 LIVE = "bus"
 
 
@@ -24,20 +24,20 @@ def add_twin(twin: argparse.ArgumentParser) -> None:
         "logs", nargs="*", type=Path, metavar="LOG",
         help="of one axis: candump, .asc, .blf, .pcapng, .csv; the last of several is held out, "
         "the end of a single one",
-    )  # fmt: skip
+    )
     twin.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     twin.add_argument(
         "--mechanics", default="auto", metavar="FAMILY",
         help="auto, rigid, spring, toothed_belt, ball_screw, vertical, rotary_table, gantry.x ... "
         "(auto: rigid, spring, toothed_belt)",
-    )  # fmt: skip
+    )
     twin.add_argument("-o", "--out", type=Path, help="folder of the twin")
     add_log(twin)
     twin.add_argument(
         "--read-gains", metavar="FILE|bus",
         help="gains and other objects of the drive: its stored parameters, a JSON, or `bus` for a "
         "running node",
-    )  # fmt: skip
+    )
     twin.add_argument(
         "--free", default="", metavar="NAME,...", help="further unknown parameters, as pid_gain"
     )
@@ -94,7 +94,7 @@ def add_log(parser: argparse.ArgumentParser, axis: bool = True) -> None:
         parser.add_argument(
             "--set", action="append", metavar="NAME=VALUE", default=[], type=machines._value,
             help="of the machine, known: feed_constant=0.01, carriage_mass=2; repeatable",
-        )  # fmt: skip
+        )
 
 
 def _log_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def _log_options(options: argparse.Namespace) -> dict[str, Any]:
         "torque_constant": options.torque_constant,
         "hold": options.hold,
         "cycle": None if options.cycle is None else 1e-3 * options.cycle,
-    }  # fmt: skip
+    }
 
 
 def _twin(options: argparse.Namespace, console: Console) -> int:
@@ -144,7 +144,7 @@ def _names(mechanics: str) -> tuple[str, ...]:
     from ...envs.twin.families import AUTO, family
 
     return AUTO if mechanics == "auto" else tuple(family(each).name for each in
-                                                  mechanics.split(","))  # fmt: skip
+                                                  mechanics.split(","))
 
 
 def _fitted(
@@ -160,13 +160,13 @@ def _fitted(
     experiments = logs.read(
         options.logs, first.make(options.drive), options.drive, first.axis, who=options.axis,
         **_log_options(options),
-    )  # fmt: skip
+    )
     in_log = any("velocity_control_gain" in each.objects for each in experiments)
     with _telling(console) as told:
         best, tried = choose(
             experiments, options.drive, names, built, objects,
             gains_known=bool(objects) or in_log, told=told, free=free,
-        )  # fmt: skip
+        )
     return best, tried, experiments
 
 
@@ -289,7 +289,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
         (n for n, f in FAMILIES.items()
          if f.builder == twin.builder and f.axis == twin.axis
          and all(twin.arguments.get(k) == v for k, v in f.arguments.items())), None,
-    )  # fmt: skip
+    )
     if name is None:
         raise ValueError(f"--against {options.against}: its machine is of no family known here")
     built = {k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments} | dict(
@@ -317,7 +317,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
 def _fitted_with(
     options: argparse.Namespace, console: Console, name: str, built: dict[str, Any],
     gains: dict[str, float],
-) -> tuple[Any, list[Any], Any]:  # fmt: skip
+) -> tuple[Any, list[Any], Any]:
     """A fit with the gains of a twin, in the drive's own units."""
     from ...envs.engine import parameters
     from ...envs.twin import logs
@@ -331,7 +331,7 @@ def _fitted_with(
     experiments = logs.read(
         options.logs, machine, options.drive, family(name).axis, who=options.axis,
         **_log_options(options),
-    )  # fmt: skip
+    )
     gap = family(name).builder == "linear_axis" and parameters.PARAMETERS["backlash"].there(
         parameters.Joint(machine, family(name).axis)
     )
@@ -339,7 +339,7 @@ def _fitted_with(
         best, tried = choose(
             experiments, options.drive, [name], built, objects, gains_known=True, told=told,
             free=("backlash",) if gap else (),
-        )  # fmt: skip
+        )
     return best, tried, experiments
 
 
@@ -367,7 +367,7 @@ def compare(options: argparse.Namespace, console: Console) -> int:
     (experiment,) = logs.read(
         [options.log], candidates.machines[0], options.drive, name, who=options.who,
         **_log_options(options),
-    )  # fmt: skip
+    )
     quiet = {"encoder_noise": 0.0}
     known = None if options.twin is None else twins.read(options.twin).lag
     lag = best_lag(candidates, experiment, quiet) if known is None else known
@@ -380,16 +380,16 @@ def compare(options: argparse.Namespace, console: Console) -> int:
     with file.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(["time (s)", f"measured position ({unit})", f"position ({unit})",
-                         "measured torque (Nm)", "torque (Nm)"])  # fmt: skip
+                         "measured torque (Nm)", "torque (Nm)"])
         for row in zip(experiment.time, experiment.position, run.position[0], experiment.torque,
-                       run.torque[0], strict=True):  # fmt: skip
+                       run.torque[0], strict=True):
             writer.writerow([f"{value:.9g}" for value in row])
 
     def rms(values):
         return float(np.sqrt(np.mean(np.square(values))))
 
     explained = 100 * (1 - rms(left_p) / max(rms(experiment.position - experiment.position.mean()),
-                                             1e-12))  # fmt: skip
+                                             1e-12))
     small = "µm" if unit == "m" else "µrad"
     print(
         f"{len(experiment.time)} samples, mode {experiment.mode}, bus cycle "

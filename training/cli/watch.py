@@ -33,4 +33,4 @@ def _watch(options: argparse.Namespace, console: Console) -> int:
     return watch.run(
         arguments.setup(options), options.policy, options.episodes, options.seed, options.speed,
         options.record, console,
-    )  # fmt: skip
+    )

@@ -23,7 +23,7 @@ Row = dict[str, Any]  # of the CSV
 OPTIONS = {  # of the command line, where an argument of `cells` has another name
     "strategies": "policy", "payloads": "payload", "distances": "distance", "methods": "method",
     "parameter_file": "parameter-file",
-}  # fmt: skip
+}
 
 
 class Told(NamedTuple):
@@ -65,7 +65,7 @@ class Benchmark:
 def run(
     kind: Benchmark, drive: str, quick: bool, out: Path, console: Console, work: Work = ALONE,
     chosen: Mapping[str, Any] | None = None,
-) -> int:  # fmt: skip
+) -> int:
     """Measure, and write a CSV, a page and a picture to `out`; -> exit status.
 
     Args:
@@ -96,7 +96,7 @@ def run(
         draw(
             path.with_suffix(".png"), f"{kind.of}, drive {drive}", told.rows, told.columns,
             told.panels, told.failures, told.why,
-        )  # fmt: skip
+        )
         console.print(f"{told.done}; {path}.csv, .md, .png")
     return 0
 

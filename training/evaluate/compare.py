@@ -38,7 +38,7 @@ ARROWS = {"high": " →", "low": " ←", "": ""}
 SHOWN = (  # in the picture, the first six that apply
     "score", "settling_time", "tracking_error", "overshoot", "vibration", "sway",
     "reference_error", "peak_error", "rms_torque", "energy",
-)  # fmt: skip
+)
 
 
 def _cell(metric: str, summary: Summary | None) -> str:
@@ -76,7 +76,7 @@ def _apart(metric: str, found: Difference | None, better: str, policy: str) -> s
 def draw(
     path: Path, title: str, results: Sequence[Evaluation],
     table: Mapping[str, Sequence[Summary | None]],
-) -> None:  # fmt: skip
+) -> None:
     """Interquartile means with their intervals, a panel a metric; `table` is of `summaries`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -165,7 +165,7 @@ def _sections(
     heading: Sequence[str], results: Sequence[Evaluation],
     table: Mapping[str, Sequence[Summary | None]],
     apart: Mapping[str, Sequence[Difference | None]], against: str, by: str,
-) -> str:  # fmt: skip
+) -> str:
     """The tables of the page below the first: differences, pairs, the worst."""
     metrics = {"score": SCORE, **results[0].metrics}
     judged = [metric for metric in table if metrics[metric].better]
@@ -180,7 +180,7 @@ def _sections(
                 ),
             ]
             for metric in judged if metric in apart
-        ]  # fmt: skip
+        ]
         pages += f"\n## Against {column_of(against)}, on the same episodes\n\n"
         pages += markdown(heading, rows)
     if apart and metrics[by].better:
@@ -203,7 +203,7 @@ def _notes(
     return notes + "\n".join(
         f"- {metrics[metric].heading}: {metrics[metric].what}"
         for metric in table if metrics[metric].what
-    )  # fmt: skip
+    )
 
 
 def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: Metric) -> str:
@@ -221,7 +221,7 @@ def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: M
     heading = (
         "policy", "mean of the differences", "episodes improved", "probability of improvement",
         f"episodes to see {100 * SEEN:.0f} %",
-    )  # fmt: skip
+    )
     return f"\n## {row.heading}, in pairs with {column_of(against)}\n\n" + markdown(heading, rows)
 
 
@@ -246,7 +246,7 @@ def _needs(policies: Sequence[str]) -> str:
     return "".join(
         f"{policy} in an environment with {', '.join(quoted(*one) for one in own.items())}; "
         for policy, own in rows if own
-    )  # fmt: skip
+    )
 
 
 def _trainings(results: Sequence[Evaluation]) -> str:
@@ -279,4 +279,4 @@ def _data(source, setup: Setup, results, table, against, apart) -> dict[str, Any
             }
             for i, result in enumerate(results)
         },
-    }  # fmt: skip
+    }

@@ -187,7 +187,7 @@ class Early:
 def evaluate(
     env: str | type[ServoEnv], policies: Sequence[Any], drive: str, episodes: int, seed: int,
     arguments: Mapping[str, Any] | None = None, traced: int = 0, work: Work = ALONE,
-) -> list[Evaluation]:  # fmt: skip
+) -> list[Evaluation]:
     """Each policy on the fixed episodes of a task, given by its id or class.
 
     Further arguments are those of `Setup` and `Request`, and who does the jobs.

@@ -53,7 +53,7 @@ CONDITIONS = (
 )
 DISTURBANCES: dict[str, Mapping[str, float]] = {  # of the transfer
     "": NONE, "delay 1": {"delay": 1.0}, "noise 5 µm": {"encoder_noise": 5e-6},
-}  # fmt: skip
+}
 TRANSFER = tuple(
     Condition(
         f"{drive} {mechanics}", disturbance, drawn, arguments={"parameters": mechanics}, drive=drive

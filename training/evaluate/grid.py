@@ -68,7 +68,7 @@ class Grid(Generic[Key, Found]):
 def played(
     cell: Cell[Found], work: Work, console: Console, folder: Path | None = None, *,
     warm: Sequence[Job] = (), then: Callable[[int, Result], None] | None = None,
-) -> Iterator[Found]:  # fmt: skip
+) -> Iterator[Found]:
     """What is found in a cell or grid; results of jobs are kept until the block has ended well.
 
     Args:

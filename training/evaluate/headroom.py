@@ -33,7 +33,7 @@ ROUGHER = 1.3  # times the jerk of the reference of the task
 HEADING = (
     "row", "of", "metric", "of what is possible", "of the best played", "success",
     "rms jerk (m/s³)", "rms torque / rated", "keeps the limits",
-)  # fmt: skip
+)
 NOTES = f"""A row is the interquartile mean [95 % interval] of the metric of the task. *Of what is
 possible* is the mean of the bound over the mean of the row (of a return the other way round), *of
 the best played* the same of the best that any row, told or not, reached in each episode: the best
@@ -76,7 +76,7 @@ def chosen(tasks: Sequence[str]) -> list[type[ServoEnv]]:
 def run(
     tasks: Sequence[str], episodes: int, seed: int, out: Path, console: Console,
     work: Work = ALONE,
-) -> int:  # fmt: skip
+) -> int:
     """Play all rows, and write a page and a CSV; -> exit status."""
     kinds = chosen(tasks)
     grid: Grid[tuple[str, str], Evaluation] = Grid()
@@ -105,7 +105,7 @@ def run(
                 for row in rows
                 for k, values in enumerate(_values(row.found, env.METRIC))
                 for i, value in enumerate(values)
-            ]  # fmt: skip
+            ]
         text += across(shares)
         write_csv(path.with_suffix(".csv"), source, table)
         write_page(path.with_suffix(".md"), "What is possible", text, source, NOTES)
@@ -167,7 +167,7 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
             number(float(np.nanmean(rough))) if np.isfinite(rough).any() else "–",
             number(float(np.nanmean(heat))) if np.isfinite(heat).any() else "–",
             f"{100 * np.mean(keeps):.0f} %",
-        ])  # fmt: skip
+        ])
     task = short(env.ID)
     sure = "inferred" if env.BOUND in INFERRED else "proven"
     whole = "" if limit is None else _mean_share(best[None], limit, metric)
@@ -203,7 +203,7 @@ def across(shares: Mapping[str, Sequence[Row]]) -> str:
             f"{100 * np.mean([np.mean(one >= step) for one in parts]):.0f} %" for step in STEPS
         ), str(len(parts))]
         for key, parts in groups.items() if parts
-    ]  # fmt: skip
+    ]
     text = (
         "## Over the tasks\n\nThe share of episodes that reach so much of what is possible, mean "
     )

@@ -63,7 +63,7 @@ class Searches:
             Job(f"method {method} on {mechanics}, {variant}", searches,
                 {"drive": drive, "mechanics": mechanics, "method": method, "variant": variant,
                  **given}, (drive,))
-        ]  # fmt: skip
+        ]
 
     def results(self, found: Sequence[Result]) -> list[Row]:
         """A row a run."""
@@ -73,7 +73,7 @@ class Searches:
 def searches(
     drive: str, mechanics: str, method: int | str, variant: str, starts: Sequence[float],
     seeds: Sequence[int], payload: float | None, parameter_file: str | None,
-) -> Result:  # fmt: skip
+) -> Result:
     """The job: one method on one axis, from every start."""
     own, objects = AXES[variant]
     values: dict[str, Any] = {**own, **({} if payload is None else {"payload": payload})}
@@ -93,7 +93,7 @@ def searches(
 def cells(
     drive: str, quick: bool, methods: Sequence[int | str] = (), mechanics: Sequence[str] = (),
     payload: float | None = None, parameter_file: Path | None = None, runs: int | None = None,
-) -> Grid[Key, list[Row]]:  # fmt: skip
+) -> Grid[Key, list[Row]]:
     """One for each axis, method and variant. Raises ValueError for a drive without searches."""
     model = load(drive)
     known = [method for method in model.homing_methods if method not in HERE]
@@ -163,7 +163,7 @@ def _run(machine: Machine, method: int | str, start: float, objects: Mapping[str
 FAILED: Row = {
     "attained": 0, "time_s": None, "error_um": None, "peak_torque_share": None, "impact_J": None,
     "index_near": None, "index_turn": None,
-}  # fmt: skip
+}
 
 
 def _own(machine: Machine, name: str, start: float) -> Row:
@@ -199,7 +199,7 @@ def _own(machine: Machine, name: str, start: float) -> Row:
             "peak_torque_share": round(float(found.greatest_torque), 4),
             "impact_J": round(float(found.impact_energy), 6), "index_near": 0, "index_turn": None,
             "failure": "" if found.attained else "it ended without a reference",
-        }  # fmt: skip
+        }
     finally:
         machine.restore(before)
 
@@ -293,7 +293,7 @@ def figures(key: Key, runs: list[Row]) -> Row:
         "impact": _of(runs, "impact_J").max() if len(errors) else np.nan,
         "index": histogram(turns),
         "failure": next((r["failure"] for r in runs if r["failure"]), ""),
-    }  # fmt: skip
+    }
 
 
 def histogram(turns: np.ndarray) -> str:
@@ -314,11 +314,11 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
             number(c["impact"]), str(c["failures"]), str(c["near"]),
         ]
         for c in cells
-    ]  # fmt: skip
+    ]
     heading = [
         "method", "axis", "time (s)", "worst error (µm)", "R (µm)", "A (µm)",
         "index distance (fifths of a turn)", "largest impact (J)", "failures", "index warnings",
-    ]  # fmt: skip
+    ]
     notes = (
         f"{max(c['runs'] for c in cells)} runs a cell, from starts over the whole stroke: mean "
         "time, error of the largest "
@@ -360,7 +360,7 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
     return Told(
         heading, table, notes, sentences(cells), methods, family, panels,
         panel("failures").astype(int), why, done,
-    )  # fmt: skip
+    )
 
 
 HOMING = Benchmark("homing", "Homing", "homing methods", cells, told, lambda drive, jobs: jobs[:1])

@@ -45,7 +45,7 @@ class Cell(NamedTuple):
 def play(
     suite: Suite, policies: Mapping[str, str], console: Console, work: Work = ALONE,
     folder: Path | None = None,
-) -> Table:  # fmt: skip
+) -> Table:
     """Each task under its policy, in all conditions.
 
     Args:
@@ -60,7 +60,7 @@ def play(
     grid = Grid({
         env: matrix(Request(part.setup, [policies[env]], suite.episodes, suite.seed), part.rows)
         for env, part in parts.items()
-    })  # fmt: skip
+    })
     warming = [warm(part.setup) for part in parts.values()]
     with played(grid, work, console, folder, warm=warming) as found:
         return {
@@ -129,7 +129,7 @@ def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
 def enter(
     suite: Suite, policy: str, entry: str, command: str, out: Path, console: Console,
     work: Work, *, tasks: Sequence[str] = (), conditions: Sequence[str] = (),
-) -> int:  # fmt: skip
+) -> int:
     """Play the suite and write the submission, a file ``out/ENTRY.npz``; -> exit status.
 
     Of a part of the conditions none is written.
@@ -143,7 +143,7 @@ def enter(
         name=entry, suite=suite.version, digest=suite.digest, policy=_named(policy),
         command=command, versions={name: source[name] for name in ("python", *PACKAGES)},
         machine=source["machine"], table={}, files=files,
-    )  # fmt: skip
+    )
     table = play(suite.drawn(made.identity), chosen, console, work, out)
     made = replace(made, table=table)
     for env in chosen:
@@ -222,7 +222,7 @@ def check(
     for env, conditions in found.items():
         for condition, values in conditions.items():
             _same(f"{file}, {env}, {condition}", submission, submission.table[env][condition],
-                  values, suite.parts[env].setup.task)  # fmt: skip
+                  values, suite.parts[env].setup.task)
     return replace(submission, table=found)
 
 
@@ -277,7 +277,7 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
         [name, f"`{entry.plays}`", str(_trainings(entry)), entry.budget or "–",
          f"`{entry.identity[:12]}`", f"`{entry.command}`"]
         for name, entry in sorted(entries.items())
-    ]  # fmt: skip
+    ]
     heading = ["entry", "what was played", "trainings", "budget, as stated", "hash", "command"]
     text += "## Entries\n\n" + markdown(heading, rows)
     return text + (
@@ -298,7 +298,7 @@ def _trainings(entry: Submission) -> int:
 def _lines(
     suite: Suite, env: str, tables: Mapping[str, Mapping[str, Any]],
     entries: Mapping[str, Submission] | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """The table of a task, best first."""
     names, kind = [row.name for row in suite.parts[env].rows], suite.parts[env].setup.task
     cells = {

@@ -52,7 +52,7 @@ METRICS: dict[str, Metric] = {
         "at a limit", "low", "share of the time with statusword bit 11, at physics steps"
     ),
     "faults": Metric("faults", "low", "share of the episodes that a fault of the drive ended"),
-}  # fmt: skip
+}
 
 
 def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
@@ -200,7 +200,7 @@ def paired(one: np.ndarray, other: np.ndarray, better: str) -> Paired:
         float(iqm(apart.reshape(1, -1))[0]), low, high, float((sign * finite > 0.0).mean()),
         float(0.5 + 0.5 * order.mean()),
         (factor * spread / (SEEN * middle)) ** 2 if middle > 0.0 else math.nan,
-    )  # fmt: skip
+    )
 
 
 def _estimates(values: np.ndarray, stream: int, share: bool) -> np.ndarray:

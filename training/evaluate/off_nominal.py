@@ -46,7 +46,7 @@ class Entry(NamedTuple):
         return {
             "summary": self.summary and self.summary._asdict(), "success": self.success,
             "difference": self.difference and self.difference._asdict(),
-        }  # fmt: skip
+        }
 
 
 def entry(metric: str, result: Evaluation | None, base: Evaluation | None) -> Entry:
@@ -84,7 +84,7 @@ def run(
             console.print(f"{row.name}: " + ", ".join(
                 f"{column} {number(e.summary.iqm) if e.summary else GAP}"
                 for column, e in zip(shown, table[row.name], strict=True)
-            ), highlight=False)  # fmt: skip
+            ), highlight=False)
         _write(out, request, rows, table, against, source, grid.gaps)
         title = f"{setup.name} off nominal, drive {setup.drive}"
         values = np.array(
@@ -101,7 +101,7 @@ def run(
 def _write(
     out: Path, request: Request, rows: Sequence[Condition], table: Mapping[str, Sequence[Entry]],
     against: str, source: Mapping[str, Any], gaps: Mapping[tuple[str, Any], str],
-) -> None:  # fmt: skip
+) -> None:
     """The page and the data."""
     setup, metric = request.setup, request.setup.task.METRIC
     heading, better, _ = metrics(setup.task)[metric]
@@ -139,7 +139,7 @@ def _write(
             {"condition": name, "policy": label(policy), "reason": reason}
             for (name, policy), reason in gaps.items()
         ],
-    })  # fmt: skip
+    })
 
 
 def _ahead(apart: Sequence[Difference | None], better: str) -> str:
@@ -168,7 +168,7 @@ def _panels(
 def curves(
     path: Path, title: str, rows: Sequence[Condition],
     table: Mapping[str, Sequence[Entry]], policies: Sequence[str], heading: str,
-) -> bool:  # fmt: skip
+) -> bool:
     """The metric over each disturbance that is a number; a panel an axis; -> whether any is."""
     import matplotlib.pyplot as plt
 

@@ -28,7 +28,7 @@ _last: dict[str, Evaluator] = {}  # what a process played in; the next job may w
 def play(
     setup: Setup, policy: Any, training: int | None, seeds: Sequence[int], traced: int | None,
     options: Sequence[dict[str, Any]] = (),
-) -> Result:  # fmt: skip
+) -> Result:
     """The job: some episodes under one policy, of several trainings under one."""
     key = repr((setup, len(seeds), options))
     if key not in _last:
@@ -38,7 +38,7 @@ def play(
         _last[key] = Evaluator(
             setup.task, drive=setup.drive, seeds=seeds, options=options, prepare=setup.prepare,
             **setup.arguments,
-        )  # fmt: skip
+        )
     evaluator = _last[key]
     evaluator.seeds, evaluator.traced = list(seeds), traced
     chosen = policy if training is None else trainings(policy, evaluator.task.ID)[training]
@@ -68,7 +68,7 @@ class Episodes:
     def __init__(
         self, setup: Setup, policy: Any, seeds: Sequence[int], traced: int | None = None,
         options: Sequence[dict[str, Any]] = (),
-    ):  # fmt: skip
+    ):
         self._policy, self._seeds, self._setup = policy, list(seeds), setup
         first = setup.make()
         make(policy, first)
@@ -94,7 +94,7 @@ class Episodes:
             )
             for training in (range(len(folders)) if folders else [None])
             for begin, end in pairwise(edges)
-        ]  # fmt: skip
+        ]
         self._parts = parts
 
     def results(self, found: Sequence[Result]) -> Evaluation:
@@ -121,7 +121,7 @@ class Episodes:
         return Recording(
             label(self._policy), self._channels, self._words, part["time"], part["samples"],
             part["done"], part["ended"],
-        )  # fmt: skip
+        )
 
 
 def warm(setup: Setup) -> Job:

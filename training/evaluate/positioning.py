@@ -29,7 +29,7 @@ STRATEGIES = (
     "trapezoid", "jerk_limited", "s_curve", "ruckig", "ruckig+zv", "ruckig+zvd", "ruckig+ei",
     "ruckig+notch", "ruckig+ff", "lqr", "adaptive_lqr", "proportional", "learned",
     "informed_ruckig", "informed_lqr",
-)  # fmt: skip
+)
 PAYLOADS = (1.0, 5.0, 20.0)  # kg
 DISTANCES = (0.01, 0.05, 0.2)  # m
 STARTS = (0.15, 0.35)  # m; the move goes to the side that has room
@@ -44,7 +44,7 @@ CHANGED: dict[str, dict[str, float]] = {  # what the strategy was not told
 # the motor behind its voltage: a link of 200 V instead of 325 V, which sags by 10 Ohm (inferred)
 WEAK_SUPPLY, WEAK = "weak supply", {
     "speed_torque_curve": True, "dc_link_voltage": 200.0, "supply_resistance": 10.0,
-}  # fmt: skip
+}
 CONDITIONS = (NOMINAL, *CHANGED, WEAK_SUPPLY)
 TROUBLES = {  # in sentences: conditions
     "A resonance that is off by 20 %": ("frequency −20 %", "frequency +20 %"),
@@ -72,7 +72,7 @@ DUTY = "i2t_duty"
 SHOWN = (
     "settling_s", "overshoot_um", "residual_vibration_um", "peak_torque_share_of_rated",
     "rms_torque_share_of_rated", DUTY, "rms_jerk_m_s3", "energy_J",
-)  # fmt: skip
+)
 
 Key = tuple[str, float, str, str]  # axis, payload (kg), condition, strategy
 Means = Mapping[Key, Mapping[str, float]]  # of the figures, over the moves of a cell
@@ -87,7 +87,7 @@ class Moves:
     def __init__(
         self, drive: str, key: Key, ways: Sequence[tuple[float, float]],
         parameter_file: Path | None,
-    ):  # fmt: skip
+    ):
         mechanics, payload, condition, strategy = key
         self._key, self._ways = key, ways
         options = [{"start": start, "goal": goal} for start, goal in ways]
@@ -101,7 +101,7 @@ class Moves:
                 "tuned": True, "randomise": CHANGED.get(condition, {}),
             },
             parameter_file=str(parameter_file) if parameter_file else None,
-        )  # fmt: skip
+        )
         self._episodes = Episodes(setup, strategy, fixed(0, len(ways)), options=options)
         self.jobs = self._episodes.jobs
 
@@ -118,7 +118,7 @@ class Moves:
                 DUTY: _duty(values, i, longest),
             }
             for i, (start, goal) in enumerate(self._ways)
-        ]  # fmt: skip
+        ]
 
 
 def _duty(values: Mapping[str, np.ndarray], i: int, longest: float) -> float:
@@ -131,7 +131,7 @@ def cells(
     drive: str, quick: bool, strategies: Sequence[str] = (), mechanics: Sequence[str] = (),
     payloads: Sequence[float] = (), distances: Sequence[float] = (),
     parameter_file: Path | None = None,
-) -> Grid[Key, list[Row]]:  # fmt: skip
+) -> Grid[Key, list[Row]]:
     """One for each axis, strategy and condition. Raises ValueError as the environment does."""
     POINT_TO_POINT(drive=drive).close()
     known_mechanics(mechanics, (SPRING,))
@@ -244,7 +244,7 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
         "axis", "strategy", "settling (s)", "overshoot (µm)", "residual vibration (µm)",
         "peak torque / rated", "rms torque / rated", "I²t duty", "rms jerk (m/s³)", "energy (J)",
         "not settled",
-    ]  # fmt: skip
+    ]
     rows = [row for own in found.values() for row in own]
     ways = sorted({round(1e3 * abs(row["goal_m"] - row["start_m"])) for row in rows})
     notes = (
@@ -275,14 +275,14 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
     panels = {
         "settling (s)": panel("settling_s"), "overshoot (µm)": panel("overshoot_um"),
         "rms torque / rated": panel("rms_torque_share_of_rated"),
-    }  # fmt: skip
+    }
     return Told(
         heading, table, notes, sentences(means), columns, strategies, panels, failures, why,
         f"{len(rows)} moves",
-    )  # fmt: skip
+    )
 
 
 POSITIONING = Benchmark(
     "positioning", "Positioning", "positioning strategies", cells, told,
     lambda drive, jobs: [warm(Setup.of(POINT_TO_POINT, drive))],
-)  # fmt: skip
+)

@@ -130,7 +130,7 @@ def table(trainings: Sequence[Training]) -> str:
         rows.append([
             task, str(len(own)), str(len(own[0].commands)), " to ".join(f"{n:,}" for n in steps),
             f"{most}{sum(each) / len(each):.0f}", f"{most}{sum(each):.0f}",
-        ])  # fmt: skip
+        ])
     total = sum(training.cpu_seconds for training in trainings)
     most = "at most " if any(training.inferred for training in trainings) else ""
     rows.append(["all", str(len(trainings)), "", "", "", f"{most}{total:.0f}"])

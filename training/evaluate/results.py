@@ -32,7 +32,7 @@ HEADING = (
     "task", "metric", "learned", "best baseline", "difference", "of pairs", "episodes improved",
     "worst training", "worst 5 %",
     *(METRICS[share].heading for share in SHARES)
-)  # fmt: skip
+)
 HEAD = """# What was learned
 
 The policy `learned` of each task, and the baseline that is best by the metric of that task, on the
@@ -201,11 +201,11 @@ def _room(data: Mapping[str, Any], baseline: _Policy, metric: str, sign: float) 
     known = {
         name: row["summary"][metric]["iqm"]
         for name, row in data["policies"].items() if metric in row["summary"]
-    }  # fmt: skip
+    }
     informed = [
         name for name in known
         if name != LIMIT and (own := POLICIES.get(name.partition(":")[0])) and own.told
-    ]  # fmt: skip
+    ]
     best = min(informed, key=lambda name: known[name] * sign, default=TOLD)
     return [
         (f"{name}: " if name in (baseline.name, best) and name in known else "")
@@ -229,7 +229,7 @@ def _interval(summary: Summary) -> str:
 def _section(
     path: Path, place: str, data: Mapping[str, Any], own: _Policy, baseline: _Policy,
     known: Mapping[str, Metric],
-) -> str:  # fmt: skip
+) -> str:
     told = text(path, PAGE, "a text editor")
     honest = re.search(rf"^{re.escape(HONEST)}.*?(?=\n\s*\n|\Z)", told, re.M | re.S)
     if honest is None:
@@ -239,11 +239,11 @@ def _section(
     pictures = "".join(
         f"![{path.name}, {what}]({place}/{name})\n"
         for name, what in PICTURES.items() if (path / name).is_file()
-    )  # fmt: skip
+    )
     lost = [
         row.heading for metric, row in known.items()
         if metric in own.differences and row.better and _behind(own.differences[metric], row)
-    ]  # fmt: skip
+    ]
     better = ", ".join(lost) or "nothing"
     intervals = f"By the intervals of the differences {baseline.name} is better in: {better}."
     loses = re.sub(r"\]\((?![a-z]+:|#|/)", f"]({place}/", honest.group().strip())

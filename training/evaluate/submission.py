@@ -36,7 +36,7 @@ KEYS = {
     "name": Key(str, True), "suite": Key(str, True), "digest": Key(str, True),
     "policy": Key(str, True), "command": Key(str, True), "versions": Key(dict, True),
     "machine": Key(str, True), "table": Key(dict, True), "hash": Key(str, True),
-}  # fmt: skip
+}
 NAME = r"[\w+-][\w+. -]*"  # of an entry
 WORDS = r"[^`|<>\[\]\x00-\x1f\x7f]*"  # what is shown on a page, and cannot be taken for its markup
 PROGRAM = r"[\w.-]+\.py"
@@ -291,7 +291,7 @@ def _apart(path: Path, places: Sequence[str], files: Mapping[str, bytes]) -> Non
         content = b"".join(
             name.encode() + value.tobytes()
             for name, value in sorted(arrays.items()) if name.startswith("network/")
-        )  # fmt: skip
+        )
         if content in seen:
             raise ValueError(
                 f"{path}: {place} has the weights of {seen[content]}: each training counts once"

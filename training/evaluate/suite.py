@@ -26,7 +26,7 @@ OF_SUBMISSION = "of_submission"  # instead of a seed
 KEYS = {
     "version": Key(str, True), "drive": Key(str, True), "seed": Key((int, str), True),
     "episodes": Key(int, True), "conditions": Key(list, True), "tasks": Key(dict, True),
-}  # fmt: skip
+}
 OF_A_TASK = {"drive": Key(str), "conditions": Key(list), HELD_OUT: Key(dict)}
 
 

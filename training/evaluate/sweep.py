@@ -147,7 +147,7 @@ def trained(
             setup.task, steps, Path(folder, "run"), drive=setup.drive, algorithm=algorithm,
             seed=seed, arguments=setup.arguments, settings=settings,
             evaluate_every=max(steps // EVALUATIONS, 1),
-        )  # fmt: skip
+        )
         train(asked)
         files = sorted(Path(folder, "run", POLICY).iterdir())
         return {path.name: np.frombuffer(path.read_bytes(), np.uint8) for path in files}
@@ -156,7 +156,7 @@ def trained(
 def measure(
     sweep: Sweep, several: Sequence[Mapping[str, Any]], out: Path, console: Console, work: Work,
     left_out: list[str],
-) -> tuple[list[list[Row]], list[Job]]:  # fmt: skip
+) -> tuple[list[list[Row]], list[Job]]:
     """Rows for each set of values, and the jobs that were done for them."""
     cells = [(k, c) for k, values in enumerate(several) for c in _cells(sweep, values, left_out)]
     ready = [warm(s) for s in {(c.setup.name, c.setup.drive): c.setup for _, c in cells}.values()]
@@ -169,7 +169,7 @@ def measure(
                 "seed": cell.seed, "steps": sweep.steps,
             })
             for _, cell in cells
-        ]  # fmt: skip
+        ]
         found = work.map(done, folder=out, console=console, warm=ready)
         for (_, cell), files in zip(cells, found, strict=True):
             folder = out / TRAINED / cell.name
@@ -248,7 +248,7 @@ def study(
                 for name, values in sweep.vary.items()
             }
             for trial in asked
-        ]  # fmt: skip
+        ]
         measured, done = measure(sweep, several, out, console, work, left_out)
         jobs += done
         for trial, its in zip(asked, measured, strict=True):
@@ -292,7 +292,7 @@ def run(
         notes += f"Best in the mean over its cells: {which}, {of} {number(value)}."
     notes += "".join(f"\n\nLeft out: {reason}" for reason in dict.fromkeys(left_out))
     differ = [i for i, name in enumerate(heading)
-              if name in ("policy", "value") or len({line[i] for line in cells}) > 1]  # fmt: skip
+              if name in ("policy", "value") or len({line[i] for line in cells}) > 1]
     shown = [[line[i] for i in differ] for line in cells[:40]]
     console.print(table([heading[i] for i in differ], shown, "sweep"))
     if len(cells) > 40:

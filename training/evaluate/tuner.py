@@ -89,7 +89,7 @@ def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict
         "metric": metric, "tuned": sign * last[best], "untuned": sign * last[0],
         "steps": steps, "cpu_seconds": round(time.process_time() - begin, 1),
         "choices": f"ranges of {len(kind.RANGES)} numbers",
-    }  # fmt: skip
+    }
 
 
 def run(policy: str, env: str | None, budget: int, out: Path, console: Console) -> int:

@@ -60,20 +60,20 @@ WHOLE = {  # the least and the most of those that are whole numbers
     "buffer_size": (1, MOST), "learning_starts": (0, MOST), "train_freq": (1, MOST),
     "gradient_steps": (-1, MOST), "target_update_interval": (1, MOST),
     "sde_sample_freq": (-1, MOST), "stats_window_size": (1, MOST),
-}  # fmt: skip
+}
 REAL = {
     "gamma": (0.0, 1.0), "gae_lambda": (0.0, 1.0), "tau": (0.0, 1.0), "clip_range": (0.0, 100.0),
     "vf_coef": (0.0, 1e6), "max_grad_norm": (0.0, 1e6), "target_kl": (0.0, 1e6),
-}  # fmt: skip
+}
 OF_A_RUN = {  # not of its algorithm
     "steps": (1, 10**12), "checkpoint_every": (1, 10**12), "evaluate_every": (1, 10**12),
     "envs": (1, 100_000), "seed": (0, 2**31 - 1),
-}  # fmt: skip
+}
 FLAGS = ("normalize", "normalize_advantage", "use_sde")
 OWN = {  # what a run says of itself
     "seed": "give --seed", "env": "give the id of the environment", "policy": "it is MlpPolicy",
     "device": "a run is on the processor", "tensorboard_log": "the files are in --out",
-}  # fmt: skip
+}
 
 
 def counted(given: Mapping[str, int | None]) -> None:

@@ -30,7 +30,7 @@ from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
 def make(
     env_id: str, num_envs: int = 1, *, residual: str | None = None,
     bounds: Sequence[float] | None = None, device: str | None = None, **arguments: Any,
-) -> "ServoVecEnv":  # fmt: skip
+) -> "ServoVecEnv":
     """Environments for SB3.
 
     Args:

@@ -83,7 +83,7 @@ class Run:
             made = sb3.make(
                 self.env_id, envs, drive=self.drive, residual=self.residual, bounds=self.bounds,
                 device=device, **self.arguments,
-            )  # fmt: skip
+            )
             made.independent = streams == INDEPENDENT
             return VecMonitor(made)
         except TypeError as error:
@@ -123,7 +123,7 @@ def _started(training: Training, folder: Path) -> Run:
     own: dict[str, Any] = {
         "arguments": about["arguments"] | given.get("arguments", {}), "start": about,
         "envs": chosen.pop("n_envs"), "hyperparameters": chosen,
-    }  # fmt: skip
+    }
     return Run(**DEFAULTS | then | given | own)
 
 
@@ -278,7 +278,7 @@ def _imitate(run: Run, model: Any, evaluation: EvaluationCallback, training: Tra
 def _learn(
     run: Run, model: Any, evaluation: EvaluationCallback, training: Training, console: Console,
     progress: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Learn by rewards; Ctrl-C leaves a checkpoint."""
     out, every = training.folder, training.checkpoint_every
     callbacks: list[Any] = [evaluation, checkpoint.Checkpoints(asdict(run), out, every)]
@@ -288,7 +288,7 @@ def _learn(
         model.learn(
             training.steps - model.num_timesteps, callbacks,
             reset_num_timesteps=not training.resume,
-        )  # fmt: skip
+        )
     except BaseException as error:
         if bar and hasattr(bar, "pbar"):  # or it may wait at the end, for ever
             bar.pbar.close()

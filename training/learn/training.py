@@ -13,7 +13,7 @@ from . import hyperparameters
 
 # what a run that goes on has to have as well, where it is given
 SAME = ("drive", "algorithm", "seed", "envs", "arguments", "residual", "bounds", "demonstrate",
-        "device")  # fmt: skip
+        "device")
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class Demo:
         for column in (
             "time\n(ms)", "follow. err.\npeak (µm)", "\nrms (µm)", "torque\npeak (Nm)",
             "settling\n(ms)", "final\n(µm)",
-        ):  # fmt: skip
+        ):
             table.add_column(column, justify="right", no_wrap=True)
         for phase in self.phases:
             table.add_row(*_figures(phase, data, self.machine.cycle_time, self.drive))

@@ -21,7 +21,7 @@ from .scope import DEMAND, FORBIDDEN, show_both
 
 COLOURS = (  # of the policies, in turn; red is for windows and limits
     "#1f5fa8", "#e08214", "#2e8b57", "#8e44ad", "#16a2b8", "#d65db1", "#8a6d3b", "#9aa51b",
-)  # fmt: skip
+)
 STYLES = ("-", (0, (4, 1, 1, 1)))  # the first time a colour is used, and the second
 SHADES = 16  # of each colour towards white, in the picture
 DASHED = (0, (5, 2))

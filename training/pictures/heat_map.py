@@ -39,7 +39,7 @@ def draw(
     path: Path, title: str, rows: Sequence[object], columns: Sequence[str],
     panels: Mapping[str, np.ndarray], failures: np.ndarray | Mapping[str, np.ndarray],
     why: Callable[[str, int, int], str] | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Draw.
 
     Args:
@@ -63,7 +63,7 @@ def draw(
     figure, places = plt.subplots(
         1, len(panels), figsize=(1.0 + width * len(panels), 2.2 + 0.27 * len(rows)),
         sharey=True, layout="constrained", squeeze=False,
-    )  # fmt: skip
+    )
     for panel, (name, values) in zip(places[0], panels.items(), strict=True):
         positive = values[np.isfinite(values) & (values > 0)]
         low, high = (positive.min(), positive.max()) if len(positive) else (0.1, 1.0)
@@ -76,7 +76,7 @@ def draw(
             panel.text(
                 k, i, number(float(values[i, k])), ha="center", va="center", fontsize=7,
                 color="white" if dark else "black",
-            )  # fmt: skip
+            )
             if framed[i, k]:
                 panel.add_patch(
                     plt.Rectangle(

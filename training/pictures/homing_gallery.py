@@ -103,7 +103,7 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
     figure, (panel, strip) = plt.subplots(
         2, 1, figsize=(8, 6.4), sharex=True, layout="constrained",
         gridspec_kw={"height_ratios": [4, 1.3]},
-    )  # fmt: skip
+    )
     for run, colour in zip(runs, COLOURS, strict=False):
         panel.plot(run.position * 1e3, run.time, color=colour, lw=1.5, label=run.start)
         panel.plot(run.position[0] * 1e3, run.time[0], "o", color=colour, ms=5)

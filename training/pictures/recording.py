@@ -64,4 +64,4 @@ class Recorder:
         return Recording(
             policy, self._channels, self._env.DONE, np.array(self._times), np.array(self._rows),
             done, ended,
-        )  # fmt: skip
+        )

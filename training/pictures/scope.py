@@ -80,7 +80,7 @@ def _position(panel: Axes, data) -> None:
         panel.annotate(
             "zero set ", (time[sample], new), (0, 3), textcoords="offset points",
             fontsize=7.5, ha="right",
-        )  # fmt: skip
+        )
     _pair(panel, time, demand, actual)
     _finish(panel, "position (mm)")
 
@@ -165,7 +165,7 @@ def _spans(panel: Axes, data) -> None:
         handles=[Patch(color=colour, label=name) for name, colour in key],
         loc="lower left", bbox_to_anchor=(EDGES["left"] - 0.006, 0.0),
         ncols=len(key), frameon=False, fontsize=8, handlelength=1.2,
-    )  # fmt: skip
+    )
 
 
 def _state(number: int) -> tuple[str, str]:
@@ -216,7 +216,7 @@ def _phases(panels, time, phases) -> None:
         text = panels[0].annotate(
             phase.name, (start, 1.0), (3, 4), xycoords=("data", "axes fraction"),
             textcoords="offset points", fontsize=9,
-        )  # fmt: skip
+        )
         box = text.get_window_extent()
         if box.x1 > panels[0].bbox.x1:  # the last name ends with the picture
             text.set(ha="right", position=(-3, 4))

@@ -75,4 +75,4 @@ def _states(axes: Axes, time: np.ndarray, words: np.ndarray) -> None:
     axes.figure.legend(
         handles=key, loc="outside lower center", ncols=min(max(len(key), 1), 5), frameon=False,
         fontsize=8,
-    )  # fmt: skip
+    )

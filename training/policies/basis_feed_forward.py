@@ -126,7 +126,7 @@ class Informed(AdaptiveFeedForward):
 
 def rehearsed(
     task: type[ServoEnv], episodes: int = EPISODES
-) -> tuple[np.ndarray, np.ndarray, int]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray, int]:
     """-> basis functions, corrections found, and the steps of all environments that it took.
 
     Each episode is rehearsed with the torque of the informed law, and its set-points are corrected

@@ -102,7 +102,7 @@ def _positioned(env: Any) -> dict[str, float]:
     asked = Question(
         aim["goal"], aim["window"], 1, _ticks(env, env.STEPS * env.step_time),
         _ticks(env, SWINGING if swings else TAIL), **limits,
-    )  # fmt: skip
+    )
     return {"settling_time": _least(partial(plant, env), asked, _delay(env))}
 
 
@@ -115,7 +115,7 @@ def _swayed(env: Any) -> dict[str, float]:
         asked = Question(
             float(episode._goal[d]), env.tolerance, every, every * env.STEPS,
             _ticks(env, PERIOD), resting=env.resting, **_set_points(env, d),
-        )  # fmt: skip
+        )
         seconds.append(_least(partial(plant, env, d=d, arm=arm), asked, _delay(env, d)))
     return {"settling_time": max(seconds)}
 
@@ -136,7 +136,7 @@ def _homed(env: Any) -> dict[str, float]:
     asked = Question(
         float(episode._home), env.tolerance, 1, _ticks(env, env.STEPS * env.step_time), 1,
         speed=OVER * float(episode._max_velocity), ahead=env.tolerance,
-    )  # fmt: skip
+    )
     seconds = _least(partial(plant, env), asked, _delay(env))
     return {"settling_time": max(seconds - env.step_time, 0.0)}
 

@@ -264,7 +264,7 @@ def _joint(env: ServoEnv, d: int, half: float) -> Axis:
         force=unknown, offset=0.0, stroke=half, speed=profile.velocity,
         fastest=_object(drive, "max_profile_velocity") / METRE, profile=profile,
         vibration=None, lag=_lag(env, d), sensor=None,
-    )  # fmt: skip
+    )
 
 
 def _spring(p: LinearAxisParameters) -> Vibration | None:

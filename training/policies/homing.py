@@ -15,7 +15,7 @@ LEGS = {
         (0.6, HOME, True), (-0.2, HOME, False), (0.1, HOME, True), (-0.01, HOME, False),
     ),
     "negative_limit_switch": ((-0.4, NEGATIVE, True), (0.01, NEGATIVE, False)),
-}  # fmt: skip
+}
 # To the same places, whichever side the start is on: to the home switch negative first, because the
 # way beyond it is shorter there.
 FASTEST = {"home_switch": 30, "negative_limit_switch": 17, "stop": -17}

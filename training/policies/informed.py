@@ -113,7 +113,7 @@ class KnownHome:
         return known.action(
             velocity=0.0 if there else min(max(velocity, -1.0), 1.0),
             torque_limit=1.0, reference=1.0 if there else -1.0,
-        )  # fmt: skip
+        )
 
 
 def known_outage(env: ServoEnv, seed: int) -> Script:

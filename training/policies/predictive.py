@@ -55,7 +55,7 @@ class Predicted(Regulated):
             sparse.csc_matrix(np.triu(self._scale * hessian)), np.zeros(HORIZON),
             sparse.csc_matrix(np.vstack([np.eye(HORIZON), sums])),
             np.tile(-self._most, 2), np.tile(self._most, 2),
-        )  # fmt: skip
+        )
         self._new = osqp.OSQP
 
     def reset(self, seen: Any) -> None:
@@ -66,7 +66,7 @@ class Predicted(Regulated):
         self._solver.setup(
             *self._program, verbose=False, eps_abs=1e-7, eps_rel=1e-6, max_iter=2000,
             check_termination=10, adaptive_rho_interval=100,
-        )  # fmt: skip
+        )
 
     def act(self, seen: Any) -> float:
         """Velocity of the set-point (m/s)."""

@@ -164,7 +164,7 @@ class Profile:
     def __init__(
         self, datasheet: Datasheet, bounds: Callable[[Axis], Bounds], shapers: int = 0,
         shape: Callable[[Path, float, float], Path] = shaped,
-    ):  # fmt: skip
+    ):
         self._shape = shape
         self._known = datasheet
         self._plans = [

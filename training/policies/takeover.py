@@ -84,7 +84,7 @@ class TakeOver:
     def __init__(
         self, machine: Machine, policy: str, goal: float, fitting: Fitting | None = None,
         cycle: Callable[[], None] | None = None, late: Late = lambda: 0.0,
-    ):  # fmt: skip
+    ):
         fits = fitting or LINEAR
         given, arguments, options = _asked(fits, machine, fits.goal.si(goal))
         self.name, self.machine = policy, machine
@@ -182,7 +182,7 @@ def _asked(
 def compare(
     machine: Machine, policies: list[str], goal: float, fitting: Fitting | None = None,
     time: float = TIME,
-) -> list[Course]:  # fmt: skip
+) -> list[Course]:
     """Let policies do the same on copies of a machine; it stays as it is."""
     fitting, courses = fitting or LINEAR, []
     for name in policies:
@@ -240,7 +240,7 @@ class Laboratory:
         return TakeOver(
             session.machine, name, goal, self._allowed(axis, name), session.cycle,
             lambda: session.delay,
-        )  # fmt: skip
+        )
 
     def prepare(self, machine: Machine, axis: str, name: str, goal: float) -> None:
         """What takes long when a policy is made for the first time; on a copy of the machine."""

@@ -37,7 +37,7 @@ TUNINGS = {
         basis_feed_forward.fit, basis_feed_forward.EPISODES,
         "basis functions of 9 sets on 16 of them, outer loop of 3 gains on 20 of seed 11",
     ),
-}  # fmt: skip
+}
 
 
 def run(

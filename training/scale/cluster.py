@@ -41,7 +41,7 @@ def cluster(
                 stamp(), 1, job.sent()
             ): (job, f"node {node['NodeManagerHostname']}")
             for node in nodes for job in warm
-        }  # fmt: skip
+        }
         for reference, (job, node) in first.items():
             result(_answer(ray, reference, job.name, node), node)
         numbers = {task.remote(stamp(), 1, payload): i for i, payload in enumerate(payloads)}
@@ -69,7 +69,7 @@ def _connected(address: str, cores: int | None) -> Iterator[Any]:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
-        import ray.util.scheduling_strategies
+        import ray.util.scheduling_strategies  # noqa: F401  (used as an attribute of ray.util)
     except ImportError as error:
         raise ImportError(f"{error}: --ray needs pip install 'servogym[ray]'") from None
     if ray.is_initialized():

@@ -42,7 +42,7 @@ class Work:
     def map(
         self, jobs: Sequence[Job], *, folder: Path | None = None, console: Console | None = None,
         warm: Sequence[Job] = (), then: Callable[[int, Result], None] | None = None,
-    ) -> list[Result]:  # fmt: skip
+    ) -> list[Result]:
         """Results of all, in the order of the jobs.
 
         Args:
@@ -64,7 +64,7 @@ class Work:
         columns = (
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
             TimeRemainingColumn(elapsed_when_finished=True),
-        )  # fmt: skip
+        )
         shown = Progress(*columns, console=console, transient=True, disable=not missing)
         try:
             with shown, self._beside(then) as tell:
@@ -84,7 +84,7 @@ class Work:
                 console.print(
                     f"{done} of {len(jobs)} jobs are kept in {kept.folder}: the same command with "
                     "--resume goes on", highlight=False,
-                )  # fmt: skip
+                )
             raise
         return [result for result in found if result is not None]
 
@@ -128,7 +128,7 @@ class Work:
                 console.print(
                     f"note: {self.workers} workers on {cores()} cores take turns; no faster than "
                     f"--workers {cores()}", highlight=False,
-                )  # fmt: skip
+                )
             return processes(jobs, self.workers, warm)
         return ((i, encoded(job())) for i, job in enumerate(jobs))
 

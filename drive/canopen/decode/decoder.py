@@ -65,7 +65,7 @@ class Decoder:
 
     def _service(self, frame: Frame) -> str | None:
         found = [(service, node) for node in self._by_id.get(frame.id, ())
-                 for service in node.services[frame.id]]  # fmt: skip
+                 for service in node.services[frame.id]]
         if not found:
             return None
         # a PDO that is not valid, or a node never heard, gives way to one that is

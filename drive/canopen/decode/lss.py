@@ -7,7 +7,7 @@ from ..frame import Frame
 REQUEST, RESPONSE = 0x7E5, 0x7E4
 ADDRESS = {64: "vendor_id", 65: "product_code", 66: "revision_number", 67: "serial_number"}
 IDENTIFY = {70: "vendor_id", 71: "product_code", 72: "revision_low", 73: "revision_high",
-            74: "serial_low", 75: "serial_high"}  # fmt: skip
+            74: "serial_low", 75: "serial_high"}
 INQUIRE = {90: "vendor_id", 91: "product_code", 92: "revision_number", 93: "serial_number"}
 RESULT = ("<BB", ("error", "specific"))
 LSS = {  # command specifier -> name, and the fields behind it
@@ -47,5 +47,5 @@ def tell(frame: Frame) -> str | None:
     name, format_, fields = service
     values = struct.unpack_from(format_, frame.data, 1)
     pairs = (f"{k}={v:08X}h" if v > 0xFFFF else f"{k}={v}"
-             for k, v in zip(fields, values, strict=True))  # fmt: skip
+             for k, v in zip(fields, values, strict=True))
     return " ".join(["LSS", name, *pairs])

@@ -28,7 +28,7 @@ EMCY_CLASS = {
     0x7000: "additional modules", 0x8000: "monitoring", 0x8100: "communication",
     0x8200: "protocol error", 0x9000: "external error", 0xF000: "additional functions",
     0xFF00: "device specific",
-}  # fmt: skip
+}
 EPOCH = datetime(1984, 1, 1)  # CiA 301, TIME_OF_DAY
 
 
@@ -39,7 +39,7 @@ class Known:
         self.rows = {(row.index, row.subindex): row for row in rows(model)}
         communication = (*range(0x1400, 0x1600), *range(0x1800, 0x1A00))
         self.pdos = [index for index, subindex in self.rows
-                     if subindex == 1 and index in communication]  # fmt: skip
+                     if subindex == 1 and index in communication]
         self.causes = {f.code: f.cause.name.lower() for f in reversed(model.faults)}
 
 

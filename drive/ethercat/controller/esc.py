@@ -58,10 +58,10 @@ def _logical(esc, address, frame, at, n, sent, reads, writes, now, unit, entranc
         if whole:
             count = (high - low) // 8
             if reads and kind & 1 and read(esc, physical // 8, frame, at + place, count, False,
-                                           now, unit):  # fmt: skip
+                                           now, unit):
                 was_read = True
             if writes and kind & 2 and write(esc, physical // 8, sent, place, count,
-                                             now, unit, entrance):  # fmt: skip
+                                             now, unit, entrance):
                 was_written = True
         else:
             for bit in range(high - low):
@@ -69,7 +69,7 @@ def _logical(esc, address, frame, at, n, sent, reads, writes, now, unit, entranc
                 there = physical + bit
                 mask = 1 << here % 8
                 if reads and kind & 1 and read(esc, there // 8, esc.scratch, 0, 1, False,
-                                               now, unit):  # fmt: skip
+                                               now, unit):
                     was_read = True
                     frame[at + here // 8] &= 0xFF ^ mask
                     if esc.scratch[0] >> there % 8 & 1:

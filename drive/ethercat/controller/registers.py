@@ -207,7 +207,7 @@ REGISTERS_TABLE = (
              "distributed clocks, latch"),
     Register(0x0E00, 8, "product id", 0, 0, E.NONE, "ESC specific"),
     Register(0x0F80, 128, "user RAM", 0, ALL, E.NONE, "ESC specific"),
-)  # fmt: skip
+)
 
 
 def _columns() -> tuple[np.ndarray, ...]:

@@ -54,7 +54,7 @@ def shown(axis: Axis, n, number, kind, new, low, high):
         int(axis.kept_raw[n]), axis.kept_unit[n] / units[kind],
         int(axis.kept_numerator[n]), int(axis.kept_denominator[n]),
         int(numerators[kind]), int(denominators[kind]),
-    )  # fmt: skip
+    )
     shown = min(max(shown, low), high)
     axis.kept_shown[n] = shown
     return shown

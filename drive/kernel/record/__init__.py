@@ -52,7 +52,7 @@ __all__ = [
     "KINDS", "MAKER_LEGS", "MAKER_METHODS", "OBJECTS", "OD", "OWN", "OWN_STORED", "PLACES",
     "RAD_S_PER_MINUTE", "SEGMENTS", "SET_POINTS", "SIZES", "STORED", "UNITS", "VENDOR_BYTES",
     "Axis", "Kind", "Objects", "Quantity", "accessible", "make",
-]  # fmt: skip
+]
 
 Axis = Objects = np.record  # types of a record and of its `od`: see __init__.pyi
 

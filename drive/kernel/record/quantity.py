@@ -109,4 +109,4 @@ SI_UNITS = {
     "1/min": "rad/s", "1/1000 1/min": "rad/s", "1e-9 kg·m²": "kg·m²", "rated torque/1000": "Nm",
     "rated torque/1000 per s": "Nm/s", "µNm·s/rad": "Nm·s/rad",
     "position gain unit": "1/s", "velocity gain unit": "Nm·s/rad",
-}  # fmt: skip
+}

@@ -255,5 +255,5 @@ _ROWS: tuple[tuple, ...] = (
     ("digital_outputs", ("<u4", (2,)), "", "60FEh, physical outputs and bit mask"),
     ("target_velocity", "<i4", "velocity unit", "60FFh", "target_velocity"),
     ("vendor", ("u1", (VENDOR_BYTES,)), "", "objects of the model without kernel behaviour"),
-)  # fmt: skip
+)
 OBJECTS = tuple(Quantity(*row) for row in _ROWS)

@@ -27,7 +27,7 @@ SOURCE, INTERNAL, LINE = 412, 480, 282
 NO_NODE_ID = 255  # of CiA 305
 SOURCES = dict.fromkeys(range(45), Source.NOTHING) | {  # the factory's 44 too (9)
     0: Source.CONTACTS, 1: Source.CONTROLWORD_AND_CONTACTS, 2: Source.REMOTE_CONTACTS
-}  # fmt: skip
+}
 # parameter -> fields of the record, value there by value of the parameter
 CHOICES: dict[int, tuple[tuple[str, ...], Mapping[int, int]]] = {
     392: (  # transition 5: coast, DC brake, ramp, as option codes of 605Bh and 605Ch

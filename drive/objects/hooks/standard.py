@@ -13,7 +13,7 @@ from .hook import Hook
 # objects that make a position unit, and their fields: a drive need not have all of them
 FRACTION = {
     0x608F: "position_encoder_resolution", 0x6091: "gear_ratio", 0x6092: "feed_constant",
-}  # fmt: skip
+}
 SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 
 

@@ -24,7 +24,7 @@ ALONG = {"nameLocation": "middle", "nameGap": 30}
 LEGEND = {
     "top": 0, "itemWidth": 32, "itemStyle": {"opacity": 0},
     "textStyle": {"color": QUIET, "fontSize": 15},
-}  # fmt: skip
+}
 COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
 MOST = 800  # points of a line
 SMALL = {"m": ("µm", 1e6), "rad": ("mrad", 1e3)}
@@ -50,12 +50,12 @@ def bode_chart(responses: Sequence[Response]) -> dict[str, Any]:
                 series.append(
                     _line(f"{name}, before" if old else name, response.frequencies[there],
                           values[there], colour, grid, dashed=old)
-                )  # fmt: skip
+                )
     frequency = AXIS | {"type": "log", "min": 2, "minorSplitLine": {"show": False}}
     return _two(
         frequency, "frequency (Hz)", AXIS | {"type": "value", "name": "magnitude (dB)"},
         AXIS | {"type": "value", "name": "phase (°)", "interval": 90} | _turns(series), series,
-    )  # fmt: skip
+    )
 
 
 def step_chart(before: Trial, after: Trial) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def move_chart(before: Trial, after: Trial, unit: str) -> dict[str, Any]:
     return _two(
         value, "time (s)", value | {"name": f"following error ({small})"},
         value | {"name": "torque (Nm)"}, series,
-    )  # fmt: skip
+    )
 
 
 def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
     return _two(
         value, "time (s)", value | {"name": shown, "scale": True},
         value | {"name": "torque (% rated)"}, series,
-    )  # fmt: skip
+    )
 
 
 def _turns(series: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -108,7 +108,7 @@ def _line(
         "name": name, "type": "line", "symbol": "none", "data": points, "xAxisIndex": grid,
         "yAxisIndex": grid, "color": colour, "animation": False,
         "lineStyle": {"width": 1.5 if dashed else 2, "type": "dashed" if dashed else "solid"},
-    }  # fmt: skip
+    }
 
 
 def _one(name: str, along: str, series: list[dict[str, Any]]) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _one(name: str, along: str, series: list[dict[str, Any]]) -> dict[str, Any]:
 def _two(
     x: dict[str, Any], along: str, upper: dict[str, Any], lower: dict[str, Any],
     series: list[dict[str, Any]],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     left = {"nameTextStyle": LEFT}
     return {
         "textStyle": FONT,
@@ -141,4 +141,4 @@ def _two(
         ],
         "yAxis": [upper | left | {"gridIndex": 0}, lower | left | {"gridIndex": 1}],
         "series": series,
-    }  # fmt: skip
+    }

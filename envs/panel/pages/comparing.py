@@ -29,7 +29,7 @@ class CompareCard:
             self.table = ui.table(
                 columns=[{"name": n, "label": n, "field": n, "align": "left"} for n in COLUMNS],
                 rows=[], row_key="object", pagination=0,
-            )  # fmt: skip
+            )
             self.table.props("dense flat wrap-cells hide-bottom data-test=differences")
             self.table.set_visibility(False)
 
@@ -62,10 +62,10 @@ class CompareCard:
         wanted: dict[Object, float] = {
             each.row: value for each in self.found
             if (value := getattr(each, source)) is not None and value != each.node
-        }  # fmt: skip
+        }
         if not wanted:
             refuse(f"nothing differs from the {source}" if source == FACTORY or self.file
-                   else "load a file first")  # fmt: skip
+                   else "load a file first")
             return
         with ui.dialog() as dialog, ui.card():
             ui.label(f"Write {len(wanted)} values of the {source} to the drive?")
@@ -88,4 +88,4 @@ def _row(each: Difference) -> dict[str, str]:
     return {
         "object": each.address, "name": each.row.name.replace("_", " "), "drive": told(each.node),
         FACTORY: told(each.factory), FILE: told(each.file),
-    }  # fmt: skip
+    }

@@ -14,7 +14,7 @@ from .widgets import Entry, Tag, button, card
 CAUSES = (  # offered first, where a model has them
     "encoder_loss", "overvoltage", "undervoltage", "following_error", "motor_temperature",
     "drive_temperature", "i2t", "short_circuit", "index_missing", "external",
-)  # fmt: skip
+)
 MOST = 4  # policies side by side
 LONGEST = 400  # characters of what is wrong with a policy
 
@@ -50,7 +50,7 @@ class ExperimentsPage:
                 self.other = ui.select(
                     [cause for cause in known if cause not in first], label="Another cause",
                     with_input=True,
-                ).props("dense outlined").classes("entry grow")  # fmt: skip
+                ).props("dense outlined").classes("entry grow")
                 button("Inject", lambda: self._inject(str(self.other.value or "")))
                 button("Take all away", self._clear, "clear-injected", "main")
             self.injected = ui.label("").classes("prose quiet").props("data-test=injected")
@@ -66,7 +66,7 @@ class ExperimentsPage:
                     ui.label(f"{row.name}, {unit}")
                     value = ui.label("").classes("parameter-value")
                     entry = Entry("", "", 0.0, row.most, test=f"disturb-{row.name.split()[0]}",
-                                  spoken=f"{row.name}, {unit}")  # fmt: skip
+                                  spoken=f"{row.name}, {unit}")
                     entry.unit = unit
                     entry.send_to(self._sender(row, entry))
                 self.rows.append((row, value, place))
@@ -88,7 +88,7 @@ class ExperimentsPage:
                     "Name", value="A", validation={"give it a name": lambda t: bool(t.strip())}
                 ).props(
                     "dense outlined hide-bottom-space maxlength=24 data-test=snapshot-name"
-                ).classes("entry grow")  # fmt: skip
+                ).classes("entry grow")
                 button("Keep", self._keep, "keep", "main")
             self.kept = ui.element("div").classes("cluster")
             self._names: list[str] | None = None
@@ -108,9 +108,9 @@ class ExperimentsPage:
             with ui.element("div").classes("cluster"):
                 self.policy = ui.input(
                     "Policy", value=fitting.names[0], autocomplete=list(fitting.names)
-                ).props("dense outlined data-test=policy").classes("entry grow")  # fmt: skip
+                ).props("dense outlined data-test=policy").classes("entry grow")
                 self.goal = Entry(goal.name, goal.unit, goal.low, goal.high, goal.value,
-                                  test="goal")  # fmt: skip
+                                  test="goal")
                 self.take = button("Hand over", self._hand_over, "hand-over", "main")
             ui.label(
                 f"{fitting.what} {', '.join(fitting.names)}"
@@ -129,7 +129,7 @@ class ExperimentsPage:
                     offered, multiple=True, value=chosen if len(chosen) > 1 else offered[:2],
                     label="Policies, on copies of this machine, to the same goal",
                     new_value_mode="add-unique",
-                ).props("dense outlined use-chips").classes("entry grow")  # fmt: skip
+                ).props("dense outlined use-chips").classes("entry grow")
                 self.compare = button("Compare", self._compare, "run-compare", "main")
             self.chart = ui.echart(course_chart([], fitting.shown)).classes("chart")
             self.chart.set_visibility(False)

@@ -19,7 +19,7 @@ def homing_svg(method: int, own: Mapping[int, Method] | None = None) -> str:
     indexed = method < 17 or method in (33, 34)
     tall = switches + 58 + 26 * indexed
     parts = [f'<svg viewBox="0 0 440 {tall}" class="homing" role="img" '
-             f'aria-label="Paths of homing method {method}">']  # fmt: skip
+             f'aria-label="Paths of homing method {method}">']
     parts += [_line(LEFT, 20, LEFT + WIDTH, 20, "rail")]
     for end in (0.0, 1.0):
         parts.append(f'<rect x="{_x(end) - 3}" y="10" width="6" height="20" class="stop"/>')

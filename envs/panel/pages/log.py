@@ -28,7 +28,7 @@ class LogPage:
             self.table = ui.table(
                 columns=[{"name": n, "label": n, "field": n, "align": "left"} for n in COLUMNS],
                 rows=[], row_key="number", pagination=0,
-            )  # fmt: skip
+            )
             self.table.props("dense flat wrap-cells hide-bottom data-test=events").classes("events")
             ui.label(
                 f"The newest above, {SHOWN} of them; the file has all. Times are seconds of the "
@@ -52,4 +52,4 @@ class LogPage:
 
 def _row(event: Event) -> dict[str, str | int]:
     return {"number": event.number, "time": f"{event.time:.3f} s", "kind": event.kind,
-            "by": event.who, "event": event.text, "remedy": event.remedy}  # fmt: skip
+            "by": event.who, "event": event.text, "remedy": event.remedy}

@@ -128,7 +128,7 @@ class LoopsPage:
         self.verdict.set_text(
             "The margins are reached." if tuned.reached
             else f"The margins are not reached: {tuned.reason}"
-        )  # fmt: skip
+        )
         before = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
         self.gains.clear()
         with self.gains:
@@ -165,7 +165,7 @@ class LoopsPage:
         self.verdict.set_text(
             "The drive has the gains; 1010h stores them." if taken
             else "The drive has the gains it had before."
-        )  # fmt: skip
+        )
         self._buttons()
 
     def _discard(self) -> None:
@@ -197,7 +197,7 @@ class LoopsPage:
             for number, response in enumerate(responses):
                 when = ("", " before")[number == 0] if len(responses) > 1 else ""
                 for name, margins in (("velocity", response.velocity_margins),
-                                      ("position", response.position_margins)):  # fmt: skip
+                                      ("position", response.position_margins)):
                     self._margin_row(f"{name}{when}", margins)
             if tuned is not None:
                 for text in ("greatest following error", "before", "after"):

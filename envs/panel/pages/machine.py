@@ -16,7 +16,7 @@ THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 LEGEND = (
     ("target", "--accent"), ("home switch", "--good"), ("limit switches", "--bad"),
     ("software limits 607Dh", "--warn"),
-)  # fmt: skip
+)
 
 
 class Scene(Element, component=STATIC / "scene.js", esm={"nicegui-scene": str(THREE)}):

@@ -31,7 +31,7 @@ PARAMETERS = {
         "position_control_gain", "velocity_control_gain", "velocity_control_time",
         "velocity_filter_time", "velocity_feed_forward", "acceleration_feed_forward",
     ),
-}  # fmt: skip
+}
 FASTEST = ("max_profile_velocity", "profile_velocity")  # not every model has the first
 
 
@@ -97,7 +97,7 @@ class MotionPage:
             self._jog_speed = 0.0
             with ui.element("div").classes("cluster jog-row"):
                 for sign, text, name in ((-1, "◀  negative", "jog-negative"),
-                                         (1, "positive  ▶", "jog-positive")):  # fmt: skip
+                                         (1, "positive  ▶", "jog-positive")):
                     made = button(text, lambda: None, name, "jog")
                     made.on("pointerdown", lambda _, sign=sign: self.run(sign))
                     for event in ("pointerup", "pointerleave", "pointercancel"):
@@ -234,7 +234,7 @@ class MotionPage:
         self.homed.set_text(
             "A bus does not tell whether the axis is referenced." if seen["homed"] is None
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."
-        )  # fmt: skip
+        )
         known = seen["mode"] in self.mode.options
         if not self._changing and known and self.mode.value != seen["mode"]:
             self.mode.set_value(seen["mode"])
@@ -277,7 +277,7 @@ class _Parameter:
             self.entry = Entry(
                 "", "", row.minimum, row.maximum, send=self._send, whole=row.format != "f",
                 test=f"set-{row.name}", spoken=f"{row.name.replace('_', ' ')} {self.address}",
-            )  # fmt: skip
+            )
 
     async def _send(self, value: float) -> str:
         axis, name = self.desk.axis, self.name
@@ -303,7 +303,7 @@ class _Stroke:
         bench, axis = desk.bench, desk.axis
         named = {row.name for row in bench.rows(axis)}
         names = [f"{end}_position_{limit}" for limit in ("limit", "range_limit")
-                 for end in ("min", "max")]  # fmt: skip
+                 for end in ("min", "max")]
         scale = bench.units(axis).position * bench.unit(axis)[1]
 
         def ends() -> tuple[float, ...]:

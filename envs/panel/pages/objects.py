@@ -11,7 +11,7 @@ EVERY = 12  # pictures between two readings of all values
 COLUMNS = (
     ("address", "Object", "left"), ("name", "Name", "left"), ("value", "Value", "right"),
     ("unit", "Unit", "left"), ("range", "Range", "left"), ("access", "Access", "left"),
-)  # fmt: skip
+)
 
 
 def _range(row: Object) -> str:
@@ -54,7 +54,7 @@ class ObjectsPage:
                 ).classes("objects").props(
                     'virtual-scroll dense flat hide-bottom data-test=objects '
                     'virtual-scroll-sticky-size-start=32'
-                )  # fmt: skip
+                )
                 self.table.on("rowClick", self._choose, [[], ["address"], []])
             with ui.element("div").classes("stack"):
                 with card("Object", "object-card"):
@@ -95,7 +95,7 @@ class ObjectsPage:
                         "range": _range(row), "access": row.access,
                         "value": self._values.get(address, ""),
                     }
-                )  # fmt: skip
+                )
         self.table.rows = rows
         self.found.set_text(f"{len(rows)} of {len(self.rows)}")
         self._count = 0
@@ -113,7 +113,7 @@ class ObjectsPage:
         self.head.set_text(f"{self.chosen} {row.name.replace('_', ' ')}")
         default = f"default {row.default}" if row.format else ""
         parts = (row.data_type, row.access, row.unit, _range(row), default,
-                 "stored by 1010h" if row.storable else "", row.section, row.note)  # fmt: skip
+                 "stored by 1010h" if row.storable else "", row.section, row.note)
         self.about.set_text(" · ".join(part for part in parts if part))
         writable = row.access not in ("ro", "const") and bool(row.format)
         self.entry.low, self.entry.high = row.minimum, row.maximum

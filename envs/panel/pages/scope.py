@@ -21,7 +21,7 @@ COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a", "#8b6fd6", "#12a5a5", "#b
 EDGES = {
     int(Edge.RISING): "rising", int(Edge.FALLING): "falling", int(Edge.ABOVE): "above",
     int(Edge.CHANGE): "any change",
-}  # fmt: skip
+}
 RUNS = {int(Run.ROLL): "Roll", int(Run.NORMAL): "Normal", int(Run.SINGLE): "Single"}
 
 
@@ -84,7 +84,7 @@ class ScopePage:
                         offered, multiple=True, value=list(scope.channels),
                         label="Objects, or fields of the record" if bench.fields() else "Objects",
                         with_input=True, on_change=self._choose,
-                    )  # fmt: skip
+                    )
                     self.chosen.props("dense outlined use-chips data-test=channels").classes(
                         "entry wide"
                     )
@@ -95,20 +95,20 @@ class ScopePage:
                     self.channel = ui.select(
                         offered, label="Channel", with_input=True, on_change=self._trigger,
                         value=trigger.channel if trigger else scope.channels[0],
-                    )  # fmt: skip
+                    )
                     self.channel.props("dense outlined data-test=trigger-channel")
                     self.channel.classes("entry wide")
                     with ui.element("div").classes("cluster"):
                         self.edge = ui.select(
                             EDGES, label="Edge", value=int(trigger.edge if trigger else 0),
                             on_change=self._trigger,
-                        )  # fmt: skip
+                        )
                         self.edge.props("dense outlined data-test=trigger-edge")
                         self.edge.classes("entry grow")
                         self.level = Entry(
                             "Level", "", -1e12, 1e12, trigger.level if trigger else 0,
                             self._level, test="trigger-level",
-                        )  # fmt: skip
+                        )
                     button("Arm", self._trigger, "arm", "main")
                 with card("Set-up"), ui.element("div").classes("cluster"):
                     button("Save …", self._save, "save-set-up")
@@ -116,9 +116,9 @@ class ScopePage:
                 with card("Time"), ui.element("div").classes("cluster"):
                     longest = scope.depth * scope.period
                     self.span = Entry("Window", "s", 10 * scope.period, longest, scope.span,
-                                      self._window, test="window")  # fmt: skip
+                                      self._window, test="window")
                     self.before = Entry("Pre-trigger", "%", 0, 95, scope.before * 100,
-                                        self._window, test="pre-trigger")  # fmt: skip
+                                        self._window, test="pre-trigger")
                 self.about = ui.label("").classes("prose quiet")
         rate = f"{1 / scope.period:g}"
         self.about.set_text(
@@ -246,7 +246,7 @@ class ScopePage:
             ahead = scope.before if scope.trigger else 1.0
             info: dict[str, Any] = {
                 "from": -ahead * scope.span, "to": (1 - ahead) * scope.span, "trigger": None
-            }  # fmt: skip
+            }
             if scope.trigger:
                 trigger = scope.trigger
                 level = trigger.level * self._shown(trigger.channel)[0]

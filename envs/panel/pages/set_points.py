@@ -18,7 +18,7 @@ class SetPointCard:
         bench, axis = desk.bench, desk.axis
         name, scale = bench.unit(axis)
         self._units = {"position": (name, scale), "velocity": (f"{name}/s", scale),
-                       "torque": ("% rated", 1.0)}  # fmt: skip
+                       "torque": ("% rated", 1.0)}
         known = [kind for kind, row in KINDS.items() if {*row.modes} & {*bench.model(axis).modes}]
         with card("Set-points", "set-points"):
             if not known:

@@ -50,7 +50,7 @@ GONE = 2.0  # s, while an axis is jogged
 PAGES: Sequence[type[Any]] = (
     StatePage, MotionPage, ScopePage, MachinePage, LoopsPage, ExperimentsPage, ObjectsPage,
     LessonPage, LogPage,
-)  # fmt: skip
+)
 
 
 class Shell:
@@ -69,7 +69,7 @@ class Shell:
     def __init__(
         self, clock: Clock, tab: str, kept: dict[str, Any], pictures: float,
         pages: Sequence[type[Any]], place: Place | None = None, watches: bool = False,
-    ):  # fmt: skip
+    ):
         self.clock, self.kept, self.place, self.watches = clock, kept, place, watches
         self.desk = Desk(clock, tab)
         axis = kept.get("axis")
@@ -109,7 +109,7 @@ class Shell:
                 ui.toggle(
                     list(session.axes), value=self.desk.axis,
                     on_change=lambda event: self._axis(event.value),
-                ).props(f"{TOGGLE} dense data-test=axis")  # fmt: skip
+                ).props(f"{TOGGLE} dense data-test=axis")
             self.state = ui.label("").classes("state-chip").props("data-test=state")
             self.mode = ui.label("").classes("chip").props("data-test=mode-shown")
             self.position = Readout("Position", test="header-position")
@@ -124,7 +124,7 @@ class Shell:
                 self.speed = ui.select(
                     {speed: f"{speed:g}×" for speed in SPEEDS}, value=self.clock.speed,
                     on_change=self._speed,
-                )  # fmt: skip
+                )
                 self.speed.props("dense outlined options-dense data-test=speed aria-label=Speed")
                 self.speed.classes("speed")
                 if why := session.absent.get("time"):
@@ -213,7 +213,7 @@ class Shell:
         if self.desk.in_control:
             return True
         ui.notify("another window has control: press Take control first", type="warning",
-                  position="bottom-left")  # fmt: skip
+                  position="bottom-left")
         return False
 
     async def _seat(self, shown: str) -> None:
@@ -269,7 +269,7 @@ class Shell:
         name = state.name.replace("_", " ").lower() if state is not None else "state not known"
         self.state.set_text(name if seen.get("answers", True) else "no answer")
         kind = {State.OPERATION_ENABLED: "good", State.FAULT: "bad",
-                State.FAULT_REACTION_ACTIVE: "bad", None: "calm"}.get(state, "calm")  # fmt: skip
+                State.FAULT_REACTION_ACTIVE: "bad", None: "calm"}.get(state, "calm")
         kind = kind if seen.get("answers", True) else "bad"
         for name in ("good", "bad", "calm"):
             self.state.classes(**({"add": name} if name == kind else {"remove": name}))
@@ -284,7 +284,7 @@ class Shell:
         self.banner_text.set_text(
             "Another window has control; this one watches." if holder
             else "Nobody has control; this window watches."
-        )  # fmt: skip
+        )
         self.agent.set_visibility(bool(shown["agent"]))
         self.agent_text.set_text(f"{shown['agent']} has the machine.")
         lesson = shown["lesson"]
@@ -377,7 +377,7 @@ class _Absent:
 async def build(
     clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGES,
     place: Place | None = None, watches: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """The page of a tab that has just come; as `Shell`."""
     client = ui.context.client
     await client.connected()

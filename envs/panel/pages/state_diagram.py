@@ -46,7 +46,7 @@ class StateDiagram:
         self._rows = transitions()
         # one way to command each: of a number with several commands the first of the standard
         self._commands = {row.number: row for row in reversed(self._rows)
-                          if row.controlword is not None}  # fmt: skip
+                          if row.controlword is not None}
         self._boxes: dict[State, Tag] = {}
         self._arrows: dict[int, Tag] = {}
         with Tag(
@@ -57,7 +57,7 @@ class StateDiagram:
                     with Tag(
                         "marker", id=f"tip-{name}", viewBox="0 0 8 8", refX=7, refY=4,
                         markerWidth=7, markerHeight=7, orient="auto",
-                    ):  # fmt: skip
+                    ):
                         Tag("path", d="M0 0 L8 4 L0 8 z").classes(f"tip-{name}")
             Tag("text", "any state", x=308, y=14).classes("arrow-from")
             for number, (path, (x, y)) in ARROWS.items():
@@ -78,7 +78,7 @@ class StateDiagram:
                     Tag(
                         "text", state.name.replace("_", " ").capitalize(),
                         x=x + WIDTH / 2, y=y + HEIGHT / 2 + 5,
-                    )  # fmt: skip
+                    )
                 self._boxes[state] = box
         self._command = command
         self._state: State | None = None

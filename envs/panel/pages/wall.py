@@ -39,7 +39,7 @@ class PlaceCard:
                 look = Tag(
                     "a", "Look", href=f"place/{place.number}", target="_blank",
                     data_test=f"{name}-look", aria_label=f"Look at {place.name}",
-                )  # fmt: skip
+                )
                 look.classes("btn place-look")
                 button("Code", self._code, f"{name}-code").props(
                     f'aria-label="Own code of place {place.number}"'
@@ -54,7 +54,7 @@ class PlaceCard:
     def _code(self) -> None:
         """Not on the wall itself, which may be on a projector."""
         ui.notify(f"{self.place.name} comes in again with the own code {self.place.code}",
-                  position="bottom-left", timeout=8000, close_button="Close")  # fmt: skip
+                  position="bottom-left", timeout=8000, close_button="Close")
 
     async def _reset(self) -> None:
         if await sure(f"Give {self.place.name} the machine as it was at first?"):

@@ -236,7 +236,7 @@ def button(
 def file_button(text: str, load: Callable[..., Any], test: str) -> ui.button:
     """A button that asks for a file; `load` gets the upload. Quasar's own box is out of sight."""
     loader = ui.upload(auto_upload=True, max_file_size=1_000_000, on_upload=load,
-                       on_rejected=lambda: ui.notify(f"{text}: the file is too large"))  # fmt: skip
+                       on_rejected=lambda: ui.notify(f"{text}: the file is too large"))
     loader.props(f"data-test={test}").classes("out-of-sight")
     return button(text, lambda: loader.run_method("pickFiles"), f"{test}-pick")
 

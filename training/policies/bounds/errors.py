@@ -63,7 +63,7 @@ def least_squares(plant: Plant, reference: np.ndarray, every: int, age: float) -
     found = scipy().lsq_linear(  # type: ignore[attr-defined]
         1e3 * matrix, 1e3 * wanted, bounds=(np.concatenate(low), np.concatenate(high)),
         max_iter=200,
-    )  # fmt: skip
+    )
     weights = wanted - matrix @ found.x
     basis, _ = np.linalg.qr(states)
     for _ in range(2):

@@ -30,7 +30,7 @@ KEYS = {  # of `checkpoint.json`
     "residual": Key((str, NOTHING)), "bounds": Key((list, NOTHING)), "start": Key((dict, NOTHING)),
     "demonstrate": Key((str, NOTHING)), "device": Key((str, NOTHING)), "mean_reward": Key(float),
     "cpu_seconds": Key(float), "sha256": Key(str),
-}  # fmt: skip
+}
 
 
 def stable_baselines3() -> ModuleType:

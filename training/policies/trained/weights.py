@@ -209,4 +209,4 @@ def _write(folder: Path, network, shape: tuple[int, int], statistics) -> None:
     np.savez_compressed(
         folder / WEIGHTS, shape=np.array(shape), limits=np.array(limits), allow_pickle=False,
         **kept,
-    )  # fmt: skip
+    )

@@ -26,7 +26,7 @@ ACTIVATIONS = {"Tanh": TANH, "ReLU": RELU}
 TELLING = {  # a name of an array, and the algorithm whose policy has it
     "mlp_extractor.policy_net": "PPO", "action_net.": "PPO", "actor.latent_pi.": "SAC",
     "actor.mu.": "TD3",
-}  # fmt: skip
+}
 OWN = "play it as a class in a file, FILE.py:name, which is a program that you name yourself"
 
 
@@ -147,7 +147,7 @@ def _number(kind: np.dtype, data: bytes) -> Any:
 
 ARRAYS = {
     "_reconstruct": _empty, "dtype": np.dtype, "_frombuffer": _filled, "scalar": _number,
-}  # fmt: skip
+}
 
 
 class Numbers(pickle.Unpickler):
