@@ -196,3 +196,14 @@ def gl():
         mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
     except Exception as error:
         pytest.skip(f"no OpenGL here: {type(error).__name__}: {error}")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, for the tests of the panel."""
+    from browser import chromium, sync_api
+
+    with sync_api.sync_playwright() as playwright:
+        browser = chromium(playwright)
+        yield browser
+        browser.close()

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from browser import Server, at, chromium, expect, needs_chromium, open_page, sync_api, tab
+from browser import Server, at, expect, needs_chromium, open_page, tab
 from test_panel_classroom import WORD, come, teacher
 
 pytestmark = needs_chromium
@@ -35,11 +35,8 @@ def server():
 
 
 @pytest.fixture(scope="module")
-def page(server):
-    with sync_api.sync_playwright() as playwright:
-        browser = chromium(playwright)
-        yield tab(browser, server)
-        browser.close()
+def page(browser, server):
+    return tab(browser, server)
 
 
 @pytest.fixture(scope="module")

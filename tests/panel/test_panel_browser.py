@@ -14,7 +14,6 @@ from browser import (
     NONSENSE,
     Server,
     at,
-    chromium,
     expect,
     fields,
     move,
@@ -26,7 +25,6 @@ from browser import (
     ready,
     refused,
     shows,
-    sync_api,
     tab,
 )
 
@@ -38,14 +36,6 @@ def server():
     server = Server("--pictures", "4")
     yield server
     server.kill()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        browser = chromium(playwright)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

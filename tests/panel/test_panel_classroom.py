@@ -12,13 +12,11 @@ import pytest
 from browser import (
     Server,
     at,
-    chromium,
     expect,
     needs_chromium,
     open_page,
     picture,
     shows,
-    sync_api,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -346,22 +344,13 @@ def test_what_is_no_run_is_refused_in_words(text, tmp_path, capsys):
 # --------------------------------------------------------------------- in browsers
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("class")
-    server = Server("--pictures", "4", "--pupils", "3", "--code", WORD, "--results", str(folder),
+@pytest.fixture
+def server(tmp_path):
+    server = Server("--pictures", "4", "--pupils", "3", "--code", WORD, "--results", str(tmp_path),
                     command="classroom")
-    server.folder = folder
+    server.folder = tmp_path
     yield server
     server.kill()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        browser = chromium(playwright)
-        yield browser
-        browser.close()
 
 
 def come(browser, server, name, own=""):
@@ -450,6 +439,9 @@ class TestInBrowsers:
 
     def test_who_comes_again_needs_the_own_code_and_who_is_removed_is_out(self, browser, server):
         wall = teacher(browser, server)
+        ada = come(browser, server, "Ada")
+        shows(ada, "control", "In control")
+        ada.context.close()
         again = come(browser, server, "Ada")
         expect(again.get_by_role("alert")).to_contain_text("Ada is here already")
         at(wall, "place-1-code").click()

@@ -1,7 +1,7 @@
 """The panel on narrow windows: a tablet, a phone."""
 
 import pytest
-from browser import Server, at, chromium, needs_chromium, open_page, sync_api, tab
+from browser import Server, at, needs_chromium, open_page, tab
 
 pytestmark = needs_chromium
 PAGES = ("state", "motion", "scope", "machine", "loops", "experiments", "objects", "lessons")
@@ -26,13 +26,10 @@ OVERLAPPING = """() => {
 
 
 @pytest.fixture(scope="module")
-def page():
+def page(browser):
     """Of a gantry, which has the most to show."""
     server = Server("--axis", "gantry", "--pictures", "4")
-    with sync_api.sync_playwright() as playwright:
-        browser = chromium(playwright)
-        yield tab(browser, server)
-        browser.close()
+    yield tab(browser, server)
     server.kill()
 
 

@@ -71,12 +71,8 @@ def server():
 
 
 @pytest.fixture(scope="module")
-def page(server):
-    with sync_api.sync_playwright() as playwright:
-        browser = chromium(playwright)
-        page = tab(browser, server)
-        yield page
-        browser.close()
+def page(browser, server):
+    return tab(browser, server)
 
 
 def travel(page, target):
