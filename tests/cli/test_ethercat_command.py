@@ -16,6 +16,7 @@ from servogym.drive.wire.ethernet import UdpPort
 from servogym.training import cli
 
 HEADER = 14  # bytes of Ethernet in front of what goes by UDP
+ADDRESS = "127.88.0.1"  # of the servers here: others use the one that is the default
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="raw sockets of Linux")
 
 
@@ -66,11 +67,11 @@ def test_a_mistake_is_one_line_that_says_the_next_step(capsys, arguments, says):
 def test_what_cannot_be_served_is_told_and_the_port_is_given_back(capsys, arguments, says):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.bind(("127.0.0.1", UDP_PORT))
+            probe.bind((ADDRESS, UDP_PORT))
         except OSError:
             pytest.skip(f"UDP port {UDP_PORT} is in use here")
     for _ in range(2):
-        assert says in refused(capsys, "--udp", *arguments)
+        assert says in refused(capsys, "--udp", ADDRESS, *arguments)
 
 
 @LINUX
@@ -122,12 +123,12 @@ class UdpWire:
 def served(tmp_path):
     """The command in a process of its own, with a capture; ended by SIGTERM."""
     try:
-        UdpPort("127.0.0.1").close()
+        UdpPort(ADDRESS).close()
     except ValueError as error:
         pytest.skip(str(error))
     log = tmp_path / "run.pcapng"
     command = [sys.executable, "-W", "error", "-m", "servogym.training.cli", "ethercat", "--udp",
-               "--axis", "none", "--slaves", "2", "--log", str(log)]
+               ADDRESS, "--axis", "none", "--slaves", "2", "--log", str(log)]
     server = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
@@ -146,8 +147,8 @@ def test_a_master_reaches_op_over_udp_and_sigterm_ends_it_clean(served):
     while "slaves on" not in line:
         line = server.stdout.readline()
         assert server.poll() is None, server.stderr.read()
-    assert f"2 slaves on udp 127.0.0.1:{UDP_PORT}, clock frame" in line
-    wire = UdpWire(("127.0.0.1", UDP_PORT))
+    assert f"2 slaves on udp {ADDRESS}:{UDP_PORT}, clock frame" in line
+    wire = UdpWire((ADDRESS, UDP_PORT))
     master = EtherCatMaster(wire)
     assert [slave.description.order for slave in master.scan()] == ["AKD", "AKD"]
     master.to_op()
@@ -166,5 +167,5 @@ def test_a_second_server_on_the_port_is_refused(served, capsys):
     while "slaves on" not in server.stdout.readline():
         assert server.poll() is None, server.stderr.read()
     begin = time.monotonic()
-    assert "is another `servogym ethercat` running?" in refused(capsys, "--udp")
+    assert "is another `servogym ethercat` running?" in refused(capsys, "--udp", ADDRESS)
     assert time.monotonic() - begin < 5

@@ -19,7 +19,7 @@ MODELS = model_names()
 ACTING = {"save", "load", "set_position", "error_reaction", "undervoltage_error", "i2t_error"}
 
 
-@pytest.fixture(scope="module", params=MODELS)
+@pytest.fixture(params=MODELS)
 def drive(request):
     drive = Drive(request.param)
     drive.cycle(0.0)
