@@ -1,4 +1,4 @@
-"""A class room: a place for each pupil, with a machine of its own; a teacher who sees them all.
+"""A classroom: a place for each pupil, with a machine of its own; a teacher who sees them all.
 
 Places have nothing in common but the process: each has its session, its clock with its thread, its
 token and its results. Who comes with the code of the class and a name that nobody has gets a place;

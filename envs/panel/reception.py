@@ -18,7 +18,7 @@ AT_ONCE, WAITING = 4, 200  # codes that are looked at together, and that may wai
 PENALTY = 1.0  # s
 MOST = 2000  # bytes of a form
 PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>servogym class room</title>
+<html lang="en"><head><meta charset="utf-8"><title>servogym classroom</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style>
 :root { color-scheme: light dark; --ground: #eef0f3; --card: #fff; --ink: #1b2430;
@@ -37,7 +37,7 @@ small { display: block; margin-top: .25rem }
 button { font: inherit; font-weight: 600; padding: .7rem 1.4rem; border: 0; border-radius: .5rem;
   background: var(--accent); color: var(--on); width: 100%% }
 [role=alert] { color: var(--bad); font-weight: 600 }
-</style></head><body><main><h1>servogym class room</h1>%(wrong)s
+</style></head><body><main><h1>servogym classroom</h1>%(wrong)s
 <form method="post" action="%(prefix)s/join">
 <label>Code of the class
 <input name="word" required maxlength="%(longest)d" autocomplete="off" value="%(word)s"></label>
@@ -51,10 +51,10 @@ button { font: inherit; font-weight: 600; padding: .7rem 1.4rem; border: 0; bord
 
 
 class Reception:
-    """The door of a class room: the teacher by a token, pupils by that of their place.
+    """The door of a classroom: the teacher by a token, pupils by that of their place.
 
     Args:
-        room: the class room.
+        room: the classroom.
         teacher: token of the teacher.
     """
 

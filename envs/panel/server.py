@@ -1,4 +1,4 @@
-"""Serve the panel of a session, or a class room: the loopback alone, unless told otherwise."""
+"""Serve the panel of a session, or a classroom: the loopback alone, unless told otherwise."""
 
 import os
 import secrets
@@ -95,10 +95,10 @@ def serve_class(
     room: Classroom, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     tell: Callable[[str], object] = print, token: str = "",
 ) -> None:
-    """Serve a class room until the process is told to end; as `serve`.
+    """Serve a classroom until the process is told to end; as `serve`.
 
     Args:
-        room: the class room.
+        room: the classroom.
         host: address to listen on.
         port: TCP port.
         browser: whether to open one, on the teacher's wall.
@@ -123,7 +123,7 @@ def serve_class(
         else:
             tell(f"open to whoever reaches {host}; nothing is encrypted, see docs/how-to/class.md")
 
-    _run(root, door, begin, room.end, host=host, port=port, title="servogym class room",
+    _run(root, door, begin, room.end, host=host, port=port, title="servogym classroom",
          browser=browser, token=token)
 
 

@@ -18,7 +18,7 @@ PICTURE = re.compile(r"^const texts = (\{.*?\});", re.S)
 
 
 class Page:
-    """A page of a class room, or of a panel.
+    """A page of a classroom, or of a panel.
 
     Args:
         url: of the server, with a slash at its end.

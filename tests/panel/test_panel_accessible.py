@@ -56,7 +56,7 @@ def axe(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def class_pages(page):
-    """The form of a class room, its wall, and a pupil's page with an exercise under way."""
+    """The form of a classroom, its wall, and a pupil's page with an exercise under way."""
     server = Server("--pictures", "4", "--code", WORD, command="classroom")
     try:
         browser = page.context.browser

@@ -33,7 +33,7 @@ NOT = re.compile("leave-class|pick|tune|measure|run-compare|hand-over|parameters
 
 @contextlib.contextmanager
 def served(tmp_path, *options):
-    """A class room whose errors are in a file; none is an error of ours."""
+    """A classroom whose errors are in a file; none is an error of ours."""
     with (tmp_path / "errors").open("w+") as errors:
         server = Server("--code", WORD, "--results", str(tmp_path / "results"), *options,
                         command="classroom", log=errors)

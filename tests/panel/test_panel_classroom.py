@@ -1,4 +1,4 @@
-"""A class room: who comes in, a machine each, nothing crosses, results that can be replayed."""
+"""A classroom: who comes in, a machine each, nothing crosses, results that can be replayed."""
 
 import asyncio
 import csv
@@ -89,7 +89,7 @@ def test_an_option_that_cannot_be_is_refused(options, said, capsys):
 
 
 class Visit:
-    """Requests to the guard of a class room, as ASGI has them."""
+    """Requests to the guard of a classroom, as ASGI has them."""
 
     def __init__(self, room):
         self.door = Reception(room, "teacher's")

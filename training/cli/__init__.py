@@ -141,7 +141,7 @@ COMMANDS = {
         "course", "list the exercises of the course, show one, or check solutions in Python",
         "course check solution.py",
         "`check` runs the file: check only solutions whose author you trust. `replay` plays a run "
-        "that a class room has kept.",
+        "that a classroom has kept.",
     ),
     "train": Command(
         "train", "train a policy with stable-baselines3",

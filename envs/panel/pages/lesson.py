@@ -12,7 +12,7 @@ from .widgets import Tag, button, card
 
 
 class LessonPage:
-    """A class room's page."""
+    """A classroom's page."""
 
     name, title, icon = "lessons", "Lessons", "school"
 

@@ -62,7 +62,7 @@ class Shell:
         kept: what the tab keeps over a reload.
         pictures: a second, at most.
         pages: what there is to see, in this order.
-        place: whose machine it is, in a class room.
+        place: whose machine it is, in a classroom.
         watches: whether it takes no control by itself.
     """
 
@@ -138,7 +138,7 @@ class Shell:
             )
             if self.place is not None and not self.watches:
                 button("", lambda: ui.navigate.to(LEAVE), "leave-class", "icon").props(
-                    "icon=logout aria-label='Leave the class room' title='Leave the class room'"
+                    "icon=logout aria-label='Leave the classroom' title='Leave the classroom'"
                 )
             button("QUICK STOP", self._quick_stop, "quick-stop", "stop").props("title='Esc'")
         with (
@@ -392,10 +392,10 @@ async def build(
 
 
 async def show_class(room: Classroom, teacher: Any, address: str) -> None:
-    """The page of a tab of a class room: a pupil's own machine, the wall, or a look at a place.
+    """The page of a tab of a classroom: a pupil's own machine, the wall, or a look at a place.
 
     Args:
-        room: the class room.
+        room: the classroom.
         teacher: what stands for the teacher in the scope of a request.
         address: where pupils come in.
     """
@@ -407,7 +407,7 @@ async def show_class(room: Classroom, teacher: Any, address: str) -> None:
         await build(who.clock, room.pictures, place=who)
     elif number.isdecimal() and int(number) in room.places:
         place = room.places[int(number)]
-        ui.page_title(f"{place.name} · servogym class room")
+        ui.page_title(f"{place.name} · servogym classroom")
         await build(place.clock, room.pictures, place=place, watches=True)
     else:
         await show_wall(room, address)

@@ -1,4 +1,4 @@
-"""The teacher's wall: all places of a class room, live; tasks, results, a look at each."""
+"""The teacher's wall: all places of a classroom, live; tasks, results, a look at each."""
 
 from pathlib import Path
 from typing import Any
@@ -107,7 +107,7 @@ class Wall:
     """All places.
 
     Args:
-        room: the class room.
+        room: the classroom.
         address: where pupils come in.
     """
 
@@ -120,7 +120,7 @@ class Wall:
         with ui.element("header").classes("top wall-top"):
             with ui.element("div").classes("brand"):
                 Tag("h1", "servogym")
-                Tag("span", "class room")
+                Tag("span", "classroom")
             Tag("span", f"{address} · code ", data_test="where").classes("wall-where")
             Tag("b", room.word, data_test="word").classes("mono")
             self.count = Tag("span", "", data_test="count").classes("quiet")
@@ -187,6 +187,6 @@ async def sure(question: str) -> bool:
 async def show_wall(room: Classroom, address: str) -> None:
     """The wall in a tab that has just come."""
     await ui.context.client.connected()
-    ui.page_title("servogym class room")
+    ui.page_title("servogym classroom")
     ui.run_javascript('document.documentElement.lang = "en"')
     Wall(room, address)
