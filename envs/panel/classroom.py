@@ -2,16 +2,23 @@
 
 Places have nothing in common but the process: each has its session, its clock with its thread, its
 token and its results. Who comes with the code of the class and a name that nobody has gets a place;
-who comes again from another browser needs the code of that place as well.
+who comes again from another browser needs the code of that place as well, unless nobody has opened
+it yet: a form that was sent twice, or whose answer was lost on the way, is the same pupil's.
+
+People come and go one at a time (`_door`), and `places` is replaced, never changed: whoever walks
+through them in another thread sees all of one instant.
 """
 
 import csv
+import hashlib
 import hmac
 import io
 import json
+import os
 import re
 import secrets
 import threading
+import unicodedata
 from collections.abc import Callable, Iterable
 from datetime import datetime
 from pathlib import Path
@@ -29,6 +36,7 @@ NAP = 0.016  # s: many threads that wake seldom cost less than many that wake of
 LONGEST = 32  # characters of a name
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none is taken for another one
 TEACHER = "the teacher"
+FORM = "servogym class 1"
 
 
 class Result(NamedTuple):
@@ -62,6 +70,7 @@ class Place:
         self.number, self.name = number, name
         self.code = code(4)
         self.token = secrets.token_urlsafe(24)
+        self.opened = False  # whether a browser has shown the token
         self.results: list[Result] = []
         self.clock = Clock(session, pictures, NAP)
 
@@ -103,8 +112,7 @@ class Classroom:
         self.open = True  # whether new pupils may come
         self.task: Exercise | None = None  # of all, and of who comes later
         self.places: dict[int, Place] = {}
-        self._coming: set[str] = set()
-        self._lock = threading.Lock()
+        self._door, self._lock = threading.Lock(), threading.RLock()  # people, results
         self._files: Path | None = results
         if results is not None:
             (results / "runs").mkdir(parents=True, exist_ok=True)
@@ -112,16 +120,18 @@ class Classroom:
     # ----------------------------------------------------------------- who comes
 
     def person(self, token: str) -> Place | None:
-        """Whose token it is."""
+        """Whose token it is; that place is opened."""
         found = None
-        for place in [*self.places.values()]:  # all of them: time tells nothing
+        for place in self.places.values():  # all of them: time tells nothing
             if hmac.compare_digest(place.token.encode(), token.encode()):
                 found = place
+        if found is not None:
+            found.opened = True
         return found
 
     def named(self, name: str) -> Place | None:
         """The place of a pupil."""
-        same = (p for p in self.places.values() if p.name.casefold() == name.casefold())
+        same = (p for p in self.places.values() if _plain(p.name) == _plain(name))
         return next(same, None)
 
     def may_enter(self, name: str, word: str, own: str) -> str:
@@ -138,44 +148,119 @@ class Classroom:
             return f"Give a name of 1 to {LONGEST} characters."
         place = self.named(name)
         if place is not None:
-            if hmac.compare_digest(_simple(own).encode(), place.code.encode()):
+            mine = hmac.compare_digest(_simple(own).encode(), place.code.encode())
+            if mine or not place.opened:
                 return ""
             return (
                 f"{place.name} is here already. If that is you, give your own code as well: it "
-                "stands in the header of your page, and the teacher sees it."
+                "stands in the header of your page, and the teacher sees it. If not, add a letter "
+                "to your name."
             )
         if not self.open:
             return "The class is closed: nobody new may come."
-        if len(self.places) + len(self._coming) >= self.most or name.casefold() in self._coming:
+        if len(self.places) >= self.most:
             return f"All {self.most} places are taken."
         return ""
 
-    def enter(self, name: str) -> Place:
-        """The place of who may enter; a new one takes a moment. Raises as the machine does."""
-        if (known := self.named(name)) is not None:
-            return known
-        self._coming.add(name.casefold())
-        try:
-            session = self._make(CYCLES)
-            session.lessons = self.exercises
-            session.control.named[TEACHER] = TEACHER
-            with self._lock:
-                free = (n for n in range(1, self.most + 1) if n not in self.places)
-                place = Place(next(free), name, session, self.pictures)
-                session.attempted = lambda pupil: self._attempted(place, pupil)
-                self.places[place.number] = place
-        finally:
-            self._coming.discard(name.casefold())
+    def enter(self, name: str, word: str, own: str = "") -> str:
+        """The token of a pupil's place, a new one if there is none yet; as `may_enter`.
+
+        Who comes to a place that nobody has opened gets a new token for it: the earlier one, which
+        may be on its way to somebody else, opens nothing any more.
+
+        Raises:
+            ValueError: they may not come in.
+        """
+        with self._door:
+            if wrong := self.may_enter(name, word, own):
+                raise ValueError(wrong)
+            place = self.named(name)
+            if place is None:
+                number = min({*range(1, self.most + 1)} - self.places.keys())
+                place = Place(number, name, self._session(), self.pictures)
+                self._seat(place)
+            elif not place.opened:
+                place.token = secrets.token_urlsafe(24)
+            self._keep()
+            return place.token
+
+    def _session(self) -> Session:
+        session = self._make(CYCLES)
+        session.lessons = self.exercises
+        session.control.named[TEACHER] = TEACHER
+        return session
+
+    def _seat(self, place: Place) -> None:
+        """Somebody has this place from now on."""
+        session: Any = place.clock.session
+        session.attempted = lambda pupil: self._attempted(place, pupil)
         if self.task is not None:
             lessons.begin(session, session.axes[0], self.task)
+        self.places = self.places | {place.number: place}
         place.clock.start()
-        return place
 
     def remove(self, place: Place) -> None:
-        """Nobody has this place any more; its results stay in the files."""
-        with self._lock:
-            self.places.pop(place.number, None)
+        """Nobody has this place any more; its results stay in the files. May take a moment."""
+        with self._door:
+            self.places = {n: each for n, each in self.places.items() if each is not place}
+            self._keep()
         place.clock.stop()
+
+    # ------------------------------------------------------- a server started anew
+
+    @property
+    def _kept(self) -> Path | None:
+        """File with the places of the class that has this code."""
+        if self._files is None:
+            return None
+        key = hashlib.sha256(_simple(self.word).encode()).hexdigest()[:12]
+        return self._files / f"class-{key}.json"
+
+    def _keep(self) -> None:
+        """Write who has which place; the file is for the user of the server alone."""
+        if self._kept is None:
+            return
+        with self._lock:
+            rows = [
+                {"number": place.number, "name": place.name, "code": place.code,
+                 "token": place.token, "results": [each._asdict() for each in place.results]}
+                for place in self.places.values()
+            ]
+            new = self._kept.with_suffix(".new")
+            with open(os.open(new, os.O_CREAT | os.O_TRUNC | os.O_WRONLY, 0o600), "w",
+                      encoding="utf-8") as file:
+                json.dump({"form": FORM, "places": rows}, file)
+            new.replace(self._kept)
+
+    def resume(self) -> int:
+        """Give those who were here before their places again; their machines are fresh.
+
+        They were here if a class room with the same code and the same folder for results was.
+
+        Returns:
+            How many they are.
+
+        Raises:
+            ValueError: what lies in the folder is no such class.
+        """
+        if self._kept is None or not self._kept.exists():
+            return 0
+        try:
+            known = json.loads(self._kept.read_text(encoding="utf-8"))
+            if known["form"] != FORM:
+                raise ValueError(known["form"])
+            for row in known["places"]:
+                place = Place(int(row["number"]), str(row["name"]), self._session(), self.pictures)
+                place.code, place.token = str(row["code"]), str(row["token"])
+                place.opened = True
+                place.results = [Result(**each) for each in row["results"]]
+                self._seat(place)
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise ValueError(
+                f"{self._kept} is not a class that was kept ({error!r}): take another code, or "
+                "another folder for --results"
+            ) from None
+        return len(self.places)
 
     def end(self) -> None:
         """All clocks stand."""
@@ -188,10 +273,11 @@ class Classroom:
 
     def give(self, exercise: Exercise | None) -> None:
         """A task for all: begun at once on a fresh machine each; None: who comes is free."""
-        self.task = exercise
+        with self._door:  # who comes meanwhile gets it once
+            self.task, places = exercise, self.places
         if exercise is None:
             return
-        for place in self.places.values():
+        for place in places.values():
             place.clock.stop_motion(lambda session: _given(session, exercise))
 
     def reset(self, place: Place) -> None:
@@ -226,6 +312,7 @@ class Classroom:
             new = not table.exists()
             with table.open("a", newline="", encoding="utf-8") as file:
                 file.write(_rows(place.results[-1:], head=new))
+            self._keep()
 
     def csv(self) -> str:
         """All results as a table."""
@@ -241,6 +328,11 @@ def code(length: int) -> str:
 def _simple(text: str) -> str:
     """A code as somebody has typed it."""
     return "".join(text.split()).replace("-", "").casefold()
+
+
+def _plain(name: str) -> str:
+    """A name as two people would call it the same."""
+    return " ".join(unicodedata.normalize("NFKC", name).casefold().split())
 
 
 def _slug(name: str) -> str:

@@ -38,6 +38,7 @@ def is_loopback(host: str) -> bool:
 
 PERSON = "servogym.person"  # of a scope: who asks
 LEAVE = "/leave"  # the browser forgets its token
+JOIN = "/join"  # where strangers send their form
 
 
 class Door(Protocol):
@@ -100,6 +101,8 @@ class Guard:
         elif not wrong and plain and scope["path"] == LEAVE:
             gone = self._cookie("", secure) + b"; Max-Age=0"
             await answer(own, 303, "", (b"location", b"."), (b"set-cookie", gone))
+        elif not wrong and plain and scope["path"] == JOIN:  # a form from before they came in
+            await answer(own, 303, "", (b"location", b"."))
         elif not wrong:
             scope[PERSON] = person
             await self.app(scope, receive, own)

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import parse_qs
 
 from .classroom import LONGEST, Classroom, Place
-from .guard import Receive, Scope, Send, answer
+from .guard import JOIN, Receive, Scope, Send, answer
 
 AT_ONCE, WAITING = 4, 200  # codes that are looked at together, and that may wait
 PENALTY = 1.0  # s
@@ -38,7 +38,7 @@ button { font: inherit; font-weight: 600; padding: .7rem 1.4rem; border: 0; bord
   background: var(--accent); color: var(--on); width: 100%% }
 [role=alert] { color: var(--bad); font-weight: 600 }
 </style></head><body><main><h1>servogym classroom</h1>%(wrong)s
-<form method="post" action="%(prefix)s/join">
+<form method="post" action="%(prefix)s%(join)s">
 <label>Code of the class
 <input name="word" required maxlength="%(longest)d" autocomplete="off" value="%(word)s"></label>
 <label>Your name
@@ -77,7 +77,7 @@ class Reception:
         if scope["method"] == "GET" and not scope["path"].startswith("/_nicegui"):
             await answer(send, 200, _page(prefix), kind="text/html")
             return True
-        if scope["method"] != "POST" or scope["path"] != "/join":
+        if scope["method"] != "POST" or scope["path"] != JOIN:
             return False
         form = await _form(receive)
         if self._waiting >= WAITING:
@@ -85,23 +85,23 @@ class Reception:
                          kind="text/html")
             return True
         self._waiting += 1
+        token, wrong = "", ""
         try:
             async with self._looking:
-                wrong = self.room.may_enter(form["name"], form["word"], form["own"])
-                if wrong:
+                try:
+                    token = await asyncio.to_thread(
+                        self.room.enter, form["name"], form["word"], form["own"]
+                    )
+                except (ValueError, OSError) as error:
+                    wrong = str(error)
                     await asyncio.sleep(PENALTY)
         finally:
             self._waiting -= 1
-        if not wrong:
-            try:
-                place = await asyncio.to_thread(self.room.enter, form["name"])
-            except (ValueError, StopIteration) as error:
-                wrong = str(error) or "All places are taken."
-        if wrong:
+        if not token:
             await answer(send, 403, _page(prefix, form, wrong), kind="text/html")
         else:
             await answer(send, 303, "", (b"location", f"{prefix}/".encode()),
-                         (b"set-cookie", cookie(place.token)))
+                         (b"set-cookie", cookie(token)))
         return True
 
 
@@ -116,8 +116,8 @@ def _prefix(scope: Scope) -> str:
 def _page(prefix: str, form: dict[str, str] | None = None, wrong: str = "") -> str:
     known: dict[str, Any] = {name: escape(text) for name, text in (form or {}).items()}
     said = f'<p role="alert">{escape(wrong)}</p>' if wrong else ""
-    return PAGE % ({"name": "", "word": "", "longest": LONGEST, "prefix": prefix} | known
-                   | {"wrong": said})
+    place = {"name": "", "word": "", "longest": LONGEST, "join": JOIN, "prefix": prefix}
+    return PAGE % (place | known | {"wrong": said})
 
 
 async def _form(receive: Receive) -> dict[str, str]:

@@ -33,14 +33,8 @@ class Page:
         """Come in as a pupil."""
         self.http = aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True))
         form = {"word": word, "name": name, "own": ""}
-        status, page = 0, ""
-        for _ in range(100):
-            try:
-                async with self.http.post(f"{self.url}join", data=form) as answer:
-                    status, page = answer.status, await answer.text()
-                break
-            except aiohttp.ClientConnectorError:  # its address is printed before it listens
-                await asyncio.sleep(0.1)
+        async with self.http.post(f"{self.url}join", data=form) as answer:
+            status, page = answer.status, await answer.text()
         assert status == 200, page[:200]
         await self._connect(page)
 

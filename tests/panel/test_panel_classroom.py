@@ -5,7 +5,9 @@ import csv
 import io
 import json
 import re
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -46,31 +48,140 @@ def room(tmp_path):
     room.end()
 
 
+def seat(room, name):
+    """The place of who comes in with the code of the class, opened by their browser."""
+    return room.person(room.enter(name, WORD))
+
+
 # ------------------------------------------------------------------- who comes in
 
 
 def test_who_comes_in_needs_the_code_of_the_class_and_a_name_that_nobody_has(room):
     assert "not the code" in room.may_enter("Ada", "kestrel 2", "")
     assert room.may_enter("Ada", "KESTREL-1", "") == ""
-    ada = room.enter("Ada")
+    ada = seat(room, "Ada")
     assert "Ada is here already" in room.may_enter("ada", WORD, "")
     assert "Ada is here already" in room.may_enter("ADA", WORD, "aaaa")
     assert room.may_enter("Ada", WORD, ada.code.upper()) == ""
-    assert room.enter("ada") is ada
+    assert room.enter("ada", WORD, ada.code) == ada.token
     for name in ("", "x" * 33, "a\nb", "\x00"):
         assert "1 to 32" in room.may_enter(name, WORD, "")
-    room.enter("Grace"), room.enter("Katherine")
+    seat(room, "Grace"), seat(room, "Katherine")
     assert "All 3 places" in room.may_enter("Dorothy", WORD, "")
     room.remove(room.named("Grace"))
     room.open = False
     assert "closed" in room.may_enter("Dorothy", WORD, "")
     room.open = True
     assert room.may_enter("Dorothy", WORD, "") == ""
-    assert room.enter("Dorothy").number == 2
+    assert seat(room, "Dorothy").number == 2
+
+
+@pytest.mark.parametrize("name", ["ADA", " ada ", "Ａｄａ", "Ada\u00a0"])  # full width, no-break
+def test_a_name_that_reads_the_same_is_the_same(room, name):
+    ada = seat(room, "Ada")
+    assert room.named(name) is ada
+    with pytest.raises(ValueError, match=r"is here already|Give a name"):
+        seat(room, name)
+    assert len(room.places) == 1
+
+
+def at_once(count, work):
+    """What `work(number)` returns or raises in so many threads that begin together."""
+    begin = threading.Barrier(count)
+
+    def run(number):
+        begin.wait()
+        try:
+            return work(number)
+        except ValueError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(count) as pool:
+        return [*pool.map(run, range(count))]
+
+
+def test_a_form_that_is_sent_twice_opens_one_place(tmp_path):
+    """As a click that is doubled on a slow machine; only the last cookie opens it."""
+
+    def slowly(cycles):
+        time.sleep(0.05)
+        return make(cycles)
+
+    room = Classroom(slowly, "linear", "generic", most=3, word=WORD)
+    try:
+        tokens = at_once(5, lambda _: seat(room, "Ada").token)
+        (ada,) = room.places.values()
+        assert len({*tokens}) >= 2
+        assert ada.token in tokens
+        assert [token for token in {*tokens} if room.person(token)] == [ada.token]
+        with pytest.raises(ValueError, match="is here already"):
+            seat(room, "Ada")
+    finally:
+        room.end()
+
+
+def test_who_comes_at_the_same_moment_gets_a_place_of_their_own_or_the_reason(room):
+    told = at_once(8, lambda number: seat(room, f"Pupil {number}"))
+    here = [place for place in told if not isinstance(place, str)]
+    assert {*here} == {*room.places.values()}
+    assert sorted(room.places) == [1, 2, 3]
+    assert [why for why in told if isinstance(why, str)] == ["All 3 places are taken."] * 5
+
+
+def test_a_place_that_is_removed_twice_is_not_the_next_pupils(room):
+    """Two walls are open, or "Yes" is pressed twice."""
+    ada = seat(room, "Ada")
+    room.remove(ada)
+    grace = seat(room, "Grace")
+    assert grace.number == ada.number
+    room.remove(ada)
+    assert room.named("Grace") is grace
+    assert grace.clock._thread.is_alive()
+
+
+def test_pupils_come_while_the_teacher_stops_and_looks(room):
+    """Whoever walks through the places sees all of one instant."""
+    for number in range(3):
+        places = iter(room.places.values())
+        seat(room, f"Pupil {number}")
+        assert len([*places]) == number
+
+
+def test_a_server_that_is_started_anew_knows_its_pupils(room, tmp_path):
+    ada, grace = seat(room, "Ada"), seat(room, "Grace")
+    seat(room, "Katherine")
+    room.remove(grace)
+    room.give(named("11_power"))
+    ada.clock.move(lambda s: s.enable("x")).result(30)
+    end = time.monotonic() + 30
+    while not ada.results and time.monotonic() < end:
+        time.sleep(0.05)
+    assert room._kept.stat().st_mode & 0o077 == 0
+    before = room.csv()
+    room.end()
+
+    again = Classroom(make, "linear", "generic", load_all(), 3, 8, tmp_path, "KESTREL 1")
+    other = Classroom(make, "linear", "generic", load_all(), 3, 8, tmp_path, "kestrel 2")
+    try:
+        assert again.resume() == 2
+        assert [(p.number, p.name) for p in again.places.values()] == [(1, "Ada"), (3, "Katherine")]
+        assert again.person(ada.token).name == "Ada"
+        assert "Ada is here already" in again.may_enter("Ada", WORD, "")
+        assert again.enter("Ada", WORD, ada.code) == ada.token
+        assert "Ada" in before
+        assert again.csv() == before
+        assert again.person(grace.token) is None
+        assert seat(again, "Grace").number == 2
+        assert other.resume() == 0  # another class
+        again._kept.write_text('{"form": "servogym class 1", "places": [{}]}')
+        with pytest.raises(ValueError, match="is not a class that was kept"):
+            Classroom(make, "linear", "generic", most=3, results=tmp_path, word=WORD).resume()
+    finally:
+        again.end()
 
 
 def test_tokens_and_codes_are_of_one_place_each(room):
-    places = [room.enter(name) for name in ("Ada", "Grace", "Katherine")]
+    places = [seat(room, name) for name in ("Ada", "Grace", "Katherine")]
     assert len({place.token for place in places}) == len({place.code for place in places}) == 3
     assert [room.person(place.token) for place in places] == places
     room.remove(places[0])
@@ -157,7 +268,10 @@ def test_who_has_the_code_gets_a_cookie_that_opens_one_place(room, monkeypatch):
     assert "; Secure" in headers["set-cookie"]
     assert visit.ask("/place/1", cookie=headers["set-cookie"].partition(";")[0])[0] == 200
     assert visit.passed is room.named("Grace")  # whatever the address says
-    gone = visit.ask("/leave", cookie=headers["set-cookie"].partition(";")[0])[1]["set-cookie"]
+    cookie = headers["set-cookie"].partition(";")[0]
+    status, headers, _ = visit.join("Grace", cookie=cookie, **proxy)  # an older form, sent again
+    assert (status, headers["location"], len(room.places)) == (303, ".", 2)
+    gone = visit.ask("/leave", cookie=cookie)[1]["set-cookie"]
     assert gone.startswith("class=; ")
     assert "Max-Age=0" in gone
 
@@ -294,7 +408,7 @@ def ask(place, request):
 
 
 def test_nothing_crosses_and_results_are_written_as_they_come(room, tmp_path, capsys):
-    ada, grace = room.enter("Ada"), room.enter("=Grace")
+    ada, grace = seat(room, "Ada"), seat(room, "=Grace")
     assert ada.clock.move(lambda s: s.enable("x")).result(30) == ""
     ada.clock.session.write("x", "max_torque", 777)
     assert ask(grace, lambda s: int(s.machine.drives["x"].axis.state)) != ask(
@@ -308,7 +422,7 @@ def test_nothing_crosses_and_results_are_written_as_they_come(room, tmp_path, ca
     ada.clock.pause(True)
     before = theirs.time
     room.give(named("11_power"))
-    late = room.enter("Katherine")  # gets the task as well
+    late = seat(room, "Katherine")  # gets the task as well
     for place in (ada, grace, late):
         place.clock.move(lambda s: s.enable("x")).result(30)
         end = time.monotonic() + 30
@@ -353,7 +467,7 @@ def server(tmp_path):
     server.kill()
 
 
-def come(browser, server, name, own=""):
+def come(browser, server, name, own="", click="click"):
     """A pupil with a browser of their own."""
     context = browser.new_context(viewport={"width": 1280, "height": 800}, reduced_motion="reduce")
     context.set_default_timeout(60_000)
@@ -361,7 +475,7 @@ def come(browser, server, name, own=""):
     page.goto(server.url)
     for field, text in (("word", WORD), ("name", name), ("own", own)):
         page.fill(f"[name={field}]", text)
-    page.click("button")
+    getattr(page, click)("button")
     return page
 
 
@@ -450,10 +564,14 @@ class TestInBrowsers:
         again.context.close()
         ada = come(browser, server, "Ada", own)
         expect(ada.locator(".brand")).to_contain_text(f"own code {own}")
+        server.kill()
+        server.start()  # as after a crash: the same command
+        ada.reload(), wall.reload()
+        expect(ada.locator(".brand")).to_contain_text(f"Ada · own code {own}")
         at(wall, "place-1-remove").click()
         at(wall, "yes").click()
         expect(ada.locator("[name=word]")).to_be_visible()
-        grace = come(browser, server, "Dorothy")
+        grace = come(browser, server, "Dorothy", click="dblclick")
         shows(grace, "state", "switch on disabled")
         at(grace, "leave-class").click()
         expect(grace.locator("[name=word]")).to_be_visible()

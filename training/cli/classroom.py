@@ -21,7 +21,11 @@ def add(command: argparse.ArgumentParser) -> None:
         "--results", type=Path, metavar="DIR",
         help="write results.csv there and each run, which `servogym course replay` plays",
     )
-    command.add_argument("--code", default="", help="code of the class; one is drawn if not given")
+    command.add_argument(
+        "--code", default="",
+        help="code of the class, one is drawn if not given; with the code and the --results of "
+        "before, pupils have their places again",
+    )
     command.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
     command.add_argument(
         "--host", default="127.0.0.1",
@@ -66,10 +70,13 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
     )
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         make(1).exchange()
+    again = room.resume()
 
     def tell(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)
 
+    if again:
+        tell(f"{again} of before have their places again, with fresh machines")
     server.serve_class(
         room, host=options.host, port=options.port, browser=not options.no_browser, tell=tell
     )

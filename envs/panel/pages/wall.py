@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from nicegui import Client, ui
+from nicegui import Client, run, ui
 
 from ....drive.diagrams import MODE_ABBREVIATION, State
 from ..classroom import Classroom, Place
@@ -64,7 +64,7 @@ class PlaceCard:
         if await sure(
             f"Remove {self.place.name}? The machine is gone, the results stay in the files."
         ):
-            self.room.remove(self.place)
+            await run.io_bound(self.room.remove, self.place)
             for client in [*Client.instances.values()]:
                 request = client.request
                 if request is not None and request.scope.get(PERSON) is self.place:
@@ -157,13 +157,14 @@ class Wall:
 
     def show(self) -> None:
         """The present."""
-        places = self.room.places.copy()
-        if self.cards.keys() != places.keys() or any(
-            card.place is not places[number] for number, card in self.cards.items()
-        ):
-            self.grid.clear()
-            with self.grid:
-                self.cards = {n: PlaceCard(self.room, places[n]) for n in sorted(places)}
+        places = self.room.places
+        for number, known in [*self.cards.items()]:
+            if places.get(number) is not known.place:
+                self.cards.pop(number).card.delete()
+        for number in sorted(places.keys() - self.cards.keys()):
+            with self.grid:  # beside the others: what is asked at one of them stays open
+                self.cards[number] = PlaceCard(self.room, places[number])
+            self.cards[number].card.move(self.grid, sorted(self.cards).index(number))
         here = {
             id(client.request.scope.get(PERSON))
             for client in [*Client.instances.values()]
