@@ -20,8 +20,10 @@ from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units
 from .linear_axis import LinearAxisParameters, commission, tune
+from .loops import in_units
+from .shaft import seen
 from .sizing import largest
-from .tuning import Unmovable, inertia_at_shaft
+from .tuning import Unmovable, fitting, inertia_at_shaft, rule
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "gantry.xml"
 FEED_CONSTANT = 0.06  # m per motor revolution
@@ -272,7 +274,7 @@ def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, t
     offset = -5_000 if method == 18 else 5_000
     limits = sorted((0, round(end * 1e6)))
     if name in PAIR:
-        _prepare_for_squaring(machine, name, drive)
+        _prepare_for_squaring(machine, name, drive, tuned)
         offset -= round(p.squaring_offset * 1e6) if name == "x2" else 0
     own_units.commission(
         drive,
@@ -287,12 +289,22 @@ def _micrometre(machine: Gantry, name: str) -> float:
     return abs(float(machine.couplings[list(machine.drives).index(name)].gear)) * 1e-6
 
 
-def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive) -> None:
+def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive, tuned: bool) -> None:
     """Half of the bridge is the drive's load too; one side overruns its switch by little."""
     coupling = machine.couplings[list(machine.drives).index(name)]
     bridge = machine.model.body_subtreemass[machine.model.body("bridge").id]
     inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
-    tune(drive, inertia + 0.5 * float(bridge) / float(coupling.gear) ** 2)
+    inertia += 0.5 * float(bridge) / float(coupling.gear) ** 2
+    tune(drive, inertia)
+    if tuned:  # for both ways to move: side by side, and one against the other
+        plants = [seen(machine, dict(zip(PAIR, (1.0, sign), strict=True))) for sign in (1.0, -1.0)]
+        found = fitting(plants, drive, rule(drive, inertia), 0.0)
+        if found is None:
+            raise Unmovable(
+                f"drives {' and '.join(PAIR)} ({drive.model.name}) have no gains that keep their "
+                "margins with this beam: a stiffer coupling would do"
+            )
+        drive.commission(in_units(drive, found))
     own_units.commission(
         drive, {"speed_during_search_for_switch": 50_000, "homing_acceleration": 2_000_000},
         _micrometre(machine, name),
