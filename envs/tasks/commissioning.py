@@ -185,7 +185,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
     judge = staticmethod(judge)
 
     BOUND = "commissioned"
-    POLICIES = ("plc_timed", "plc", "informed_plc", "bound")
+    POLICIES = ("plc_timed", "tuned_plc_timed", "plc", "informed_plc", "bound")
     REFERENCE = "plc"
     METRIC = "settling_time"
     DONE = ("in position", "not in position")

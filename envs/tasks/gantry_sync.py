@@ -193,7 +193,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
 
     STROKE = (STROKE, STROKE)
     BOUND = "squared"
-    POLICIES = ("squaring_slow", "squaring", "informed_squaring", "bound")
+    POLICIES = ("squaring_slow", "squaring", "tuned_squaring", "informed_squaring", "bound")
     REFERENCE = "squaring"
     METRIC = "settling_time"
     METRICS = {  # noqa: RUF012

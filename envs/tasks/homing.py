@@ -263,7 +263,7 @@ the positive one; -1 the negative, 0 none |
     judge = staticmethod(judge)
 
     BOUND = "homed"
-    POLICIES = ("search", "built_in", "built_in_fast", "informed_search", "bound")
+    POLICIES = ("search", "tuned_search", "built_in", "built_in_fast", "informed_search", "bound")
     REFERENCE = "search"
     HOLD = {"torque_limit": 1.0, "reference": -1.0}  # noqa: RUF012, all its torque, no reference
     METRIC = "settling_time"

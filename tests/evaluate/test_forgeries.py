@@ -5,16 +5,29 @@ The forger has the source: he writes what he likes and seals it as `submission.w
 
 import copy
 import json
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from test_benchmark import ONE, RESULTS, SMALL, entered, refused
 
+from servogym.envs import TASKS
 from servogym.training import cli
 from servogym.training.evaluate import submission as format_of
 from servogym.training.evaluate import suite
-from servogym.training.policies import SHIPPED
+from servogym.training.policies import (
+    POLICIES,
+    SHIPPED,
+    basis_feed_forward,
+    fitted,
+    make,
+    names,
+    needed,
+)
+from servogym.training.policies import numbers as numbers_of
+from servogym.training.policies.numbers import tuned
 
 TASK, ABOUT, WEIGHTS = "LinearAxis-v0", "checkpoint.json", "weights.npz"
 FIRST = f"{TASK}/seed_1"
@@ -189,6 +202,20 @@ def a_tensor_of_objects(head, files):
     about(files, sha256="0" * 64)
 
 
+def other_numbers(head, files):
+    files.clear()
+    head |= {"policy": "tuned_ruckig", "fitted": "0" * 64}
+
+
+def without_its_numbers(head, files):
+    files.clear()
+    head["policy"] = "basis_feed_forward"
+
+
+def a_base_with_other_numbers(head, files):
+    about(files, residual="tuned_ruckig", bounds=[0.01])
+
+
 def half_a_training(head, files):
     del files[f"{FIRST}/{WEIGHTS}"]
 
@@ -224,6 +251,9 @@ FORGERIES = {
     of_another_suite: "is of suite small (0000000000000000), this is small",
     of_another_task: "was trained for servogym/LinearAxisTracking-v0, not for LinearAxis-v0",
     a_tensor_of_objects: "was changed or damaged: its SHA-256 is",
+    other_numbers: "was made with other fitted numbers of tuned_ruckig than come with this",
+    without_its_numbers: "was made with other fitted numbers of basis_feed_forward than come",
+    a_base_with_other_numbers: "was made with other fitted numbers of PPO on tuned_ruckig than",
     half_a_training: "is there without its weights.npz",
     out_of_its_folder: "is not a file of a policy",
 }
@@ -234,6 +264,54 @@ def test_a_forgery_is_refused_with_the_reason(change, forge, capsys):
     assert FORGERIES[change] in forge(change, capsys)
     assert not Path("ran.txt").exists()
     assert not Path("entries", "README.md").exists()
+
+
+OPENED = []  # files, while a test listens
+sys.addaudithook(lambda event, given: OPENED.append(str(given[0])) if event == "open" else None)
+
+
+@pytest.mark.parametrize("env", [env for env in TASKS if env.POLICIES], ids=lambda env: env.ID)
+def test_what_a_row_reads_from_a_file_is_in_the_hash_of_its_entry(env):
+    """The hash stayed when the numbers of a tuned row were edited."""
+    one = env()
+    observation, info = one.reset(seed=1)
+    for name in names(one):
+        if name not in POLICIES or needed(name):
+            continue
+        tuned.cache_clear()
+        basis_feed_forward.fitted.cache_clear()
+        OPENED.clear()
+        policy = make(name, one)
+        if hasattr(policy, "reset"):
+            policy.reset(observation, info)
+        read = [path for path in OPENED if Path(path).is_relative_to(SHIPPED)]
+        assert bool(read) == bool(fitted(name)), (name, read)
+
+
+@pytest.mark.parametrize("policy", ["tuned_ruckig", "tuned_ruckig below a correction", "program"])
+def test_other_numbers_are_another_hash(policy, honest, tmp_path, monkeypatch):
+    head, files = copy.deepcopy(honest[0]), dict(honest[1])
+    if policy == "program":
+        a_program(head, files)
+    elif policy == "tuned_ruckig":
+        files.clear()
+        head["policy"] = policy
+    else:
+        about(files, residual="tuned_ruckig", bounds=[0.01])
+
+    def identity():
+        tuned.cache_clear()
+        made = format_of.Submission(**head, files=files)
+        return replace(made, fitted=made.fitted_here).identity
+
+    before = identity()
+    numbers = json.loads(numbers_of.FILE.read_text(encoding="utf-8"))
+    numbers["tuned_ruckig"]["LinearAxis-v0"]["numbers"]["share"] += 0.001
+    (tmp_path / "tuned.json").write_text(json.dumps(numbers), encoding="utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr(numbers_of, "FILE", tmp_path / "tuned.json")
+        assert identity() != before
+    assert identity() == before
 
 
 def test_the_same_policy_under_two_names_is_one_entry(honest, forge, capsys):

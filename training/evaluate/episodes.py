@@ -128,6 +128,7 @@ class Evaluator:
         self.env = self.vector.envs[0]
         self._actions = math.prod(self.env.action_space.shape or ())
         self.steps = self.vector.max_episode_steps
+        self.played = 0  # steps of all episodes of the policy that was run last
         self.duration = self.steps * self.env.step_time
         for each in self.vector.envs:
             each.machine.probe()
@@ -191,6 +192,7 @@ class Evaluator:
             for i in np.flatnonzero(ends & active).tolist():
                 faults[i] = str(infos["fault"][i]) if "fault" in infos else ""
             active &= ~(ends | truncations)
+        self.played = int(steps.sum())
         success = infos["is_success"].astype(float)
         settled = np.where(success > 0, unsettled * self.env.step_time, self.duration)
         values = self._empty() | {

@@ -144,6 +144,7 @@ def enter(
         command=command, versions={name: source[name] for name in ("python", *PACKAGES)},
         machine=source["machine"], table={}, files=files,
     )
+    made = replace(made, fitted=made.fitted_here)
     table = play(suite.drawn(made.identity), chosen, console, work, out)
     made = replace(made, table=table)
     for env in chosen:
@@ -175,7 +176,7 @@ def rank(
     if not files:
         raise ValueError(
             f"{folder} has no submission: write one there with `servogym benchmark learned "
-            f"--suite {suite.version} --policy … --out {folder}`"
+            f"--suite {suite.asked} --policy … --out {folder}`"
         )
     entries: dict[str, Submission] = {}
     status = 0
@@ -215,6 +216,11 @@ def check(
                 f"{file} was made with {package} {then}, this is {present[package]}: check it with "
                 "that version, or make it again with this one"
             )
+    if submission.fitted != submission.fitted_here:
+        raise ValueError(
+            f"{file} was made with other fitted numbers of {submission.plays} than come with this "
+            f"laboratory: make it again with `{submission.command}`"
+        )
     with TemporaryDirectory() as folder:
         chosen = {env: submission.playable(env, Path(folder)) for env in submission.table}
         console.print(f"{file.name}: {', '.join(chosen)}", highlight=False)
@@ -260,9 +266,10 @@ def _same(
 def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
     """The leaderboard."""
     conditions = len(dict.fromkeys(row.name for p in suite.parts.values() for row in p.rows))
+    whose = "drawn for each entry from its hash" if suite.seed is None else "the same for all"
     text = (
         f"# Benchmark, suite {suite.version}\n\n{suite.episodes} episodes in each of up to "
-        f"{conditions} conditions, the same for all: `{suite.file}`. Ranked "
+        f"{conditions} conditions, {whose}: `{suite.file}`. Ranked "
         "by the return: the mean over the conditions of its interquartile means; a condition that "
         "a policy does not fit is a gap and earns 0. In the columns of the conditions the metric "
         "of the task, interquartile mean [95 % interval, trainings and episodes resampled]. What "
@@ -282,7 +289,7 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
     text += "## Entries\n\n" + markdown(heading, rows)
     return text + (
         "\nAll numbers are of what was played again from the weights by `servogym results "
-        f"{folder.as_posix()} --suite {suite.version}`, which wrote this page.\n"
+        f"{folder.as_posix()} --suite {suite.asked}`, which wrote this page.\n"
     )
 
 

@@ -22,7 +22,7 @@ from ...drive.model.files import content
 from ...drive.model.foreign import Key
 from ...drive.model.names import hint
 from ...envs.environment.registry import task
-from ..policies import ENTRY_POINTS, LEARNED, POLICIES, trainings
+from ..policies import ENTRY_POINTS, LEARNED, POLICIES, fitted, trainings
 from ..policies.file import SUFFIX
 from ..policies.trained import saved
 from ..policies.trained.saved import ABOUT
@@ -36,6 +36,7 @@ KEYS = {
     "name": Key(str, True), "suite": Key(str, True), "digest": Key(str, True),
     "policy": Key(str, True), "command": Key(str, True), "versions": Key(dict, True),
     "machine": Key(str, True), "table": Key(dict, True), "hash": Key(str, True),
+    "fitted": Key(str),
 }
 NAME = r"[\w+-][\w+. -]*"  # of an entry
 WORDS = r"[^`|<>\[\]\x00-\x1f\x7f]*"  # what is shown on a page, and cannot be taken for its markup
@@ -59,13 +60,19 @@ class Submission:
     machine: str
     table: Table
     files: Mapping[str, bytes]
+    fitted: str = ""  # SHA-256 of what its baselines read from files, where it was made
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of suite and policy: the weights, the program or the name, and nothing else."""
+        """SHA-256 of suite and policy, and nothing else.
+
+        Of a policy the weights, the program, or the name with the numbers fitted for it.
+        """
         what = [("suite", f"{self.suite} {self.digest}".encode())]
         if not self.files or self.code:
             what.append(("policy", self.plays.encode()))
+        if self.fitted:
+            what.append(("fitted", self.fitted.encode()))
         return foreign.digest([*what, *sorted(self.files.items())])
 
     @property
@@ -94,10 +101,27 @@ class Submission:
             return f"{self.code}:{self.policy.rpartition(':')[2]}"
         if not self.files:
             return self.policy
-        bases = {one.get("residual") for each in self.checkpoints.values() for one in each}
         kinds = sorted({one["algorithm"] for each in self.checkpoints.values() for one in each})
-        on = sorted(base for base in bases if base)
+        on = self.baselines
         return ", ".join(kinds) + (f" on {', '.join(on)}" if on else "")
+
+    @property
+    def baselines(self) -> list[str]:
+        """The rows of the laboratory that it plays, itself or below a correction."""
+        if not self.files:
+            return [self.policy]
+        bases = {one.get("residual") for each in self.checkpoints.values() for one in each}
+        return sorted(base for base in bases if base)
+
+    @property
+    def fitted_here(self) -> str:
+        """SHA-256 of what its baselines read from the files of this laboratory; empty: nothing.
+
+        A program may use any of them.
+        """
+        names = POLICIES if self.code else self.baselines
+        parts = [(name, found) for name in names if (found := fitted(name))]
+        return foreign.digest(parts) if parts else ""
 
     def told(self, env: str) -> bool:
         """Whether what plays a task is told what was drawn, itself or below a correction."""
@@ -134,6 +158,7 @@ class Submission:
 
 def _text(submission: Submission) -> bytes:
     head = {name: getattr(submission, name) for name in KEYS if name != "hash"}
+    head = {name: value for name, value in head.items() if value or KEYS[name].needed}
     return json.dumps(head, ensure_ascii=False, sort_keys=True).encode()
 
 
@@ -304,7 +329,7 @@ def fits(path: Path, submission: Submission, suite: Suite) -> None:
     if (submission.suite, submission.digest) != (suite.version, suite.digest):
         raise ValueError(
             f"{path} is of suite {submission.suite} ({submission.digest}), this is "
-            f"{suite.version} ({suite.digest}): make it again with --suite {suite.version}"
+            f"{suite.version} ({suite.digest}): make it again with --suite {suite.asked}"
         )
     if not submission.table:
         raise ValueError(f"{path}: its table is empty")

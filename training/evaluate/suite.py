@@ -49,6 +49,11 @@ class Suite:
     file: str  # as a page names it
     digest: str  # of the file
 
+    @property
+    def asked(self) -> str:
+        """As ``--suite`` takes it."""
+        return self.version if self.file == f"assets/suites/{self.version}.toml" else self.file
+
     def drawn(self, identity: str) -> "Suite":
         """With the seed of a submission, where it does not have one of its own.
 

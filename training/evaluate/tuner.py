@@ -4,11 +4,13 @@ The budget counts steps of the environment, as that of a training does. Two thir
 that fill the ranges evenly (the additive recurrence R_d, Roberts 2018, after the untuned numbers)
 on `FEW` training episodes; the rest tries the best of them on `MANY` further ones. What has the
 best interquartile mean of the task's metric there is written. No choice is left to a person.
+Only steps that were played are counted: an episode that ends early leaves room for more points.
 """
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -28,22 +30,19 @@ BUDGET = 300_000  # steps
 FEW, MANY = 16, 48  # episodes, with seeds from 1 on; no evaluation has them
 
 
-def points(ranges: Mapping[str, Any], count: int) -> list[dict[str, float]]:
+def points(ranges: Mapping[str, Any]) -> Iterator[dict[str, float]]:
     """The untuned numbers, and points that fill the ranges evenly; widths count as ratios."""
     root = 1.5
     for _ in range(60):  # of x ** (d + 1) = x + 1
         root = (1.0 + root) ** (1.0 / (len(ranges) + 1))
     steps = np.array([root ** -(k + 1) for k in range(len(ranges))])
-    found = [{name: one.untuned for name, one in ranges.items()}]
-    for i in range(1, count):
+    yield {name: one.untuned for name, one in ranges.items()}
+    for i in count(1):
         shares = (0.5 + i * steps) % 1.0
-        found.append(
-            {
-                name: float(one.low * (one.high / one.low) ** share)
-                for (name, one), share in zip(ranges.items(), shares, strict=True)
-            }
-        )
-    return found
+        yield {
+            name: float(one.low * (one.high / one.low) ** share)
+            for (name, one), share in zip(ranges.items(), shares, strict=True)
+        }
 
 
 def tunable(policy: str) -> type[Tunable] | None:
@@ -64,30 +63,33 @@ def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict
     metric = env.METRIC
     sign = -1.0 if metrics(env)[metric].better == "high" else 1.0
 
-    def tried(candidates: list[dict[str, float]], seeds: list[int]) -> list[float]:
+    def tried(
+        candidates: Iterable[dict[str, float]], seeds: range, most: int
+    ) -> list[tuple[float, dict[str, float]]]:
+        """Scores, the less the better; two at least, then as many as `most` steps allow."""
         nonlocal steps
         evaluator = Evaluator(env, seeds=seeds, traced=None)
-        scores = []
+        scores: list[tuple[float, dict[str, float]]] = []
         for given in candidates:
+            if len(scores) > 1 and steps + len(seeds) * evaluator.steps > most:
+                break
             trial = type(kind.__name__, (kind,), {"GIVEN": given})
             values = evaluator.run(trial).values[metric]
-            scores.append(sign * float(iqm(values.reshape(1, -1))[0]))
-            steps += len(seeds) * evaluator.steps
+            scores.append((sign * float(iqm(values.reshape(1, -1))[0]), given))
+            steps += evaluator.played
         evaluator.close()
         return scores
 
-    first = max(2 * budget // 3 // (FEW * env.STEPS), 2)
-    candidates = points(kind.RANGES, first)
-    scores = tried(candidates, list(range(1, FEW + 1)))
-    rest = max((budget - steps) // (MANY * env.STEPS) - 1, 1)
-    order = sorted(range(1, first), key=scores.__getitem__)[:rest]
-    finals = [candidates[0], *(candidates[i] for i in order)]
-    last = tried(finals, list(range(FEW + 1, FEW + MANY + 1)))
-    best = int(np.argmin(last))
+    first = tried(points(kind.RANGES), range(1, FEW + 1), 2 * budget // 3)
+    order = sorted(first[1:], key=lambda one: one[0])
+    finals = [given for _, given in (first[0], *order)]
+    last = tried(finals, range(FEW + 1, FEW + MANY + 1), budget)
+    best, numbers = min(last, key=lambda one: one[0])
     return {
-        "numbers": {name: round(value, 6) for name, value in finals[best].items()},
-        "metric": metric, "tuned": sign * last[best], "untuned": sign * last[0],
-        "steps": steps, "cpu_seconds": round(time.process_time() - begin, 1),
+        "numbers": {name: round(value, 6) for name, value in numbers.items()},
+        "metric": metric, "tuned": sign * best, "untuned": sign * last[0][0],
+        "steps": steps, "points": len(first),
+        "cpu_seconds": round(time.process_time() - begin, 1),
         "choices": f"ranges of {len(kind.RANGES)} numbers",
     }
 
@@ -112,7 +114,8 @@ def run(policy: str, env: str | None, budget: int, out: Path, console: Console) 
     numbers = ", ".join(f"{name} {value:g}" for name, value in found["numbers"].items())
     console.print(
         f"{policy} on {short(own.ID)}: {numbers}; {found['metric']} {found['untuned']:.4g} -> "
-        f"{found['tuned']:.4g}; {found['steps']:,} steps, {found['cpu_seconds']:.0f} CPU-seconds",
+        f"{found['tuned']:.4g}; {found['points']} points, {found['steps']:,} steps, "
+        f"{found['cpu_seconds']:.0f} CPU-seconds",
         highlight=False,
     )
     console.print(f"{out}", soft_wrap=True)

@@ -28,14 +28,21 @@ from .datasheet import datasheet
 from .disturbance_observer import DisturbanceObserver
 from .feed_forward import FeedForward, RuckigFeedForward
 from .file import SUFFIX, from_file, policy_of
-from .gantry import ConstantFeed, FullFeed, SlowSquaring, Squaring, TunedFullFeed
-from .homing import BuiltIn, search_policy
+from .gantry import (
+    ConstantFeed,
+    FullFeed,
+    SlowSquaring,
+    Squaring,
+    TunedFullFeed,
+    TunedSquaring,
+)
+from .homing import BuiltIn, TunedSearch, search_policy
 from .identified import IdentifiedZv, IdentifiedZvd
 from .idle import Chance, Hold
 from .informed import INFORMED, PREFIX
 from .lqr import Lqr
 from .pd import Proportional, ProportionalDifferential
-from .plc import plc_policy, timed_policy
+from .plc import TunedTimed, plc_policy, timed_policy
 from .predictive import Predictive
 from .profiles import (
     SCurve,
@@ -126,6 +133,7 @@ POLICIES: dict[str, Baseline] = {
         repeated, "corrections learned in rehearsals of the same motion", told=True
     ),
     "search": Baseline(search_policy, "fast, back off, slow"),
+    "tuned_search": Baseline(TunedSearch, "the same at speeds of the tuner"),
     "built_in": Baseline(
         lambda datasheet, seed: BuiltIn(datasheet),
         "the drive's method for the reference; built_in:N another one",
@@ -136,8 +144,12 @@ POLICIES: dict[str, Baseline] = {
     ),
     "squaring": Baseline(Squaring, "over the home switches slowly, square on the way to the goal"),
     "squaring_slow": Baseline(SlowSquaring, "the same as gently as it is commissioned"),
+    "tuned_squaring": Baseline(TunedSquaring, "the same at speeds of the tuner"),
     "constant_feed": Baseline(ConstantFeed, "the path at full feed, no correction"),
     "full_feed": Baseline(FullFeed, "the path ahead of the drives' lag, slower at corners"),
+    "tuned_full_feed": Baseline(
+        TunedFullFeed, "the same with an outer loop, by numbers of the tuner"
+    ),
     **{
         PREFIX + law: Baseline(make, f"{law}, told what was drawn", told=True)
         for law, make in INFORMED.items()
@@ -145,11 +157,9 @@ POLICIES: dict[str, Baseline] = {
     "bound": Baseline(
         Bound, "what nothing can be better than: a limit, nothing that could act", told=True
     ),
-    "tuned_full_feed": Baseline(
-        TunedFullFeed, "the same with an outer loop, by numbers of the tuner"
-    ),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
     "plc_timed": Baseline(timed_policy, "the same by the clock, without looking", face=PDO),
+    "tuned_plc_timed": Baseline(TunedTimed, "the same with the times of the tuner", face=PDO),
 }
 ANYWHERE = ("hold", "random")  # want nothing of a task
 BUILT_IN = ("built_in", "built_in_fast")  # of which a method can be asked for
@@ -163,6 +173,13 @@ def needed(name: Any) -> dict[str, Any]:
     """The arguments of the environment a policy needs; none for other names than of `POLICIES`."""
     row = POLICIES.get(label(name).partition(":")[0])
     return dict(row.arguments) if row else {}
+
+
+def fitted(name: str) -> bytes:
+    """Return what a row of `POLICIES` reads from a file: its fitted numbers; of others nothing."""
+    row = POLICIES.get(name.partition(":")[0])
+    read: Callable[[], bytes] = getattr(row.make if row else None, "fitted", bytes)
+    return read()
 
 
 def declared() -> list[str]:

@@ -95,6 +95,11 @@ class BasisFeedForward(LeadingFeedForward):
         functions = self._reference.functions(mass / self._nominal - 1.0, share - 1.0)
         return self._range * float(functions @ self._coefficients)
 
+    @staticmethod
+    def fitted() -> bytes:
+        """Return the coefficients from the file, as they go into the hash of an entry."""
+        return fitted().tobytes()
+
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque, lead and outer loop of the law below, and the correction."""
         self._reference.see(observation)

@@ -26,6 +26,7 @@ class Squaring:
     """Both sides of the bridge of `GantrySync-v0`; x1 is right, x2 is wrong by the skew."""
 
     OVER, SHARE = OVER, 0.4  # over the switches (m/s), of the acceleration commissioned
+    UNTWIST, ZONE = UNTWIST, ZONE
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._known, self._axis = datasheet, datasheet.axis
@@ -54,11 +55,11 @@ class Squaring:
         velocity = min(self._velocity + rate * dt, self._axis.speed, math.sqrt(2.0 * rate * way))
         velocity = min(velocity, way / dt)
         if apart is None:
-            way = max(HOME - ZONE - self._place, 0.0)
+            way = max(HOME - self.ZONE - self._place, 0.0)
             velocity = min(velocity, math.sqrt(self.OVER**2 + 2.0 * rate * way))
         self._velocity = velocity
         self._place += velocity * dt
-        most = UNTWIST * dt
+        most = self.UNTWIST * dt
         change = 0.0 if apart is None else min(max(apart - self._apart, -most), most)
         self._apart += change
         shares = np.array([velocity, velocity + change / dt]) / self._axis.speed
@@ -73,6 +74,23 @@ class SlowSquaring(Squaring):
     """Square at the commissioned speeds: a quarter over the switches and on the ramps."""
 
     OVER, SHARE = 0.25 * OVER, 0.1
+
+
+class TunedSquaring(Squaring, Tunable):
+    """Square at the speeds of the tuner."""
+
+    NAME = "tuned_squaring"
+    RANGES = {  # noqa: RUF012
+        "over": Range(0.01, 0.2, OVER),  # m/s, over the switches
+        "share": Range(0.1, 1.0, Squaring.SHARE),  # of the acceleration commissioned
+        "untwist": Range(0.01, 0.2, UNTWIST),  # m/s, of one side against the other
+        "zone": Range(2e-3, 8e-3, ZONE),  # m before the switches, where it slows down
+    }
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(datasheet, seed)
+        own = self.numbers(datasheet.task)
+        self.OVER, self.SHARE, self.UNTWIST, self.ZONE = (own[name] for name in self.RANGES)
 
 
 class ConstantFeed:

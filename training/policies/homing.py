@@ -1,38 +1,48 @@
 """Homing: a scripted search as a PLC would make it, and the methods of the drive itself."""
 
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from ...envs.environment.servo_env import METRE
 from .datasheet import Datasheet
+from .numbers import Range, Tunable
 from .profiles import of_the_drive
 from .script import Script, Steps
 
-RAMP = 0.05  # change of the velocity a step, to be gentle
 NEGATIVE, POSITIVE, HOME = "negative_limit_switch", "positive_limit_switch", "home_switch"
-# The legs of a search: velocity, switch, the value it has to take. Fast, back off, slow.
+# Shares of the top speed; `ramp` is the change in a step, to be gentle. The ranges are the tuner's.
+SPEEDS = {
+    "fast": Range(0.2, 1.0, 0.6), "back": Range(0.02, 1.0, 0.2), "again": Range(0.01, 1.0, 0.1),
+    "slow": Range(0.002, 0.1, 0.01), "ramp": Range(0.02, 1.0, 0.05),
+}
+# The legs of a search: direction, speed, switch, the value it has to take.
 LEGS = {
     "home_switch": (
-        (0.6, HOME, True), (-0.2, HOME, False), (0.1, HOME, True), (-0.01, HOME, False),
+        (1, "fast", HOME, True), (-1, "back", HOME, False), (1, "again", HOME, True),
+        (-1, "slow", HOME, False),
     ),
-    "negative_limit_switch": ((-0.4, NEGATIVE, True), (0.01, NEGATIVE, False)),
+    "negative_limit_switch": ((-1, "fast", NEGATIVE, True), (1, "slow", NEGATIVE, False)),
 }
+TO_LIMIT = 2.0 / 3.0  # of the fast speed, towards a limit switch
 # To the same places, whichever side the start is on: to the home switch negative first, because the
 # way beyond it is shorter there.
 FASTEST = {"home_switch": 30, "negative_limit_switch": 17, "stop": -17}
 SHARE_OF_TOLERANCE = 0.2  # that the slow speed may pass in a cycle in which inputs are sampled
 
 
-def search(datasheet: Datasheet, legs) -> Steps:
+def search(datasheet: Datasheet, legs, speeds: Mapping[str, float]) -> Steps:
     """Travel by `legs`, then declare; a positive limit switch turns the first leg round.
 
     The last leg stops without a ramp.
     """
+    ramp = speeds["ramp"]
     velocity, seen = 0.0, datasheet.named((yield datasheet.action(torque_limit=1, reference=-1)))
-    for i, (wanted, switch, value) in enumerate(legs):
+    for i, (direction, speed, switch, value) in enumerate(legs):
+        wanted = direction * speeds[speed] * (TO_LIMIT if switch == NEGATIVE and i == 0 else 1.0)
         while (seen[switch] > 0.5) != value:
             if i == 0 and seen[POSITIVE] > 0.5:
                 wanted = -abs(wanted)
-            velocity = min(max(wanted, velocity - RAMP), velocity + RAMP)
+            velocity = min(max(wanted, velocity - ramp), velocity + ramp)
             action = datasheet.action(velocity=velocity, torque_limit=1, reference=-1)
             seen = datasheet.named((yield action))
     yield datasheet.action(torque_limit=1, reference=1)
@@ -55,8 +65,22 @@ def to_stop(datasheet: Datasheet) -> Steps:
 
 def search_policy(datasheet: Datasheet, seed: int = 0) -> Script:
     """The search for the reference of the task."""
+    return Script(_searched(datasheet, {name: one.untuned for name, one in SPEEDS.items()}))
+
+
+def _searched(datasheet: Datasheet, speeds: Mapping[str, float]) -> Callable[[], Steps]:
+    """What looks for the reference of the task."""
     legs = LEGS.get(datasheet.reference)
-    return Script(partial(search, datasheet, legs) if legs else partial(to_stop, datasheet))
+    return partial(search, datasheet, legs, speeds) if legs else partial(to_stop, datasheet)
+
+
+class TunedSearch(Script, Tunable):
+    """The search at the speeds of the tuner."""
+
+    NAME, RANGES = "tuned_search", SPEEDS
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(_searched(datasheet, self.numbers(datasheet.task)))
 
 
 class BuiltIn:

@@ -34,6 +34,12 @@ class Tunable:
         found = tuned().get(self.NAME, {}).get(task.rpartition("/")[2], {})
         return own | dict(found.get("numbers", {}) if self.GIVEN is None else self.GIVEN)
 
+    @classmethod
+    def fitted(cls) -> bytes:
+        """Return the numbers from the file, of all tasks, as they go into the hash of an entry."""
+        found = {task: one["numbers"] for task, one in tuned().get(cls.NAME, {}).items()}
+        return json.dumps(found, sort_keys=True).encode()
+
 
 @lru_cache(maxsize=1)
 def tuned() -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The step chain of a PLC: from a drive in fault to an axis in position."""
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -9,12 +10,14 @@ from ...drive.kernel.words import Controlword as C
 from ...drive.kernel.words import Statusword as S
 from ...envs.exchange.faces import CONTROL_BITS, STATUS_BITS
 from .datasheet import Datasheet
+from .numbers import Range, Tunable
 from .script import Script, Steps
 
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models show this one in FAULT
 SET, CLEAR = 1.0, -1.0
 UP = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
-WAIT, HOMING_TIME = 20, 600  # steps; the farthest search takes 2 s, with some drives more
+# Steps for each state and for the homing; the farthest search takes 2 s, with some drives more
+WAITS = {"wait": Range(2.0, 40.0, 20.0), "homing": Range(100.0, 1000.0, 600.0)}
 SHOWN = {-0.5: Mode.HOMING, 0.5: Mode.PROFILE_POSITION}  # modes as observed
 
 
@@ -52,19 +55,20 @@ def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
         seen = datasheet.named((yield action(datasheet, control, mode, seen.goal)))
 
 
-def timed(datasheet: Datasheet) -> Steps:
-    """Run the step chain by the clock alone, with ample time for each step."""
+def timed(datasheet: Datasheet, waits: Mapping[str, float]) -> Steps:
+    """Run the step chain by the clock alone, with so many steps for each state and the homing."""
+    wait, homing = (round(waits[name]) for name in WAITS)
     seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     for _ in range(int(datasheet.constant("outage"))):
         yield action(datasheet, 0, Mode.HOMING, seen.goal)
     enabled = TO_ENABLED[State.OPERATION_ENABLED]
     start = enabled | C.NEW_SET_POINT
-    up = [(TO_ENABLED[state], WAIT) for state in UP]
-    home = [(C.FAULT_RESET, WAIT), (0, WAIT), *up, (start, HOMING_TIME)]
-    for control, steps in (*home, (enabled, WAIT)):
+    up = [(TO_ENABLED[state], wait) for state in UP]
+    home = [(C.FAULT_RESET, wait), (0, wait), *up, (start, homing)]
+    for control, steps in (*home, (enabled, wait)):
         for _ in range(steps):
             yield action(datasheet, control, Mode.HOMING, seen.goal)
-    for control in (*[enabled] * WAIT, start):
+    for control in (*[enabled] * wait, start):
         yield action(datasheet, control, Mode.PROFILE_POSITION, seen.goal)
 
 
@@ -74,5 +78,14 @@ def plc_policy(datasheet: Datasheet, seed: int = 0) -> Script:
 
 
 def timed_policy(datasheet: Datasheet, seed: int = 0) -> Script:
-    """The chain by the clock."""
-    return Script(partial(timed, datasheet))
+    """The chain by the clock, with ample time for each step."""
+    return Script(partial(timed, datasheet, {name: one.untuned for name, one in WAITS.items()}))
+
+
+class TunedTimed(Script, Tunable):
+    """The chain by the clock, with the times of the tuner."""
+
+    NAME, RANGES = "tuned_plc_timed", WAITS
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(partial(timed, datasheet, self.numbers(datasheet.task)))
