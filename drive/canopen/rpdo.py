@@ -14,6 +14,7 @@ from ..drive import Drive
 from ..kernel import process_data
 from ..kernel.faults import Cause
 from ..kernel.jit import entry
+from ..kernel.words import Latched
 from .emcy import Emergency, ErrorCode
 from .frame import SYNCHRONOUS, Route
 from .sync import Sync
@@ -53,7 +54,7 @@ class Receiver:
         self._counts = drive.model.quirk("rpdo_counts_syncs")
         own = slice(drive.index, drive.index + 1)
         self._changed = drive.axes["parameters_changed"][own]
-        self._synchronised = drive.axes["sync"][own]
+        self._latched = drive.axes["sync"][own]
         self._timed_out = drive.axes["rpdo_timeout"][own]
         self._too_short = drive.axes["rpdo_too_short"][own]
         self.reset()
@@ -109,7 +110,8 @@ class Receiver:
         elif rpdo.failed:
             self._recover(rpdo)
         if not rpdo.synchronous:
-            self._take(rpdo, data, 0)
+            self._take(rpdo, data)
+            self._latched[0] = self._latched[0] or Latched.ALONE
         elif self._sync.open(time):
             rpdo.waiting = data
             self._waiting[rpdo.number] = rpdo
@@ -123,12 +125,11 @@ class Receiver:
         self._timed_out[0] = bool(self._late)
         self._too_short[0] = bool(self._short)
 
-    def _take(self, rpdo: _Receive, data: bytes, synchronous: int) -> None:
+    def _take(self, rpdo: _Receive, data: bytes) -> None:
         drive = self._drive
         image = np.frombuffer(data, np.uint8)
         _latch(drive.memory, drive.index, drive.rpdos, rpdo.number, image)
         self._changed[0] = 1
-        self._synchronised[0] = synchronous
 
     def sync(self) -> None:
         """Latch what waited for this SYNC."""
@@ -138,7 +139,8 @@ class Receiver:
         for number, rpdo in sorted(self._waiting.items()):
             if rpdo.syncs == 0:
                 assert rpdo.waiting is not None
-                self._take(rpdo, rpdo.waiting, 1)
+                self._take(rpdo, rpdo.waiting)
+                self._latched[0] = Latched.CYCLIC
                 del self._waiting[number]
 
     def poll(self, time: int) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from .jit import block, entry
 from .record import AXIS, accessible
+from .words import Latched
 
 ENTRIES = 16  # mapped objects a PDO can have
 MAX_BITS = 64  # of a PDO on CAN, and of one that is mapped by the master
@@ -94,7 +95,7 @@ def latch(bytes_of_axis, axis, rpdos, image, at):
         if rpdos[i].valid:
             at = move(image, bytes_of_axis, rpdos[i], at, True)
     axis.parameters_changed = 1
-    axis.sync = 1
+    axis.sync = Latched.CYCLIC
     axis.sync_pulse = 1
     return at
 

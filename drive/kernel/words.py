@@ -129,6 +129,14 @@ class Limit(IntEnum):
     VOLTAGE = 0x100  # the DC link drives no more current against the speed
 
 
+class Latched(IntEnum):
+    """How process data came since the last position cycle: `AXIS.sync`."""
+
+    NOT = 0
+    CYCLIC = 1  # with SYNC or a frame of process data: the next ones are due a period later
+    ALONE = 2  # by an RPDO that acts when it comes (types 254, 255): no next one is due
+
+
 class SetPointSource(IntEnum):
     """What the ramp of the velocity mode follows: `AXIS.od.vl_setpoint_source`."""
 

@@ -44,6 +44,7 @@ from .task import METRE as METRE
 from .task import Task
 
 if TYPE_CHECKING:
+    from ..exchange.encoder import EncoderLine
     from ..exchange.over_ethercat import EtherCatLine
     from ..exchange.over_port import DriveSide, PortLine
 
@@ -132,7 +133,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         self.machine = built(self, self._make(model))
         if known is not None:
             known.give(self.machine)
-        self.drives = [self.machine.drives[name] for name in self.DRIVES or self.machine.drives]
+        self.drives = [self.machine.drives[name] for name in self.drive_names]
         self.drive = self.drives[0]
         self.cycles_per_step = step_cycles(step_time, self.STEP_TIME, self.machine.cycle_time)
         self.step_time = self.cycles_per_step * self.machine.cycle_time
@@ -147,7 +148,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         self._previous_action = flag("previous_action", previous_action)
         self.prices = priced(prices)
         self._configure()
-        self.line: EtherCatLine | PortLine | None = None
+        self.line: EtherCatLine | PortLine | EncoderLine | None = None
         if port is not None:
             self.line = self._on_a_bus(port, alone=not (faults or action == PDO))
         if bus_faults:
@@ -207,6 +208,11 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             if drive not in self.drives:  # its PDOs would be part of the images
                 drive.map_pdos([], [])
 
+    @property
+    def drive_names(self) -> list[str]:
+        """Names of the drives that the agent commands."""
+        return [*(self.DRIVES or self.machine.drives)]
+
     def _on_a_bus(self, port: "DriveSide", alone: bool) -> "PortLine":
         from ..exchange.over_port import PortLine
 
@@ -218,8 +224,8 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
                 "commanded by set-points, behind a guard"
             )
         pdos = [mapping(image) for image in self._images]
-        names = [*(self.DRIVES or self.machine.drives)]
-        return PortLine(self.machine, names, self._images, pdos, self.step_time, self.units, port)
+        names, period = self.drive_names, self.step_time
+        return PortLine(self.machine, names, self._images, pdos, period, self.units, port)
 
     def batch(self, n: int) -> Batch:
         """Return empty arrays for `n` environments like this one."""
@@ -398,7 +404,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         """
         for n, (drive, word) in enumerate(zip(self.drives, words, strict=True)):
             if word & FAULT or (self.line is not None and drive.axis.fault):
-                several = f" ({[*(self.DRIVES or self.machine.drives)][n]})"
+                several = f" ({self.drive_names[n]})"
                 return drive.fault + several * (len(self.drives) > 1)
         return ""
 

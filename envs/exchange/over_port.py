@@ -13,9 +13,8 @@ drive interpolates from each to the next: what comes late is wrong by its veloci
 RPDOs act when they come, and TPDOs answer a SYNC, which comes from here. On EtherCAT outputs go out
 with a frame of process data, and inputs are read alone, so that reading is no new set-point.
 
-What a bus does not tell is taken from what it tells: the load is where the encoder says it is, the
-share of the step at an internal limit is that of its end. The machine of such an environment has
-no time of its own; it keeps what a task reads of its drives.
+What a bus does not tell is taken from what it tells, see `encoder`. The machine of such an
+environment has no time of its own; it keeps what a task reads of its drives.
 """
 
 import math
@@ -33,13 +32,13 @@ from ...drive.canopen.port import FramePort
 from ...drive.canopen.remote import SYNC, CanOpenPort
 from ...drive.ethercat.port import EtherCatPort, SegmentMaster
 from ...drive.kernel.words import ENABLED, Mode
-from ...drive.kernel.words import Statusword as S
 from ...drive.master.errors import ServoError
 from ...drive.master.master import Master
 from ...drive.master.port import Port
 from ...drive.model.model import DriveModel, load
 from ...drive.objects.abort import SdoAbort
 from ..engine.machine import Machine
+from .encoder import tell
 from .envelope import Envelope, Guard, Stopped
 from .timing import Timing
 
@@ -670,24 +669,12 @@ class PortLine:
         for axis, image in zip(self._axes, images, strict=True):
             for name in self._tpdo.names or ():
                 image[name] = read(axis, name)
-        self._mirror(images)
+        tell(self._machine, self._axes, images, self._units)
+        self._machine.data.qpos[:] = self._machine._coordinates[0]
         for axis, image in zip(self._axes, images, strict=True):
             self.guards[axis].answer({name: image[name].item() for name in image.dtype.names})
         if self.on_step is not None:
             self.on_step(images)
-
-    def _mirror(self, images: np.ndarray) -> None:
-        """What a task looks at in its machine."""
-        machine, limited = self._machine, False
-        names = [*machine.drives]
-        for axis, image in zip(self._axes, images, strict=True):
-            coupling = machine.couplings[names.index(axis)]
-            machine._coordinates[0][int(coupling.qpos)] = (
-                image["position_actual_value"] / self._units
-            )
-            limited = limited or bool(int(image["statusword"]) & S.INTERNAL_LIMIT_ACTIVE)
-        machine.data.qpos[:] = machine._coordinates[0]
-        machine.world["step_ticks"], machine.world["limited_ticks"] = 1, limited
 
     def stop(self, error: BaseException) -> Stopped:
         """Quick stop of all drives and power off; -> why, which every further step raises."""

@@ -21,9 +21,10 @@ from servogym.drive.ethercat.slave import Slave
 from servogym.drive.kernel.words import State
 from servogym.drive.model.model import load
 from servogym.envs import TASKS
-from servogym.envs.environment.deployed import play
+from servogym.envs.environment.deployed import as_on_a_bus, play
 from servogym.envs.exchange.envelope import Envelope, Stopped
 from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep
+from servogym.training.policies import make
 
 NAMES = {task.ID: task for task in TASKS}
 LINEAR, TRACKING, CONTOUR = (
@@ -139,23 +140,26 @@ BUSES = {"can": CanBus, "ethercat": EtherCatBus}
 
 @pytest.mark.parametrize("bus", BUSES)
 @pytest.mark.parametrize("task", [LINEAR, TRACKING, CONTOUR])
-def test_in_lock_step_an_episode_is_the_one_in_memory_byte_by_byte(bus, task):
+@pytest.mark.parametrize("acting", ["at random", "by its reference"])
+def test_in_lock_step_an_episode_is_the_one_in_memory_byte_by_byte(bus, task, acting):
     drive = {"drive": DRIVE[bus]}
     served, plain = BUSES[bus](task, 5, **drive), NAMES[task](**drive)
     side = served.side(envelopes=wide(plain))
     env = gym.make(task, port=side, disable_env_checker=True, **drive)
     at_the_start(served, env.unwrapped.line)
     observation, info = env.reset(seed=5)
+    as_on_a_bus(plain)
     expected, told = plain.reset(seed=5)
     plain.action_space.seed(2)
-    for _ in range(60):
+    policy = make(plain.REFERENCE, plain, 5)
+    policy.reset(expected, told)
+    for _ in range(60 if acting == "at random" else plain.STEPS):  # set-points come to rest
         assert observation.tobytes() == expected.tobytes()
-        action = 0.2 * plain.action_space.sample()
-        observation, reward, *_, info = env.step(action)
-        expected, wanted, *_, told = plain.step(action)
-        if task == LINEAR:  # its reward is made of what the drive tells
-            assert reward == wanted
-            assert info["distance"] == told["distance"]
+        random = acting == "at random"
+        action = 0.2 * plain.action_space.sample() if random else policy.act(expected)
+        observation, reward, ended, _, info = env.step(action)
+        expected, wanted, over, _, told = plain.step(action)
+        assert (reward, ended, info["cost"]) == (wanted, over, told["cost"])
     assert env.unwrapped.line.lost == 0
     served.passes = True
     env.close()

@@ -55,7 +55,7 @@ def _serve(pipe, task, bus, clock):
             what, *given = order
             said = None
             if what == "stand":
-                env = named(task)(load("generic", bus))
+                env = named(task)(load("generic", bus), randomise={})
                 env.reset(seed=given[0])
                 kept = env.machine.snapshot()
                 laboratory.restore("axis", kept)
@@ -129,8 +129,8 @@ def _made(task, bus):
     from servogym.envs.environment.registry import task as named
 
     kind, model = named(task), load("generic", bus)
-    plain = kind(model)
-    return kind, model, plain, [*(plain.DRIVES or plain.machine.drives)]
+    plain = kind(model, randomise={})
+    return kind, model, plain, plain.drive_names
 
 
 def byte_equal(task, bus, steps=60, seed=5):
@@ -143,7 +143,7 @@ def byte_equal(task, bus, steps=60, seed=5):
     wide = dict.fromkeys(axes, Envelope(-20.0, 20.0, 100.0))
     with served(task, bus) as ask, side_on(bus, axes, envelopes=wide) as side:
         ask("stand", seed)
-        env = kind(model, port=side)
+        env = kind(model, port=side, randomise={})
         place, look = env.line.place, env.line.look
         if bus == "can":
             ask("keep")
@@ -175,10 +175,10 @@ def byte_equal(task, bus, steps=60, seed=5):
 
 
 def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False):
-    """Returns of episodes on the bus and of the same in memory."""
+    """Metrics of episodes on the bus and of the same in memory."""
     from functools import partial
 
-    from servogym.envs.environment.deployed import episodes_of
+    from servogym.envs.environment.deployed import episodes_of, in_memory
     from servogym.envs.exchange.envelope import Stopped
     from servogym.training.cli.deploy import _policy
 
@@ -189,25 +189,16 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False):
     deployed, stopped, times = [], "", {}
     with served(task, bus, clock) as ask, side_on(bus, axes, lock_step) as side:
         ask("stand", seed)
-        env = kind(model, port=side)
+        env = kind(model, port=side, randomise={})
         make = partial(_policy, policy, plain, seed)
         try:
             for played in episodes_of(env, episodes=count, make=make, seed=seed, fast=fast):
-                success = bool(played.info.get("is_success"))
-                deployed.append((played.returned, played.steps, played.late, success))
+                deployed.append(played.values | {"late": played.late})
         except Stopped as error:
             stopped = f"{error}"
         times = env.line.timing.as_dict()
         env.close()
-    memory, acting = [], _policy(policy, plain, seed)
-    for n in range(len(deployed)):
-        seen, info = plain.reset(seed=seed + n)
-        acting.reset(seen, info)
-        returned, ended, k = 0.0, False, 0
-        while not ended and k < plain.STEPS:
-            seen, reward, ended, _, info = plain.step(acting.act(seen))
-            returned, k = returned + reward, k + 1
-        memory.append((returned, bool(info.get("is_success"))))
+    memory = in_memory(plain, _policy(policy, plain, seed), len(deployed), seed)
     return {"deployed": deployed, "memory": memory, "stopped": stopped, "times": times}
 
 
@@ -360,7 +351,7 @@ def hostile(bus, names):
             most = 200.0 if name.startswith("creeps") else 30.0
             limits = {"x": Envelope(LOW, HIGH, FAST, most, following_error=0.02)}
             with side_on(bus, axes, envelopes=limits) as side:
-                env = kind(model, port=side)
+                env = kind(model, port=side, randomise={})
                 steps = itertools.count()
                 reason = ""
                 try:

@@ -65,6 +65,6 @@ def test_where_the_deploying_process_is_killed_the_drive_stops_by_its_own_watchd
 def test_returns_on_the_bus_are_those_of_memory_but_for_the_start(bus):
     result = over(bus, "episodes", task="linear", policy="trapezoid", count=3)
     assert result["stopped"] == ""
-    deployed = [returned for returned, *_ in result["deployed"]]
-    assert deployed == pytest.approx([returned for returned, _ in result["memory"]], rel=0.03)
-    assert [row[-1] for row in result["deployed"]] == [success for _, success in result["memory"]]
+    for name in ("episode_return", "success"):
+        here, there = ([row[name] for row in result[side]] for side in ("deployed", "memory"))
+        assert here == pytest.approx(there, rel=0.03), name

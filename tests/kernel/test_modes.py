@@ -5,6 +5,7 @@ import pytest
 
 from conftest import INCREMENTS, TURN, Shaft
 from servogym.drive import Drive, SdoAbort
+from servogym.drive.kernel.words import Latched
 
 REACHED, BIT12, BIT13 = 0x0400, 0x1000, 0x2000
 LIMIT = 0x0800
@@ -181,6 +182,60 @@ def test_csp_does_not_jump_to_an_old_target_when_enabled(free):
     free.write(target_position=1_000_000)
     free.enable(8)
     free.step(50)
+    assert abs(free.read("position_demand_value")) < 10
+
+
+def alone(free, **values):
+    """Objects in an RPDO of type 255: it acts when it comes, and no next one is due."""
+    free.drive.latch(free.drive.pack(**values))
+    free.drive.axis.sync = Latched.ALONE
+
+
+def test_csp_makes_the_same_of_set_points_that_rest_with_process_data_and_in_an_rpdo_alone():
+    positions = [0, 300, 900, 1200, 1200, 1200, 1200, 1000, 1000, 1000]
+    said = []
+    for latched in (Latched.CYCLIC, Latched.ALONE):
+        shaft = Shaft()
+        shaft.write(
+            interpolation_time_period_value=2, interpolation_time_index=-3,
+            following_error_window=0xFFFFFFFF,
+        )
+        shaft.drive.map_pdos([["controlword", "target_position"]])
+        shaft.enable(8)
+        said.append([])
+        for position in positions:
+            alone(shaft, controlword=0x0F, target_position=position)
+            shaft.drive.axis.sync = latched
+            for _ in range(4):
+                shaft.step()
+                axis = shaft.drive.axis
+                said[-1].append(
+                    (axis.position_demand, axis.velocity_demand, axis.acceleration_demand)
+                )
+    assert said[0] == said[1]
+
+
+def test_csp_goes_on_with_its_period_where_an_rpdo_alone_repeats_the_set_point(free):
+    free.write(interpolation_time_period_value=4, interpolation_time_index=-3)
+    free.drive.map_pdos([["controlword", "target_position"]])
+    free.enable(8)
+    free.step(5)
+    demands = []
+    for _ in range(4):
+        alone(free, controlword=0x0F, target_position=800)
+        for _ in range(2):
+            free.step()
+            demands.append(free.read("position_demand_value"))
+    assert demands == [*range(100, 801, 100)]
+
+
+def test_csp_does_not_jump_to_an_old_target_for_a_controlword_in_an_rpdo_alone(free):
+    free.drive.map_pdos([["controlword"]])
+    free.write(target_position=1_000_000)
+    free.enable(8)
+    for _ in range(10):
+        alone(free, controlword=0x0F)
+        free.step(10)
     assert abs(free.read("position_demand_value")) < 10
 
 

@@ -187,8 +187,9 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     options.twin = given.get("twin")
     for policy in options.policy:
         given = needed(policy) | given
+    given.setdefault("randomise", {})  # nothing draws the parameters of the machine on the bus
     example = kind(options.drive, **given)
-    axes = [*(example.DRIVES or example.machine.drives)]
+    axes = example.drive_names
     side = _side(options, axes, stack)
     made: Any = gymnasium.make(
         kind.ID, drive=options.drive, port=side, disable_env_checker=True, **given

@@ -11,7 +11,7 @@ from ..homing import HomingError
 from ..jit import block
 from ..ramps import rest
 from ..stop import Stop
-from ..words import Controlword, Mode, State
+from ..words import Controlword, Latched, Mode, State
 from . import csp, cst, csv, hm, ip, pp, pv, tq, vl
 
 LOWEST_MODE, HIGHEST_MODE = int(min(Mode)), int(max(Mode))
@@ -48,10 +48,10 @@ def demand(axis):
         elif axis.mode == Mode.HOMING:
             bit4 = 0  # the start is seen when the brake has let go
     axis.bit4 = bit4
-    if axis.sync:
+    if axis.sync == Latched.CYCLIC:
         axis.synchronised = axis.mode_started
         axis.silence = 0
-    axis.sync = 0
+    axis.sync = Latched.NOT
     axis.last_target_position = axis.target_position + axis.position_offset
     axis.last_ip_data = axis.ip_data
 

@@ -5,6 +5,9 @@ interpolates linearly from the last demand to it over the interpolation time per
 holds, so the demand velocity is the slope of the master's own trajectory. Position and velocity
 offsets 60B0h and 60B1h are added; the torque offset 60B2h acts in the cascade.
 
+An RPDO of type 254 or 255 may repeat a set-point for the sake of another object, so a repeated one
+is new only once the interpolation to it has ended (inferred).
+
 A target that is too far for one period is approached at the maximum speed, period by period, and
 before a software limit on the quick stop ramp; the limit shows as long as it holds. Where
 set-points came one period apart and one is missing, the drive goes on with the last slope, for as
@@ -17,7 +20,7 @@ from ..jit import block, rare
 from ..ramps import close_position_loop
 from ..record import Axis
 from ..stop import Stop
-from ..words import Limit
+from ..words import Latched, Limit
 
 SMOOTHING = 0.25  # of the acceleration fed forward, per set-point: whole units make it coarse
 
@@ -44,9 +47,18 @@ def hold(axis: Axis):
 def demand(axis: Axis):
     """Interpolate one position cycle further."""
     target = axis.target_position + axis.position_offset
-    if axis.sync or target != axis.last_target_position:
-        aim(axis, target, axis.sync)
+    cyclic = axis.sync == Latched.CYCLIC
+    if cyclic or target != axis.last_target_position or (axis.sync and _reached(axis, target)):
+        aim(axis, target, cyclic)
     travel(axis, axis.velocity_offset)
+
+
+@block
+def _reached(axis: Axis, target):
+    """Whether the interpolation has ended at the set-point `target` (rad), not at a hold."""
+    wanted = limits.clamp(axis, limits.nearest_count(axis, target))
+    ended = axis.interpolation_cycle >= axis.interpolation_cycles
+    return ended and axis.interpolation_wanted == wanted == axis.interpolation_target
 
 
 @block

@@ -10,7 +10,7 @@ from ..jit import block, rare
 from ..ramps import NO_JERK_LIMIT
 from ..record import Axis
 from ..stop import Stop
-from ..words import Limit
+from ..words import Latched, Limit
 
 
 @rare
@@ -40,7 +40,8 @@ def demand(axis: Axis):
         axis.acceleration_demand = 0.0
         return
     arrived = axis.interpolation_cycle >= axis.interpolation_cycles
-    if axis.sync or (arrived and goal != axis.interpolation_target_velocity):
+    new = axis.sync or goal != axis.interpolation_target_velocity
+    if axis.sync == Latched.CYCLIC or (arrived and new):
         axis.interpolation_start_velocity = axis.velocity_demand
         axis.interpolation_target_velocity = goal
         axis.interpolation_cycle = 0

@@ -12,6 +12,7 @@ from ..cascade import energised
 from ..jit import block, rare
 from ..ramps import close_position_loop
 from ..record import IP_RECORDS, Axis
+from ..words import Latched
 from . import csp
 
 RING = 1
@@ -34,7 +35,7 @@ def receive(axis: Axis):
     size = 1 if unbuffered else min(int(od.interpolation_actual_buffer_size), IP_RECORDS)
     if not od.interpolation_buffer_clear:
         axis.ip_records = 0
-    elif axis.sync or axis.ip_data != axis.last_ip_data:
+    elif axis.sync == Latched.CYCLIC or axis.ip_data != axis.last_ip_data:
         if unbuffered:
             axis.ip_records = 0
         if axis.ip_records >= size and od.interpolation_buffer_organization == RING:
@@ -66,7 +67,7 @@ def demand(axis: Axis, bit4):
     at_once = axis.od.interpolation_sub_mode_select == UNBUFFERED
     ready = at_once or axis.interpolation_cycle >= axis.interpolation_cycles
     if enabled and ready and axis.ip_records > 0:
-        csp.aim(axis, _take(axis), at_once and axis.sync)
+        csp.aim(axis, _take(axis), at_once and axis.sync == Latched.CYCLIC)
     csp.travel(axis, 0.0)
 
 

@@ -950,7 +950,7 @@ class Axis:
     last_target_position: float
     """rad; with position_offset, of the previous cycle"""
     sync: int
-    """process data were latched since the last position cycle"""
+    """`words.Latched`: process data that came since the last position cycle"""
     sync_pulse: int
     """SYNC has come since the last position cycle"""
     sync_gap: int

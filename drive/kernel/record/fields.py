@@ -259,7 +259,7 @@ FIELDS = (
     ("ip_active", "u1", "", "data records are evaluated"),
     ("last_ip_data", "f8", "rad", "ip_data of the previous cycle"),
     ("last_target_position", "f8", "rad", "with position_offset, of the previous cycle"),
-    ("sync", "u1", "", "process data were latched since the last position cycle"),
+    ("sync", "u1", "", "`words.Latched`: process data that came since the last position cycle"),
     ("sync_pulse", "u1", "", "SYNC has come since the last position cycle"),
     ("sync_gap", "i8", "position cycle", "since the last SYNC"),
     ("sync_wait", "i8", "position cycle", "interpolation has been waiting for SYNC"),
