@@ -21,6 +21,7 @@ from .control import Control
 from .log import Event, Log
 from .recorder import Recorder
 from .set_points import SetPoints
+from .twin import TWIN, Beside
 
 CHANNELS = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
@@ -99,6 +100,7 @@ class Bench:
         self.no_policies = ""  # why there is none
         self.delay = 0.0  # s by which commands come late
         self.kept: dict[str, bytes] = {}  # snapshots of the machine by name
+        self.beside: Beside | None = None  # a twin
 
     def _scope(self, period: float) -> Recorder:
         """A scope with the usual channels of the first axis."""
@@ -163,6 +165,14 @@ class Bench:
         """All that is shown of an axis."""
         raise NotImplementedError
 
+    def joint_position(self, axis: str) -> float | None:
+        """Where its joint is (m or rad); None: nobody knows but the drive."""
+        return None
+
+    def referenced(self, axis: str) -> bool:
+        """Whether an axis is homed, as far as it is known."""
+        return True
+
     # ----------------------------------------------------------------- the drives
 
     def model(self, axis: str) -> DriveModel:
@@ -197,25 +207,41 @@ class Bench:
                 *sorted(row.name for row in self.rows(axis) if row.pdo and row.format),
                 *self.fields(),
             )
-        ]
+        ] + (self.beside.channels() if self.beside else [])
 
-    def _found(self, channel: str) -> tuple[str, str]:
+    def found(self, channel: str) -> tuple[str, str]:
+        """Axis and name of a channel; one of the twin is in units of its axis."""
         axis, colon, name = channel.partition(HERE)
         if colon and axis in self.axes:
             return axis, name
+        if colon and axis == TWIN and self.beside:
+            return self.beside.axis, name
         return self.axes[0], channel
-
-    def found(self, channel: str) -> tuple[str, str]:
-        """Axis and name of a channel."""
-        return self._found(channel)
 
     def reader(self, channel: str) -> Callable[[], float]:
         """What gives the value of a channel. Raises ValueError for an unknown one."""
-        return self.channel_reader(*self._found(channel))
+        axis, name = self.found(channel)
+        if self.beside and channel.startswith(TWIN + HERE):
+            return self.beside.reader(name)
+        return self.channel_reader(axis, name)
 
     def unit_of(self, channel: str) -> str:
         """The unit of a channel."""
-        return self.channel_unit(*self._found(channel))
+        return self.channel_unit(*self.found(channel))
+
+    def put_beside(self, machine: Any, axis: str = "", drive: str = "") -> None:
+        """A twin beside an axis, the first one if none is named; the scope shows both.
+
+        Raises ValueError as `twin.Beside`.
+        """
+        self.beside = Beside(self, machine, axis or self.axes[0], drive)
+        axis, known = self.beside.axis, self.beside.channels()
+        pairs = [
+            pair for name in ("position_actual_value", "following_error_actual_value")
+            if (pair := (self.channel(axis, name), f"{TWIN}{HERE}{name}"))[1] in known
+        ]
+        if pairs:
+            self.scope.choose([channel for pair in pairs for channel in pair])
 
     def advance(self, time: float) -> None:
         """Let so much time pass (s)."""
@@ -418,6 +444,7 @@ class Bench:
             "messages": self.messages,
             "kept": [*self.kept],
             "scope": self.scope.state,
+            "twin": self.beside.state if self.beside else "",
             "lesson": self.pupil.present if self.pupil else None,
             "axes": {name: self._axis(name) for name in self.axes},
         }

@@ -121,14 +121,15 @@ class BusBench(Bench):
         if self.commands and (due or now >= self._next):
             self._next = now + 1 / REQUESTS
             if due:
-                for channel in self.scope.needed:
-                    axis, name = self._found(channel)
+                for axis, name in dict.fromkeys(map(self.found, self.scope.needed)):
                     self._read(axis, self._named[name], fresh=1 / self.asked_rate)
             else:
                 self._read_next()
         else:
             self.bus.exchange()
         self.time = self.bus.now() - self._begun
+        if self.beside is not None:
+            self.beside.follow()
         self._watch_faults()
         if due:
             self._due = max(self._due + 1 / self.asked_rate, self.bus.now() - 0.5 / self.asked_rate)
@@ -202,8 +203,10 @@ class BusBench(Bench):
                 row = self._named[name]
                 key = where[0], row.index, row.subindex
                 if len(frame.data) >= at + row.size:
-                    self._known[key] = _decoded(row, frame.data[at : at + row.size])
+                    self._known[key] = value = _decoded(row, frame.data[at : at + row.size])
                     self._heard[key] = self.bus.now()
+                    if where[1] == "rx":
+                        self.told(where[0], name, value)
         for axis, node in self.bus.nodes.items():
             if frame.id == Base.EMCY + node.node_id and len(frame.data) == 8:
                 code = int.from_bytes(frame.data[:2], "little")
@@ -271,9 +274,15 @@ class BusBench(Bench):
             return f"{arguments[-1]:g} does not fit {row.data_type}"
         except (SdoAbort, ServoError, ValueError) as error:
             return str(error)
+        self.told(axis, row.index, row.subindex, value)
         if row.access != "wo":
             self._read(axis, row)
         return ""
+
+    def told(self, axis: str, *arguments: Any) -> None:
+        """A drive has taken a value, by name or index of the object: its twin gets it as well."""
+        if self.beside is not None and axis == self.beside.axis:
+            self.beside.told(*arguments)
 
     def powered(self, axis: str) -> bool:
         """Whether its statusword shows OPERATION_ENABLED."""
@@ -403,6 +412,7 @@ class _Port:
         """Write an object by SDO and read it back. Returns the reason of a refusal, or nothing."""
         self._may()
         self._bus.write(axis, name, value)
+        self._bench.told(axis, name, value)
 
     def exchange(self) -> None:
         """Some time of the bench."""

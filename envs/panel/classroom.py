@@ -357,7 +357,7 @@ def _given(session: Any, exercise: Exercise) -> None:
 def _fresh(session: Any) -> None:
     lessons.leave(session)
     session.release()
-    session.machine.restore(session.fresh)
+    session.restore(session.fresh)
     session.delay = 0.0
     session.underway.clear()
     session.tell("info", "The teacher has given back the machine as it was at first.")

@@ -61,7 +61,7 @@ class Pupil:
         if session.pupil is not None:
             session.pupil.end()
         session.pupil, self._session, self._told = None, session, False
-        session.machine.restore(session.fresh)
+        session.restore(session.fresh)
         session.delay = 0.0
         self.exercise, self.axis = exercise, axis
         self.attempt = Attempt(

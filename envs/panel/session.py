@@ -90,6 +90,10 @@ class Session(Bench):
         self.machine.step(cycles)
         self.time += cycles * self.machine.cycle_time
         self._cycle += cycles
+        if self.beside is not None:
+            if self.agent is not None:
+                self.beside.watch_commands()
+            self.beside.follow()
         if self._cycle >= self._sampled + self.cycles:
             self._sampled = self._cycle
             self.scope.sample(self.time)
@@ -108,7 +112,10 @@ class Session(Bench):
         """
         if self.journal is not None:
             self.journal.enter(what, *arguments)
-        return ACTS[what](self.machine, *arguments)
+        done = ACTS[what](self.machine, *arguments)
+        if self.beside is not None and arguments[0] == self.beside.axis:
+            self.beside.act(what, *arguments[1:])
+        return done
 
     def examined(self) -> str:
         """Why what ails the machine stays as it is, if it does: it belongs to an exercise."""
@@ -212,11 +219,30 @@ class Session(Bench):
         self.release()
         self._lose("back at a snapshot")
         try:
-            self.machine.restore(self.kept[name])
+            self.restore(self.kept[name])
         except ValueError as error:
             return self._failed("snapshot", str(error))
         self.tell("done", f"back at {name!r}")
         return ""
+
+    def restore(self, snapshot: bytes) -> None:
+        """The machine as it was; the twin stands beside it. Raises ValueError of another one."""
+        self.machine.restore(snapshot)
+        self._moved()
+
+    def _moved(self) -> None:
+        """The machine was put somewhere else."""
+        if self.beside is not None:
+            self.beside.due = True
+
+    def joint_position(self, axis: str) -> float | None:
+        """Where the joint is (m or rad)."""
+        number = self.axes.index(axis)
+        return float(self.machine.data.qpos[self.machine.couplings[number].qpos])
+
+    def referenced(self, axis: str) -> bool:
+        """Whether an axis is homed."""
+        return bool(self.machine.drives[axis].axis.homed)
 
     def save_parameters(self, axis: str) -> bytes:
         """The parameter file as the drive would store it now."""
@@ -237,6 +263,7 @@ class Session(Bench):
         self.release()
         self._lose("switched off and on")
         self._port.forget()
+        self._moved()
         positions = {}
         for name, coupling in zip(self.axes, self.machine.couplings, strict=True):
             positions[name] = float(self.machine.data.qpos[coupling.qpos])
@@ -259,7 +286,17 @@ class Session(Bench):
         if self.agent is not None:
             raise Refused("hand over", f"{self.agent.name} has the machine", "take it back first")
         self.agent = agent
+        if self.beside is not None:
+            self.beside.watch_parameters()
         self.tell("done", f"{agent.name} has taken over")
+
+    def release(self) -> None:
+        """Take the machine back from an agent."""
+        agent = self.agent
+        super().release()
+        if agent is not None and self.beside is not None:
+            self.beside.watch_commands()
+            self.beside.watch_parameters()
 
     def _axis(self, name: str) -> dict[str, Any]:
         drive, units = self.machine.drives[name], self.port.units(name)

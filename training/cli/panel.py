@@ -3,10 +3,14 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from .bus import CHANNEL, INTERFACE, opened, where
+
+if TYPE_CHECKING:
+    from ...envs.panel.bench import Bench
 
 PORT = 8402  # as `envs.panel.server`
 RATE = 20.0  # as `envs.panel.bus`
@@ -26,6 +30,11 @@ def add(panel: argparse.ArgumentParser) -> None:
         "--joint", action="append", metavar="NAME", help="of --mjcf that gets a drive; repeatable"
     )
     panel.add_argument("--parameter-file", type=Path, help="where 1010h stores, one axis only")
+    panel.add_argument(
+        "--twin", type=Path, metavar="DIR",
+        help="a twin, as `servogym twin` makes it, beside the axis or node: it gets the same "
+        "commands, the scope shows both",
+    )
     add_bus_arguments(panel, group_title="a running node on a bus, as python-can has it")
     panel.add_argument("--bus-config", help="section of the configuration file of python-can")
     panel.add_argument(
@@ -84,6 +93,24 @@ def _machine(options: argparse.Namespace):
     return machine
 
 
+def _put_twin(bench: "Bench", options: argparse.Namespace) -> None:
+    """A twin beside an axis of the bench, if one is given."""
+    from ...envs.plants import twins
+    from ...envs.plants.catalogue import of_twin, power_on
+
+    if options.twin is None:
+        return
+    found = twins.read(options.twin)
+    axis = found.axis if found.axis in bench.axes else bench.axes[0]
+    if axis != found.axis and len(bench.axes) > 1:
+        raise ValueError(
+            f"--twin {options.twin} is of an axis {found.axis!r}, here are {', '.join(bench.axes)}"
+        )
+    machine = of_twin(options.twin)
+    power_on(machine, {})
+    bench.put_beside(machine, axis, found.axis)
+
+
 def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     """Nodes on a bus, and the adapter to it."""
     from ...drive.master import Units
@@ -139,6 +166,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     if options.node_id:
         bench, adapter = _bus(options, tell)
         try:
+            _put_twin(bench, options)
             server.serve(
                 bench, host=options.host, port=options.port, browser=not options.no_browser,
                 pictures=options.pictures, tell=tell,
@@ -157,6 +185,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     title = options.mjcf.stem if options.mjcf else options.axis.replace("-", " ")
     title += " axis" * (title in ("linear", "vertical"))
     session = Session(machine, title)
+    _put_twin(session, options)
     session.lessons = tuple(load_all(options.lessons) if options.lessons else load_all())
     if options.mjcf is not None:
         mjcf = options.mjcf

@@ -14,7 +14,7 @@ from ..bench import Bench
 from ..recorder import MOST_CHANNELS, Run, Window
 from .desk import Desk, refuse
 from .units import physical
-from .widgets import TOGGLE, Entry, button, card, file_button
+from .widgets import TOGGLE, Entry, Tag, button, card, file_button
 
 STATIC = Path(__file__).parents[1] / "static"
 COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a", "#8b6fd6", "#12a5a5", "#b08a1e", "#7a8291")
@@ -110,6 +110,12 @@ class ScopePage:
                             self._level, test="trigger-level",
                         )
                     button("Arm", self._trigger, "arm", "main")
+                if bench.beside is not None:
+                    with card("Twin"), ui.element("div").classes("cluster"):
+                        self.twin = Tag("span", "", data_test="twin-state").classes("prose")
+                        button("Align", self._align, "align-twin").props(
+                            'title="Stand where the axis stands, in its mode"'
+                        )
                 with card("Set-up"), ui.element("div").classes("cluster"):
                     button("Save …", self._save, "save-set-up")
                     file_button("Load …", self._load, "load-set-up")
@@ -202,6 +208,13 @@ class ScopePage:
     async def _freeze(self) -> None:
         refuse(await self.desk.command(lambda s: s.scope.freeze(not s.scope.frozen)))
 
+    async def _align(self) -> None:
+        def align(session: Bench) -> None:
+            if session.beside is not None:
+                session.beside.due = True
+
+        refuse(await self.desk.command(align))
+
     async def _csv(self) -> None:
         shown = {name: self._shown(name) for name in self.channels}
         text = await self.desk.ask(lambda session: session.scope.csv(shown))
@@ -215,6 +228,8 @@ class ScopePage:
         scope = self.desk.clock.session.scope
         self.state.set_text(scope.state)
         self.freeze.set_text("Go on" if scope.frozen else "Freeze")
+        if self.desk.bench.beside is not None:
+            self.twin.say(self.desk.shown["twin"])
         if not self._plotted:
             return
         if self.channels != scope.channels:
@@ -227,7 +242,8 @@ class ScopePage:
                     {
                         "name": name,
                         "unit": unit,
-                        "axis": name if "following_error" in name else unit,
+                        "axis": ":".join(self.desk.bench.found(name))
+                        if "following_error" in name else unit,
                         "colour": COLOURS[i],
                         "grain": 1e-3 if "axis." in name else factor,
                     }
