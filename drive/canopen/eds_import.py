@@ -124,7 +124,7 @@ class _Import:
         """The model. Raises ValueError where the file is not that of a CiA 402 drive."""
         sheet, made = self.sheet, self.result
         for index in NEEDED:
-            if (index, 0) not in sheet.entries:
+            if (index, 0) not in sheet.entries or sheet.entries[index, 0].kind != "VAR":
                 missing = [r for r in sheet.repairs if r.where == f"{index:04X}h"]
                 reason = "is listed, but has no section: is the file complete?" if missing else ""
                 raise ValueError(
@@ -157,6 +157,10 @@ class _Import:
             return None
         if entry.index in MAKERS and entry.name != known.name:
             return None  # another maker's, unless the file is one of ours
+        if known.object_type == "VAR" and entry.kind != "VAR":
+            self.sheet.tell(entry.line, entry.where, entry.kind.lower(), "it keeps what is written",
+                            f"{known.name} of the profile is a variable")
+            return None
         return known
 
     def _take(self, entry: Entry) -> None:
@@ -176,6 +180,8 @@ class _Import:
                                 "the profile has it so, and nothing works without it")
                 data_type = known.data_type
             else:
+                self.sheet.tell(entry.line, entry.where, data_type, "it keeps what is written",
+                                f"{known.name} of the profile is an {known.data_type}")
                 known, field = None, ""
         self.rows[address] = self._row(entry, data_type, known)
         if known is None and not 0x1000 <= entry.index < 0x2000:
@@ -359,6 +365,11 @@ class _Import:
         row = self.rows.get((index, subindex))
         return None if row is None or "+" in row["default"] else int(row["default"])
 
+    def _said(self, index: int, subindex: int) -> int | None:
+        """The default that the file itself has, not the profile's in its place."""
+        entry = self.sheet.entries.get((index, subindex))
+        return self._default(index, subindex) if entry is not None and entry.default else None
+
     def _set(self, index: int, subindex: int, value: int, why: str) -> None:
         """Another default for an object of the factor group."""
         row, entry = self.rows[index, subindex], self.sheet.entries[index, subindex]
@@ -398,11 +409,16 @@ class _Import:
         power = (unit >> 24 ^ 0x80) - 0x80  # a signed byte
         if unit >> 8 & 0xFFFF != REVOLUTIONS_PER_MINUTE or not -6 <= power <= 0:
             return
+        # position units are increments here, where the file says nothing else
+        factor = increments, 60 * 10**-power
         if (VELOCITY_FACTOR, 1) not in self.rows:
-            # position units are increments here, where the file says nothing else
-            fixed = self.result.toml.setdefault("fixed", {})
-            fixed["velocity_factor"] = [increments, 60 * 10**-power]
-            self.rpm = True
+            self.result.toml.setdefault("fixed", {})["velocity_factor"] = [*factor]
+        elif self._default(VELOCITY_FACTOR, 1) == self._default(VELOCITY_FACTOR, 2) == 1:
+            for subindex, value in enumerate(factor, 1):
+                self._set(VELOCITY_FACTOR, subindex, value, "60A9h says 1/min")
+        else:
+            return
+        self.rpm = True
 
     def _period(self) -> None:
         """Of the set-points (60C2h); one that no master keeps was not set."""
@@ -539,13 +555,13 @@ class _Import:
     # --------------------------------------------------------------- the rest
 
     def _capabilities(self) -> None:
-        bits = self._default(0x6502, 0) or 0
+        bits = self._said(0x6502, 0) or 0
         modes = [mode for mode in self.base.modes if bits >> (mode - 1) & 1]
         indices = {index for index, _ in self.rows}
         self.modes_said = bool(modes)
         if not modes:
             modes = [m for m in self.base.modes if indices.issuperset(self.needs.get(m, ()))]
-        said = {self._default(0x60E3, n) for n in range(1, 255) if (0x60E3, n) in self.rows}
+        said = {self._said(0x60E3, n) for n in range(1, 255)}
         methods = [method for method in self.base.homing_methods if method in said]
         self.methods_said = bool(methods)
         if (mode := self._mode(modes)) is not None:

@@ -21,6 +21,11 @@ INCREMENTS = 4  # of the encoder, the smallest window of a position or, a veloci
 WINDOWS = (
     "following_error_window", "position_window", "velocity_window", "velocity_threshold",
 )
+# a limit of the drive -> what it holds down
+LIMITS = {
+    "max_acceleration": ("profile_acceleration", "homing_acceleration"),
+    "max_deceleration": ("profile_deceleration", "quick_stop_deceleration"),
+}
 
 
 def motor_and_factors(drive: Drive, values: Mapping[str, float]) -> None:
@@ -82,6 +87,11 @@ def fitted(
             found[name] = value
             continue
         found[name] = _in_field(name, value) if row is None else _inside(drive, row, value)
+    for name, held in LIMITS.items():  # as the maker left it, it may be below what the axis needs
+        row = drive.model.names.get(name)
+        needed = max((found[one] for one in held if one in found), default=0.0)
+        if row is not None and name not in found and needed > drive.read(name):  # type: ignore
+            found[name] = _inside(drive, row, needed)
     return found
 
 

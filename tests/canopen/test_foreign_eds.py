@@ -336,6 +336,36 @@ def test_homing_methods_in_a_list_of_unsigned_numbers(made):
     assert shown == {method & 0xFF for method in drive.model.homing_methods}
 
 
+def test_modes_that_6502h_does_not_say_follow_from_the_objects(made):
+    """It is often without a default; the profile's, all modes, is not the drive's."""
+    text = sheet(SMALL, "60E3 0 5 ro 0 DefaultValue=2", "60E3 1 2 ro 0", "60E3 2 2 ro 0",
+                 "60FF . 4 rww 1").replace("DefaultValue=0x21\n", "")
+    model = made(text)
+    drive = Drive(model.folder)
+    assert [mode.name for mode in drive.model.modes] == [
+        "PROFILE_POSITION", "PROFILE_VELOCITY", "HOMING"]
+    assert drive.read(0x6502) == 0x25
+    page = (model.folder / "README.md").read_text(encoding="utf-8")
+    assert "6502h has no default" in page
+    assert "60E3h names none" in page
+
+
+def test_a_variable_of_the_profile_with_sub_indices_is_another_object(made):
+    """Drives of two axes have left and right there; the count is no position."""
+    rows = ["6064 0 5 ro 0 DefaultValue=2", "6064 1 4 ro 1", "6064 2 4 ro 1",
+            "6071 . 4 rww 1"]
+    model = made(sheet(SMALL.replace("6064 . 4 ro 1\n", ""), *rows))
+    assert "variable" in said(model, "6064h:00h").why
+    assert "INTEGER16" in said(model, "6071h:00h").why
+    drive = Drive(model.folder)
+    drive.axis.od.position_actual_value = 77
+    assert [drive.read(0x6064, n) for n in range(3)] == [2, 0, 0]
+    for index in ("6040", "6041"):
+        text = sheet(SMALL.replace(f"{index} . 6", f"{index} 1 6"))
+        with pytest.raises(ValueError, match=f"{index}h is missing"):
+            made(text)
+
+
 def test_a_manufacturers_object_is_not_taken_for_one_of_ours(made):
     """2010h:01 is a gain of `generic` and something else in every other drive."""
     model = made(sheet(SMALL, "2010 0 5 const 0 DefaultValue=1", "2010 1 6 rw 0 DefaultValue=3"))
@@ -430,6 +460,8 @@ OWN_UNITS = {
     "a gear ratio of its own": ["6091 1 7 rw 0 DefaultValue=10", "6091 2 7 rw 0 DefaultValue=1"],
     "a range of the profile velocity": [
         "607F . 7 rw 0 DefaultValue=500|LowLimit=1|HighLimit=600000"],
+    "accelerations limited as the maker left them": [
+        "60C5 . 7 rw 0 DefaultValue=200", "60C6 . 7 rw 0 DefaultValue=200"],
     "a read-only homing method": [],
 }
 
@@ -510,10 +542,14 @@ def test_every_machine_is_commissioned_in_the_drives_own_units(made, kind, machi
     assert speed > 0.02 * way, "it does not take minutes"
 
 
+FACTOR_OF_1 = ["6096 1 7 rw 0 DefaultValue=1", "6096 2 7 rw 0 DefaultValue=1"]
+
+
+@pytest.mark.parametrize("rows", [[], FACTOR_OF_1], ids=["", "with 6096h = 1"])
 @pytest.mark.parametrize(("unit", "per_minute"), [("0x00B44700", 1.0), ("0xFDB44700", 1e-3)])
-def test_a_velocity_unit_of_revolutions_per_minute_is_that(made, unit, per_minute):
+def test_a_velocity_unit_of_revolutions_per_minute_is_that(made, unit, per_minute, rows):
     """60A9h of drives whose speeds are in 1/min; the position unit is still an increment."""
-    machine = linear_axis(made(sheet(SMALL, f"60A9 . 7 rw 0 DefaultValue={unit}")).folder)
+    machine = linear_axis(made(sheet(SMALL, f"60A9 . 7 rw 0 DefaultValue={unit}", *rows)).folder)
     machine.step()
     drive = machine.drives["x"]
     assert float(drive.axis.rad_s_per_velocity_unit) == pytest.approx(per_minute * 2 * math.pi / 60)
