@@ -256,7 +256,7 @@ def _split(image: bytes) -> dict[int, bytes]:
 
 def _texts(content: bytes) -> list[str]:
     texts, at = [], 1
-    for _ in range(content[0]):
+    for _ in range(content[0] if content else 0):
         if at >= len(content) or at + 1 + content[at] > len(content):
             raise ValueError("the strings of the SII go beyond their category")
         texts.append(content[at + 1 : at + 1 + content[at]].decode("latin-1"))
@@ -301,5 +301,10 @@ def alias_of(image: bytes) -> int | None:
 
 
 def of_model(model: DriveModel, alias: int = 0) -> bytes:
-    """The image of a model. Raises ValueError where it does not fit the EEPROM."""
+    """The image of a model, the maker's if it has one.
+
+    Raises ValueError where it does not fit the EEPROM.
+    """
+    if model.ethercat is not None and model.ethercat.image:
+        return with_alias(model.ethercat.image, alias) if alias else model.ethercat.image
     return pack(describe(model, alias))

@@ -18,6 +18,7 @@ from .controller.pdi import IN, OUT, Pdi
 from .controller.process_image import INPUTS, OUTPUTS, ProcessImage
 from .controller.record import Event, SyncMode
 from .controller.registers import R
+from .eoe import Eoe
 from .foe import File, Foe
 from .mailbox import HEADER, Answer, Kind, Mailbox, MailboxError, Service
 from .sdo_info import SdoInfo
@@ -29,7 +30,6 @@ SYNC_ACTIVATION = 0x0981
 SYNC_ACTIVE = 0x03  # 0981h: cyclic operation and SYNC0
 SYNC_UNIT = 0x07  # bits of 0981h that the operation modes name
 ERROR_LIMIT = (0x10F1, 2)  # sync error counter limit
-EOE_TYPE, SET_IP, SET_IP_RESPONSE = 0x0F, 2, 3  # of the first word of an EoE telegram
 COPY_TIME = (0x1C32, 6)  # calculation and copy time (ns)
 
 
@@ -118,12 +118,13 @@ class Slave:
         self._identification = alias
         self._sdo = Sdo(drive.objects, data.complete_access)
         self._foe = Foe({PARAMETERS: File(self._parameters, self._take_parameters)})
+        self._eoe = Eoe()
         self._coe = Coe(self._sdo, SdoInfo(drive.model) if data.information else None)
         self._offered: dict[int, Service] = {
             Kind[name.upper()]: {
                 "CoE": self._coe.request,
                 "FoE": self._foe.request,
-                "EoE": _ethernet,
+                "EoE": self._eoe.request,
             }.get(name, _refuse)
             for name in data.protocols
         }
@@ -305,7 +306,7 @@ class Slave:
             kind: self._offered[kind] for kind in only if kind in self._offered
         }
         size = self._pdi.sync_manager(IN).length - HEADER.size
-        self._sdo.size = self._foe.size = size
+        self._sdo.size = self._foe.size = self._eoe.size = size
 
     def _quiet(self) -> None:
         self.mailbox.reset()
@@ -361,18 +362,11 @@ class Slave:
         self.mailbox.restore(mailbox)
         self.mailbox.services = {Kind(kind): self._offered[Kind(kind)] for kind in services}
         self._sdo.restore(sdo)
-        self._sdo.size = self._foe.size = size
+        self._sdo.size = self._foe.size = self._eoe.size = size
         self._foe.restore(foe)
         self.emergencies.restore(emergencies)
 
 
 def _refuse(body: bytes) -> Answer:
     """A protocol that the device names and that leads nowhere here."""
-    return MailboxError.SERVICE_NOT_SUPPORTED
-
-
-def _ethernet(body: bytes) -> Answer:
-    """EoE: an address is taken (ETG.1000.6, 5.7); there is no Ethernet behind it."""
-    if int.from_bytes(body[:2], "little") & EOE_TYPE == SET_IP:
-        return [SET_IP_RESPONSE.to_bytes(2, "little") + bytes(2)]  # result 0000h, success
     return MailboxError.SERVICE_NOT_SUPPORTED

@@ -3,6 +3,7 @@
 SII, ESI, 1C00h and the AL state machine are made from it; objects and PDOs are those of the CSVs.
 """
 
+import base64
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ PROTOCOLS = ("AoE", "EoE", "CoE", "FoE", "SoE", "VoE")  # a bit of word 1Ch of t
 # flags of the category general: the mailbox can be repeated, 0134h shows the identification
 DATA_LINK_LAYER, IDENTIFICATION = 0x04, 0x08
 MAILBOX_HEADER = 16  # bytes before the data of a normal SDO: the shortest mailbox has more
+SII_HEADER = 128  # bytes of an EEPROM before its categories
 MAPPABLE = [4, 4]  # Kollmorgen AKD 5.5
 MEMORY = 0x1000, 0x3000  # process data memory of the slave controller, first and behind
 
@@ -64,6 +66,7 @@ class EtherCat:
     eoe_details: int  # of the category general
     flags: int  # of the category general
     ds402_channels: int  # of the category general
+    image: bytes  # of the maker's EEPROM; empty: it is made from the model
     registers: dict[int, bytes]  # of the slave controller, by address
     cycle_ns: int  # shortest cycle with SYNC0; all are multiples of it
     exact_period: bool  # the cycle has to be that of 60C2h
@@ -100,6 +103,7 @@ TABLES: dict[str, tuple[str, ...]] = {
         "eoe_details",
         "flags",
         "ds402_channels",
+        "image",
     ),
     "pdo": ("mappable", "fixed_alone", "excludes"),
     "dc": ("cycle_ns", "exact_period", "late_limit", "hop_delay_ns", "error_settings", "modes"),
@@ -217,6 +221,7 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
         eoe_details=get("sii", "eoe_details", int, int("EoE" in protocols)),
         flags=get("sii", "flags", int, DATA_LINK_LAYER | IDENTIFICATION),
         ds402_channels=get("sii", "ds402_channels", int, 0),
+        image=_image(reader),
         registers=registers,
         cycle_ns=get("dc", "cycle_ns", int),
         exact_period=get("dc", "exact_period", bool, False),
@@ -236,6 +241,13 @@ def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
     )
     _check(reader, ethercat)
     return ethercat, without
+
+
+def _image(reader: _Reader) -> bytes:
+    try:
+        return base64.b64decode(reader.get("sii", "image", str, ""), validate=True)
+    except ValueError as error:
+        raise reader.error(f"sii.image is not in base64: {error}") from None
 
 
 def _mode(reader: _Reader, row: Any) -> DcMode:
@@ -270,6 +282,9 @@ def _check(reader: _Reader, ethercat: EtherCat) -> None:
             f"mailbox.shortest = {ethercat.shortest} is not in {MAILBOX_HEADER + 1}.."
             f"{min(out_length, in_length)}"
         )
+    if 0 < len(ethercat.image) < SII_HEADER or len(ethercat.image) > ethercat.sii_size:
+        raise reader.error(f"sii.image has {len(ethercat.image)} bytes, the EEPROM takes "
+                           f"{SII_HEADER}..{ethercat.sii_size}")
     if ethercat.sii_size % 128 or not 256 <= ethercat.sii_size <= 65536:
         raise reader.error(f"sii.size = {ethercat.sii_size} is not a multiple of 128 up to 65536")
 

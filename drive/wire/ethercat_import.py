@@ -7,6 +7,7 @@ files and slaves with SDO information have the dictionary as well. Where it is m
 are those of `generic`. What could not be taken as it stands is a repair in the folder's README.
 """
 
+import base64
 import csv
 import io
 import json
@@ -74,6 +75,7 @@ class _Source:
     command: str
     registers: dict[int, bytes]
     notes: list[str]
+    image: bytes = b""  # of the EEPROM, where it was read
 
 
 def import_esi(
@@ -110,7 +112,7 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
     notes = [f"Slave controller: `inferred`, {chip}; the image does not say. --chip names another."]
     return _made(
         _Source(device, f"vendor {device.vendor_id:08X}h", [], [], path.name,
-                "servogym drives --from-sii", CHIPS[chip], notes), folder, path,
+                "servogym drives --from-sii", CHIPS[chip], notes, image), folder, path,
     )
 
 
@@ -134,7 +136,8 @@ def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported
         if not 0 <= position < len(slaves):
             raise ValueError(f"-i {interface}: {len(slaves)} slaves answer, none at {position}")
         slave = slaves[position]
-        device = _unpacked(slave.read_sii(), Path(f"{interface}, slave {position}"))
+        image = slave.read_sii()
+        device = _unpacked(image, Path(f"{interface}, slave {position}"))
         found = [*slave.objects()]
         registers = {address: slave.read(address, size) for address, size in ASKED.items()}
     finally:
@@ -147,7 +150,7 @@ def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported
     return _made(
         _Source(device, f"vendor {device.vendor_id:08X}h", found, [],
                 f"slave {position} on {interface}", "servogym drives --from-slave", registers,
-                notes), folder, Path(interface),
+                notes, image), folder, Path(interface),
     )
 
 
@@ -436,7 +439,7 @@ class _Maker(_Import):
             f"pdi_configuration = 0x{device.pdi_configuration:04X}",
             f"eoe_details = {device.eoe_details}", f"flags = 0x{device.flags:02X}",
             f"ds402_channels = {device.ds402_channels}",
-            "", "[registers]",
+            *self._image(size), "", "[registers]",
             *(f'0x{address:04X} = "{value.hex().upper()}"' for address, value in registers.items()),
             "", "[pdo]",
             f"mappable = {self._mappable_pdos}", "fixed_alone = false",
@@ -449,6 +452,15 @@ class _Maker(_Import):
             "", "[al]", f"bootstrap = {json.dumps(has_boot)}",
         ]
         return "\n".join(lines) + "\n"
+
+    def _image(self, size: int) -> list[str]:
+        """The maker's EEPROM as it is, where nothing of it had to be repaired."""
+        image = self.source.image
+        if not image or len(image) > size or self.result.repairs:
+            return []
+        text = base64.b64encode(image).decode()
+        return ["# the maker's; without the next line one is made from this folder",
+                f'image = "{text}"']
 
     def _excludes(self) -> str:
         rows = [(pdo.index, pdo.excludes) for pdo in (*self.source.device.rpdos,

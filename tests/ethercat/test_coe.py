@@ -353,6 +353,23 @@ def test_ethernet_is_refused_by_a_drive_that_names_it(akd):
     assert akd.ask(Kind.EOE, bytes(32)) == (Kind.ERROR, struct.pack("<HH", 1, 4))
 
 
+def test_an_address_for_ethernet_is_taken_and_announced(akd):
+    """A real AKD answers Set IP with 03 00 00 00, and then sends ARP; as SOEM packs the request."""
+    mac, address = bytes.fromhex("020000000001"), bytes([192, 168, 9, 5])
+    request = struct.pack("<HH", 0x0102, 0) + b"\x03\0\0\0" + mac + address[::-1]
+    assert akd.send(Kind.EOE, request) == 1
+    assert akd.fetch() == (Kind.EOE, b"\3\0\0\0")
+    kind, body = akd.fetch()
+    assert (kind, body[:4]) == (Kind.EOE, struct.pack("<HH", 0x0100, 2 << 6))
+    frame = body[4:]
+    assert (len(frame), frame[:14]) == (60, b"\xff" * 6 + mac + b"\x08\x06")
+    assert frame[14:22] == bytes.fromhex("0001080006040001")
+    assert (frame[22:28], frame[28:32], frame[38:42]) == (mac, address, address)
+    assert akd.fetch() is None
+    for cut in range(4, len(request)):  # without an address there is nothing to announce
+        assert akd.ask(Kind.EOE, request[:cut]) == (Kind.EOE, b"\3\0\0\0")
+
+
 def test_there_is_no_mailbox_in_init():
     slave = Wired("generic").to(P)
     slave.request(I)

@@ -66,6 +66,33 @@ def test_what_is_made_from_our_eeprom_describes_itself_as_the_model_does(tmp_pat
     assert "those of the model `generic`" in readme
 
 
+def test_the_makers_eeprom_is_kept_to_the_bit(tmp_path):
+    """Names with capital letters, strings that nobody refers to: a master compares the words."""
+    ours = describe(load("kollmorgen_akd", "ethercat"))
+    change = dataclasses.replace
+
+    def named(pdo):
+        entries = tuple(change(e, name=e.name.replace("_", " ").title()) for e in pdo.entries)
+        return change(pdo, name=f"M {pdo.index:X}", entries=entries)
+
+    image = sii.pack(change(ours, rpdos=tuple(map(named, ours.rpdos)),
+                            tpdos=tuple(map(named, ours.tpdos))))
+    file, folder = tmp_path / "drive.bin", tmp_path / "mine"
+    file.write_bytes(image)
+    import_sii(file, folder)
+    model = load(folder, "ethercat")
+    assert sii.of_model(model) == image
+    assert sii.of_model(model, 7) == sii.with_alias(image, 7)
+    master = EtherCatMaster(Bus(Segment([Slave(Drive(folder))])))
+    master.to_op()
+    assert b"M 1A00" in image
+    assert master.slaves[0].read_sii()[: len(image)] == image
+    data = folder / "ethercat.toml"
+    data.write_text(re.sub('image = ".*"', 'image = "?"', data.read_text()))
+    with pytest.raises(ValueError, match=r"ethercat.toml: sii\.image is not in base64"):
+        load(folder, "ethercat")
+
+
 @pytest.mark.parametrize("chip", CHIPS)
 def test_the_chip_that_is_named_is_the_one_a_master_sees(tmp_path, chip):
     file = tmp_path / "drive.bin"
