@@ -12,9 +12,10 @@ canopen/ and ethercat/ put them on a bus, in bytes and given time; wire/ has clo
 """
 
 from .drive import Drive
+from .kernel.modes.own import ModeOfOperation
 from .model.model import DriveModel
+from .model.plugins import run_code
 from .objects.abort import Abort, SdoAbort
 from .objects.hooks import Hook
-from .objects.hooks.plugin import run_code
 
-__all__ = ["Abort", "Drive", "DriveModel", "Hook", "SdoAbort", "run_code"]
+__all__ = ["Abort", "Drive", "DriveModel", "Hook", "ModeOfOperation", "SdoAbort", "run_code"]

@@ -6,8 +6,10 @@ from .kernel.cascade import Structure
 from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import (
+    NONE_OWN,
     Command,
     Limit,
+    OwnModes,
     State,
     Statusword,
     command_of,
@@ -125,9 +127,9 @@ REMEDIES = {
 OF_LOOPS = (Cause.FOLLOWING_ERROR, Cause.POSITION_ERROR, Cause.OVERSPEED, Cause.I2T)
 
 
-def describe(statusword: int, mode: int) -> str:
-    """The statusword by name."""
-    return f"{statusword:04X}h {' '.join(decode_statusword(statusword, mode))}"
+def describe(statusword: int, mode: int, own: OwnModes = NONE_OWN) -> str:
+    """The statusword by name; `own` are modes of the drive model."""
+    return f"{statusword:04X}h {' '.join(decode_statusword(statusword, mode, own))}"
 
 
 def situation(statusword: int, controlword: int, mode: int) -> str:

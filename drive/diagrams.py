@@ -11,25 +11,28 @@ from .kernel.device_control import TRANSITIONS, Event
 from .kernel.encoder import Event as Edge
 from .kernel.homing import END, HERE, METHODS, OWN, SLOW, Method
 from .kernel.words import (
-    BIT_4,
     ENABLED,
     MODE_ABBREVIATION,
-    MODE_BITS,
+    NONE_OWN,
     SHUTDOWN,
     SWITCHED_ON,
     TO_ENABLED,
     Controlword,
     Limit,
     Mode,
+    OwnModes,
     State,
     Statusword,
+    abbreviation,
+    bit_4,
+    mode_bits,
     state_of,
 )
 
 __all__ = [
     "ENABLED", "MODE_ABBREVIATION", "TO_ENABLED", "Bit", "Controlword", "Limit", "Mode", "State",
-    "Statusword", "Transition", "controlword_bits", "homing_path", "homing_words", "limits",
-    "state_of", "statusword_bits", "transitions",
+    "Statusword", "Transition", "abbreviation", "controlword_bits", "homing_path",
+    "homing_words", "limits", "state_of", "statusword_bits", "transitions",
 ]
 
 
@@ -97,9 +100,9 @@ STATUS_MEANINGS = (
 )
 
 
-def statusword_bits(mode: int) -> tuple[Bit, ...]:
-    """The sixteen bits of 6041h in `mode` (6061h), bit 0 first."""
-    ten, twelve, thirteen = MODE_BITS.get(Mode(mode), ("", "", ""))
+def statusword_bits(mode: int, own_modes: OwnModes = NONE_OWN) -> tuple[Bit, ...]:
+    """The sixteen bits of 6041h in `mode` (6061h), bit 0 first; `own_modes` of the drive model."""
+    ten, twelve, thirteen = mode_bits(mode, own_modes)
     own = {Statusword.TARGET_REACHED: ten, Statusword.MODE_12: twelve, Statusword.MODE_13: thirteen}
     return tuple(
         Bit(int(mask), own.get(mask, mask.name.lower()) or f"bit {mask.bit_length() - 1}", meaning)
@@ -107,10 +110,10 @@ def statusword_bits(mode: int) -> tuple[Bit, ...]:
     )
 
 
-def controlword_bits(mode: int) -> tuple[Bit, ...]:
-    """The sixteen bits of 6040h in `mode` (6060h), bit 0 first."""
+def controlword_bits(mode: int, own_modes: OwnModes = NONE_OWN) -> tuple[Bit, ...]:
+    """The sixteen bits of 6040h in `mode` (6060h), bit 0 first; `own_modes` of the drive model."""
     pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
-    four = BIT_4.get(Mode(mode), "")
+    four = bit_4(mode, own_modes)
     named = {
         Controlword.SWITCH_ON: ("switch_on", "1: switch on"),
         Controlword.ENABLE_VOLTAGE: ("enable_voltage", "0: the power goes off"),

@@ -25,6 +25,7 @@ from .model.given import finite, refuse_unknown
 from .model.model import DriveModel, load
 from .model.names import hint, named
 from .model.pdo import mapping_entry
+from .model.plugins import install_modes
 from .objects import snapshot as snapshots
 from .objects.abort import Abort, SdoAbort
 from .objects.dictionary import ObjectDictionary
@@ -133,6 +134,7 @@ class Drive:
         if self.model.name != "generic":
             self.parameters.standard_defaults()
         self.model.power_on(self.axis)
+        self.axis.own_modes = install_modes(self.model)
         for name, value in self._commissioned.items():
             if name not in self.objects.names:
                 setattr(self.axis.od, name, value)
@@ -405,7 +407,8 @@ class Drive:
 
     def describe(self) -> str:
         """Return the statusword in words."""
-        return describe(int(self.axis.od.statusword), int(self.axis.mode))
+        axis = self.axis
+        return describe(int(axis.od.statusword), int(axis.mode), self.model.own_modes)
 
     def why(self) -> str:
         """Explain why the last command was refused: command, state, and what is missing."""

@@ -17,7 +17,7 @@ from canopen.objectdictionary import datatypes
 from ..kernel.factors.units import FRACTION_LIMIT
 from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS, parameter_place
 from ..kernel.record import VENDOR_BYTES
-from ..kernel.words import MODE_ABBREVIATION, Mode
+from ..kernel.words import MODE_ABBREVIATION, Mode, mode_bit
 from ..model.made import Made, Repair, check_place, line, write
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
@@ -556,11 +556,12 @@ class _Import:
 
     def _capabilities(self) -> None:
         bits = self._said(0x6502, 0) or 0
-        modes = [mode for mode in self.base.modes if bits >> (mode - 1) & 1]
+        standard = [mode for mode in self.base.modes if mode > 0]
+        modes = [mode for mode in standard if bits >> mode_bit(mode) & 1]
         indices = {index for index, _ in self.rows}
         self.modes_said = bool(modes)
         if not modes:
-            modes = [m for m in self.base.modes if indices.issuperset(self.needs.get(m, ()))]
+            modes = [m for m in standard if indices.issuperset(self.needs.get(m, ()))]
         said = {self._said(0x60E3, n) for n in range(1, 255)}
         methods = [method for method in self.base.homing_methods if method in said]
         self.methods_said = bool(methods)

@@ -119,15 +119,15 @@ class _Slave:
             if len(data) > 8 and text.isascii() and text.decode("ascii").isprintable():
                 return f"{self.object(index, subindex)} = {text.decode('ascii')!r}"
             return f"{self.object(index, subindex)} = {data.hex()}"
-        value = row.code.unpack(data)[0]
+        value, own = row.code.unpack(data)[0], self.model.own_modes if self.model else {}
         if index in (0x6060, 0x6061):
             self.mode = value
-            return f"{row.name} = {value} {Mode(value).name if value in set(Mode) else ''}".rstrip()
-        mode = Mode(self.mode) if self.mode in set(Mode) else Mode.NONE
+            name = Mode(value).name if value in {*Mode} else ""
+            return f"{row.name} = {value} {own[value].name if value in own else name}".rstrip()
         if index == 0x6040:
-            return f"{row.name} {value:04X}h {' '.join(decode_controlword(value, mode))}"
+            return f"{row.name} {value:04X}h {' '.join(decode_controlword(value, self.mode, own))}"
         if index == 0x6041:
-            return f"{row.name} {value:04X}h → {' '.join(decode_statusword(value, mode))}"
+            return f"{row.name} {value:04X}h → {' '.join(decode_statusword(value, self.mode, own))}"
         return f"{row.name} = {value}"
 
 

@@ -4,7 +4,9 @@ Sources: CiA 402-2 / IEC 61800-7-201, device control (states, commands, statuswo
 the mode chapters (bits 4-6, 8-9 of the controlword, 10, 12, 13 of the statusword).
 """
 
+from collections.abc import Mapping
 from enum import IntEnum
+from typing import NamedTuple
 
 
 class State(IntEnum):
@@ -59,6 +61,15 @@ class Mode(IntEnum):
     CYCLIC_SYNC_VELOCITY = 9
     CYCLIC_SYNC_TORQUE = 10
 
+    @classmethod
+    def _missing_(cls, value: object) -> "Mode | None":
+        """-1 to -16, of a drive model: `Mode(-3)` is ``MANUFACTURER_3``; none of the members."""
+        if not isinstance(value, int) or not -16 <= value < 0:
+            return None
+        mode = int.__new__(cls, value)
+        mode._name_, mode._value_ = f"MANUFACTURER_{-value}", value
+        return cls._value2member_map_.setdefault(value, mode)  # type: ignore[return-value]
+
 
 def mode_bit(mode: int) -> int:
     """Bit of a mode in 6502h: 0-15 the standard's, 16-31 the maker's, -1 first (inferred)."""
@@ -77,6 +88,24 @@ MODE_ABBREVIATION = {
     Mode.CYCLIC_SYNC_VELOCITY: "csv",
     Mode.CYCLIC_SYNC_TORQUE: "cst",
 }
+
+
+class OwnMode(NamedTuple):
+    """A mode of operation that comes with a model, as `[modes]` of its drive.toml describes it."""
+
+    name: str  # of its functions in modes.py or among the entry points
+    bits: tuple[str, str, str]  # names of the statusword bits 10, 12 and 13; empty: unused
+    bit_4: str  # name of that bit of the controlword
+    section: str  # of the manual
+
+
+OwnModes = Mapping[int, OwnMode]  # by number
+NONE_OWN: OwnModes = {}
+
+
+def abbreviation(mode: int) -> str:
+    """The standard's abbreviation of a mode, else its number."""
+    return MODE_ABBREVIATION.get(mode) or str(int(mode))  # type: ignore[call-overload]
 
 
 class Controlword(IntEnum):
@@ -184,6 +213,16 @@ BIT_4 = {
 }
 
 
+def mode_bits(mode: int, own: OwnModes = NONE_OWN) -> tuple[str, str, str]:
+    """Names of the statusword bits 10, 12 and 13 in a mode, `own` are those of the drive model."""
+    return own[mode].bits if mode in own else MODE_BITS.get(mode, ("", "", ""))  # type: ignore
+
+
+def bit_4(mode: int, own: OwnModes = NONE_OWN) -> str:
+    """Name of controlword bit 4 in a mode, empty where it has none."""
+    return own[mode].bit_4 if mode in own else BIT_4.get(mode, "")  # type: ignore[call-overload]
+
+
 def command_of(controlword: int) -> Command:
     """The device control command in bits 0-3 of a controlword (without the fault reset edge)."""
     return Command(COMMANDS[controlword & 0x0F])
@@ -197,14 +236,14 @@ def state_of(statusword: int) -> State | None:
     return None
 
 
-def decode_statusword(statusword: int, mode: int = 0) -> list[str]:
+def decode_statusword(statusword: int, mode: int = 0, own: OwnModes = NONE_OWN) -> list[str]:
     """Names of what a statusword says: the state first, then every set bit outside the pattern.
 
-    Bits 10, 12 and 13 carry the name they have in `mode` (6061h).
+    Bits 10, 12 and 13 carry the name they have in `mode` (6061h), which `own` has or the standard.
     """
     state = state_of(statusword)
     names = [state.name if state is not None else "INVALID"]
-    ten, twelve, thirteen = MODE_BITS.get(mode, ("", "", ""))  # type: ignore[call-overload]
+    ten, twelve, thirteen = mode_bits(mode, own)
     for mask, name in (
         (Statusword.VOLTAGE_ENABLED, "voltage_enabled"),
         (Statusword.WARNING, "warning"),
@@ -222,12 +261,12 @@ def decode_statusword(statusword: int, mode: int = 0) -> list[str]:
     return names
 
 
-def decode_controlword(controlword: int, mode: int = 0) -> list[str]:
+def decode_controlword(controlword: int, mode: int = 0, own: OwnModes = NONE_OWN) -> list[str]:
     """Names of what a controlword asks for: the command first, then every further set bit."""
     names = [command_of(controlword).name]
     pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
     for mask, name in (
-        (Controlword.NEW_SET_POINT, BIT_4.get(mode)),  # type: ignore[call-overload]
+        (Controlword.NEW_SET_POINT, bit_4(mode, own)),
         (
             Controlword.CHANGE_SET_IMMEDIATELY,
             "change_set_immediately" if pp else "unlock_ramp" if vl else None,

@@ -89,7 +89,9 @@ class Drives:
 
     def describe(self) -> Any:
         """Return the statusword in words."""
-        return self._of_each(lambda a: advice.describe(self._word(a), self._mode(a)))
+        return self._of_each(lambda a: advice.describe(
+            self._word(a), self._mode(a), self.port.models[a].own_modes
+        ))
 
     # ------------------------------------------------------------------ time
 

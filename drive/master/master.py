@@ -133,7 +133,8 @@ class Master(Drives):
         """Select a mode of operation and wait until 6061h shows it.
 
         Args:
-            mode: a `Mode`, its name or the standard's abbreviation: ``"profile_torque"``, ``"tq"``.
+            mode: a `Mode`, its name or the standard's abbreviation: ``"profile_torque"``, ``"tq"``;
+                of a mode that the drive model brings, its name in drive.toml.
             timeout: (s)
 
         Raises:
@@ -415,12 +416,15 @@ class Master(Drives):
         self.control(ENABLED)
         self.wait(self.port.latency)
 
-    @staticmethod
-    def _named(mode: Mode | str) -> Mode:
+    def _named(self, mode: Mode | str) -> Mode:
+        known = BY_NAME | {
+            row.name.lower(): Mode(number)
+            for axis in self.axes for number, row in self.port.models[axis].own_modes.items()
+        }
         try:
-            return BY_NAME[mode.lower()] if isinstance(mode, str) else Mode(mode)
+            return known[mode.lower()] if isinstance(mode, str) else Mode(mode)
         except (KeyError, ValueError):
-            raise Refused(f"mode {mode!r}", "there is none", hint(str(mode), [*BY_NAME])) from None
+            raise Refused(f"mode {mode!r}", "there is none", hint(str(mode), [*known])) from None
 
     def _units_of(self, what: str, value: float | Mapping[str, float], unit: str) -> dict[str, int]:
         """Values (SI) in drive units, by drive; `unit` names the field of `Units`."""

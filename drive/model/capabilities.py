@@ -5,27 +5,57 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..kernel.homing import NUMBERS
-from ..kernel.words import MODE_ABBREVIATION, Mode, mode_bit
+from ..kernel.homing import NUMBERS as METHODS
+from ..kernel.modes.own import NUMBERS
+from ..kernel.words import MODE_ABBREVIATION, Mode, OwnMode, mode_bit
+from .drive_toml import refuse_unknown
 from .rows import Object
 
 MODES = {abbreviation: mode for mode, abbreviation in MODE_ABBREVIATION.items()}
+STANDARD = {*MODES, *(mode.name.lower() for mode in Mode)}
 SUPPORTED_MODES, SUPPORTED_METHODS = 0x6502, 0x60E3
 KNOWN = sum(1 << mode_bit(mode) for mode in Mode if mode)  # bits of 6502h that the kernel has
 
 
+def read_own_modes(table: dict[str, Any], path: Path) -> dict[int, OwnMode]:
+    """The model's own modes by their number in 6060h. Raises ValueError with file and key."""
+    found: dict[int, OwnMode] = {}
+    for name, row in table.items():
+        if not isinstance(row, dict):
+            raise ValueError(f"{path}: modes.{name} is not a table like [modes.{name}]")
+        refuse_unknown(row, ("number", *OwnMode._fields[1:]), path, f"modes.{name}.")
+        number, bits = row.get("number"), row.get("bits", ["", "", ""])
+        if not isinstance(number, int) or number not in NUMBERS or number in found:
+            raise ValueError(
+                f"{path}: modes.{name}.number = {number!r}: numbers of a maker are "
+                f"{NUMBERS[-1]} to {NUMBERS[0]}, each for one mode"
+            )
+        if not isinstance(bits, list) or [*map(type, bits)] != [str] * 3:
+            raise ValueError(
+                f"{path}: modes.{name}.bits = {bits!r} is not a list of three names: of bits 10, "
+                "12 and 13 of the statusword"
+            )
+        for key in ("bit_4", "section"):
+            if not isinstance(row.get(key, ""), str):
+                raise ValueError(f"{path}: modes.{name}.{key} = {row[key]!r} is not a text")
+        if name.lower() in STANDARD:
+            raise ValueError(f"{path}: modes.{name}: the standard has a mode of this name")
+        found[number] = OwnMode(name, tuple(bits), row.get("bit_4", ""), row.get("section", ""))
+    return found
+
+
 def read_capabilities(
-    table: dict[str, Any], path: Path, own: Iterable[int] = ()
+    table: dict[str, Any], path: Path, own_modes: Iterable[int] = (), own: Iterable[int] = ()
 ) -> tuple[tuple[Mode, ...], tuple[int, ...]]:
-    """Modes and homing methods, after which come the model's `own`.
+    """Modes and homing methods, after which come the model's `own_modes` and `own` methods.
 
     Raises ValueError for one that there is not.
     """
-    for kind, known in (("modes", MODES), ("homing_methods", (*NUMBERS, *own))):
+    for kind, known in (("modes", MODES), ("homing_methods", (*METHODS, *own))):
         for name in table.get(kind, ()):
             if name not in known:
                 raise ValueError(f"{path}: unknown {kind} {name!r}, known: {[*known]}")
-    modes = tuple(MODES[name] for name in table.get("modes", ()))
+    modes = (*(MODES[name] for name in table.get("modes", ())), *map(Mode, own_modes))
     return modes, tuple(dict.fromkeys((*table.get("homing_methods", ()), *own)))
 
 

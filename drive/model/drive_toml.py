@@ -38,7 +38,8 @@ QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS
 KINDS: dict[str, type] = {  # of what drive.toml may say
     "title": str, "standard": str, "based_on": str, "objects_of": str, "variant": str, "axes": int,
     "buses": list,
-    "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "quirks": dict,
+    "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "modes": dict,
+    "quirks": dict,
     "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
 }
 KEYS = {  # of the tables whose keys no other table of this file lists
@@ -57,12 +58,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         toml = tomllib.loads(foreign.text(path, "a file of a model"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
-    _refuse_unknown(toml, KINDS, path)
+    refuse_unknown(toml, KINDS, path)
     for key, kind in KINDS.items():
         if not isinstance(toml.get(key, kind()), kind):
             raise ValueError(f"{path}: {key} = {toml[key]!r} is not of type {kind.__name__}")
     for table, keys in KEYS.items():
-        _refuse_unknown(toml.get(table, {}), keys, path, f"{table}.")
+        refuse_unknown(toml.get(table, {}), keys, path, f"{table}.")
     if not 1 <= toml.get("axes", 1) <= 127:
         raise ValueError(f"{path}: axes = {toml['axes']} is out of range 1..127")
     for name, quirk in toml.get("quirks", {}).items():
@@ -92,7 +93,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     return toml
 
 
-def _refuse_unknown(table: dict[str, Any], known: Iterable[str], path: Path, of: str = "") -> None:
+def refuse_unknown(table: dict[str, Any], known: Iterable[str], path: Path, of: str = "") -> None:
     """Refuse a key that means nothing: most often one that is spelt in another way."""
     for key in table:
         if key not in known:
@@ -137,7 +138,7 @@ class Toml:
 
     def known(self, name: str, known: Iterable[str]) -> None:
         """Refuse a key of a table that means nothing."""
-        _refuse_unknown(self.data.get(name, {}), known, self.path, f"{name}.")
+        refuse_unknown(self.data.get(name, {}), known, self.path, f"{name}.")
 
     def buses(self) -> tuple[str, ...]:
         """The field buses, "can" where nothing is said."""

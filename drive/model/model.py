@@ -13,8 +13,8 @@ from typing import Any
 from ..kernel.faults import Cause
 from ..kernel.homing import METHODS, Method, with_own
 from ..kernel.record import OD, Axis
-from ..kernel.words import Mode, mode_bit
-from .capabilities import read_capabilities, with_capabilities
+from ..kernel.words import Mode, OwnMode, abbreviation, mode_bit
+from .capabilities import read_capabilities, read_own_modes, with_capabilities
 from .drive_toml import BUSES, KERNEL_QUIRKS, KEYS, QUIRKS, UNITS, Toml, merged, read_toml
 from .ethercat import EtherCat, need_assignment, read_ethercat
 from .homing import FILE as HOMING_FILE
@@ -66,6 +66,7 @@ class DriveModel:
     modes: tuple[Mode, ...]
     homing_methods: tuple[int, ...]
     own_homing: dict[int, Method]  # those of its homing.csv
+    own_modes: dict[int, OwnMode]  # those of `[modes]` in its drive.toml
     quirks: dict[str, Quirk]
     abort_codes: dict[int, int]  # what the manual prints in place of a code of CiA 301
     units: dict[str, float]
@@ -134,6 +135,10 @@ class DriveModel:
             else:
                 setattr(axis.od, name, value)
         axis.parameters_changed = 1
+
+    def mode_name(self, mode: int) -> str:
+        """A mode as its drive.toml calls it, or the standard's abbreviation."""
+        return self.own_modes[mode].name if mode in self.own_modes else abbreviation(mode)
 
     def set_reactions(self, axis: Axis) -> None:
         """The reactions of faults.csv; of two rows with one cause the first counts."""
@@ -317,7 +322,10 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     if bus == "ethercat":
         need_assignment(objects, folder / "objects.csv")
     own_homing = read_homing(file[HOMING_FILE])
-    modes, methods = read_capabilities(reader.table("capabilities"), reader.path, own_homing)
+    own_modes = read_own_modes(toml.get("modes", {}), reader.path)
+    modes, methods = read_capabilities(
+        reader.table("capabilities"), reader.path, own_modes, own_homing
+    )
     objects = with_capabilities(objects, modes, methods)
     objects = with_sections(_with_defaults(objects, toml, reader.path), toml.get("sections", {}))
     rpdos, tpdos = read_pdos(file["pdo.csv"], objects, BUSES[bus])
@@ -342,6 +350,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
         modes=modes,
         homing_methods=methods,
         own_homing=own_homing,
+        own_modes=own_modes,
         quirks={k: Quirk(int(v["value"]), v["source"]) for k, v in toml.get("quirks", {}).items()},
         abort_codes={int(k[:-1], 16): v["value"] for k, v in toml.get("abort_codes", {}).items()},
         units=UNITS | toml.get("units", {}),

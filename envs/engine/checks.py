@@ -4,15 +4,14 @@ import functools
 import inspect
 import math
 import os
-import sysconfig
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...drive.model.names import hint
+from ...drive.model.uncompiled import HOUSE
 
 THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
 
@@ -152,15 +151,6 @@ class Options(dict[str, Any]):
             raise ValueError(
                 f"options: there is no {name!r} here" + (f": {remark}" if remark else "")
             )
-
-
-HOUSE = (
-    str(Path(__file__).parents[1]),
-    str(Path(__file__).parents[1].with_name("drive")),
-    str(Path(__file__).parents[1].with_name("training")),
-    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
-    "<",
-)
 
 
 def place_of(error: BaseException) -> str:

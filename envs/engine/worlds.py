@@ -145,6 +145,12 @@ class Worlds:
         if self.device.is_cuda:
             from . import gpu
 
+            for name, drive in self.machines[0].drives.items():
+                for mode in drive.model.own_modes.values():
+                    raise ValueError(
+                        f"{name}: mode {mode.name!r} of drive model {drive.model.name!r} is "
+                        "compiled for cores only: choose device='cpu'"
+                    )
             kernels = {
                 name: gpu.launcher(self.wp, self.device, gpu.of_part(name), n)
                 for name in parts.PARTS

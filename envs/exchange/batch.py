@@ -13,6 +13,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.kernel.record import accessible
 from ...drive.model.names import hint, named
+from ...drive.model.uncompiled import telling
 from ..engine import loop
 from ..engine.checks import in_range
 from ..engine.guard import Turn
@@ -20,7 +21,6 @@ from ..engine.machine import Machine
 from . import fields
 from .faces import CONTROL, STATUS, control, report
 from .loops import acting, judging
-from .uncompiled import telling
 
 PDO_BYTES = 8
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image

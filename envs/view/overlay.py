@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ...drive.drive import Drive
-from ...drive.kernel.words import Limit, Mode, State
+from ...drive.kernel.words import Limit, State
 from ..engine.machine import Machine
 
 STATE_COLOUR = {
@@ -46,7 +46,6 @@ HEAD, TITLES, ROW = 32, 22, 28  # heights (px)
 NAME, STATE, MODE, BAR, ERROR, LIMIT = 12, 80, 272, 438, 594, 776  # left edges (px)
 BAR_WIDTH = 146  # px
 INSET, FRAME = 190, 28  # of the view from above (px)
-MODES = frozenset(map(int, Mode))
 SHARE = 0.86  # of half the bar is the window; beyond it the error is out
 TICKS = (0.01, 0.1)  # of the window
 
@@ -83,7 +82,7 @@ def _line(machine: Machine, i: int, name: str, drive: Drive) -> Line:
     sliding = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE)
     scale = 1e3 / float(coupling.gear)  # of a rad of the motor shaft
     active = int(axis.od.active_limits)
-    mode = Mode(int(axis.mode)) if int(axis.mode) in MODES else Mode.NONE
+    mode = drive.mode
     return Line(
         name, drive.state, mode.name.lower().replace("_", " ") if mode else "no mode",
         float(axis.following_error) * scale,

@@ -56,7 +56,7 @@ def add_run_code(parser: argparse.ArgumentParser) -> None:
     if any(action.dest in MODELS for action in parser._actions):
         parser.add_argument(
             "--run-code", action="store_true",
-            help="you have read the hooks.py in the folder of the drive model: run it",
+            help="you have read hooks.py and modes.py in the folder of the drive model: run them",
         )
 
 

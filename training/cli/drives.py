@@ -52,9 +52,7 @@ def _identity(model) -> str:
 
 
 def _modes(model) -> str:
-    from ...drive.kernel.words import MODE_ABBREVIATION
-
-    return " ".join(MODE_ABBREVIATION[mode] for mode in model.modes)
+    return " ".join(map(model.mode_name, model.modes))
 
 
 def _changes(model) -> Iterator[tuple[str, str]]:

@@ -49,7 +49,6 @@ class Line:
     def text(self, now: float) -> Text:
         """The line at the time `now` (s)."""
         from ...drive.canopen.frame import Base
-        from ...drive.kernel.words import MODE_ABBREVIATION
 
         s = self._server.statistics
         line = Text(no_wrap=True, overflow="ellipsis")
@@ -57,7 +56,7 @@ class Line:
             drive = node.drive
             style = STYLE.get(drive.state.name, "")
             line.append(f"{node.node_id} {drive.state.name}", style)
-            mode = MODE_ABBREVIATION[drive.axis.mode]
+            mode = drive.model.mode_name(drive.mode)
             line.append(f" {drive.fault or mode}  " if drive.fault or mode else "  ")
         frames = s.received + s.sent
         rate = (frames - self._count) / max(now - self._then, 1e-9) if self._then else 0.0

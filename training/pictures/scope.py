@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ...drive.kernel.words import MODE_ABBREVIATION, MODE_BITS, Mode, State, Statusword, state_of
+from ...drive.kernel.words import MODE_BITS, Mode, State, Statusword, abbreviation, state_of
 from ...envs.view.overlay import STATE_COLOUR
 
 SIZE, DPI = (13.0, 9.4), 125  # inches, dots per inch
@@ -156,7 +156,7 @@ def _spans(panel: Axes, data) -> None:
     for number, (first, behind) in enumerate(runs(modes)):
         mode = Mode(int(modes[first]))
         colour = MODE_COLOUR[number % 2] if mode else "white"
-        _span(panel, time[first], time[behind], 0, MODE_ABBREVIATION[mode], colour)
+        _span(panel, time[first], time[behind], 0, abbreviation(mode), colour)
     panel.set_ylim(-0.5, 1.5)
     panel.set_yticks([1, 0], ["state", "mode"], fontsize=8.5)
     panel.tick_params(axis="y", length=0)

@@ -41,6 +41,7 @@ class Known:
         self.pdos = [index for index, subindex in self.rows
                      if subindex == 1 and index in communication]
         self.causes = {f.code: f.cause.name.lower() for f in reversed(model.faults)}
+        self.modes = model.own_modes
 
 
 class Service(NamedTuple):
@@ -154,14 +155,15 @@ class Node:
         else:
             text = str(value)
         if index == CONTROLWORD:
-            return " ".join([text, *decode_controlword(value, self._mode or Mode.NONE)])
+            return " ".join([text, *decode_controlword(value, self._mode or 0, self._drive.modes)])
         if index == STATUSWORD:
-            names = decode_statusword(value, self._mode or Mode.NONE)
+            names = decode_statusword(value, self._mode or 0, self._drive.modes)
             if self._mode is None:  # what the bit is where no mode says otherwise
                 names = ["target_reached" if name == "bit_10" else name for name in names]
             return " ".join([text, *(name for name in names if name not in EVERYWHERE)])
-        if index in (MODE, MODE_DISPLAY) and value in {*Mode}:
-            return f"{text} {Mode(value).name}"
+        if index in (MODE, MODE_DISPLAY) and (value in self._drive.modes or value in {*Mode}):
+            own = self._drive.modes.get(value)
+            return f"{text} {own.name if own else Mode(value).name}"
         if row.area in ("rpdo", "tpdo") and index & 0x200 and row.subindex and value:
             target = self._drive.rows.get(mapping_entry(value)[:2])
             return f"{text} {target.name}" if target else text

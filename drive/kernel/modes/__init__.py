@@ -1,7 +1,8 @@
 """Modes of operation: which one is active, and what it asks the cascade to do.
 
 Each mode is a file with three functions on the record: `start` takes the demand over where the last
-owner left it, `demand` makes the demand of one position cycle, `status` its statusword bits.
+owner left it, `demand` makes the demand of one position cycle, `status` its statusword bits. Modes
+with negative numbers come with a drive model, see `own`.
 """
 
 from .. import brake, homing, stop
@@ -12,9 +13,9 @@ from ..jit import block
 from ..ramps import rest
 from ..stop import Stop
 from ..words import Controlword, Latched, Mode, State
-from . import csp, cst, csv, hm, ip, pp, pv, tq, vl
+from . import csp, cst, csv, hm, ip, own, pp, pv, tq, vl
 
-LOWEST_MODE, HIGHEST_MODE = int(min(Mode)), int(max(Mode))
+LOWEST_MODE, HIGHEST_MODE = own.NUMBERS[0], int(max(Mode))
 
 
 @block
@@ -29,6 +30,8 @@ def demand(axis):
         rest(axis)
         homing.abandon(axis, HomingError.INTERRUPTED)
         pp.forget(axis)
+        if axis.mode < 0 and axis.mode_started:
+            own.call(axis, own.Step.LEAVE)
         axis.mode_started = 0
         axis.synchronised = 0
         axis.halted = 0
@@ -64,6 +67,8 @@ def _select(axis):
         return
     bit = requested - 1 if requested > 0 else 15 - requested  # `words.mode_bit`
     if axis.supported_modes >> bit & 1:
+        if axis.mode < 0:
+            own.call(axis, own.Step.LEAVE)
         axis.mode = requested
         axis.mode_started = 0
         axis.od.velocity_ramps_enable = 1  # with each choice of a mode (Metronix 8.1.2.3, 8.6)
@@ -128,6 +133,10 @@ def _demand_of_mode(axis, bit4):
         if starting:
             vl.start(axis)
         vl.demand(axis)
+    elif axis.mode < 0:
+        if starting:
+            own.call(axis, own.Step.START)
+        own.call(axis, own.Step.DEMAND)
     else:
         axis.velocity_demand = 0.0  # no mode selected: hold
 
@@ -160,5 +169,7 @@ def status(axis):
         axis.mode_bit10 = 0
         axis.mode_bit12 = 0
         axis.mode_bit13 = 0
+        if axis.mode < 0:
+            own.call(axis, own.Step.STATUS)
     if axis.state == State.QUICK_STOP_ACTIVE:
         axis.mode_bit10 = axis.standstill

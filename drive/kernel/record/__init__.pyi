@@ -674,6 +674,8 @@ class Axis:
     """8 values; row of the first leg: switch off, on"""
     maker_leg: np.ndarray
     """80 values; columns of `homing.LEGS`, leg by leg"""
+    own_modes: int
+    """key of the model's own modes of operation, see `modes.own`; 0 = none"""
     unit: np.ndarray
     """5 values; rad, rad/s, rad/s²"""
     unit_numerator: np.ndarray

@@ -101,6 +101,7 @@ FIELDS = (
     ("maker_method", ("<i2", (MAKER_METHODS,)), "", "6098h; 0 = none"),
     ("maker_first", ("<i2", (2 * MAKER_METHODS,)), "", "row of the first leg: switch off, on"),
     ("maker_leg", ("<i2", (5 * MAKER_LEGS,)), "", "columns of `homing.LEGS`, leg by leg"),
+    ("own_modes", "i8", "", "key of the model's own modes of operation, see `modes.own`; 0 = none"),
     # units in which the numbers stand, by `Kind`; 0 = not yet known
     ("unit", ("f8", (KINDS,)), "rad, rad/s, rad/s²", ""),
     ("unit_numerator", ("i8", (KINDS,)), "", "in revolutions and s, exact; 0 = too long"),

@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 from ...kernel.statusword import POWERED
 from ...model.model import DriveModel
+from ...model.plugins import plugin
 from ..device import Device
-from . import act, ars, ethercat, plugin, standard
+from . import act, ars, ethercat, standard
 from .ars import RUNNING
 from .hook import Hook
 
@@ -26,8 +27,8 @@ HOOKS: dict[str, Hook] = standard.HOOKS | ars.HOOKS | act.HOOKS | ethercat.HOOKS
 
 
 def hook_of(model: DriveModel, name: str) -> Hook:
-    """A hook by name: one of these, of the model's folder, or of a package (`plugin`).
+    """A hook by name: one of these, of the model's folder, or of a package (`model.plugins`).
 
     Raises LookupError where there is none, ValueError where a folder's is not to be run.
     """
-    return HOOKS.get(name) or plugin.foreign_hook(model, name)
+    return HOOKS.get(name) or plugin(model, Hook, name)[0]

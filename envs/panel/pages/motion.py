@@ -4,7 +4,6 @@ from typing import Any
 
 from nicegui import ui
 
-from ....drive.diagrams import MODE_ABBREVIATION
 from ....drive.model.rows import Object
 from .desk import Desk, over, refuse
 from .homing_diagram import homing_svg
@@ -66,7 +65,7 @@ class MotionPage:
                 button("Disable", self._disable, "disable")
                 button("Reset fault", self._reset, "motion-reset")
             modes = {
-                int(mode): f"{MODE_ABBREVIATION[mode]} · {mode.name.replace('_', ' ').lower()}"
+                int(mode): f"{self.model.mode_name(mode)} · {mode.name.replace('_', ' ').lower()}"
                 for mode in self.model.modes
             }
             present = self.desk.seen["mode"]

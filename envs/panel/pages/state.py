@@ -15,6 +15,7 @@ class StatePage:
 
     def __init__(self, desk: Desk):
         self.desk = desk
+        self.own_modes = desk.bench.model(desk.axis).own_modes
         with ui.element("div").classes("columns state-columns"):
             with card("Device control · CiA 402", "diagram"):
                 self.diagram = StateDiagram(self._transition)
@@ -49,7 +50,7 @@ class StatePage:
         refuse(await self.desk.command(lambda session: session.control_word(axis, word)))
 
     def _explain(self, mask: int) -> None:
-        bits = statusword_bits(self.desk.seen["mode"])
+        bits = statusword_bits(self.desk.seen["mode"], self.own_modes)
         bit = bits[mask.bit_length() - 1]
         ui.notify(f"bit {mask.bit_length() - 1}, {bit.name.replace('_', ' ')}: {bit.meaning}")
 
@@ -61,8 +62,8 @@ class StatePage:
         """The present."""
         seen = self.desk.seen
         self.diagram.show(seen["state"])
-        self.controlword.show(seen["controlword"], controlword_bits(seen["mode"]))
-        self.statusword.show(seen["statusword"], statusword_bits(seen["mode"]))
+        self.controlword.show(seen["controlword"], controlword_bits(seen["mode"], self.own_modes))
+        self.statusword.show(seen["statusword"], statusword_bits(seen["mode"], self.own_modes))
         self.fault.set_text(seen["fault"] or "No fault")
         self.fault.classes(**({"add": "bad"} if seen["fault"] else {"remove": "bad"}))
         remedy = seen["remedy"]

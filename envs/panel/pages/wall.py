@@ -5,7 +5,7 @@ from typing import Any
 
 from nicegui import Client, run, ui
 
-from ....drive.diagrams import MODE_ABBREVIATION, State
+from ....drive.diagrams import State, abbreviation
 from ..classroom import Classroom, Place
 from ..guard import PERSON
 from .widgets import Tag, answer_to, button, card, told
@@ -80,8 +80,7 @@ class PlaceCard:
         self.state.say(state.name.replace("_", " ").lower())
         for kind in ("good", "bad"):
             self.state.lit(kind, KINDS.get(state) == kind)
-        modes = {int(mode): name for mode, name in MODE_ABBREVIATION.items()}
-        self.mode.say(modes.get(seen["mode"], "no mode"))
+        self.mode.say(abbreviation(seen["mode"]) if seen["mode"] else "no mode")
         unit, _ = self.place.clock.session.unit(worst)
         self.position.say(f"{told(seen['position'], 1)} {unit}")
         self.here.say("here" if here else "away")

@@ -8,6 +8,7 @@ import ast
 import functools
 import linecache
 import re
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,9 +17,13 @@ from typing import Any
 import numba
 from numba import types
 
-from ...drive.model.names import hint
-from ..engine.checks import HOUSE
+from .names import hint
 
+HOUSE = (  # code that is not the user's
+    *(str(Path(__file__).parents[2] / room) for room in ("drive", "envs", "training")),
+    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
+    "<",
+)
 NUMBA = str(Path(numba.__file__).parent)
 _PLACES = re.compile(r'(?:at|from) (\S[^\n]*) \((\d+)\)|File "([^"\n]+)", line (\d+)')
 _NO_NAME = re.compile(r"name '(\w+)' is not defined")
