@@ -34,10 +34,11 @@ HEADING = (
 )
 HEAD = """# Tuning from detuned gains
 
-`tune` from gains that are 0.3 and 3 times those of the commissioned axis, for margins of 6 dB and
-35°: each member of the family with each servo drive, or with a payload on a spring that resonates
-at 20, 45 or 80 Hz (`generic`), and each drive of a gantry. The following error is that on the move
-`tune` shows, with the commissioned gains, before and after (rotary axes: µrad).
+`tune` starts from gains that are 0.3 and 3 times those of the commissioned axis and tunes for
+margins of 6 dB and 35°. The cases are each member of the family with each servo drive, or with a
+payload on a spring that resonates at 20, 45 or 80 Hz (`generic`), and each drive of a gantry. The
+following error is measured on the move that `tune` shows, with the commissioned gains, before and
+after (for rotary axes in µrad).
 
 ```sh
 python tests/autotune/matrix.py docs/results/tuning.md   # plays what is missing in the table
@@ -45,13 +46,13 @@ python tests/autotune/matrix.py docs/results/tuning.md   # plays what is missing
 
 """
 FOOT = """
-Margins are the smallest of the loops as measured afterwards. *Known* are those of the model itself:
-the physics as MuJoCo linearises it behind the same controllers, by python-control, nothing excited
-or fitted. Where there is backlash or a gear with losses (ball_screw, vertical, rack_pinion,
-rotary_table) it is the plant on one flank, which a small amplitude sees and a large one softens:
-`tune` looks at both, and takes the smaller margins if the plants differ by more than 5 %. Where
-the known margins are smaller than asked for, it has not seen that: ask for 10° more there.
-Seconds are of processor time.
+Margins are the smallest of the loops, measured after tuning. *Known* margins are those of the
+model itself: python-control computes them from the physics as linearised by MuJoCo with the same
+controllers, without excitation or fit. With backlash or a gear with losses (ball_screw, vertical,
+rack_pinion, rotary_table) this is the plant on one flank, which determines the response at small
+amplitudes; at large amplitudes the plant is softer. `tune` measures both, and uses the smaller
+margins if the plants differ by more than 5 %. If the known margins are smaller than requested,
+`tune` did not detect that: request 10° more there. Times are seconds of processor time.
 """
 
 
@@ -212,10 +213,11 @@ def page(rows):
     short = [row for row in rows if min(*_margin(row[4]), *_margin(row[6])) < 0.0]
     where = ", ".join(dict.fromkeys(row[0] for row in short)) or "none"
     told = (
-        f"Of {len(CASES)} cases {len(rows)} have been run, and in {yes} the margins are reached; in"
-        f"\nothers the reason is told. The following error is more than {WORSE:g} times that of the"
-        f"\ncommissioned gains in {worse}. The longest took {longest:.1f} s of processor time. The"
-        f"\nmargins of the known plant are smaller than asked for in {len(short)} ({where}).\n\n"
+        f"Of {len(CASES)} cases, {len(rows)} have been run. The margins are reached in {yes}; in"
+        "\nthe others the reason is given. The following error is more than "
+        f"{WORSE:g} times that of\nthe commissioned gains in {worse}. The longest took "
+        f"{longest:.1f} s of processor time. The\nmargins of the known plant are smaller than "
+        f"requested in {len(short)} ({where}).\n\n"
     )
     return HEAD + told + markdown(HEADING, rows) + FOOT
 

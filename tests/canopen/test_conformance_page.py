@@ -13,11 +13,12 @@ from conformance import Bus
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "conformance.md"
 HEAD = """# Conformance of the CAN node
 
-Cases of CiA 301 and CiA 305 as lists of frames, run against the `generic` drive; what a case sends
-and expects stands under its name in `tests/canopen/test_conformance.py` and
-`test_conformance_services.py`. A result is *as the standard says*, *inferred* where the standard
-leaves open what happens, and *not supported* where the drive answers that it does not have the
-service. Written by `tests/canopen/test_conformance_page.py`, which fails where it is out of date.
+The tests play cases of CiA 301 and CiA 305, written as lists of frames, against the `generic`
+drive. `tests/canopen/test_conformance.py` and `test_conformance_services.py` list the frames that
+each case sends and expects under its name. A result is *as the standard says*; *inferred* if the
+standard leaves the behaviour open; or *not supported* if the drive answers that it does not have
+the service. `tests/canopen/test_conformance_page.py` writes this page and fails if it is out of
+date.
 
 """
 INFERRED = {  # case -> what the standard leaves open

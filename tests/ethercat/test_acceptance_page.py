@@ -10,39 +10,39 @@ from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
 PAGE = TESTS.parent / "docs" / "results" / "ethercat.md"
-HEAD = """# What is checked of the EtherCAT slaves
+HEAD = """# Acceptance tests of the EtherCAT slaves
 
-A test named `test_NN_…` proves the check with that number: in memory by frames, or on a wire (veth
-pair in a network namespace of its own) with an unmodified master. Wire tests are skipped, with the
-reason, where there are no user namespaces; those in italics belong to `make slow`: they take
-minutes, or build a master from source. Written by `tests/ethercat/test_acceptance_page.py`, which
-fails where a check has no test or this page is out of date.
+A test named `test_NN_…` proves the check with that number, either in memory with frames or on a
+wire (a veth pair in a network namespace of its own) with an unmodified master. Without user
+namespaces, wire tests are skipped with the reason. Tests in italics belong to `make slow`: they
+take minutes or build a master from source. `tests/ethercat/test_acceptance_page.py` writes this
+page and fails if a check has no test or the page is out of date.
 
 | | check | tests |
 |---|---|---|
 """
 CHECKS = """
-what SOEM, ethercrab and KickCAT sent to this drive, no real one, is answered byte for byte
+frames that SOEM, ethercrab and KickCAT sent to this emulated drive are answered byte for byte
 working counter and data of each of the 14 commands
-addresses: position and broadcast count on, the station alias answers where it is switched on
+addresses: position and broadcast addresses count on, the station alias answers if enabled
 locks of the mailbox sync managers
 a second AL Control before the first has been read
 a mailbox in two datagrams
 FMMUs with bits
-LRW counts 3 a slave; half a buffer of outputs does not arrive
-noise, cut and altered frames: no exception, nothing lost, no motor energised without a legal path
-error counters; a broken link takes the slaves behind it away
+LRW counts 3 for each slave; half a buffer of outputs is not delivered
+noise, truncated, altered frames: no exception, nothing lost, no motor energised without legal path
+error counters; a broken link disconnects the slaves behind it
 SII and ESI are parsed back row by row; checksum, size, end
 the scan of a master shows the model's identity and sizes
-EEPROM: reads of 4 and 8 bytes, write enable, end, busy, an alias that lasts
-ESI, SII and dictionary say the same
+EEPROM: reads of 4 and 8 bytes, write enable, end, busy, a persistent alias
+ESI, SII and dictionary agree
 5 x 16 state requests
 error bit and acknowledge
 wrong sync managers: status codes 0016h, 0017h, 001Dh, 001Eh
-process-data watchdog, and the way back
-leaving OP while enabled: the axis stands
+process-data watchdog, and the return to OP
+leaving OP while enabled: the axis stops
 explicit device identification
-bootstrap has FoE alone
+bootstrap supports only FoE
 abort codes reach the master
 normal and segmented uploads, toggle bit
 downloads of more than 4 bytes, wrong sizes
@@ -53,18 +53,18 @@ an emergency and a pending SDO
 repeat request, lost replies
 never silence
 masters reach OP, every working counter is right
-homing method 1 and 0.1 m in csp, five times the same bit for bit
-environment and wire move the same bytes
+homing by method 1 and 0.1 m in csp, bit-identical in five runs
+environment and wire exchange the same bytes
 fixed and flexible PDOs have their sizes and move the drive
-delays of a line, a branch, slaves the wrong way round; by SOEM and ethercrab too
+delays of a line, a branch and slaves with swapped ports; also measured by SOEM and ethercrab
 drift: 50 ppm, the registers 092Ch, 0930h, 0932h, 0934h, 0935h
 SYNC0: cycles begin at the edge, late frames, F125
-a SYNC0 cycle the model does not do
-each fault to order, the master's reaction and the way back to OP
+a SYNC0 cycle that the model does not support
+each injected fault, the master's reaction and the return to OP
 redundancy: break and heal
 ten minutes at 1 kHz on the clock dc
 cycles a second, time of a frame: `servogym bench --ethercat`
-32 slaves in a frame, a map split over three
+32 slaves in one frame, a map split over three frames
 """.strip().splitlines()
 
 # a test and its decorators, which may have several lines

@@ -138,7 +138,7 @@ def test_weights_that_give_other_numbers_are_told_and_the_others_ranked(entries,
     name = f"{FILES}LinearAxis-v0/seed_1/"
     changed(file, **{f"{name}weights.npz": (other / "weights.npz").read_bytes()})
     changed(file, **{f"{name}checkpoint.json": json.dumps(about).encode()})
-    real = re.search(r"mine.npz: its hash is .* it says has (\w+)", refused(capsys, *RESULTS))[1]
+    real = re.search(r"mine.npz: its hash .* its content has (\w+)", refused(capsys, *RESULTS))[1]
     changed(file, **{HEAD: json.dumps(head(file) | {"hash": real}).encode()})
     error = refused(capsys, *RESULTS)
     assert "mine.npz, LinearAxis-v0, nominal: its table says return" in error

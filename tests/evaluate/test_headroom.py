@@ -20,7 +20,7 @@ def test_the_command_writes_page_and_values_and_no_row_is_above_100_percent(tmp_
     words = ["benchmark", "headroom", "--tasks", "Commissioning-v0", "--episodes", "2"]
     assert cli.main([*words, "--out", str(tmp_path)]) == 0
     page = (tmp_path / "headroom.md").read_text()
-    assert "Bound (proven)" in page
+    assert "Mean bound (proven)" in page
     shares = [
         float(cell.removesuffix(" %"))
         for line in page.splitlines() if line.count("|") == 10 and " % |" in line

@@ -87,7 +87,7 @@ def test_positioning_has_state_feedback_where_a_sensor_sees_the_load(here, monke
     for row in found:  # a move after the other, by its definition
         duty = float(row["rms_torque_share_of_rated"]) ** 2 * 2.0 / float(row["settling_s"])
         assert float(row["i2t_duty"]) == pytest.approx(duty, rel=1e-3)
-    assert "Repeated without a pause it heats the motor by" in page
+    assert "Repeated without a pause, it uses" in page
 
 
 def test_homing_takes_drives_axes_a_payload_methods_runs_and_parameters(here):

@@ -66,7 +66,7 @@ def test_a_training_goes_on_where_it_was_interrupted(tmp_path, capsys, monkeypat
     assert cli.main(["results", str(folder), "--train"]) == 0
     shown = capsys.readouterr().out
     assert "--seed 3" in shown
-    assert "Together at most 256 CPU-seconds" in shown
+    assert "Together they took at most 256 CPU-seconds" in shown
     assert "Measured" not in shown
     assert not out.exists()
     for _ in range(2):
@@ -89,12 +89,13 @@ def test_the_cpu_seconds_are_those_of_the_whole_training_not_of_its_best_checkpo
     assert training.cpu_seconds == pytest.approx(350.0)
     assert not training.inferred
     assert repeat.told([training]) == (
-        "Together 350 CPU-seconds, 3 minutes of 2 cores. They were measured."
+        "Together they took 350 CPU-seconds, 3 minutes of 2 cores. These times were measured."
     )
     guessed = training._replace(task="Other-v0", cpu_seconds=50.0, inferred=True)
     said = repeat.told([training, guessed])
-    assert said.startswith("Together at most 400 CPU-seconds")
-    assert "Measured are 350 of them, of LinearAxis-v0. Those of Other-v0, 50 at most" in said
+    assert said.startswith("Together they took at most 400 CPU-seconds")
+    assert "Of these, 350 were measured (LinearAxis-v0)." in said
+    assert "The times of Other-v0, at most 50, were not recorded" in said
 
 
 @pytest.mark.parametrize(

@@ -357,12 +357,13 @@ HEADING = (
 )
 HEAD = """# Every axis as delivered
 
-Each drive model on all mechanics with six loads: built, enabled, homed by the switch (a gantry with
-two drives in X squared by theirs), moved by 100 mm (1 rad), then over the stroke at its full
-profile. It *moves* if the following error stays in its window, the profile velocity is reached, it
-rests in the position window, and all loops keep 6 dB and 35°, by the model and as `servogym bode`
-measures them. What is refused says in one sentence which load this motor and this drive take; that
-load was played as well. An inverter has no positions: it is enabled and turns to and fro.
+Each drive model is tested on all mechanics with six loads. The axis is built, enabled, homed to
+the switch (a gantry with two drives in X is squared by its switches), moved by 100 mm (1 rad), and
+then moved over the stroke at its full profile. An axis *moves* if the following error stays in its
+window, the profile velocity is reached, the axis comes to rest in the position window, and all
+loops keep 6 dB and 35°, by the model and as `servogym bode` measures them. A refusal states in one
+sentence which load this motor and this drive can move; that load was tested as well. An inverter
+has no position control: it is enabled and turns to and fro.
 
 ```sh
 python tests/plants/delivered.py docs/results/commissioning.md
@@ -400,16 +401,16 @@ def sentences(outcomes):
     movers = sum(o.kind == "moves" for o in allowed)
     servo = [o for o in outcomes if math.isfinite(o.measured[0])]
     said = [
-        f"- Of {len(CELLS)} combinations {len(outcomes)} have been played: "
-        f"{count['moves']} move, {count['refused']} are refused "
-        f"with the load they take, {count['fault']} fault, {count['silent']} are wrong in silence.",
+        f"- Of {len(CELLS)} combinations, {len(outcomes)} have been tested: "
+        f"{count['moves']} move, {count['refused']} are refused with the load that the axis can "
+        f"move, {count['fault']} end in a fault, and {count['silent']} fail without a message.",
         f"- Torque and speed allow {len(allowed)} of these; {movers} of them move "
         f"({100 * movers / max(len(allowed), 1):.1f} %).",
     ]
     if servo:
         gain, phase = (min(servo, key=lambda o: o.measured[k]) for k in (0, 1))
         said.append(
-            f"- The least margins that `bode` measures on {len(servo)} axes are "
+            f"- The smallest margins that `bode` measures on {len(servo)} axes are "
             f"{gain.measured[0]:.1f} dB ({gain.cell}) and {phase.measured[1]:.0f}° ({phase.cell})."
         )
     tuned = [o for o in outcomes if math.isfinite(o.settled[0])]

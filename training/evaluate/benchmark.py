@@ -1,7 +1,7 @@
-"""What the benchmarks of homing and of positioning have in common: a grid, a page, a picture.
+"""The common part of the benchmarks of homing and of positioning: a grid, a page, a picture.
 
-A benchmark says which cells it plays (`cells`) and what is to be told of them (`told`); the rest,
-from the jobs to the files, is here.
+A benchmark defines the cells that it plays (`cells`) and how to present their results (`told`).
+This module does the rest, from the jobs to the files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +27,7 @@ OPTIONS = {  # of the command line, where an argument of `cells` has another nam
 
 
 class Told(NamedTuple):
-    """What a benchmark tells: a table, notes below it, and a picture with a panel a figure."""
+    """The report of a benchmark: a table, notes below it, and a picture with several panels."""
 
     heading: Sequence[str]
     table: Sequence[Sequence[str]]
@@ -50,8 +50,8 @@ class Benchmark:
         title: of the page.
         of: what it compares, for the picture.
         cells: gives the grid for a drive, of all cells or of a small part, and further choices.
-        told: what is told of the rows of each cell.
-        warm: of the drive and the grid's jobs: small ones that need all that is compiled.
+        told: makes the report from the rows of each cell.
+        warm: makes small jobs that need all compiled code, from the drive and the grid's jobs.
     """
 
     name: str
@@ -71,14 +71,14 @@ def run(
     Args:
         kind: of benchmark.
         drive: drive model.
-        quick: a small part.
+        quick: play only a small part.
         out: folder.
-        console: where to show progress.
-        work: who does the jobs.
+        console: shows the progress.
+        work: runs the jobs.
         chosen: further arguments of `cells`.
 
     Raises:
-        ValueError: a choice that is none, or cells of which none can be played.
+        ValueError: an invalid choice, or no cell can be played.
     """
     chosen = chosen or {}
     grid = kind.cells(drive, quick, **chosen)
@@ -102,10 +102,10 @@ def run(
 
 
 def known_mechanics(names: Sequence[str], others: Sequence[str] = ()) -> None:
-    """Raises ValueError for an axis that is neither of the family nor one of the others."""
+    """Raise ValueError for an axis that is neither in the family nor one of the others."""
     for name in names:
         if name not in (*FAMILY, *others):
-            raise ValueError(f"--mechanics = {name!r}: choose of {', '.join((*FAMILY, *others))}")
+            raise ValueError(f"--mechanics = {name!r}: choose from {', '.join((*FAMILY, *others))}")
 
 
 def written(what: str, drive: str, quick: bool, chosen: Mapping[str, Any]) -> str:

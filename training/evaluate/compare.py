@@ -63,7 +63,7 @@ def _worst(metric: str, summary: Summary | None) -> str:
 
 
 def _apart(metric: str, found: Difference | None, better: str, policy: str) -> str:
-    """In bold where the interval leaves 0 out on the better side; doing nothing is not a merit."""
+    """Format a difference, bold if the interval excludes 0 on the better side (not for idling)."""
     if found is None:
         return "–"
     if metric in SHARES:
@@ -120,8 +120,8 @@ def run(
 ) -> int:
     """Evaluate, print, and write page, data and pictures named after `command`; -> exit status.
 
-    The second picture is of the traced episode. Without `out` each comparison has a folder of its
-    own; results of another one are never written over.
+    The second picture shows the traced episode. Without `out` each comparison gets a folder of its
+    own; the results of another comparison are never overwritten.
     """
     setup = request.setup
     source = origin(request.command(command))
@@ -194,10 +194,11 @@ def _notes(
 ) -> str:
     metrics, count = {"score": SCORE, **results[0].metrics}, request.episodes
     notes = (
-        f"Interquartile mean [95 % interval, {RESAMPLES} resamples of trainings and episodes] over "
-        f"{count} episodes, seeds {results[0].seeds[0]} to {results[0].seeds[count - 1]}; "
-        f"{_trainings(results)}{_needs(request.policies)}shares are means. Differences are those "
-        "of the (interquartile) means, in bold where the interval is on the better side of 0. "
+        f"Values are interquartile means [95 % interval, {RESAMPLES} resamples of trainings and "
+        f"episodes] over {count} episodes, seeds {results[0].seeds[0]} to "
+        f"{results[0].seeds[count - 1]}; {_trainings(results)}{_needs(request.policies)}shares are "
+        "means. Differences are those of the (interquartile) means, in bold where the interval is "
+        "on the better side of 0. "
         f"Score: {_scale(request.setup.task.REFERENCE, results)}.\n\n"
     )
     return notes + "\n".join(

@@ -1,7 +1,7 @@
-"""A comparison: the jobs that play policies on the same fixed episodes, and what comes of them.
+"""A comparison: the jobs that play policies on the same fixed episodes, and their results.
 
-Score: 0 is holding still, 1 the reference of the task, both as the interquartile means of their
-returns over the same episodes.
+A score of 0 is holding still, a score of 1 is the reference of the task, both as the interquartile
+means of their returns over the same episodes.
 """
 
 import json
@@ -39,15 +39,15 @@ def scores(returns: np.ndarray, zero: np.ndarray, one: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Request:
-    """Policies to be played on fixed episodes: what a user asks of `eval` and `compare`.
+    """A user's request to `eval` or `compare`: policies to be played on fixed episodes.
 
     Args:
         setup: of the environments.
-        policies: by name, each in an environment with the arguments it needs; or classes and
-            functions (`policies.file.policy_of`). One that is named twice is played once.
-        episodes: how many, 1..1000.
+        policies: names, classes or functions (`policies.file.policy_of`). Each plays in an
+            environment with the arguments it needs; a policy named twice is played once.
+        episodes: the number of episodes, 1..1000.
         seed: of the episodes.
-        traced: the episode to be recorded, 0 being the first.
+        traced: the episode to be recorded, counted from 0.
     """
 
     setup: Setup
@@ -67,7 +67,7 @@ class Request:
         return list(dict.fromkeys(self.policies))
 
     def needed(self, policy: Any) -> Setup:
-        """Where a policy plays: the arguments it needs, and those that are given."""
+        """The setup in which a policy plays: with the arguments it needs and those given."""
         return self.setup.having(needed(policy) | dict(self.setup.arguments))
 
     def command(self, name: str, more: str = "") -> str:
@@ -163,11 +163,11 @@ class Comparison:
 
 
 class Early:
-    """What is made of a comparison while others still play: the second picture, and intervals.
+    """Makes the second picture and the intervals of a comparison while other jobs still run.
 
     Args:
-        comparison: whose jobs are done.
-        draw: gives the bytes of a picture of what was recorded.
+        comparison: the comparison to which the finished jobs belong.
+        draw: returns the bytes of a picture of the recordings.
     """
 
     def __init__(self, comparison: Comparison, draw: Callable[[Sequence[Recording]], bytes]):
@@ -190,7 +190,7 @@ def evaluate(
 ) -> list[Evaluation]:
     """Each policy on the fixed episodes of a task, given by its id or class.
 
-    Further arguments are those of `Setup` and `Request`, and who does the jobs.
+    Further arguments are those of `Setup` and `Request`; `work` runs the jobs.
     """
     setup = Setup.of(env, drive, arguments)
     comparison = Comparison(Request(setup, policies, episodes, seed, traced))

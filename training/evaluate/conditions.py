@@ -1,11 +1,12 @@
-"""Off nominal: the tables of `servogym compare --conditions`, a row a condition.
+"""The tables of `servogym compare --conditions`, with a row for each off-nominal condition.
 
-A table has a version: rows are never changed, a new table has a new version. `CONDITIONS` goes
-along one disturbance at a time; `TRANSFER` is each drive with each mechanics of the family, as it
-is, late and noisy: there goes, unchanged, what was trained on one drive and one mechanics. What is
-drawn at random in the task stays as it is, but for what the condition sets; in a condition all
-policies play the same episodes, from one condition to the next they may differ. Policies know the
-data sheet of the machine they meet, and nothing of the condition.
+A table has a version: its rows never change, and a new table gets a new version. `CONDITIONS`
+varies one disturbance at a time. `TRANSFER` combines each drive with each mechanics of the family:
+undisturbed, with delay, and with noise. It shows how policies that were trained on one drive and
+one mechanics behave there without change. Random draws of the task stay as they are, except for
+the values that the condition sets. All policies play the same episodes in a condition; episodes may
+differ between conditions. Policies know the data sheet of the machine they meet, and nothing about
+the condition.
 """
 
 import inspect
@@ -66,7 +67,7 @@ TABLES = {"all": CONDITIONS, "transfer": TRANSFER}
 
 
 def suiting(setup: Setup, table: Sequence[Condition] = CONDITIONS) -> Iterator[Condition]:
-    """The rows that mean something for a task; of `CONDITIONS` those that make it another one."""
+    """The rows that apply to a task and differ from its nominal condition."""
     env, kind = setup.make(), setup.task
     ranges, own = env.randomisation.ranges, inspect.signature(kind.__init__).parameters
     nominal = env.datasheet

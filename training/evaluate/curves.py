@@ -13,12 +13,12 @@ FILE = "evaluations.npz"
 
 
 def read(folder: Path) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Steps, shape ``(n,)``, and of each training the returns, shape ``(n, episodes)``.
+    """Read steps, shape ``(n,)``, and the returns of each training, shape ``(n, episodes)``.
 
-    Where trainings were evaluated at different steps, those they have in common.
+    If trainings were evaluated at different steps, only the common steps are returned.
 
     Raises:
-        ValueError: no trainings there, or nothing in common.
+        ValueError: there are no trainings, or they have no step in common.
     """
     files = sorted(folder.glob(f"seed_*/{FILE}")) or sorted(folder.glob(FILE))
     runs = []

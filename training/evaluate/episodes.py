@@ -1,7 +1,7 @@
 """Fixed episodes of an environment under a policy, and the metrics of each.
 
-Episode i of evaluation seed s has the seed 1,000,000 + 1,000 s + i: training, which counts up from
-small seeds, does not meet them. All episodes run side by side in a vector environment.
+Episode i of evaluation seed s has the seed 1,000,000 + 1,000 s + i. Training counts up from small
+seeds and does not reach these. All episodes run in parallel in a vector environment.
 """
 
 import math
@@ -89,8 +89,8 @@ class Evaluator:
         episodes: how many, 1..1000.
         seed: evaluation seed.
         seeds: of the episodes, a part of the fixed ones; instead of `episodes` and `seed`.
-        options: of the reset of each episode, shape ``(n,)``; none if not given.
-        traced: the episode that is recorded, counted from 0; None: none is.
+        options: of the reset of each episode, shape ``(n,)``; none by default.
+        traced: the episode that is recorded, counted from 0; None for none.
         prepare: called with each environment before the first episode, as `Setup.prepare`.
         **arguments: of the environment.
 
@@ -140,16 +140,16 @@ class Evaluator:
         self.vector.close()
 
     def run(self, policy: Any) -> Evaluation:
-        """All episodes under the policy of that name, or under each of its trainings.
+        """Play all episodes under the policy of that name, or under each of its trainings.
 
-        Raises ValueError if it does not fit.
+        Raises ValueError if the policy does not fit.
         """
         if folders := trainings(policy, self.task.ID):
             return pooled(policy, [self._run(folder) for folder in folders])
         return self._run(policy)
 
     def first_step(self) -> None:
-        """All that is compiled, once."""
+        """Call everything that has to be compiled once."""
         self._reset()
         self.vector.step(np.zeros((len(self.seeds), self._actions), np.float32))
         for env in self.vector.envs:
@@ -256,12 +256,12 @@ class Evaluator:
         if unknown := values.keys() - self.metrics.keys():
             raise ValueError(
                 f"task {self.task.__name__}: METRICS lacks {', '.join(sorted(unknown))}, which "
-                "its figures() tell"
+                "its figures() return"
             )
         return {name: float(value) for name, value in values.items()}
 
     def _built_in(self, policy: str, chosen: BuiltIn) -> Evaluation:
-        """What a homing method of the drive makes of the same starts."""
+        """Evaluate a homing method of the drive from the same starts."""
         values = self._empty()
         traced = self.traced
         recorder = None if traced is None else Recorder(self.vector.envs[traced])

@@ -1,9 +1,9 @@
-"""The table engine: cells that jobs play, whoever plays them, and what was found in each.
+"""The table engine: cells, the jobs that fill them, and their results.
 
-All evaluations are grids. The key of a cell names its row and column; a cell is what a few jobs
-find out: fixed episodes under a policy, runs of a homing method, a comparison, or a grid again.
-Where the jobs run, the progress, what an interrupted command keeps and what is cleared at its end
-are here.
+All evaluations are grids. The key of a cell names its row and column. A cell collects the results
+of a few jobs: fixed episodes under a policy, runs of a homing method, a comparison, or another
+grid. This module runs the jobs, shows the progress, keeps the results of an interrupted command and
+clears them at its end.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
@@ -22,21 +22,21 @@ FoundOut = TypeVar("FoundOut", covariant=True)
 
 
 class Cell(Protocol[FoundOut]):
-    """What jobs find out."""
+    """A cell of a grid: jobs, and the result that they make up together."""
 
     @property
     def jobs(self) -> Sequence[Job]:
-        """The jobs, in the order in which `results` takes what they gave."""
+        """The jobs, in the order in which `results` takes their results."""
 
     def results(self, found: Sequence[Result]) -> FoundOut:
-        """What was found, from the results of the jobs."""
+        """Combine the results of the jobs into the result of the cell."""
 
 
 class Grid(Generic[Key, Found]):
-    """Cells by row and column, in the order in which they are played; a cell itself.
+    """Cells by row and column, in the order in which they are played; a grid is itself a cell.
 
     Args:
-        cells: by their keys; others may be added.
+        cells: by their keys; more may be added later.
     """
 
     def __init__(self, cells: Mapping[Key, Cell[Found]] | None = None):
@@ -45,7 +45,7 @@ class Grid(Generic[Key, Found]):
 
     @contextmanager
     def tried(self, key: Key) -> Iterator[None]:
-        """For the block that adds a cell: where it raises ValueError there is a gap, with that."""
+        """Wrap the block that adds a cell: a ValueError in it becomes a gap with that reason."""
         try:
             yield
         except ValueError as error:
@@ -53,11 +53,11 @@ class Grid(Generic[Key, Found]):
 
     @property
     def jobs(self) -> list[Job]:
-        """Jobs of all cells."""
+        """The jobs of all cells."""
         return [job for cell in self.cells.values() for job in cell.jobs]
 
     def results(self, found: Sequence[Result]) -> dict[Key, Found]:
-        """What was found in each cell."""
+        """The result of each cell."""
         left = iter(found)
         return {
             key: cell.results([next(left) for _ in cell.jobs]) for key, cell in self.cells.items()
@@ -69,13 +69,13 @@ def played(
     cell: Cell[Found], work: Work, console: Console, folder: Path | None = None, *,
     warm: Sequence[Job] = (), then: Callable[[int, Result], None] | None = None,
 ) -> Iterator[Found]:
-    """What is found in a cell or grid; results of jobs are kept until the block has ended well.
+    """Play a cell or grid; the results of its jobs are kept until the block ends without error.
 
     Args:
-        cell: whose jobs are done.
-        work: who does them.
-        console: where to show progress.
-        folder: where results are kept, so that an interrupted command can go on; none if not given.
+        cell: the cell or grid to be played.
+        work: runs the jobs.
+        console: shows the progress.
+        folder: keeps results, so that an interrupted command can continue; by default none.
         warm: as `Work.map`.
         then: as `Work.map`.
     """

@@ -1,9 +1,9 @@
-"""`servogym benchmark headroom`: every row of every task beside what is possible.
+"""`servogym benchmark headroom`: every row of every task compared with what is possible.
 
-The page has for each task the bound, the best that any row played in each episode, and each row as
-a share of both; which of them keep limits of following error, I²t and jerk; and over all tasks
-performance profiles and probabilities of improvement (Agarwal et al. 2021, Deep reinforcement
-learning at the edge of the statistical precipice).
+For each task the page shows the bound, the best result that any row played in each episode, and
+each row as a share of both. It says which rows keep the limits of following error, I²t and jerk.
+Over all tasks it shows performance profiles and probabilities of improvement (Agarwal et al. 2021,
+Deep reinforcement learning at the edge of the statistical precipice).
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,13 +34,14 @@ HEADING = (
     "row", "of", "metric", "of what is possible", "of the best played", "success",
     "rms jerk (m/s³)", "rms torque / rated", "keeps the limits",
 )
-NOTES = f"""A row is the interquartile mean [95 % interval] of the metric of the task. *Of what is
-possible* is the mean of the bound over the mean of the row (of a return the other way round), *of
-the best played* the same of the best that any row, told or not, reached in each episode: the best
-path that is known to exist, because it was played. What lies between bound and best played is not
-known. Rows *told* what was drawn, or that rehearse, are no rivals. *Keeps the limits*: share of the
-episodes without a fault, within the rated torque (rms, I²t) and at most {ROUGHER} times the mean
-jerk of the reference of the task; a fault is what a following error beyond its window ends in."""
+NOTES = f"""Each row shows the interquartile mean [95 % interval] of the metric of the task. *Of
+what is possible* is the mean of the bound over the mean of the row (the inverse for a return). *Of
+the best played* is the same ratio with the best result that any row, informed or not, reached in
+each episode; this result is known to be attainable, because it was played. Whether anything between
+the bound and the best played is attainable is not known. Rows marked *told* are given the drawn
+parameters or rehearse, and do not compete. *Keeps the limits* is the share of the episodes without
+a fault, within the rated torque (rms, I²t) and with at most {ROUGHER} times the mean jerk of the
+reference of the task; a following error beyond its window ends in a fault."""
 
 
 class Row(NamedTuple):
@@ -120,7 +121,7 @@ def _values(found: Evaluation, metric: str) -> np.ndarray:
 
 
 def share_of(values: np.ndarray, limit: np.ndarray, metric: Metric) -> np.ndarray:
-    """Of what is possible, by episode: 1 is all of it."""
+    """Return the share of what is possible for each episode; 1 is all of it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         parts = limit / values if metric.better == "low" else values / limit
     return np.where((values == limit) | (values == 0.0), 1.0, parts)
@@ -172,17 +173,17 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
     sure = "inferred" if env.BOUND in INFERRED else "proven"
     whole = "" if limit is None else _mean_share(best[None], limit, metric)
     where = (
-        f"Bound ({sure}): {number(float(np.mean(limit)))}, best played in each episode: "
-        f"{number(float(np.mean(best)))} ({whole} of what is possible), means."
+        f"Mean bound ({sure}): {number(float(np.mean(limit)))}; mean of the best played in each "
+        f"episode: {number(float(np.mean(best)))} ({whole} of what is possible)."
         if limit is not None
-        else "No bound is known of this metric; best played in each episode: "
-        f"{number(float(np.mean(best)))}, mean."
+        else "No bound is known for this metric; mean of the best played in each episode: "
+        f"{number(float(np.mean(best)))}."
     )
     return f"## {task}: {metric.heading}\n\n{where}\n\n{markdown(HEADING, lines)}\n", rows
 
 
 def across(shares: Mapping[str, Sequence[Row]]) -> str:
-    """Profiles over the tasks, and how probably `learned` is better than the best other row."""
+    """Performance profiles over the tasks, and the probability that `learned` improves."""
     groups: dict[str, list[np.ndarray]] = {"best row": [], LEARNED: [], "best told": []}
     improvement = []
     for rows in shares.values():
@@ -205,12 +206,13 @@ def across(shares: Mapping[str, Sequence[Row]]) -> str:
         for key, parts in groups.items() if parts
     ]
     text = (
-        "## Over the tasks\n\nThe share of episodes that reach so much of what is possible, mean "
+        "## Over the tasks\n\nThe table shows the share of episodes that reach at least the given "
+        "fraction of what is possible, averaged over the tasks, each with its best row:\n\n"
     )
-    text += f"of the tasks, each with its best row:\n\n{markdown(heading, lines)}\n"
+    text += f"{markdown(heading, lines)}\n"
     if improvement:
         text += (
-            f"Probability of improvement, `{LEARNED}` over the best row, mean of "
-            f"{len(improvement)} tasks: {np.mean(improvement):.2f}.\n"
+            f"The probability of improvement of `{LEARNED}` over the best row, averaged over "
+            f"{len(improvement)} tasks, is {np.mean(improvement):.2f}.\n"
         )
     return text

@@ -1,9 +1,10 @@
 """`servogym benchmark homing`: homing methods of a drive on axes, fifty times each.
 
-Runs begin in turn to the left and to the right of the home switch, which answers elsewhere each
-time as far as the mechanics let it. Repeatability is that of ISO 230-2: R of the runs from one side
-(four standard deviations), A of both sides together, each with an interval by bootstrap. What a
-higher approach speed, a load and an inclination make of it are further axes of the table.
+Runs begin alternately to the left and to the right of the home switch, whose switching point
+varies from run to run within the scatter of the mechanics. Repeatability is that of ISO 230-2: R of
+the runs from one side (four standard deviations), A of both sides together, each with a bootstrap
+interval. Further axes of the table show the effect of a higher approach speed, a load and an
+inclination.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -167,10 +168,10 @@ FAILED: Row = {
 
 
 def _own(machine: Machine, name: str, start: float) -> Row:
-    """A method of the user's: ``FILE.py:function``, called with a `Master` of the axis.
+    """Run a user's method, ``FILE.py:function``, which is called with a `Master` of the axis.
 
-    It homes the axis, and leaves the drive with a reference. What it should find is the home of the
-    method its attribute ``reference`` names, 23 if it has none.
+    It homes the axis and leaves the drive with a reference. It should find the home of the method
+    that its attribute ``reference`` names, or of method 23 if it has none.
     """
     home: Callable[[Master], object] = from_file(name)
     reference = int(getattr(home, "reference", BESIDE))
@@ -246,7 +247,7 @@ def sides(rows: list[Row], edge: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sentences(cells: Sequence[Row]) -> list[str]:
-    """What the table says, with the numbers that carry it."""
+    """Sum up the table in sentences, with the numbers that support them."""
     told = []
     for mechanics in dict.fromkeys(cell["mechanics"] for cell in cells):
         here = [c for c in cells if c["mechanics"] == mechanics]
@@ -254,10 +255,10 @@ def sentences(cells: Sequence[Row]) -> list[str]:
         if len(as_is) > 1:
             best, quick = min(as_is, key=lambda c: c["A"]), min(as_is, key=lambda c: c["time"])
             told.append(
-                f"On {mechanics} method {best['method']} repeats best, A {number(best['A'])} µm "
-                f"({number(best['A_low'])} to {number(best['A_high'])}) in {best['time']:.2f} s; "
-                f"method {quick['method']} is the quickest, {quick['time']:.2f} s with A "
-                f"{number(quick['A'])} µm."
+                f"On {mechanics}, method {best['method']} repeats best, with A = "
+                f"{number(best['A'])} µm ({number(best['A_low'])} to {number(best['A_high'])}) in "
+                f"{best['time']:.2f} s; method {quick['method']} is the quickest, with "
+                f"{quick['time']:.2f} s and A = {number(quick['A'])} µm."
             )
         base = next((c for c in as_is if c["method"] == str(BESIDE)), None)
         others = [c for c in here if c["variant"] != AS_DELIVERED and np.isfinite(c["A"])]
@@ -265,7 +266,7 @@ def sentences(cells: Sequence[Row]) -> list[str]:
             worst = max(others, key=lambda c: c["A"])
             apart = worst["A_low"] > base["A_high"]
             told.append(
-                f"Of method {BESIDE} on {mechanics}, A "
+                f"With method {BESIDE} on {mechanics}, A "
                 + ("goes" if apart else "does not change beyond its interval:")
                 + f" from {number(base['A'])} µm ({number(base['A_low'])} to "
                 f"{number(base['A_high'])}) as delivered to {number(worst['A'])} µm "
@@ -276,7 +277,7 @@ def sentences(cells: Sequence[Row]) -> list[str]:
 
 
 def figures(key: Key, runs: list[Row]) -> Row:
-    """What the runs of a cell come to."""
+    """Sum up the runs of a cell."""
     mechanics, method, variant = key
     errors = _of(runs, "error_um")
     left, right = sides(runs, FAMILY[mechanics].home_switch)
@@ -304,7 +305,7 @@ def histogram(turns: np.ndarray) -> str:
 
 
 def told(found: Mapping[Key, list[Row]]) -> Told:
-    """What a page and a picture tell of the runs of each cell."""
+    """Prepare page and picture from the runs of each cell."""
     cells = [figures(key, runs) for key, runs in found.items()]
     table = [
         [
@@ -320,15 +321,15 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
         "index distance (fifths of a turn)", "largest impact (J)", "failures", "index warnings",
     ]
     notes = (
-        f"{max(c['runs'] for c in cells)} runs a cell, from starts over the whole stroke: mean "
-        "time, error of the largest "
-        "size (the home found minus the true edge, index pulse or stop; the drive sees its motor, "
-        "so what is elastic in between counts). R: repeatability of ISO 230-2 from one side of the "
-        "home switch (the larger of both, four standard deviations); A: of both sides together, "
-        f"with its {CONFIDENCE:.0%} interval by bootstrap. Index distance: how often the pulse "
-        "came in each fifth of a turn from the edge. Index warnings: runs in which the index pulse "
-        "lay so near to the edge that home may jump by a turn (warning FF10h of `generic`); then "
-        "the switch belongs half a pitch farther."
+        f"Each cell has {max(c['runs'] for c in cells)} runs, which start all over the stroke. The "
+        "table shows the mean time and the error of largest magnitude: the home found minus the "
+        "true edge, index pulse or stop. The drive sees only its motor, so elastic deflection "
+        "between motor and load counts as error. R is the repeatability of ISO 230-2 from one side "
+        "of the home switch (the larger of both sides, four standard deviations); A is that of "
+        f"both sides together, with its {CONFIDENCE:.0%} bootstrap interval. The index distance "
+        "counts how often the pulse came in each fifth of a turn from the edge. Index warnings are "
+        "runs in which the index pulse lay so close to the edge that home may jump by a turn "
+        "(warning FF10h of `generic`); move the switch by half a pitch in this case."
     )
     shown = [c for c in cells if c["variant"] == AS_DELIVERED]
     methods = list(dict.fromkeys(c["method"] for c in shown))
@@ -347,8 +348,8 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
         if methods[i] in map(str, ON_A_STOP):
             return "it pushes against the stop, and the transmission gives way"
         if name == "time (s)":
-            return "all the way at the slower speed"
-        return f"worst error {number(cell['worst'])} µm; what is elastic or plays lies in between"
+            return "it travels all the way at the slower speed"
+        return f"worst error {number(cell['worst'])} µm; elasticity or backlash lies in between"
 
     panels = {
         "time (s)": panel("time"),

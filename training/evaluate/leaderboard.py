@@ -1,7 +1,8 @@
 """`servogym benchmark learned` plays a suite; `servogym results --suite` checks and ranks entries.
 
-Ranked is by the return, the mean over the conditions of its interquartile means: rewards are never
-below 0, so ending an episode early gains nothing. A condition that a policy does not fit earns 0.
+Entries are ranked by the return: the mean over the conditions of its interquartile means. Rewards
+are never below 0, so ending an episode early gains nothing. A condition that a policy does not
+support earns 0.
 """
 
 import sys
@@ -46,14 +47,14 @@ def play(
     suite: Suite, policies: Mapping[str, str], console: Console, work: Work = ALONE,
     folder: Path | None = None,
 ) -> Table:
-    """Each task under its policy, in all conditions.
+    """Play each task under its policy in all conditions.
 
     Args:
-        suite: what is played.
-        policies: by task, as `policies.make` takes them.
-        console: to tell how far it is.
-        work: who plays.
-        folder: where what is done is kept until all is.
+        suite: the tasks and their conditions.
+        policies: a policy for each task, as `policies.make` takes them.
+        console: shows the progress.
+        work: runs the jobs.
+        folder: keeps the results of finished jobs until all are done.
     """
     assert suite.seed is not None, "it is drawn from a submission"
     parts = {env: suite.parts[env] for env in policies}
@@ -86,7 +87,7 @@ def _plain(value: float) -> float | None:
 
 
 def cell(kind: type[ServoEnv], values: Mapping[str, Any]) -> Cell:
-    """Summaries of what a table has of a condition. Raises ValueError for what are not values."""
+    """Summarise a condition of a table. Raises ValueError for entries that are not numbers."""
     known = metrics(kind)
 
     def summary(metric: str) -> Summary | None:
@@ -101,10 +102,10 @@ def cell(kind: type[ServoEnv], values: Mapping[str, Any]) -> Cell:
 
 
 def suiting(suite: Suite, policy: str, asked: Sequence[str]) -> dict[str, str]:
-    """Return the policy for each task that it fits. Raises ValueError if there is none.
+    """Return the policy for each task of a suite that it fits. Raises ValueError if it fits none.
 
     Args:
-        suite: of which.
+        suite: the suite with the tasks.
         policy: a baseline, "learned", ``FILE.py:name``, or a folder (`submission.packed`).
         asked: tasks that it has to fit.
     """
@@ -132,7 +133,7 @@ def enter(
 ) -> int:
     """Play the suite and write the submission, a file ``out/ENTRY.npz``; -> exit status.
 
-    Of a part of the conditions none is written.
+    If only a part of the conditions is played, no submission is written.
     """
     whole, suite = suite, suite.only(tasks, conditions)
     chosen = suiting(suite, policy, tasks)
@@ -160,17 +161,17 @@ def enter(
 
 
 def _named(policy: str) -> str:
-    """Without the folders of this machine."""
+    """Return the name of a policy without the folders of this machine."""
     return Path(policy).name if "/" in policy else policy
 
 
 def rank(
     suite: Suite, folder: Path, out: Path, console: Console, work: Work, *, run_code: bool = False
 ) -> int:
-    """Play each submission in a folder again, and write the leaderboard of that; -> status.
+    """Play each submission in a folder again, and write the leaderboard; -> exit status.
 
-    One that cannot be checked, or whose table says anything else, is told in one line and left out;
-    then the exit status is 2.
+    A submission that cannot be checked, or whose table differs, is reported in one line and left
+    out; then the exit status is 2.
     """
     files = sorted(folder.glob(f"*{ENDING}"))
     if not files:
@@ -202,10 +203,10 @@ def rank(
 def check(
     file: Path, submission: Submission, suite: Suite, console: Console, work: Work, run_code: bool
 ) -> Submission:
-    """Play it again -> the same submission with the table that was played.
+    """Play a submission again -> the same submission with the table that was played.
 
     Raises:
-        ValueError: it brings code and nobody said to run it, or its table says anything else.
+        ValueError: it brings code without consent to run it, or its table differs.
     """
     if submission.code:
         foreign.consent(f"{file} brings {submission.code}, which", run_code)
@@ -268,13 +269,13 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
     conditions = len(dict.fromkeys(row.name for p in suite.parts.values() for row in p.rows))
     whose = "drawn for each entry from its hash" if suite.seed is None else "the same for all"
     text = (
-        f"# Benchmark, suite {suite.version}\n\n{suite.episodes} episodes in each of up to "
-        f"{conditions} conditions, {whose}: `{suite.file}`. Ranked "
-        "by the return: the mean over the conditions of its interquartile means; a condition that "
-        "a policy does not fit is a gap and earns 0. In the columns of the conditions the metric "
-        "of the task, interquartile mean [95 % interval, trainings and episodes resampled]. What "
-        "is told what was drawn at random, or rehearses, or corrects what does, is below the "
-        "others without a rank.\n\n"
+        f"# Benchmark, suite {suite.version}\n\nEach entry plays {suite.episodes} episodes, {whose}, "
+        f"in each of up to {conditions} conditions: `{suite.file}`. Entries are ranked "
+        "by the return, the mean over the conditions of its interquartile means; a condition that "
+        "a policy does not support is a gap and earns 0. The columns of the conditions show the "
+        "metric of the task as interquartile mean [95 % interval, trainings and episodes "
+        "resampled]. A policy that is given the randomly drawn parameters, that rehearses, or that "
+        "corrects such a policy is listed below the others without a rank.\n\n"
     )
     for env in suite.parts:
         own = {name: entry.table[env] for name, entry in entries.items() if env in entry.table}
@@ -285,10 +286,10 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
          f"`{entry.identity[:12]}`", f"`{entry.command}`"]
         for name, entry in sorted(entries.items())
     ]
-    heading = ["entry", "what was played", "trainings", "budget, as stated", "hash", "command"]
+    heading = ["entry", "policy", "trainings", "stated budget", "hash", "command"]
     text += "## Entries\n\n" + markdown(heading, rows)
     return text + (
-        "\nAll numbers are of what was played again from the weights by `servogym results "
+        "\nAll numbers were reproduced from the weights by `servogym results "
         f"{folder.as_posix()} --suite {suite.asked}`, which wrote this page.\n"
     )
 

@@ -1,7 +1,7 @@
-"""What is told of an episode, and how many of them are summed up.
+"""The metrics of an episode, and how many episodes are summarised.
 
 The figures come from the physics, at every physics step (`servogym.envs.engine.probe`), and from
-the infos at every step of the agent. What does not apply to a task is not a number and left out of
+the infos at every step of the agent. A metric that does not apply to a task is NaN and left out of
 tables.
 """
 
@@ -19,18 +19,18 @@ from ...envs.view.about import Metric, in_unit
 RESAMPLES = 2000
 CONFIDENCE = 0.95
 BOOTSTRAP_SEED = 1
-TAIL = 0.05  # of the episodes, the worst of which are told for themselves
+TAIL = 0.05  # share of the episodes: the worst, which are reported separately
 
 
 METRICS: dict[str, Metric] = {
     "episode_return": Metric("return", "high", "sum of the rewards"),
-    "success": Metric("success", "high", "of the task, at the end of the episode"),
+    "success": Metric("success", "high", "whether the task is fulfilled at the end of the episode"),
     "settling_time": Metric(
         "settling (s)", "low",
-        "after it what is moved stays in the window to the end; where the task ends with success: "
-        "until then; the whole episode where there was none",
+        "time after which the moved part stays in the window to the end; if success ends the "
+        "task, the time until then; without success, the whole episode",
     ),
-    "overshoot": Metric("overshoot (µm)", "low", "farthest beyond the goal"),
+    "overshoot": Metric("overshoot (µm)", "low", "largest excursion beyond the goal"),
     "tracking_error": Metric("rms tracking error (µm)", "low", "reference minus position"),
     "peak_error": Metric("peak following error (µm)", "low", "60F4h, demand minus actual"),
     "rms_error": Metric("rms following error (µm)", "low", "60F4h, demand minus actual"),
@@ -40,23 +40,23 @@ METRICS: dict[str, Metric] = {
     "energy": Metric("energy (J)", "low", "positive mechanical work at the shaft"),
     "vibration": Metric(
         "residual vibration (µm)", "low",
-        "half the span of what is elastic, in the last quarter of an episode of full length",
+        "half the peak-to-peak elastic deflection in the last quarter of a full-length episode",
     ),
     "sway": Metric(
         "residual sway (mrad)", "low",
-        "greatest angle of the cable at a step, in the last quarter of an episode of full length",
+        "largest angle of the cable at a step, in the last quarter of a full-length episode",
     ),
     "reference_error": Metric("homing error (µm)", "low", "home found minus true home, absolute"),
-    "impact_energy": Metric("impact (J)", "low", "brought into the end stops, sum"),
+    "impact_energy": Metric("impact (J)", "low", "total energy brought into the end stops"),
     "limited": Metric(
-        "at a limit", "low", "share of the time with statusword bit 11, at physics steps"
+        "at a limit", "low", "share of the time with statusword bit 11 set, at physics steps"
     ),
-    "faults": Metric("faults", "low", "share of the episodes that a fault of the drive ended"),
+    "faults": Metric("faults", "low", "share of the episodes that ended with a fault of the drive"),
 }
 
 
 def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
-    """The common ones, and those of a task. Raises ValueError for a METRIC that is none of them."""
+    """The common metrics and those of a task. Raises ValueError for an unknown METRIC."""
     known = {**METRICS, **task.METRICS}
     if task.METRIC not in known:
         remark = hint(str(task.METRIC), known)
@@ -69,9 +69,9 @@ def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
 def iqm(values: np.ndarray) -> np.ndarray:
     """Mean of the middle half along the last axis; a quarter is left out at each end.
 
-    What is not a number does not count; without any number it is not a number.
+    NaNs do not count; without any number the result is NaN.
     """
-    values = np.sort(values, axis=-1)  # what is not a number comes last
+    values = np.sort(values, axis=-1)  # NaNs come last
     n = np.isfinite(values).sum(axis=-1, keepdims=True)
     if n.size and n.min() == n.max():
         n = n[(slice(1),) * n.ndim]  # the same weights for all
@@ -82,7 +82,7 @@ def iqm(values: np.ndarray) -> np.ndarray:
 
 
 def mean(values: np.ndarray) -> np.ndarray:
-    """Along the last axis, of what is a number."""
+    """Mean along the last axis, without NaNs."""
     finite = np.isfinite(values)
     return _ratio(np.where(finite, values, 0.0).sum(axis=-1), finite.sum(axis=-1))
 
@@ -113,16 +113,16 @@ class Difference(NamedTuple):
 def summarise(values: np.ndarray, better: str = "high", *, share: bool = False) -> Summary:
     """Means and their interval by a two-level bootstrap.
 
-    Each of 2,000 resamples draws trainings with replacement, and episodes with replacement, the
-    same for all trainings, since they all play the same: what differs from training to training and
-    from episode to episode is in the interval (a crossed bootstrap: Owen 2007, The pigeonhole
-    bootstrap). Of zeros and ones it is joined with Wilson's interval for as many episodes, because
-    a resample of ones alone cannot say how rare a zero may be.
+    Each of 2,000 resamples draws trainings with replacement and episodes with replacement. The
+    episodes are the same for all trainings, since they all play the same. The interval thus
+    contains the variation between trainings and between episodes (a crossed bootstrap: Owen 2007,
+    The pigeonhole bootstrap). For zeros and ones it is joined with Wilson's interval for as many
+    episodes, because a resample that consists only of ones cannot show how rare a zero may be.
 
     Args:
-        values: of one metric, shape ``(trainings, episodes)``; what does not apply is not a number.
-        better: "high" or "low"; empty: there is no worst.
-        share: tell the mean instead of the interquartile mean.
+        values: of one metric, shape ``(trainings, episodes)``; NaN where it does not apply.
+        better: "high" or "low"; if empty, there is no worst value.
+        share: report the mean instead of the interquartile mean.
     """
     statistic = mean if share else iqm
     low, high = _interval(_estimates(values, 0, share))
@@ -174,12 +174,12 @@ SEEN, POWER = 0.10, 0.80
 def paired(one: np.ndarray, other: np.ndarray, better: str) -> Paired:
     """The interquartile mean of the differences, which is not the difference of those means.
 
-    The difference of two interquartile means tells how the middle halves of two distributions lie;
-    in each a quarter of other episodes may be left out. The interquartile mean of the differences
-    leaves out episodes in which the two differ most, so where hard episodes gain most it is the
-    smaller one. Both are told. The probability of improvement is that of Mann and Whitney, as
-    rliable has it (Agarwal et al. 2021): of episodes that are not paired. The episodes needed
-    follow from the width of the interval, which falls with their square root.
+    The difference of two interquartile means compares the middle halves of two distributions, each
+    of which may leave out different episodes. The interquartile mean of the differences leaves out
+    the episodes in which the two differ most, so it is the smaller one if hard episodes gain most.
+    Both are reported. The probability of improvement is that of Mann and Whitney for unpaired
+    episodes, as in rliable (Agarwal et al. 2021). The number of episodes needed follows from the
+    width of the interval, which falls with their square root.
 
     Args:
         one: values, shape ``(trainings, episodes)``.
@@ -206,7 +206,8 @@ def paired(one: np.ndarray, other: np.ndarray, better: str) -> Paired:
 def _estimates(values: np.ndarray, stream: int, share: bool) -> np.ndarray:
     """Estimate each resample, shape ``(RESAMPLES,)``; each stream draws other trainings.
 
-    Kept, since the interval of a policy and its differences from others want the same.
+    The estimates are cached, because the interval of a policy and its differences from others
+    need the same ones.
     """
     trainings, episodes = values.shape
     stream = stream if trainings > 1 else 0  # there is one to be drawn

@@ -116,15 +116,15 @@ def _write(
         ]
     )
     notes = (
-        f"{heading}, interquartile mean [95 % interval over trainings and "
-        "episodes], and success. In bold: the paired difference from "
-        f"{column_of(against)} is on the better side of 0 with its interval. Table of conditions "
+        f"Each cell shows {heading} as interquartile mean [95 % interval over trainings and "
+        "episodes], and success. It is bold if the interval of the paired difference from "
+        f"{column_of(against)} lies on the better side of 0. The conditions are those of table "
         f"{VERSION}. Policies know the data sheet of the drive and the mechanics they meet, and "
-        "nothing else of the condition."
+        "nothing else about the condition."
     )
     if gaps:
         lines = (f"- {name}, {policy}: {reason}\n" for (name, policy), reason in gaps.items())
-        notes += f"\n\nA {GAP} is a condition that a policy does not fit:\n\n{''.join(lines)}"
+        notes += f"\n\nA {GAP} is a condition that a policy does not support:\n\n{''.join(lines)}"
     title = f"{setup.name} off nominal, drive {setup.drive}"
     columns = ["condition", *map(column_of, labels)]
     write_page(out / "conditions.md", title, markdown(columns, cells), source, notes)
@@ -143,7 +143,7 @@ def _write(
 
 
 def _ahead(apart: Sequence[Difference | None], better: str) -> str:
-    """How often a policy is the better one, and of how many where there are gaps."""
+    """How often a policy is better, and in how many conditions if there are gaps."""
     known = [found for found in apart if found is not None]
     wins = sum(found.value > 0.0 if better == "high" else found.value < 0.0 for found in known)
     sure = sum(ahead(found, better) for found in known)
@@ -169,7 +169,7 @@ def curves(
     path: Path, title: str, rows: Sequence[Condition],
     table: Mapping[str, Sequence[Entry]], policies: Sequence[str], heading: str,
 ) -> bool:
-    """The metric over each disturbance that is a number; a panel an axis; -> whether any is."""
+    """Draw the metric over each numeric disturbance, a panel each; -> whether there is any."""
     import matplotlib.pyplot as plt
 
     axes = [*dict.fromkeys(row.axis for row in rows if not isinstance(row.value, str))]

@@ -29,7 +29,7 @@ def play(
     setup: Setup, policy: Any, training: int | None, seeds: Sequence[int], traced: int | None,
     options: Sequence[dict[str, Any]] = (),
 ) -> Result:
-    """The job: some episodes under one policy, of several trainings under one."""
+    """The job: play some episodes under one policy, or under one of its trainings."""
     key = repr((setup, len(seeds), options))
     if key not in _last:
         for evaluator in _last.values():
@@ -52,7 +52,7 @@ def play(
 
 
 class Episodes:
-    """The fixed episodes under one policy: a cell whose jobs play some of them each.
+    """The fixed episodes under one policy: a cell, each of whose jobs plays some of them.
 
     Args:
         setup: of the environments.

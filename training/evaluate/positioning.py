@@ -1,11 +1,12 @@
 """`servogym benchmark positioning`: ways to move from point to point, on tuned axes.
 
-LinearAxis-v0 with fixed moves, its axes commissioned as `linear_axis` does (``tuned=True``). The
-settling time is of the carriage itself, with what is elastic between it and the motor. One axis
-more is CompliantAxis-v0: its payload swings on a spring, a sensor sees it, and torque can be fed
-forward, so state feedback and feed-forward can act. Each strategy moves each payload as it was
-planned for; and one payload with half and twice the friction, with a resonance 20 % lower and
-higher than it was planned for, and on a weak supply.
+The benchmark plays LinearAxis-v0 with fixed moves; its axes are commissioned as by `linear_axis`
+(``tuned=True``). The settling time is that of the carriage itself, including the elasticity between
+carriage and motor. CompliantAxis-v0 provides one more axis: its payload swings on a spring, a
+sensor measures it, and torque can be fed forward, so state feedback and feed-forward can act. Each
+strategy moves each payload under the conditions for which it was planned. It also moves one payload
+with half and twice the friction, with a resonance 20 % lower and higher than planned, and on a weak
+supply.
 """
 
 import math
@@ -162,7 +163,7 @@ def cells(
 
 
 def sentences(means: Means) -> list[str]:
-    """What the table says, with the numbers that carry it."""
+    """Sum up the table in sentences, with the numbers that support them."""
     told = []
     strategies = list(dict.fromkeys(strategy for *_, strategy in means))
     plants = list(dict.fromkeys((mechanics, payload) for mechanics, payload, *_ in means))
@@ -180,16 +181,16 @@ def sentences(means: Means) -> list[str]:
         text = f"On {mechanics} with {payload:g} kg `{best}` settles first, in {times[best]:.3f} s"
         if best != "jerk_limited" and math.isfinite(plain):
             text += (
-                f", {100 * (1 - times[best] / plain):.0f} % before the drive's own jerk-limited "
-                f"profile ({plain:.3f} s)"
+                f", {100 * (1 - times[best] / plain):.0f} % sooner than the drive's own "
+                f"jerk-limited profile ({plain:.3f} s)"
             )
         torque = of("rms_torque_share_of_rated", mechanics, payload, NOMINAL, best)
         duty = of(DUTY, mechanics, payload, NOMINAL, best)
         told.append(
             f"{text}; it takes {100 * torque:.0f} % of the rated torque (rms, over the episode). "
-            f"Repeated without a pause it heats the motor by {100 * duty:.0f} % of what it bears"
+            f"Repeated without a pause, it uses {100 * duty:.0f} % of the motor's continuous rating"
             + (
-                f": it has to rest {_rest(duty, times[best]):.2f} s after each."
+                f": the motor has to rest {_rest(duty, times[best]):.2f} s after each move."
                 if duty > 1
                 else "."
             )
@@ -211,7 +212,7 @@ def sentences(means: Means) -> list[str]:
                 )
                 told.append(
                     f"{what} costs `{touchy}` on {mechanics} with {payload:g} kg up to "
-                    f"{1e3 * costs[touchy]:.0f} ms, `{calm}` {1e3 * costs[calm]:.0f} ms."
+                    f"{1e3 * costs[touchy]:.0f} ms, and `{calm}` {1e3 * costs[calm]:.0f} ms."
                 )
     return told
 
@@ -222,7 +223,7 @@ def _rest(duty: float, settling: float) -> float:
 
 
 def told(found: Mapping[Key, list[Row]]) -> Told:
-    """What a page and a picture tell of the moves of each cell."""
+    """Prepare page and picture from the moves of each cell."""
     means = {
         key: {name: float(np.mean([row[name] for row in rows])) for name in (*SHOWN, "settled")}
         for key, rows in found.items()
@@ -248,16 +249,17 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
     rows = [row for own in found.values() for row in own]
     ways = sorted({round(1e3 * abs(row["goal_m"] - row["start_m"])) for row in rows})
     notes = (
-        f"Means over moves of {', '.join(map(str, ways))} mm, in both directions, on axes as they "
-        "are commissioned. Settling: the carriage stays within "
-        f"±{1e6 * TOLERANCE:g} µm; where it does not within an episode (1 s, {SPRING} 2 s), all of "
-        "it counts. I²t duty: mean square of the torque over that of the rated torque, if the move "
-        "is repeated as soon as it has settled; above 1 the motor has to rest in between. "
-        "Residual vibration: half the span of what is elastic in the last quarter of the episode, "
-        "where nothing but its resonance moves it. `informed_` strategies are told what was drawn; "
+        f"Values are means over moves of {', '.join(map(str, ways))} mm in both directions, on "
+        "axes as commissioned. The settling time ends when the carriage stays within "
+        f"±{1e6 * TOLERANCE:g} µm; if it does not settle within an episode (1 s, {SPRING} 2 s), "
+        "the whole episode counts. The I²t duty is the mean square of the torque over that of the "
+        "rated torque if the move is repeated as soon as it has settled; above 1 the motor has to "
+        "rest in between. The residual vibration is half the peak-to-peak elastic deflection in "
+        "the last quarter of the episode, when only the resonance moves the load. `informed_` "
+        "strategies are given the drawn parameters; "
         "`learned` was trained on the softer loops of the environments of version 0. "
-        f"{WEAK_SUPPLY}: the winding on a DC link of 200 V behind 10 Ohm, so the profile is one it "
-        "can follow. Strategies without a row do not suit the axis."
+        f"*{WEAK_SUPPLY.capitalize()}* means a winding on a DC link of 200 V behind 10 Ohm, with a "
+        "profile that it can follow. Strategies without a row do not suit the axis."
     )
 
     def panel(name: str) -> np.ndarray:
@@ -269,7 +271,7 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
     swing = panel("residual_vibration_um")
 
     def why(name: str, k: int, i: int) -> str:
-        said = f"it swings by {number(swing[k, i])} µm afterwards"
+        said = f"it oscillates by {number(swing[k, i])} µm afterwards"
         return said + (f", and {failures[k, i]} moves did not settle" if failures[k, i] else "")
 
     panels = {

@@ -44,12 +44,12 @@ def text(path: Path, name: str, maker: str) -> str:
 
 
 def table_of(path: Path, name: str, maker: str, *, run_code: bool = False) -> dict[str, Any]:
-    """What a JSON file of a folder says: data only, unless somebody says that its programs may run.
+    """Read a JSON file of a folder; it must hold only data, unless its programs may run.
 
-    The commands in it are those of servogym alone; one of them may name a policy in a Python file,
-    or a task that another module registers, which are programs.
+    All commands in it are commands of servogym. One of them may name a policy in a Python file, or
+    a task that another module registers; these are programs.
 
-    Raises ValueError where the file is not there or damaged, or names a program.
+    Raises ValueError if the file is missing or damaged, or names a program without consent.
     """
     text(path, name, maker)
     found = foreign.table(path / name)
@@ -73,9 +73,9 @@ class Training(NamedTuple):
 
 
 def plan(folder: Path, out: Path, *, run_code: bool = False) -> list[Training]:
-    """All trainings behind the folders of tasks in `folder`, to be made again in `out`.
+    """List all trainings behind the folders of tasks in `folder`, to be repeated in `out`.
 
-    Raises ValueError where a folder has no `trainings.json`, or one that is none.
+    Raises ValueError if a folder has no `trainings.json`, or an invalid one.
     """
     found = []
     for path in folders(folder):
@@ -120,7 +120,7 @@ def _cpu_seconds(folder: Path, stages: Sequence[int], rate: float | None) -> tup
 
 
 def table(trainings: Sequence[Training]) -> str:
-    """What the trainings took, a row a task, and the sum."""
+    """The cost of the trainings, with a row for each task and their sum."""
     rows = []
     for task in dict.fromkeys(training.task for training in trainings):
         own = [training for training in trainings if training.task == task]
@@ -138,7 +138,7 @@ def table(trainings: Sequence[Training]) -> str:
 
 
 def told(trainings: Sequence[Training]) -> str:
-    """The sum as sentences: what was measured, and what is inferred."""
+    """State the sum in sentences, measured and inferred parts apart."""
     total = sum(training.cpu_seconds for training in trainings)
     text = f"{total:.0f} CPU-seconds, {total / 60 / CORES:.0f} minutes of {CORES} cores."
     told_of = [
@@ -147,20 +147,20 @@ def told(trainings: Sequence[Training]) -> str:
     ]
     (measured, of_these), (most, of_others) = told_of
     if not most:
-        return f"Together {text} They were measured."
-    text = f"Together at most {text}"
+        return f"Together they took {text} These times were measured."
+    text = f"Together they took at most {text}"
     if measured:
-        text += f" Measured are {measured:.0f} of them, of {of_these}."
+        text += f" Of these, {measured:.0f} were measured ({of_these})."
     return (
-        f"{text} Those of {of_others}, {most:.0f} at most, were not kept: they are inferred from "
-        "the time a training took on two cores."
+        f"{text} The times of {of_others}, at most {most:.0f}, were not recorded: they are "
+        "inferred from the time that a training took on two cores."
     )
 
 
 def run(
     folder: Path, out: Path | None, workers: int | None, console: Console, *, run_code: bool = False
 ) -> int:
-    """Show the plan; with `out` do it, in as many processes side by side; -> exit status."""
+    """Show the plan; with `out`, run it in `workers` parallel processes; -> exit status."""
     trainings = plan(folder, out or Path("out"), run_code=run_code or out is None)
     for training in trainings:
         for command in training.commands:
@@ -176,7 +176,7 @@ def run(
 
 
 def _train(training: Training, console: Console) -> int:
-    """One after the other, each going on where it was interrupted; -> exit status."""
+    """Run the stages in order, each continuing where it was interrupted; -> exit status."""
     for command in training.commands:
         out = Path(command[command.index("--out") + 1])
         if (out / "checkpoints").is_dir():  # the rest is as it was; `--start` is of a new run

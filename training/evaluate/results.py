@@ -1,7 +1,7 @@
-"""`servogym results`: what was learned, beside the best baseline, from the folders of the policies.
+"""`servogym results`: learned policies compared with the best baseline, from their folders.
 
-Each folder, named after its task, has the `compare.json` that `servogym compare` wrote, pictures,
-and a README.md with a paragraph that begins with `HONEST`. Nothing else is on the page.
+Each folder is named after its task. It holds the `compare.json` that `servogym compare` wrote,
+pictures, and a README.md with a paragraph that begins with `HONEST`. The page has no other source.
 """
 
 import os
@@ -35,27 +35,29 @@ HEADING = (
 )
 HEAD = """# What was learned
 
-The policy `learned` of each task, and the baseline that is best by the metric of that task, on the
-same fixed episodes and the same drive: interquartile means with their 95 % intervals, of which
-trainings and episodes are resampled; the difference of these means on the same episodes, and the
-mean of the differences of pairs, which leaves out the episodes in which the two differ most, each
-in bold where its interval is on the better side of 0; and the share of episodes in which the
-learned policy is the better one. Beside them the worst training and the worst 5 % of the
-episodes of the learned policy. Shares are means over the episodes, of the learned policy and of
-that baseline. One episode is drawn under each policy, of several trainings under the first.
+The table compares the policy `learned` of each task with the baseline that is best by the metric of
+that task, on the same fixed episodes and the same drive. Values are interquartile means with their
+95 % intervals, for which trainings and episodes are resampled. *Difference* is the difference of
+these means on the same episodes. *Of pairs* is the mean of the differences of pairs, which leaves
+out the episodes in which the two differ most. Both are in bold where the interval is on the better
+side of 0. *Episodes improved* is the share of episodes in which the learned policy is the better
+one. The worst training and the worst 5 % of the episodes are those of the learned policy. Shares
+are means over the episodes, first of the learned policy, then of that baseline. The pictures show
+one episode under each policy; if it has several trainings, under the first.
 
 """
-ROOM = """What there is to gain: the same metric of doing nothing, of chance, of the best baseline,
-of the best law that is told what was drawn at random or rehearses, which is no limit (learned
-policies and baselines are ahead of some), and of a bound below which nothing can be (`bound`),
-interquartile means.
+ROOM = """The next table shows the room for improvement. It gives the interquartile mean of the same
+metric for doing nothing, for random actions, for the best baseline, and for the best law that is
+given the randomly drawn parameters or rehearses. Such a law is not a limit: learned policies and
+baselines are ahead of some. Only the last value is one: no controller can be better than `bound`.
 
 """
 ENDS, LIMIT, TOLD = ("hold", "random"), "bound", "informed"  # beside the best baseline
-AGAIN = """## All trainings once more
+AGAIN = """## Repeat all trainings
 
-`servogym results --train out/again --workers 2` trains all of them anew, and goes on where it was
-interrupted; without a folder it tells the commands. `trainings.json` of each folder has them.
+`servogym results --train out/again --workers 2` repeats all of them, and continues where it was
+interrupted; without a folder it prints the commands. They come from the `trainings.json` of each
+folder.
 
 """
 FOOT = """Written by `servogym results` from the `compare.json` of each folder.
@@ -63,9 +65,9 @@ FOOT = """Written by `servogym results` from the `compare.json` of each folder.
 
 
 def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
-    """The page about the policies in `folder`, a folder a task.
+    """The page about the policies in `folder`, which has a folder for each task.
 
-    `at` is the way to it from the page.
+    `at` is the path to it, relative to the page.
 
     Raises:
         ValueError: there are none, or one lacks a file, the policy `learned` or the paragraph.
@@ -97,10 +99,10 @@ def run(folder: Path | None, out: Path | None, console: Console, *, run_code: bo
     """Write the page; -> exit status.
 
     Args:
-        folder: with a folder a task; what comes with the laboratory if not given.
-        out: the page; if not given README.md of `folder`, or ``out/learned.md``, because nothing is
+        folder: has a folder for each task; by default the policies of this package.
+        out: the page; by default README.md of `folder`, or ``out/learned.md``, because nothing is
             written into the installed package.
-        console: for its name.
+        console: prints the name of the page.
     """
     page_at = out or (folder / PAGE if folder else Path("out", "learned.md"))
     installed = SHIPPED.resolve()
@@ -115,7 +117,7 @@ def run(folder: Path | None, out: Path | None, console: Console, *, run_code: bo
 
 
 def _again(folder: Path) -> str:
-    """How to train all of them once more, and what that costs, where every folder says it."""
+    """How to repeat all trainings and what that costs, if every folder says it."""
     if not all((path / repeat.FILE).is_file() for path in folders(folder)):
         return ""
     trainings = repeat.plan(folder, Path("out"))
@@ -123,7 +125,7 @@ def _again(folder: Path) -> str:
 
 
 class _Policy(NamedTuple):
-    """One of a `compare.json`."""
+    """A policy in a `compare.json`."""
 
     name: str
     summary: dict[str, Summary]  # by metric
@@ -197,7 +199,7 @@ def _row(
 
 
 def _room(data: Mapping[str, Any], baseline: _Policy, metric: str, sign: float) -> list[str]:
-    """The metric of each, from nothing to the limit; a dash where it was not compared."""
+    """The metric of each policy, from doing nothing to the limit; a dash without comparison."""
     known = {
         name: row["summary"][metric]["iqm"]
         for name, row in data["policies"].items() if metric in row["summary"]

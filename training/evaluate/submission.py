@@ -2,9 +2,9 @@
 
 The file is an ``.npz`` without pickles: `submission.json`, and under ``files/`` the bytes of what
 the policy is made of: `checkpoint.json` and `weights.npz` of each training, ``seed_*`` in a folder
-a task; or the Python file of a policy of one's own, which is run for nobody who does not say so.
-Two hashes are taken: `Submission.identity` of what plays, from which a suite may draw its episodes,
-and `Submission.hash` of all that the file says.
+for each task; or the Python file of a user's own policy, which runs only with consent. There are
+two hashes: `Submission.identity` covers the policy that plays, and a suite may draw its episodes
+from it; `Submission.hash` covers the whole content of the file.
 """
 
 import json
@@ -49,7 +49,7 @@ Table = Mapping[str, Mapping[str, Mapping[str, list[list[float | None]]]]]
 
 @dataclass(frozen=True)
 class Submission:
-    """What the file holds."""
+    """The content of a submission file."""
 
     name: str
     suite: str  # version
@@ -64,9 +64,9 @@ class Submission:
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of suite and policy, and nothing else.
+        """SHA-256 of the suite and the policy alone.
 
-        Of a policy the weights, the program, or the name with the numbers fitted for it.
+        The policy counts with its weights, its program, or its name and the numbers fitted for it.
         """
         what = [("suite", f"{self.suite} {self.digest}".encode())]
         if not self.files or self.code:
@@ -77,12 +77,12 @@ class Submission:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all that the file says."""
+        """SHA-256 of the whole content of the file."""
         return foreign.digest([("head", _text(self)), *sorted(self.files.items())])
 
     @property
     def code(self) -> str:
-        """The name of its Python file; empty: it brings none."""
+        """The name of its Python file; empty if it has none."""
         return next((name for name in self.files if name.endswith(SUFFIX)), "")
 
     @cached_property
@@ -96,7 +96,7 @@ class Submission:
 
     @property
     def plays(self) -> str:
-        """What is played, in words that follow from the files alone."""
+        """Describe the policy that plays, from the files alone."""
         if self.code:
             return f"{self.code}:{self.policy.rpartition(':')[2]}"
         if not self.files:
@@ -219,10 +219,10 @@ def write(path: Path, submission: Submission) -> None:
 
 
 def read(path: Path) -> Submission:
-    """Read one; nothing is unpickled, nothing of it is run.
+    """Read a submission; nothing is unpickled and none of its code is run.
 
     Raises:
-        ValueError: it is none, it was changed since, or what it brings could run code unasked.
+        ValueError: it is not a submission, it was changed, or it could run code without consent.
     """
     found = {name: array.tobytes() for name, array in foreign.arrays(path, LARGEST).items()}
     if HEAD not in found:
@@ -237,14 +237,14 @@ def read(path: Path) -> Submission:
     _words(path, submission)
     if stated != submission.hash:
         raise ValueError(
-            f"{path}: its hash is {stated}, what it says has {submission.hash}: it was changed; "
+            f"{path}: its hash is {stated}, but its content has {submission.hash}: it was changed; "
             "make it again"
         )
     return submission
 
 
 def _words(path: Path, submission: Submission) -> None:
-    """Refuse names and words that would say something else on a page."""
+    """Refuse names and words that a page would show as markup."""
     shown = {"name": NAME, "command": "servogym benchmark learned " + WORDS, "machine": WORDS}
     for key, pattern in shown.items():
         if not re.fullmatch(pattern, text := getattr(submission, key)):
@@ -261,7 +261,7 @@ def _words(path: Path, submission: Submission) -> None:
 
 
 def _files(path: Path, submission: Submission) -> None:
-    """Refuse what is not a baseline, one program, or whole and different trainings."""
+    """Refuse anything but a baseline, one program, or complete and different trainings."""
     if not submission.files:
         if submission.policy.partition(":")[0] not in POLICIES:
             raise ValueError(
@@ -309,7 +309,7 @@ def _training(
 
 
 def _apart(path: Path, places: Sequence[str], files: Mapping[str, bytes]) -> None:
-    """Refuse one training as several: their intervals would be too narrow."""
+    """Refuse one training entered as several: their intervals would be too narrow."""
     seen: dict[bytes, str] = {}
     for place in places:
         arrays = foreign.arrays(files[f"{place}/{WEIGHTS}"], LARGEST, f"{path}, {place}/{WEIGHTS}")
@@ -325,7 +325,7 @@ def _apart(path: Path, places: Sequence[str], files: Mapping[str, bytes]) -> Non
 
 
 def fits(path: Path, submission: Submission, suite: Suite) -> None:
-    """Refuse one of another suite, or without all conditions of a task. Raises ValueError."""
+    """Raise ValueError for another suite, or if a condition of a task is missing."""
     if (submission.suite, submission.digest) != (suite.version, suite.digest):
         raise ValueError(
             f"{path} is of suite {submission.suite} ({submission.digest}), this is "

@@ -1,6 +1,7 @@
 """A suite: tasks, drives, fixed seeds, held-out ranges and conditions, in a file with a version.
 
-Those that come with the laboratory are `assets/suites`; one of your own is the path of such a file.
+The suites of this package are in `assets/suites`; for a suite of your own, give the path of its
+file.
 """
 
 import hashlib
@@ -55,9 +56,9 @@ class Suite:
         return self.version if self.file == f"assets/suites/{self.version}.toml" else self.file
 
     def drawn(self, identity: str) -> "Suite":
-        """With the seed of a submission, where it does not have one of its own.
+        """Return the suite with the seed of a submission, if it does not have its own.
 
-        Nobody knows it before the policy is done, and anybody finds it again.
+        Nobody knows this seed before the policy is finished, and anybody can derive it again.
 
         Args:
             identity: of the submission, hexadecimal digits.
@@ -65,7 +66,7 @@ class Suite:
         return self if self.seed is not None else replace(self, seed=int(identity[:16], 16) % MANY)
 
     def only(self, tasks: Sequence[str], conditions: Sequence[str]) -> "Suite":
-        """A part of it; empty lists leave out nothing. Raises ValueError for what is not in it."""
+        """A part of the suite; empty lists select all. Raises ValueError for unknown names."""
         for name in tasks:
             if name not in self.parts:
                 raise ValueError(
@@ -98,7 +99,7 @@ def read(name: str) -> Suite:
     """A suite by its version, or from the path of a file of your own.
 
     Raises:
-        ValueError: there is none, or what it names does not exist: which, and what fits.
+        ValueError: there is no such suite, or a name in it is unknown; the message suggests others.
     """
     path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
     if not path.exists():

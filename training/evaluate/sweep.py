@@ -1,7 +1,8 @@
 """`servogym sweep`: policies or trainings over tasks, drives, conditions, seeds and values.
 
-A cell is one of each; all cells are one list of jobs. Values are those of a grid, or what an Optuna
-study asks for, a fixed number at a time, so that who does the jobs does not change what it asks.
+A cell combines one of each; all cells form one list of jobs. Values come from a grid or from an
+Optuna study. The study proposes a fixed number of trials at a time, so its proposals do not depend
+on how the jobs are distributed.
 """
 
 import itertools
@@ -44,7 +45,7 @@ class Range(NamedTuple):
     log: bool
 
     def suggested(self, trial: Any, name: str) -> float:
-        """What a study asks for; a whole number where both ends are."""
+        """Return a value proposed by a study; a whole number if both ends are."""
         ints = isinstance(self.low, int) and isinstance(self.high, int)
         suggest = trial.suggest_int if ints else trial.suggest_float
         return suggest(name, self.low, self.high, log=self.log)
@@ -52,17 +53,17 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is gone through.
+    """The axes of a sweep.
 
     Args:
         setups: tasks, with the arguments of every environment.
-        policies: by name; none where each cell trains its own.
+        policies: by name; none if each cell trains its own.
         drives: models.
         conditions: names of the table of conditions, separated by commas; empty: nominal.
         seeds: of the episodes, or of the trainings.
         vary: values or a range by name: arguments of the environment, or hyper-parameters.
         episodes: of each cell.
-        algorithm: that trains; empty: none does.
+        algorithm: the training algorithm; empty for no training.
         steps: of each training.
     """
 
@@ -83,7 +84,7 @@ class Sweep:
             load(drive)
 
     def grid(self) -> Iterator[dict[str, Any]]:
-        """Each combination of the values. Raises ValueError for a range, which a study wants."""
+        """Each combination of the values. Raises ValueError for a range, which needs a study."""
         for name, values in self.vary.items():
             if isinstance(values, Range):
                 raise ValueError(f"--vary {name} is a range: give values, or --trials for a study")
@@ -92,7 +93,7 @@ class Sweep:
 
 
 class _Cell(NamedTuple):
-    """Where policies play, or one is trained: a row of the sweep."""
+    """A row of the sweep, in which policies play or one is trained."""
 
     drive: str  # as asked for; a condition may have another one
     condition: str

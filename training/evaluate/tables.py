@@ -1,4 +1,4 @@
-"""Policies beside one another: summaries by metric, the best baseline, differences from it."""
+"""Compares policies: summaries by metric, the best baseline, and differences from it."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,12 +9,12 @@ from .episodes import Evaluation
 from .metrics import Difference, Summary, difference, summarise
 
 SCORE = Metric("score", "high", "")
-SHARES = ("success", "limited", "faults")  # told as means in percent
+SHARES = ("success", "limited", "faults")  # reported as means in percent
 IDLE = ("hold", "random")  # would spoil the scales of all but the score
 
 
 def column_of(policy: str) -> str:
-    """Heading of a policy: of a folder its name."""
+    """The column heading of a policy; for a folder, its name."""
     return Path(policy).name if Path(policy).is_dir() else policy
 
 
@@ -84,5 +84,5 @@ def differences(results: Sequence[Evaluation], against: str) -> dict[str, list[D
 
 
 def ahead(found: Difference, better: str) -> bool:
-    """Whether the interval of a difference leaves 0 out, on the better side."""
+    """Whether the interval of a difference excludes 0 on the better side."""
     return found.low > 0.0 if better == "high" else found.high < 0.0 and better == "low"

@@ -1,10 +1,10 @@
 """`servogym tune-policy`: one tuner with one budget for every row that has numbers.
 
-The budget counts steps of the environment, as that of a training does. Two thirds of it try points
-that fill the ranges evenly (the additive recurrence R_d, Roberts 2018, after the untuned numbers)
-on `FEW` training episodes; the rest tries the best of them on `MANY` further ones. What has the
-best interquartile mean of the task's metric there is written. No choice is left to a person.
-Only steps that were played are counted: an episode that ends early leaves room for more points.
+The budget counts steps of the environment, as for a training. Two thirds of it try the untuned
+numbers and then points that fill the ranges evenly (the additive recurrence R_d, Roberts 2018) on
+`FEW` training episodes; the rest tries the best of them on `MANY` further episodes. The numbers
+with the best interquartile mean of the task's metric there are written. No choice is made by hand.
+Only steps that were played count: an episode that ends early leaves room for more points.
 """
 
 import json
@@ -95,7 +95,7 @@ def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict
 
 
 def run(policy: str, env: str | None, budget: int, out: Path, console: Console) -> int:
-    """Tune a row for a task, add what was found to the file, and say it; -> exit status.
+    """Tune a row for a task, add the numbers to the file, and print them; -> exit status.
 
     Raises ValueError for a policy without numbers, or a task that does not offer it.
     """
