@@ -269,8 +269,8 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
     conditions = len(dict.fromkeys(row.name for p in suite.parts.values() for row in p.rows))
     whose = "drawn for each entry from its hash" if suite.seed is None else "the same for all"
     text = (
-        f"# Benchmark, suite {suite.version}\n\nEach entry plays {suite.episodes} episodes, {whose}, "
-        f"in each of up to {conditions} conditions: `{suite.file}`. Entries are ranked "
+        f"# Benchmark, suite {suite.version}\n\nEach entry plays {suite.episodes} episodes, "
+        f"{whose}, in each of up to {conditions} conditions: `{suite.file}`. Entries are ranked "
         "by the return, the mean over the conditions of its interquartile means; a condition that "
         "a policy does not support is a gap and earns 0. The columns of the conditions show the "
         "metric of the task as interquartile mean [95 % interval, trainings and episodes "
