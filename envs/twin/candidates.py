@@ -25,6 +25,7 @@ SMOOTH = 1 << 24  # increments a revolution: derivatives of what they round are 
 UNITS = ("rad_per_position_unit", "rad_s_per_velocity_unit", "velocity_gain_unit",
          "position_gain_unit")
 UNLIMITED = (2**31 - 1, 32767)  # 1/min, the first that the model takes
+SHIFT, ROUNDS = 3, 3  # cycles either way that a motion may begin beside its stamp, and how often
 MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
 
 
@@ -55,8 +56,7 @@ class Candidates:
         self.increment = float(axis.rad_per_increment) / abs(self.joint.gear)
         self.coarse = 2 * np.pi / float(axis.rad_per_increment) < COARSE
         if not self.coarse:
-            for machine in self.machines:
-                _smooth(machine, self.drive)
+            _smooth(self.machines[0], self.drive)
         self.smooth = 2 * np.pi / float(axis.rad_per_increment) >= SMOOTH / 2
         self.runs = 0
         self._starts: dict[int, tuple[Experiment, list[bytes], np.ndarray]] = {}
@@ -73,17 +73,18 @@ class Candidates:
         stopped = State(int(axis.state)) in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         return int(axis.od.error_code) if stopped else 0
 
-    def _start(self, experiment: Experiment) -> tuple[list[bytes], np.ndarray]:
-        """Snapshots of the machines, off and at rest where the rows begin, and the rows."""
+    def _start(self, experiment: Experiment, count: int) -> tuple[list[bytes], np.ndarray]:
+        """Snapshots of some machines, off and at rest where the rows begin, and the rows."""
         kept = self._starts.get(id(experiment))
-        if kept is not None and kept[0] is experiment:
-            return kept[1:]
-        images = np.zeros(len(experiment.arrives), self._layout(experiment).written)
-        for name, values in experiment.rows.items():
-            images[name] = values
-        begin = self._begin(experiment)
-        starts = [_stand(m, self.drive, begin, experiment) for m in self.machines]
-        self._starts[id(experiment)] = (experiment, starts, images)
+        if kept is None or kept[0] is not experiment:
+            images = np.zeros(len(experiment.arrives), self._layout(experiment).written)
+            for name, values in experiment.rows.items():
+                images[name] = values
+            kept = self._starts[id(experiment)] = (experiment, [], images)
+        _, starts, images = kept
+        begin = self._begin(experiment) if len(starts) < count else 0.0
+        for machine in self.machines[len(starts) : count]:
+            starts.append(_stand(machine, self.drive, begin, experiment, self.smooth))
         return starts, images
 
     def _layout(self, experiment: Experiment) -> Replay:
@@ -114,8 +115,8 @@ class Candidates:
         return Simulated(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _some(self, experiment: Experiment, values: Sequence[Mapping[str, float]]) -> Simulated:
-        starts, rows = self._start(experiment)
         count = len(values)
+        starts, rows = self._start(experiment, count)
         for machine, joint, start, given in zip(
             self.machines, self.joints, starts, values, strict=False
         ):
@@ -139,6 +140,44 @@ class Candidates:
         return Simulated(_at(fine, at - behind), *(_at(column, at) for column in (torque, demand)))
 
 
+def timed(
+    candidates: Candidates, experiment: Experiment, values: Mapping[str, float]
+) -> Experiment:
+    """An experiment whose motions begin in the position cycles that its samples show.
+
+    A logger stamps a frame to some tenths of a millisecond, and an RPDO waits for the next cycle of
+    the drive: of a set-point sent on occasion this is as much as the axis travels in a cycle. One
+    delay is common to all of them, `LAG`; what differs is a whole number of cycles for each.
+    """
+    if experiment.events is None or not experiment.events.begins.any():
+        return experiment
+    count = int(np.count_nonzero(experiment.events.begins))
+    shifts = np.arange(-SHIFT, SHIFT + 1)
+    for _ in range(ROUNDS):
+        events = experiment.events
+        at = (events.at[events.begins] - experiment.begins) * experiment.cycle
+        which = np.searchsorted(at + values.get(LAG, 0.0), experiment.time, "right")
+        errors = np.zeros((len(shifts), count + 1))
+        for row, shift in zip(errors, shifts, strict=True):
+            run = candidates.simulate(experiment.moved(np.full(count, shift)), [values])
+            row += np.bincount(which, (experiment.position - run.position[0]) ** 2, count + 1)
+        errors = errors[:, 1:]
+        best = np.clip(np.argmin(errors, axis=0), 1, len(shifts) - 2)
+        below, here, above = (errors[best + n, np.arange(count)] for n in (-1, 0, 1))
+        bend = above - 2 * here + below
+        seen = bend > 1e-3 * np.nanmax(bend)
+        if not seen.any():
+            break
+        wanted = shifts[best] + np.clip(0.5 * (below - above) / np.where(seen, bend, 1.0), -2, 2)
+        turn = np.exp(2j * np.pi * wanted[seen]).mean()
+        cycles = np.round(wanted - np.angle(turn) / (2 * np.pi)).astype(int)
+        cycles = np.where(seen, cycles - round(float(np.median(cycles[seen]))), 0)
+        if not cycles.any():
+            break
+        experiment = experiment.moved(cycles)
+    return experiment
+
+
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
     """Set parameters of one machine, what is `BESIDE` them left out."""
     joint.set({name: value for name, value in values.items() if name not in BESIDE})
@@ -146,7 +185,9 @@ def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
         joint.coupling.noise_state = int(values[SEED])
 
 
-def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -> bytes:
+def _stand(
+    machine: Machine, drive: str, begin: float, experiment: Experiment, smooth: bool
+) -> bytes:
     """Bring a machine to where an experiment begins; -> a snapshot of it."""
     low, high = machine.range(drive)
     reach = np.concatenate([[begin], experiment.position])
@@ -173,7 +214,10 @@ def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -
         {name: value for name, value in experiment.objects.items() if name in x.objects.names}
     )
     machine.reset(positions=_places(machine) | {drive: begin + shift})
+    _first(x, "buffer_clear", (1,))  # 60C4h:06, without which 60C1h is locked
     machine.step()
+    if smooth:
+        _smooth(machine, drive)
     axis: Any = x.axis
     wanted = round(begin * parameters.Joint(machine, drive).gear / float(axis.rad_per_increment))
     axis.zero_counts = int(axis.counts) - wanted
@@ -184,16 +228,17 @@ def _stand(machine: Machine, drive: str, begin: float, experiment: Experiment) -
 
 def _smooth(machine: Machine, drive: str) -> None:
     """Give it an encoder of many increments, where no unit of the drive depends on it."""
-    x = machine.drives[drive]
-    before = [float(getattr(x.axis, name)) for name in UNITS]
-    increments = 2 * np.pi / float(x.axis.rad_per_increment)
-    if increments >= SMOOTH:
+    axis: Any = machine.drives[drive].axis
+    before = [float(getattr(axis, name)) for name in UNITS]
+    had = axis.od.position_encoder_resolution.copy()
+    if 2 * np.pi / float(axis.rad_per_increment) >= SMOOTH:
         return
-    _first(x, "encoder_increments", (SMOOTH,))
-    machine.step()
-    if [float(getattr(x.axis, name)) for name in UNITS] != before:
-        _first(x, "encoder_increments", (round(increments),))
+    for resolution in ((SMOOTH, 1), had):  # in the record: of some models it is no object
+        axis.od.position_encoder_resolution[:] = resolution
+        axis.parameters_changed, axis.sampled = 1, 0
         machine.step()
+        if np.allclose([float(getattr(axis, name)) for name in UNITS], before, rtol=1e-9):
+            return
 
 
 def _first(drive: Drive, name: str, values: Sequence[int]) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...drive.drive import Drive
+from ...drive.kernel.record import OD
 from ...drive.kernel.words import Mode
 from ...drive.wire.recording import Signal
 from ..engine.machine import Machine
@@ -28,11 +29,12 @@ OCCASIONAL = {
     Mode.PROFILE_TORQUE: "target_torque",
 }
 OFFSETS = ("position_offset", "velocity_offset", "torque_offset")
-# parameters of a move that a master may write in the log itself
-PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
+# parameters of a move that a master may write in the log itself, between moves too
+PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "end_velocity")
+SI = ("m", "rad", "m/s", "rad/s", "Nm")  # units that are none of a drive
 STATE, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
 ENABLE = (0x0006, 0x0007, 0x000F)  # controlwords
-NEW_SET_POINT = 0x10
+NEW_SET_POINT = INTERPOLATE = 0x10  # in pp, in ip
 LONGEST_GAP = 0.25  # s without a frame that is taken as a hole in the log
 SETTLING = 0.25  # s that a machine stands enabled before the log begins
 SHORTEST = 0.3  # s of a log
@@ -40,10 +42,36 @@ REST = 0.02  # s without motion, from which an experiment in profile position ma
 MOTION = 1e-3  # m/s or rad/s
 ALIKE = 1.6  # most that set-points travel farther than the axis, or less far
 UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrator brought along
+DRIFT = 5e-4  # share that the clock of a logger may be off, where nothing is sent cyclically
+APART = 5e-3  # s from one controlword to the next, on the way to an enabled drive
 
 
 class Unusable(ValueError):
     """A log that no twin can be made of: what is missing, and how to record it."""
+
+
+@dataclass(frozen=True)
+class Events:
+    """What a master writes on occasion, and in which position cycle it arrives.
+
+    Frames that begin a motion are stamped by a logger to a cycle or two, so each may be moved with
+    all that follows it, up to the next one: see `moved`.
+    """
+
+    at: np.ndarray  # row of each, shape (k,)
+    columns: Mapping[str, np.ndarray]  # what is written then, by variable, each of shape (k,)
+    begins: np.ndarray  # whether a motion begins, shape (k,)
+
+    def rows(self, count: int) -> dict[str, np.ndarray]:
+        """Values by row; a process image arrives with each, as some drives watch for it."""
+        last = np.searchsorted(self.at, np.arange(count), "right") - 1
+        return {name: values[last] for name, values in self.columns.items()}
+
+    def moved(self, cycles: np.ndarray) -> "Events":
+        """With each that begins a motion, and what follows it, so many rows later."""
+        motion = np.cumsum(self.begins)
+        at = self.at + np.concatenate([[0], cycles])[motion]
+        return replace(self, at=np.maximum.accumulate(at))
 
 
 @dataclass(frozen=True)
@@ -65,6 +93,14 @@ class Experiment:
     objects: Mapping[str, float] = field(default_factory=dict)  # written in the log
     notes: tuple[str, ...] = ()
     lost: float = 0.0  # share of the frames
+    events: Events | None = None  # that the rows come from, where set-points are not cyclic
+
+    def moved(self, cycles: np.ndarray) -> "Experiment":
+        """With the motions of its `events` beginning so many rows later."""
+        if self.events is None:
+            return self
+        events = self.events.moved(cycles)
+        return replace(self, rows=events.rows(len(self.arrives)), events=events)
 
     @property
     def moving(self) -> np.ndarray:
@@ -75,8 +111,21 @@ class Experiment:
         """
         speed = np.abs(np.gradient(_smooth(self.position, self.time), self.time))
         on = speed > max(MOTION, 0.02 * float(np.percentile(speed, 98)))
-        on[self.time < min(UNSETTLED, 0.2 * self.duration)] = False
+        on[self.time < self.known] = False
         return on
+
+    @property
+    def known(self) -> float:
+        """From when on the state of the drive is known (s).
+
+        Set-points of a profile are travelled from the demand at their beginning. Where that was
+        before the first motion is not in the log; its end is.
+        """
+        first = min(UNSETTLED, 0.2 * self.duration)
+        if self.events is None:
+            return first
+        begins = (self.events.at[self.events.begins] - self.begins) * self.cycle
+        return float(begins[1]) if len(begins) > 2 else first
 
     @property
     def duration(self) -> float:
@@ -170,8 +219,8 @@ def experiment(
         places, samples = _one_clock(places, samples)
         period = _whole_period(places.period, step, log)
     else:
-        places, period = samples, _whole_period(samples.period, step, log)
-        raw, begin = raw, _first_rest(position, begin, end, log)
+        places, period = samples, _free_period(samples.period, step)
+        begin = _first_rest(position, begin, end, quantum_p, log)
     # one clock: the drive's, in which the bus period is a whole number of cycles
     stretch = period / places.period
     origin = float(position.time[np.searchsorted(position.time, begin)])
@@ -198,10 +247,21 @@ def experiment(
         )
     measured = position.value[inside]
     torques = _held(torque, samples.even[inside], samples.period)
-    per = round(period / step)
-    lead = math.ceil((SETTLING + _brake(drive)) / period) * per
+    per = round(period / step) if cyclic else 1
+    lead = math.ceil((SETTLING + _brake(drive)) / (per * step)) * per
     count = lead + math.ceil((float(time[-1]) + 5 * samples.period) / step) + per
-    rows, arrives = _rows(signals, raw, target, used, cyclic, clock, step, per, lead, count, places)
+    events = None
+    if cyclic:
+        rows, arrives = _rows(signals, raw, target, used, clock, step, per, lead, count, places)
+    else:
+        events = _events(dict(signals) | {target: raw}, target, used, clock, step, lead, drive)
+        rows, arrives = events.rows(count), np.ones(count, np.uint8)
+        unknown = [name for name in PROFILE[:3] if name not in signals]
+        if used == Mode.PROFILE_POSITION and unknown:
+            notes.append(
+                f"{', '.join(unknown)} of the moves: not in the log, so those of the machine; "
+                "record from before they are written, or give them with --read-gains"
+            )
     moving = float(np.ptp(measured))
     if moving < 20 * max(quantum_p, 1e-9):
         raise Unusable(
@@ -215,6 +275,9 @@ def experiment(
         )
     if target == "target_position":
         asked = np.interp(time, clock(raw.time), raw.value * scale.position)
+        if not cyclic:  # a set-point holds until the next one
+            held = np.searchsorted(clock(raw.time), time, "right") - 1
+            asked = raw.value[np.clip(held, 0, None)] * scale.position
         _fitting(asked, measured, quantum_p, log)
     low, high = machine.range(name)
     if not (low <= measured.min() and measured.max() <= high):
@@ -226,7 +289,7 @@ def experiment(
     )
     return Experiment(
         log, used, step, period, rows, arrives, lead, float(measured[0]), time, measured, torques,
-        (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0),
+        (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0), events,
     )
 
 
@@ -302,6 +365,15 @@ def _whole_period(period: float, step: float, log: str) -> float:
             f"position cycle of {step * 1e3:g} ms: is --drive right?"
         )
     return cycles * step
+
+
+def _free_period(period: float, step: float) -> float:
+    """The period of samples (s) that no set-point is bound to: whole cycles where they nearly are.
+
+    What is left is taken for the logger's clock; samples of a drive by its own timer stay.
+    """
+    whole = max(round(period / step), 1) * step
+    return whole if abs(whole / period - 1) < DRIFT else period
 
 
 def _in_units(signal: Signal, scale: Scale, name: str) -> Signal:
@@ -405,7 +477,9 @@ def _mode(
     )
 
 
-def _first_rest(position: Signal, begin: float, end: float, log: str) -> float:
+def _first_rest(
+    position: Signal, begin: float, end: float, quantum: float, log: str
+) -> float:
     """When the axis stands for the first time (s)."""
     inside = (position.time >= begin) & (position.time <= end)
     time, value = position.time[inside], position.value[inside]
@@ -414,7 +488,7 @@ def _first_rest(position: Signal, begin: float, end: float, log: str) -> float:
     still = 0.0
     for n in range(1, len(time)):
         step = time[n] - time[n - 1]
-        slow = abs(value[n] - value[n - 1]) <= max(MOTION * step, 2e-6)
+        slow = abs(value[n] - value[n - 1]) <= max(MOTION * step, 2e-6, 2 * quantum)
         still = still + step if slow else 0.0
         if still >= REST:
             return float(time[n])
@@ -461,51 +535,84 @@ def _brake(drive: Drive) -> float:
     return 1e-3 * float(od.brake_release_time) if int(od.brake_fitted) else 0.0
 
 
-def _rows(signals, raw, target, mode, cyclic, clock, step, per, lead, count, places):
-    """Set-points by position cycle, and which of them come with a process image."""
+def _rows(signals, raw, target, mode, clock, step, per, lead, count, places):
+    """Cyclic set-points by position cycle, and which of them come with a process image."""
     written = {
-        "controlword": np.full(count, ENABLE[-1]),
+        "controlword": np.full(count, ENABLE[-1] | INTERPOLATE * (mode == 7)),
         "modes_of_operation": np.full(count, mode),
     }
     arrives = np.zeros(count, np.uint8)
-    if cyclic:
-        bus = np.arange(0, count - lead + per, per)
-        have = np.round(clock(places.even) / (per * step)).astype(int)
-        inside = (have >= -3) & (have * per < count - lead + 3 * per)
-        number, at = np.unique(have[inside], return_index=True)
-        values = raw.value[inside][at]
-        if len(number) < 4:
-            raise Unusable("too few set-points while the drive was enabled: record longer")
-        cycles = np.arange(len(bus))
-        every = _between(number, values, cycles)
-        every[cycles > number[-1]] = values[-1]
-        every[cycles < number[0]] = values[0]
-        column = np.repeat(every, per)[: count - lead]
-        speed = (values[1] - values[0]) / ((number[1] - number[0]) * per * step)
-        first, ahead = every[0], _lead(every[0], speed, lead, per, step)
-        column = np.concatenate([ahead, column])
-        arrives[::per] = 1
-    else:
-        column = np.zeros(count)
-        at = np.maximum(np.ceil(clock(raw.time) / step - 1e-6).astype(int), 0) + lead
-        first = raw.value[np.flatnonzero(clock(raw.time) <= 0)[-1:]]
-        here = float(first[0]) if len(first) else 0.0
-        column[:] = here
-        for row, value in zip(at, raw.value, strict=True):
-            column[row:] = value
-        arrives[0] = 1
-        arrives[at[(at < count)]] = 1
+    bus = np.arange(0, count - lead + per, per)
+    have = np.round(clock(places.even) / (per * step)).astype(int)
+    inside = (have >= -3) & (have * per < count - lead + 3 * per)
+    number, at = np.unique(have[inside], return_index=True)
+    values = raw.value[inside][at]
+    if len(number) < 4:
+        raise Unusable("too few set-points while the drive was enabled: record longer")
+    cycles = np.arange(len(bus))
+    every = _between(number, values, cycles)
+    every[cycles > number[-1]] = values[-1]
+    every[cycles < number[0]] = values[0]
+    column = np.repeat(every, per)[: count - lead]
+    speed = (values[1] - values[0]) / ((number[1] - number[0]) * per * step)
+    column = np.concatenate([_lead(every[0], speed, lead, per, step), column])
+    arrives[::per] = 1
     written[target] = np.round(column).astype(int)
-    _control(signals, written, arrives, clock, step, lead, count, per if cyclic else 1)
+    _control(signals, written, arrives, clock, step, lead, count, per)
     for name in OFFSETS:
         if name in signals and np.any(signals[name].value):
             written[name] = _held_rows(signals[name], clock, step, lead, count)
     for n, word in enumerate(ENABLE):
-        at = n * per * max(round(5e-3 / (per * step)), 1)
-        written["controlword"][at : at + max(per, 1) * max(round(5e-3 / (per * step)), 1)] = word
+        at = n * per * max(round(APART / (per * step)), 1)
+        written["controlword"][at : at + max(per, 1) * max(round(APART / (per * step)), 1)] = word
         arrives[at] = 1
     written["controlword"][: arrives.nonzero()[0][1]] = ENABLE[0]
     return written, arrives
+
+
+def _events(signals, target, mode, clock, step, lead, drive) -> Events:
+    """What a master writes on occasion: set-points, controlwords, profiles; enabled before."""
+    names = [name for name in (target, *PROFILE, *OFFSETS)
+             if name in signals and signals[name].unit not in SI and name in (OD.names or ())]
+    now = {"controlword": ENABLE[0], "modes_of_operation": int(mode)}
+    now |= {name: 0 if name == target else int(getattr(drive.axis.od, name)) for name in names}
+    heard = sorted(
+        (float(at), n, name, round(float(value)))
+        for n, name in enumerate([*names, "controlword"]) if name in signals
+        for at, value in zip(clock(signals[name].time), signals[name].value, strict=True)
+        if name != "controlword" or value.astype(int) & 0x0F == 0x0F
+    )
+    word, held, begins = ENABLE[-1], 0, [False] * len(ENABLE)
+    for at, _, name, value in heard:
+        if at > 0.0:
+            break
+        if name == "controlword":
+            word, held = value & ~NEW_SET_POINT, value & NEW_SET_POINT
+        else:
+            now[name] = value
+    apart = max(round(APART / step), 1)
+    words = (*ENABLE[:-1], word)
+    found = [(n * apart, now | {"controlword": each}) for n, each in enumerate(words)]
+    for at, _, name, value in heard:
+        if at <= 0.0:
+            continue
+        row = math.ceil(at / step - 1e-6) + lead
+        before = found[-1][1]
+        if name == "controlword":  # a bit that was set before the log is no edge in it
+            held &= value
+            value &= ~held
+        if before[name] == value:
+            continue
+        edge = name == "controlword" and bool(value & ~before[name] & NEW_SET_POINT)
+        starts = edge if mode == Mode.PROFILE_POSITION else name == target
+        if row == found[-1][0]:
+            found[-1][1][name] = value
+            begins[-1] |= starts
+        else:
+            found.append((row, before | {name: value}))
+            begins.append(starts)
+    columns = {name: np.array([each[name] for _, each in found]) for name in now}
+    return Events(np.array([row for row, _ in found]), columns, np.array(begins))
 
 
 def _between(number: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -560,17 +667,16 @@ def _control(signals, written, arrives, clock, step, lead, count, per) -> None:
             continue
         row += -row % per
         if row < count:
-            keep = value & ~NEW_SET_POINT if row <= lead else value
-            written["controlword"][row:] = keep
+            written["controlword"][row:] = value
             arrives[row] = 1
 
 
 def _written(signals: Mapping[str, Signal], drive: Drive) -> dict[str, float]:
-    """What was written to parameters in the log: of the profile, and gains."""
-    names = (*PROFILE, "velocity_control_gain", "velocity_control_time", "position_control_gain",
-             "velocity_feed_forward", "velocity_filter_time")
+    """Jerk and gains that were written in the log."""
+    names = ("profile_jerk_1", "velocity_control_gain", "velocity_control_time",
+             "position_control_gain", "velocity_feed_forward", "velocity_filter_time")
     return {
         name: float(signals[name].value[-1])
         for name in names
-        if name in signals and signals[name].unit not in ("m", "rad", "m/s", "rad/s")
+        if name in signals and signals[name].unit not in SI
     }

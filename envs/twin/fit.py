@@ -10,7 +10,7 @@ import numpy as np
 from ...drive.model.model import DriveModel
 from ..engine import parameters
 from ..plants.tuning import inertia_at_shaft
-from .candidates import LAG, Candidates, Simulated
+from .candidates import LAG, Candidates, Simulated, timed
 from .estimate import Estimate, Free, Noise, Search, colour
 from .experiment import Experiment, Unusable
 from .families import AUTO, GAINS, Family, family
@@ -119,10 +119,11 @@ def fit(
     joint = candidates.joint
     rough = regress(list(experiments), joint.gear)
     refuse(experiments, rough, joint, chosen)
+    start = _start(chosen, joint, rough, experiments)
+    start[LAG] = best_lag(candidates, experiments[0], start)
+    experiments = [timed(candidates, each, start) for each in experiments]
     training, cuts = _split(experiments)
     search = Search(candidates, training)
-    start = _start(chosen, joint, rough, experiments)
-    start[LAG] = best_lag(candidates, training[0], start)
     if candidates.fault:
         raise Unusable(
             f"{training[0].name}: the twin ends in fault {candidates.fault:04X}h, where the log "
@@ -145,6 +146,8 @@ def fit(
         trials = [search.descend(free, each, noise, 5 if len(starts) > 1 else 8) for each in starts]
         estimate = min(trials, key=lambda each: each.cost)
         best = estimate.values
+        experiments = [timed(candidates, each, best) for each in experiments]
+        search.experiments = _split(experiments)[0]
         for steps in () if candidates.coarse else (4, 8):
             noise = colour([each[0] for each in search.residuals([best])])
             estimate = search.descend(estimate.finer(candidates.smooth), best, noise, steps,
@@ -418,7 +421,7 @@ def _judge(
     coarse, increment = candidates.coarse, candidates.increment
     trial = max(experiments[0].quanta[0], 0.2 * increment)
     for experiment, cut in zip(experiments, cuts, strict=True):
-        held = experiment.time >= cut
+        held = experiment.time >= max(cut, experiment.known)
         if not held.any():
             continue
         run = candidates.simulate(experiment, [values])

@@ -1,10 +1,12 @@
 """Logs of one axis, read and brought into experiments."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ...drive.drive import Drive
+from ...drive.kernel.record import AXIS, OD
 from ...drive.model.model import DriveModel
-from ...drive.wire.recording import Source
+from ...drive.wire.recording import Signal, Source
 from ..engine.machine import Machine
 from .experiment import Experiment, Unusable, experiment
 
@@ -48,20 +50,26 @@ def read(
                 f"{log}: {len(having)} axes are in it ({', '.join(having)}): say which one is "
                 "meant with --axis"
             )
-        signals = source.signals(source.drive(who, NEEDED))
-        found.append(
-            experiment(
-                signals,
-                machine,
-                name,
-                log=log.name,
-                mode=mode,
-                torque_constant=torque_constant,
-                cycle=cycle,
-                hold=hold,
-            )
-        )
+        signals = _by_variable(source.signals(source.drive(who, NEEDED)), machine.drives[name])
+        found.append(experiment(
+            signals, machine, name, log=log.name, mode=mode, torque_constant=torque_constant,
+            cycle=cycle, hold=hold,
+        ))
     cycles = {each.period for each in found}
     if len(cycles) > 1:
         raise Unusable(f"logs of different bus cycles ({cycles} s): make a twin of each")
     return found
+
+
+def _by_variable(signals: Mapping[str, Signal], drive: Drive) -> dict[str, Signal]:
+    """Signals by the variable that a drive keeps an object in, where that has another name."""
+    start = int(AXIS.fields["od"][1])  # type: ignore[index]
+    names = {
+        start + int(place[1]): name
+        for name, place in (OD.fields or {}).items() if not place[0].shape
+    }
+    variable = {
+        row.name: names.get(row.offset, row.name)
+        for row in drive.model.objects.values() if row.area == "axis"
+    }
+    return {variable.get(name, name): signal for name, signal in signals.items()}

@@ -1,0 +1,115 @@
+"""Logs of each drive model, on each bus, in each mode of positioning, against hidden parameters.
+
+The normal suite replays a log into the machine that made it; the slow one makes twins of all. The
+oracle is the machine, the master is another program path than the reader: objects by SDO and PDO.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from buses import CELLS, HIDDEN, cell, record
+from machines import hide
+
+from servogym.drive.model.model import load
+from servogym.drive.wire.recording import Signal, Source
+from servogym.envs import linear_axis
+from servogym.envs.twin import logs
+from servogym.envs.twin.candidates import LAG, Candidates, timed
+from servogym.envs.twin.estimate import Free, Search
+from servogym.envs.twin.experiment import experiment
+from servogym.envs.twin.families import FAMILIES
+from servogym.envs.twin.fit import best_lag
+
+EACH = [(model, bus, mode) for model, bus, modes in CELLS for mode in modes]
+SAMPLE = [("generic", "can", "pp"), ("kollmorgen_akd", "ethercat", "pp"),
+          ("festo_cmmp_as", "can", "ip")]
+NOISE = 0.5e-6  # m, of the encoder
+RIGID = FAMILIES["rigid"]
+
+
+def left_over(found, model, hidden):
+    """Rms (m) of what the machine with the hidden parameters leaves of its own log."""
+    candidates = Candidates(lambda: RIGID.make(model), "x", 4)
+    values = hidden | {LAG: 0.0}
+    values[LAG] = best_lag(candidates, found, values)
+    for _ in range(2):
+        found = timed(candidates, found, values)
+        search = Search(candidates, [found], hidden)
+        lag = Free(LAG, values[LAG], -0.02, 0.2, 2e-5)
+        values = search.descend([lag], values, search.start_noise(), 4).values
+    run = candidates.simulate(found, [values])
+    moving = found.moving
+    return float(np.sqrt(np.mean((found.position - run.position[0])[moving] ** 2)))
+
+
+@pytest.mark.parametrize(("model", "bus", "mode"), SAMPLE)
+def test_a_log_comes_back_out_of_the_machine_that_made_it(model, bus, mode, tmp_path):
+    rng = np.random.default_rng(4)
+    machine = linear_axis(load(model, bus))
+    hidden = hide(machine, rng, HIDDEN)
+    log = tmp_path / ("a.log" if bus == "can" else "a.pcapng")
+    record(machine, log, rng, mode, 1e-3, fieldbus=bus, noise=NOISE, seconds=1.0)
+    (found,) = logs.read([log], RIGID.make(model), model, "x")
+    assert left_over(found, model, hidden) < 4 * NOISE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period", [1e-3, 1e-2])
+@pytest.mark.parametrize(("model", "bus", "mode"), EACH)
+def test_a_twin_comes_out_of_each_log(model, bus, mode, period, tmp_path):
+    twin, hidden, _ = cell(model, bus, mode, period, 1, tmp_path)
+    assert twin.ratio < 2.0
+    assert twin.values["payload"] == pytest.approx(hidden["payload"], rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def moves_in_pp(tmp_path_factory):
+    """Signals of moves in profile position, nothing lost, and the machine's parameters."""
+    rng = np.random.default_rng(4)
+    machine = linear_axis()
+    hidden = hide(machine, rng, HIDDEN)
+    log = tmp_path_factory.mktemp("pp") / "a.log"
+    record(machine, log, rng, "pp", 1e-3, noise=NOISE, seconds=2.5, dropped=0.0, jitter=0.0)
+    return Source(log, "generic").signals("1"), hidden
+
+
+def test_a_set_point_is_moved_to_the_cycle_that_the_axis_shows(moves_in_pp):
+    """Stamps of set-points that are off by a cycle or two, as those of a USB adapter."""
+    signals, hidden = moves_in_pp
+    rng = np.random.default_rng(2)
+    word = signals["controlword"]
+    late = Signal(word.time + rng.uniform(-6e-4, 6e-4, len(word.time)), word.value, word.unit)
+    found = experiment(signals | {"controlword": late}, RIGID.make("generic"), "x")
+    candidates = Candidates(lambda: RIGID.make("generic"), "x", 4)
+    values = hidden | {LAG: best_lag(candidates, found, hidden | {LAG: 0.0})}
+
+    def error(found):
+        run = candidates.simulate(found, [values])
+        return float(np.sqrt(np.mean((found.position - run.position[0])[found.moving] ** 2)))
+
+    assert error(found) > 80 * NOISE
+    assert left_over(found, "generic", hidden) < 8 * NOISE
+
+
+def test_moves_whose_ramps_are_not_in_the_log_are_a_note(moves_in_pp):
+    signals, _ = moves_in_pp
+    bare = {name: s for name, s in signals.items() if not name.startswith("profile_")}
+    found = experiment(bare, RIGID.make("generic"), "x")
+    assert any("profile_acceleration" in note and "--read-gains" in note for note in found.notes)
+    assert not experiment(signals, RIGID.make("generic"), "x").notes
+
+
+def test_profiles_that_change_between_moves_are_those_of_each_move(moves_in_pp):
+    signals, _ = moves_in_pp
+    found = experiment(signals, RIGID.make("generic"), "x")
+    begins = found.events.at[found.events.begins]
+    speeds = found.rows["profile_velocity"][begins]
+    assert len(set(speeds)) == len(begins) > 2
+    later = found.moved(np.arange(len(begins)))
+    assert (later.events.at[later.events.begins] - begins).tolist() == [*range(len(begins))]
+    assert replace(found, events=None).known < found.known
