@@ -11,6 +11,7 @@ import functools
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from .kernel.factors import units_changed
 from .kernel.faults import Cause
 from .kernel.record import Axis
 from .kernel.words import Mode, State
+from .model.foreign import Key
 from .model.given import finite, refuse_unknown
 from .model.model import DriveModel, load
 from .model.names import hint, named
@@ -495,7 +497,8 @@ class Drive:
 
     def opened(self, snapshot: bytes) -> tuple[dict[str, Any], list[bytes]]:
         """Check and unpack a snapshot for `take`. Raises ValueError as `restore` does."""
-        return snapshots.unseal(snapshot, self._identity())
+        identity = self._identity()
+        return snapshots.unseal(snapshot, identity, STATE, identity["sizes"])
 
     def take(self, opened: tuple[dict[str, Any], list[bytes]]) -> None:
         """Restore a state that was unpacked by `opened`."""
@@ -529,6 +532,11 @@ def _rebuild(model: DriveModel, node_id: int, file: Path | None, snapshot: bytes
     return drive
 
 
+STATE = {  # of a snapshot, beside the arrays
+    "operational": Key(bool, True), "commissioned": Key(dict, True),
+    "stored": Key((dict, NoneType), True), "alias": Key(int, True),
+    "texts": Key(list, True),
+}
 RECORD = zlib.crc32(repr(record.AXIS.descr).encode())  # tells layouts of the record apart
 
 

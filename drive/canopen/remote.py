@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -14,13 +15,14 @@ from ..objects.abort import Abort, SdoAbort
 from .frame import Base, Frame
 from .node import NmtCommand
 from .port import FramePort
-from .sdo_client import SdoClient
+from .sdo_client import ATTEMPTS, SdoClient
 
 T = TypeVar("T")
 SYNC = Frame(Base.SYNC)
 ECHOES = 64  # frames of its own that a bus may give back late
 PDOS = 512  # of each direction at most (CiA 301)
 SYNCHRONOUS = range(241)  # transmission types
+PATIENCE = 0.1  # s, that a PDO is believed without being asked about
 LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
 
 
@@ -118,6 +120,8 @@ class Pdo:
     places: dict[str, int] = field(default_factory=dict)  # object name -> byte
     heard: bool = False
     synchronous: bool = False
+    at: float = 0.0  # s, when it was sent or heard, or asked about last
+    unsure: bool = False  # sent, and nothing shows that it has come
 
 
 class Answers:
@@ -182,6 +186,9 @@ class RemoteObjects:
 
     def changed(self) -> list[Frame]:
         """The RPDOs written to since the last call, in that order."""
+        now = self.port.now()
+        for pdo in self._pending.values():
+            pdo.at, pdo.unsure = now, True
         frames = [Frame(pdo.cob_id, bytes(pdo.data)) for pdo in self._pending.values()]
         self._pending.clear()
         return frames
@@ -192,14 +199,36 @@ class RemoteObjects:
         for pdo in self._tpdos:
             if frame.id == pdo.cob_id and not frame.remote and len(frame.data) >= len(pdo.data):
                 pdo.data[:] = frame.data[: len(pdo.data)]
-                pdo.heard = True
+                pdo.heard, pdo.at = True, self.port.now()
 
     def read(self, name: str) -> int | float:
-        """An object's value (drive units), of the last PDO that has it, else by SDO."""
+        """An object's value (drive units), of the last PDO that has it, else by SDO.
+
+        A PDO has no answer. What it carried is asked for by SDO where it may have been lost: an
+        RPDO once, and it is sent again where the drive has other values; a TPDO after each
+        `PATIENCE` in which it was not heard.
+        """
+        now = self.port.now()
+        for pdo in self._rpdos:
+            if pdo.unsure and now - pdo.at > PATIENCE:
+                if self._asked(pdo) != pdo.data:
+                    self._pending[pdo.cob_id] = pdo
+                pdo.unsure = False
         for pdo in self._tpdos:
             if pdo.heard and name in pdo.places:
+                if now - pdo.at > PATIENCE:
+                    pdo.data[:], pdo.at = self._asked(pdo), self.port.now()
                 return self._model.number(name).code.unpack_from(pdo.data, pdo.places[name])[0]
         return self.upload(name)
+
+    def _asked(self, pdo: Pdo) -> bytearray:
+        """What a PDO would carry now, by SDO."""
+        data = bytearray(pdo.data)
+        for name, at in pdo.places.items():
+            with suppress(SdoAbort):  # what can only be written
+                value = self._model.number(name).pack(self.upload(name))
+                data[at : at + len(value)] = value
+        return data
 
     def upload(self, name: str) -> int | float:
         """An object's value (drive units), by SDO."""
@@ -254,7 +283,8 @@ class RemoteObjects:
                 pdo.data[at : at + len(data)] = data
         self._rpdos, self._tpdos = rpdos, tpdos
         self.synchronous = any(pdo.synchronous for pdo in (*rpdos, *tpdos))
-        self.nmt(NmtCommand.START)
+        for _ in range(ATTEMPTS):  # nobody answers it, and a second one does nothing
+            self.nmt(NmtCommand.START)
 
     def listen(self) -> None:
         """Hear the valid TPDOs from now on, as the node says what they are; command nothing."""

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from ..model.ethercat import DATA_LINK_LAYER, IDENTIFICATION
+from ..model.files import content
 from ..model.made import Repair
 from .description import FIXED, UNASSIGNED, DcMode, Description, Entry, Mailboxes, Pdo, SyncManager
 from .esi import COE, FMMU_KINDS, PROTOCOLS, SM_KINDS
@@ -95,12 +96,9 @@ class _Reader:
         self.path = path
         self.repairs: list[Repair] = []
         try:
-            with path.open("rb") as file:
-                data = file.read(LARGEST + 1)
+            data = content(path, "an ESI file", LARGEST)
         except OSError as error:
             raise ValueError(f"{path}: {error.strerror or error}") from None
-        if len(data) > LARGEST:
-            raise ValueError(f"{path}: more than {LARGEST} bytes: no ESI file has so many")
         self.root = self._tree(data)
 
     def tell(self, element: Any, where: str, says: object, taken: object, why: str) -> None:

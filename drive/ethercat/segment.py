@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ..kernel.record import accessible
+from ..model.foreign import Key
 from ..model.given import octets, whole
 from ..objects.snapshot import seal, unseal
 from .controller import esc, process_image
@@ -25,6 +26,7 @@ FIRST, SECOND = -1, -2  # the master's ports, where slaves have their numbers
 NOWHERE = -3  # a frame does not come back
 SERVED = 0x7FFFFFFF & ~Event.PROCESS_DATA  # events that the services look at
 AUTO, AUTO_CLOSE, OPEN, CLOSED = range(4)  # of a port in 0101h
+LINKS = {"broken": Key(str, True), "held": Key(str, True)}  # of a snapshot
 ADDRESSES = ("axis", "rpdos", "tpdos")  # fields that another process has elsewhere
 LATEST = 1 << 60  # of a time that is given (ns): 36 years
 SLOWEST = 1_000_000_000  # ns of a hop
@@ -398,7 +400,8 @@ class Segment:
         Raises:
             ValueError: it is none, damaged, or of another segment or version; nothing is changed.
         """
-        links, parts = unseal(snapshot, self._identity)
+        sizes = [self.escs.nbytes, *[None] * (2 * len(self.stations))]
+        links, parts = unseal(snapshot, self._identity, LINKS, sizes)
         escs, *stations = parts
         opened = [
             station.drive.opened(part) if part else None

@@ -352,7 +352,7 @@ class Slave:
         Raises:
             ValueError: it is none, damaged, or of another model; nothing is changed.
         """
-        _, (state,) = unseal(snapshot, self._kind)
+        _, (state,) = unseal(snapshot, self._kind, {}, [None])
         (
             al_state, self.al.error, self.al._error_code, self.al._acknowledge,
             self.al._identify, mailbox, services, sdo, size, foe, emergencies,

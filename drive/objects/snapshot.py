@@ -1,7 +1,8 @@
 """Snapshots: a line with a checksum, a line of JSON that says whose it is, and arrays as bytes.
 
 One that is truncated, altered, of another version or of something else is refused before anything
-of it is taken over.
+of it is taken over. The checksum finds damage; it is not a signature: the arrays are the memory of
+compiled code, so only take snapshots that you or someone you trust has made.
 """
 
 import hashlib
@@ -9,8 +10,12 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..model import foreign
+from ..model.foreign import Key
+
 VERSION = 4  # of the layout, and of what is in it
 MARK = b"servogym-snapshot"
+HEAD = {"identity": Key(dict, True), "state": Key(dict, True), "sizes": Key(list, True)}
 
 
 def seal(identity: Mapping[str, Any], state: Mapping[str, Any], parts: Sequence[bytes]) -> bytes:
@@ -26,12 +31,17 @@ def seal(identity: Mapping[str, Any], state: Mapping[str, Any], parts: Sequence[
     return b" ".join((MARK, str(VERSION).encode(), _checksum(body))) + b"\n" + body
 
 
-def unseal(snapshot: bytes, identity: Mapping[str, Any]) -> tuple[dict[str, Any], list[bytes]]:
+def unseal(
+    snapshot: bytes, identity: Mapping[str, Any], state: Mapping[str, Key],
+    sizes: Sequence[int | None],
+) -> tuple[dict[str, Any], list[bytes]]:
     """State and parts of a snapshot.
 
     Args:
         snapshot: made by `seal`.
         identity: of what is to take it over.
+        state: what its state says, and nothing else.
+        sizes: bytes of each part; None where they vary.
 
     Raises:
         ValueError: it is none, damaged, of another version, or of something else.
@@ -52,7 +62,7 @@ def unseal(snapshot: bytes, identity: Mapping[str, Any]) -> tuple[dict[str, Any]
     if words[2] != _checksum(body):
         raise ValueError("this snapshot is damaged, its checksum does not match: take a new one")
     head, _, data = body.partition(b"\n")
-    about = json.loads(head)
+    about = foreign.parsed(head, "this snapshot", HEAD)
     for name, own in identity.items():
         its = about["identity"].get(name)
         if its != own:
@@ -61,10 +71,21 @@ def unseal(snapshot: bytes, identity: Mapping[str, Any]) -> tuple[dict[str, Any]
                 f"here it is {_short(own)}: take a new one"
             )
     parts, at = [], 0
-    for size in about["sizes"]:
+    for size, wanted in zip(_whole(about["sizes"], len(data)), sizes, strict=False):
+        if wanted not in (None, size):
+            raise ValueError(f"this snapshot is damaged: a part has {size} bytes, not {wanted}")
         parts.append(data[at : at + size])
         at += size
-    return about["state"], parts
+    if len(parts) != len(sizes) or len(parts) != len(about["sizes"]):
+        raise ValueError(f"this snapshot is damaged: it has {len(about['sizes'])} parts")
+    return foreign.checked(about["state"], "this snapshot, its state", state), parts
+
+
+def _whole(sizes: list[Any], length: int) -> list[int]:
+    """Sizes of parts that fill `length` bytes. Raises ValueError for others."""
+    if any(type(size) is not int or size < 0 for size in sizes) or sum(sizes) != length:
+        raise ValueError("this snapshot is damaged: its parts do not fill it")
+    return sizes
 
 
 def _checksum(body: bytes) -> bytes:

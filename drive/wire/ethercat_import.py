@@ -28,6 +28,7 @@ from ..ethercat.slave import Slave
 from ..kernel.process_data import ENTRIES
 from ..model.drive_toml import BUSES
 from ..model.ethercat import MEMORY, PROTOCOLS
+from ..model.files import content
 from ..model.made import PDO_COLUMNS, Made, Repair, check_place, line, write
 from ..model.model import load
 from ..model.rows import FORMATS, SIZES
@@ -105,7 +106,7 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
     """Make a drive model from an EEPROM image; as `import_esi`."""
     check_place(folder)
     try:
-        image = path.read_bytes()
+        image = content(path, "an image of an EEPROM")
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}") from None
     device = _unpacked(image, path)

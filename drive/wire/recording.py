@@ -17,6 +17,7 @@ import numpy as np
 from ..canopen.decode import Decoder
 from ..canopen.remote import CanOpenPort
 from ..ethercat.decode import EtherCatDecoder
+from ..model import foreign
 from ..model.files import regular
 from ..model.model import DriveModel
 from ..model.names import hint
@@ -322,8 +323,8 @@ def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]
 def _columns(log: Path) -> list[tuple[str, str, np.ndarray]]:
     """Name, unit and samples of a file of `Trace.save`; none where it is another file."""
     if log.suffix == ".npz":
-        with np.load(log, allow_pickle=False) as data:
-            return [(name, "", data[name]) for name in data.files] if "time" in data else []
+        data = foreign.arrays(log)
+        return [(name, "", data[name]) for name in data] if "time" in data else []
     regular(log)
     with log.open(newline="", encoding="utf-8", errors="replace") as file:
         head = next(csv.reader(file), [])

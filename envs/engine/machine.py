@@ -13,6 +13,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.kernel import record
 from ...drive.memory import address, peek
+from ...drive.model.foreign import Key
 from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint, named
 from ...drive.objects import snapshot as snapshots
@@ -247,7 +248,7 @@ class Machine:
                 for name, drive in named("drives", drives, '{"joint": "generic"}').items()
             }
             if models:
-                attach(spec, models, gears or {})
+                attach(spec, models, {} if gears is None else gears)
             return cls(compiled(spec), models)
         except ValueError as error:
             name = text if len(text) < 200 else "MJCF"
@@ -392,7 +393,7 @@ class Machine:
             variable = np.concatenate([array.ravel() for array in _variable(self.model)])
             arrays = self.couplings, self.mechanics, variable, state
             parts = [drive.snapshot() for drive in self.drives.values()]
-            numbers = {name: int(self.world[name][0]) for name in ("tick", "delay")}
+            numbers = {name: int(self.world[name][0]) for name in NUMBERS}
             parts += [array.tobytes() for array in arrays]
             return snapshots.seal(self._identity(), numbers, parts)
 
@@ -403,8 +404,13 @@ class Machine:
             ValueError: not a snapshot, altered, or of another machine; nothing changes.
         """
         with self.turn:
-            numbers, parts = snapshots.unseal(snapshot, self._identity())
             drives = list(self.drives.values())
+            sizes = [
+                *[None] * len(drives), self.couplings.nbytes, self.mechanics.nbytes,
+                sum(array.nbytes for array in _variable(self.model)),
+                8 * mujoco.mj_stateSize(self.model, STATE),
+            ]
+            numbers, parts = snapshots.unseal(snapshot, self._identity(), NUMBERS, sizes)
             opened = [drive.opened(part) for drive, part in zip(drives, parts, strict=False)]
             couplings, joints, variable, state = parts[len(drives) :]
             for drive, taken in zip(drives, opened, strict=True):
@@ -482,6 +488,7 @@ def _has_act_callbacks(model: mujoco.MjModel) -> bool:
     )
 
 
+NUMBERS = {"tick": Key(int, True), "delay": Key(int, True)}  # of a snapshot, beside the arrays
 LAYOUT = zlib.crc32(repr((COUPLING.descr, mechanics.MECHANICS.descr)).encode())
 
 

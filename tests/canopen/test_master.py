@@ -462,10 +462,12 @@ def test_a_refusal_is_not_asked_again():
         SdoClient(script, 1).upload(0x1001)
 
 
-@pytest.mark.parametrize("lost", [0.01, 0.04])
-def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost):
-    bench = Bench(shaft)
-    chance, exchange = random.Random(5), bench.bus.exchange
+@pytest.mark.parametrize("seed", range(5, 8))
+@pytest.mark.parametrize("pdo", [False, True], ids=["sdo", "pdo"])
+@pytest.mark.parametrize("lost", [0.02, 0.04])
+def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost, pdo, seed):
+    bench = Bench(shaft, pdo)
+    chance, exchange = random.Random(seed), bench.bus.exchange
     gone = 0
 
     def lossy(frames):
@@ -478,11 +480,14 @@ def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost):
         return left
 
     bench.bus.exchange = lossy
-    master = Master(CanOpenPort(bench.bus, 1, sdo_timeout=0.05))
+    port = CanOpenPort(bench.bus, 1, sdo_timeout=0.05)
+    if pdo:
+        port.use_pdos()
+    master = Master(port)
     master.enable()
     master.home(37)
     master.move_to(TURN)
-    assert gone > 3
+    assert gone
     assert bench.drive.read("position_actual_value") == pytest.approx(TURN, abs=WINDOW)
 
 

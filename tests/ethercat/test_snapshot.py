@@ -1,5 +1,7 @@
 """A slave goes on from a snapshot bit by bit: AL state, transfers, telegrams that wait."""
 
+import hashlib
+import json
 import struct
 
 import numpy as np
@@ -130,3 +132,53 @@ def test_what_is_no_snapshot_at_all_is_refused(kept, name, nothing):
 def test_a_snapshot_of_another_segment_is_refused():
     with pytest.raises(ValueError, match="another segment: its slaves"):
         Wired("kollmorgen_akd").segment.restore(Wired("generic").segment.snapshot())
+
+
+def sealed_again(snapshot, change):
+    """The snapshot with another body and the checksum of that."""
+    title, _, body = snapshot.partition(b"\n")
+    head, _, data = body.partition(b"\n")
+    head, data = change(json.loads(head), data)
+    body = (head if isinstance(head, bytes) else json.dumps(head).encode()) + b"\n" + data
+    mark, version, _ = title.split(b" ")
+    return b" ".join((mark, version, hashlib.sha256(body).hexdigest().encode())) + b"\n" + body
+
+
+CHANGES = {
+    "no state": lambda head, data: ({k: v for k, v in head.items() if k != "state"}, data),
+    "no sizes": lambda head, data: ({k: v for k, v in head.items() if k != "sizes"}, data),
+    "an empty state": lambda head, data: (head | {"state": {}}, data),
+    "a key too many": lambda head, data: (head | {"state": head["state"] | {"more": 1}}, data),
+    "an identity that is a list": lambda head, data: (head | {"identity": [1]}, data),
+    "no JSON": lambda head, data: (b"junk", data),
+    "a list": lambda head, data: ([], data),
+    "deep": lambda head, data: (b"[" * 100_000, data),
+    "cut": lambda head, data: (head, data[:-9]),
+    "longer": lambda head, data: (head, data + b"x"),
+    "sizes that are texts": lambda head, data: (head | {"sizes": ["a"]}, data),
+    "negative sizes": lambda head, data: (
+        head | {"sizes": [-1, *head["sizes"][1:-1], head["sizes"][-1] + head["sizes"][0] + 1]},
+        data,
+    ),
+    "a part less": lambda head, data: (
+        head | {"sizes": head["sizes"][:-1]}, data[: sum(head["sizes"][:-1])]),
+    "a part more": lambda head, data: (head | {"sizes": [*head["sizes"], 0]}, data),
+    "bytes of one part in another": lambda head, data: (
+        head | {"sizes": [head["sizes"][0] + 8, *head["sizes"][1:-1], head["sizes"][-1] - 8]},
+        data,
+    ),
+}
+
+
+@pytest.mark.parametrize("of", ["machine", "drive", "segment"])
+def test_a_snapshot_of_another_form_is_refused_in_words_though_its_checksum_fits(of):
+    machine = linear_axis()
+    thing = {
+        "machine": machine, "drive": machine.drives["x"], "segment": Wired("generic").segment,
+    }[of]
+    own = thing.snapshot()
+    for name, change in CHANGES.items():
+        with pytest.raises(ValueError, match="snapshot") as refused:
+            thing.restore(sealed_again(own, change))
+        assert "\n" not in str(refused.value), name
+        assert thing.snapshot() == own, name

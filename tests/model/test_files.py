@@ -8,9 +8,11 @@ import pytest
 
 from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.drive import Drive
+from servogym.drive.ethercat.esi_reader import read_esi
 from servogym.drive.model.files import content
 from servogym.drive.model.model import load
 from servogym.drive.wire import pcapng
+from servogym.drive.wire.ethercat_import import import_sii
 from servogym.drive.wire.log import messages
 from servogym.drive.wire.recording import _columns
 from servogym.envs.course.exercise import load as load_lesson
@@ -57,6 +59,8 @@ READERS = {
     "MJCF, mesh": ("part.stl", in_mjcf(MESH)),
     "CAN log": ("run.log", lambda path: list(messages(path))),
     "recording": ("run.csv", _columns),
+    "ESI": ("drive.xml", read_esi),
+    "EEPROM": ("drive.bin", lambda path: import_sii(path, path.with_name("made"))),
     "capture": ("run.pcapng", lambda path: list(pcapng.read(path))),
     "lesson": ("one.toml", load_lesson),
     "suite": ("one.toml", lambda path: load_suite(str(path))),

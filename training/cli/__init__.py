@@ -307,6 +307,29 @@ def main(arguments: list[str] | None = None) -> int:
 
     SIGTERM ends a command as Ctrl-C does.
     """
+    interrupts: list[int] = []
+
+    def interrupt(number: int, frame: Any) -> None:
+        interrupts.append(number)
+        signal.default_int_handler(number, frame)
+
+    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ours = ours and threading.current_thread() is threading.main_thread()
+    if ours:
+        signal.signal(signal.SIGINT, interrupt)
+    try:
+        return _main(arguments, interrupts)
+    except (KeyboardInterrupt, SystemError) as error:
+        if not (interrupts or isinstance(error, KeyboardInterrupt)):
+            raise
+        print("interrupted", file=sys.stderr)
+        return 130
+    finally:
+        if ours and signal.getsignal(signal.SIGINT) is interrupt:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
     os.environ.setdefault(BLAS, "1")
     gc.set_threshold(50_000)  # or Python looks for garbage in what is loaded, again and again
     atexit.register(_freeze)
@@ -322,10 +345,9 @@ def main(arguments: list[str] | None = None) -> int:
         sys.path.append(here)  # modules with tasks of your own, as `python -m` finds them
     try:
         options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
     except ImportError as error:  # a package is missing, or of a release that is refused
+        if interrupts:
+            raise KeyboardInterrupt from error
         print(f"servogym: {_told(error)}", file=sys.stderr)
         return 2
     console = Console()
@@ -345,12 +367,12 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # who reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (Exception, KeyboardInterrupt) as error:
+    except Exception as error:
         from ..report import interrupted
 
-        if interrupted(error):
-            print("interrupted", file=sys.stderr)
-            return 130
+        loading = isinstance(error, ImportError | SystemError)  # of libraries in C, of Ctrl-C
+        if interrupted(error) or (loading and interrupts):
+            raise KeyboardInterrupt from error
         line = _told(error)
         if not line:
             raise

@@ -61,7 +61,10 @@ class Weights(NamedTuple):
         more = dict(settings.get("policy_kwargs", {}))
         if settings.get("use_sde"):
             more["use_sde"] = True
-        policy = algorithm.policy_aliases["MlpPolicy"](seen, actions, lambda _: 0.0, **more)
+        try:
+            policy = algorithm.policy_aliases["MlpPolicy"](seen, actions, lambda _: 0.0, **more)
+        except Exception as error:  # of any layer that was given what it cannot be built of
+            raise ValueError(f"{ABOUT}: policy_kwargs = {more} make no network: {error}") from None
         try:
             arrays = {name: torch.from_numpy(array) for name, array in self.network.items()}
             policy.load_state_dict(arrays)
