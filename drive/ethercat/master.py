@@ -249,6 +249,8 @@ class EtherCatMaster:
     def recover(self) -> None:
         """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
         fallen = [slave for slave in self.slaves if slave.state != AlState.OPERATIONAL]
+        if not fallen:
+            return
         for slave in fallen:
             slave.write(R.AL_CONTROL, bytes([AlState.SAFE_OPERATIONAL | ACKNOWLEDGE, 0]))
         self.cycle()

@@ -98,6 +98,7 @@ class EtherCatPort:
         self.master = master
         self.models = {axis: load(model, "ethercat") for axis, model in named.items()}
         self._units = units or Units()
+        self.exchanges = 0  # of process data
         self._now = now or (lambda: master.wire.time * 1e-9)  # type: ignore[attr-defined]
         slaves = master.slaves or master.scan()
         if len(slaves) != len(self.models):
@@ -137,6 +138,7 @@ class EtherCatPort:
 
     def exchange(self) -> bool:
         """Exchange process data once; -> whether every working counter was right."""
+        self.exchanges += 1
         return self.master.cycle()
 
     def units(self, axis: str) -> Units:

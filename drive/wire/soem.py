@@ -249,16 +249,17 @@ class SoemMaster:
     def recover(self) -> None:
         """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
         fallen = [s for s in self.slaves if s.state != AlState.OPERATIONAL]
+        if not fallen:
+            return
         for state in (self._soem.SAFEOP_STATE + self._soem.STATE_ACK, self._soem.OP_STATE):
             for slave in fallen:
                 slave.request(state)
             self.cycle()
-        for _ in range(TRIES if fallen else 0):
+        for _ in range(TRIES):
             self.cycle()
             if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
                 return
-        if fallen:
-            raise RuntimeError(f"OP is not reached: {self._told()}")
+        raise RuntimeError(f"OP is not reached: {self._told()}")
 
     def _told(self) -> str:
         self._master.read_state()

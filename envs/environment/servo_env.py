@@ -44,7 +44,6 @@ from .task import METRE as METRE
 from .task import Task
 
 if TYPE_CHECKING:
-    from ..exchange.encoder import EncoderLine
     from ..exchange.over_ethercat import EtherCatLine
     from ..exchange.over_port import DriveSide, PortLine
 
@@ -148,7 +147,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         self._previous_action = flag("previous_action", previous_action)
         self.prices = priced(prices)
         self._configure()
-        self.line: EtherCatLine | PortLine | EncoderLine | None = None
+        self.line: EtherCatLine | PortLine | None = None
         if port is not None:
             self.line = self._on_a_bus(port, alone=not (faults or action == PDO))
         if bus_faults:

@@ -13,8 +13,9 @@ drive interpolates from each to the next: what comes late is wrong by its veloci
 RPDOs act when they come, and TPDOs answer a SYNC, which comes from here. On EtherCAT outputs go out
 with a frame of process data, and inputs are read alone, so that reading is no new set-point.
 
-What a bus does not tell is taken from what it tells, see `encoder`. The machine of such an
-environment has no time of its own; it keeps what a task reads of its drives.
+What a bus does not tell is taken from what it tells: the load is where the encoder says it is, the
+share of the step at an internal limit is that of its end. The machine of such an environment has
+no time of its own; it keeps what a task reads of its drives.
 """
 
 import math
@@ -32,13 +33,13 @@ from ...drive.canopen.port import FramePort
 from ...drive.canopen.remote import SYNC, CanOpenPort
 from ...drive.ethercat.port import EtherCatPort, SegmentMaster
 from ...drive.kernel.words import ENABLED, Mode
+from ...drive.kernel.words import Statusword as S
 from ...drive.master.errors import ServoError
 from ...drive.master.master import Master
 from ...drive.master.port import Port
 from ...drive.model.model import DriveModel, load
 from ...drive.objects.abort import SdoAbort
 from ..engine.machine import Machine
-from .encoder import tell
 from .envelope import Envelope, Guard, Stopped
 from .timing import Timing
 
@@ -49,8 +50,8 @@ OFF = 0x8000_0000  # COB-ID of a PDO that does not exist
 MASTER, BEAT, WATCH = 127, 0.02, 0.2  # node-id; s between heartbeats, s until drives miss one
 LIVES = 4  # questions of node guarding that may be missed
 WAIT = 2e-3  # s for a frame, while a master waits
-A_STEP, PATIENT = 5e-3, 0.05  # s of a SYNC, share of the clock
-OVERDUE = 0.1  # s, then a SYNC goes out although the last one was not answered
+A_STEP = 5e-3  # s that pass with a SYNC or a frame of process data, in lock-step
+SILENT = 2.0  # s without a frame, then the clock goes on in lock-step as well
 APART = 4e-3  # s, between SYNCs while a master waits
 HEARTBEAT = Frame(0x700 + MASTER, b"\x05")
 PHASE = 0.4  # of a step: until then bus and policy have answered, then set-points go out
@@ -149,21 +150,20 @@ class _Beating:
 
     def __init__(self, bus: FramePort, real: bool):
         self._bus, self._real, self._next, self._synced = bus, real, 0.0, 0.0
-        self._syncs = 0
+        self._syncs, self._heard = 0, bus.now()
         self.silent = not real  # no SYNC, so no time passes, until an episode is to begin
         self.answers: set[int] = set()  # identifiers that follow a SYNC
-        self._owed: set[int] = set()  # of them, what has not come yet
         self.guarded: list[int] = []  # node-ids that are asked for their state (node guarding)
 
     def now(self) -> float:
-        """Time (s); in lock-step that of the SYNCs, and a little of the clock's.
+        """Time (s); in lock-step that of the SYNCs.
 
         A drive has acted on a command after so many cycles, not after so many seconds; who waits
-        for an answer that does not come has to give up all the same.
+        for an answer that does not come has to give up all the same, see `SILENT`.
         """
         if self._real:
             return self._bus.now()
-        return self._syncs * A_STEP + PATIENT * self._bus.now()
+        return self._syncs * A_STEP + max(self._bus.now() - self._heard - SILENT, 0.0)
 
     def wait(self, seconds: float | None = None) -> None:
         """How long an exchange waits for the first frame (s); the usual time if not given."""
@@ -183,14 +183,23 @@ class _Beating:
         # a master that waits exchanges as fast as the bus gives frames back
         if self.silent:
             given = [frame for frame in given if frame != SYNC]
-        too_early = now < self._synced + APART if self._real else bool(self._owed)
-        if SYNC in given and too_early and now < self._synced + OVERDUE:
+        if self._real and now < self._synced + APART:
             given = [frame for frame in given if frame != SYNC]
-        elif SYNC in given:
+        owed = set(self.answers) if SYNC in given and not self._real else set()
+        if SYNC in given:
             self._syncs += 1
-            self._synced, self._owed = now, set(self.answers)
-        received = [*self._bus.exchange(given)]
-        self._owed -= {frame.id for frame in received}
+            self._synced = now
+        received = self._exchanged(given)
+        while owed := owed - {frame.id for frame in received}:
+            if self._bus.now() > self._heard + SILENT:
+                break  # none comes any more
+            received += self._exchanged([])
+        return received
+
+    def _exchanged(self, frames: Iterable[Frame]) -> list[Frame]:
+        received = [*self._bus.exchange(frames)]
+        if received:
+            self._heard = self._bus.now()
         return received
 
 
@@ -219,14 +228,17 @@ class CanDrives:
         self.port = CanOpenPort(self._bus, nodes, model)
 
     def awake(self) -> None:
-        """From now on SYNCs go out."""
+        """From now on SYNCs go out, and nodes that have left OPERATIONAL go back to it."""
         self._bus.silent = False
+        for node in self.port.nodes.values():
+            node.nmt(NmtCommand.START)
 
     def connect(
         self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
     ) -> None:
         """See `DriveSide`. Raises ValueError for other drives, SdoAbort where one refuses."""
         _same(axes, self.port.nodes)
+        self._bus.answers = set()
         for axis in axes:
             node = self.port.nodes[axis]
             node.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -350,7 +362,7 @@ class EtherCatDrives:
         outputs, inputs = ([name for pdo in pdos for name in pdo] for pdos in (rpdos, tpdos))
         self.port = EtherCatPort(
             self._master, models, outputs=outputs, inputs=inputs,
-            now=self.pace.now if self.pace.real else time.monotonic,
+            now=self.pace.now if self.pace.real else lambda: A_STEP * self.port.exchanges,
         )
         self.port.cyclic = self.pace.real
 
@@ -565,7 +577,7 @@ class PortLine:
         else:
             for _ in range(math.ceil(REST / self._period)):
                 self._side.send()
-                self._side.sample(PATIENT * LOCK_STEP_PATIENCE)
+                self._side.sample(LOCK_STEP_PATIENCE)
 
     @contextmanager
     def _gently(self) -> Iterator[None]:
@@ -640,7 +652,7 @@ class PortLine:
         pace.wait(self._deadline)
         begin = pace.now()
         share = ANSWERS * self.phase * self._period
-        came = self._side.sample(share if pace.real else PATIENT * LOCK_STEP_PATIENCE)
+        came = self._side.sample(share if pace.real else LOCK_STEP_PATIENCE)
         if period:
             timing.waking.append(begin - self._deadline)
             timing.answers.append(pace.now() - begin)
@@ -669,12 +681,22 @@ class PortLine:
         for axis, image in zip(self._axes, images, strict=True):
             for name in self._tpdo.names or ():
                 image[name] = read(axis, name)
-        tell(self._machine, self._axes, images, self._units)
-        self._machine.data.qpos[:] = self._machine._coordinates[0]
+        self._mirror(images)
         for axis, image in zip(self._axes, images, strict=True):
             self.guards[axis].answer({name: image[name].item() for name in image.dtype.names})
         if self.on_step is not None:
             self.on_step(images)
+
+    def _mirror(self, images: np.ndarray) -> None:
+        """What a task looks at in its machine."""
+        machine, names = self._machine, [*self._machine.drives]
+        for axis, image in zip(self._axes, images, strict=True):
+            coupling = machine.couplings[names.index(axis)]
+            position = image["position_actual_value"] / self._units
+            machine._coordinates[0][int(coupling.qpos)] = position
+        machine.data.qpos[:] = machine._coordinates[0]
+        limited = (images["statusword"] & S.INTERNAL_LIMIT_ACTIVE).any()
+        machine.world["step_ticks"], machine.world["limited_ticks"] = 1, limited
 
     def stop(self, error: BaseException) -> Stopped:
         """Quick stop of all drives and power off; -> why, which every further step raises."""

@@ -175,7 +175,7 @@ class Laboratory:
         kinds = {bus.name: bus.kind for bus in self.description.buses}
         for row in self.description.machines:
             try:
-                machine, places = _made(row, kinds[row.bus], self.description.folder)
+                machine, places = made(row, kinds[row.bus], self.description.folder)
             except (ValueError, TypeError, OSError) as error:
                 raise ValueError(f"machine.{row.name}: {error}") from None
             self.machines[row.name], self._places[row.name] = machine, places
@@ -488,7 +488,7 @@ def _bench(row: BusRow, machines: list[Machine], seed: int) -> Bench:
         raise
 
 
-def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, float]]:
+def made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, float]]:
     """A machine with all compiled that it needs, and where its joints are at power-on."""
 
     def model(name: str) -> DriveModel:
@@ -523,8 +523,8 @@ def _made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, f
 
 
 def _of_task(row: MachineRow, model: DriveModel) -> tuple[Machine, dict[str, float]]:
-    """The machine of an environment, where its first episode begins."""
-    env = task(row.task)(model, **row.parameters)
+    """The machine of an environment as it is without draws, where its first episode begins."""
+    env = task(row.task)(model, **{"randomise": {}} | row.parameters)
     machine, delivered = env.machine, env.machine.snapshot()
     env.reset(seed=0)
     pairs = zip(machine.drives.values(), machine.drives, strict=True)

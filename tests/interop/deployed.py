@@ -174,12 +174,31 @@ def byte_equal(task, bus, steps=60, seed=5):
     return {"begins": begins, "equal": equal, "steps": steps, "lost": lost, "states": states}
 
 
-def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False):
-    """Metrics of episodes on the bus and of the same in memory."""
+def watched(env):
+    """-> list of what each reset and each step told: observations and rewards, as bytes."""
+    told, reset, step = [], env.reset, env.step
+
+    def resetting(**arguments):
+        seen, info = reset(**arguments)
+        told.append([seen.tobytes()])
+        return seen, info
+
+    def stepping(action):
+        seen, reward, *others = step(action)
+        told[-1].append(seen.tobytes() + np.float64(reward).tobytes())
+        return seen, reward, *others
+
+    env.reset, env.step = resetting, stepping
+    return told
+
+
+def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=17):
+    """Metrics of episodes on the bus, of the same in this process, and steps that are equal."""
     from functools import partial
 
     from servogym.envs.environment.deployed import episodes_of, in_memory
     from servogym.envs.exchange.envelope import Stopped
+    from servogym.envs.serve.in_process import environment
     from servogym.training.cli.deploy import _policy
 
     _network()
@@ -187,9 +206,9 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False):
     kind, model, plain, axes = _made(task, bus)
     clock = "" if lock_step else {"can": "real", "ethercat": "frame"}[bus]
     deployed, stopped, times = [], "", {}
-    with served(task, bus, clock) as ask, side_on(bus, axes, lock_step) as side:
-        ask("stand", seed)
+    with served(task, bus, clock), side_on(bus, axes, lock_step) as side:
         env = kind(model, port=side, randomise={})
+        env.line.home, there = home, watched(env)
         make = partial(_policy, policy, plain, seed)
         try:
             for played in episodes_of(env, episodes=count, make=make, seed=seed, fast=fast):
@@ -198,8 +217,16 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False):
             stopped = f"{error}"
         times = env.line.timing.as_dict()
         env.close()
-    memory = in_memory(plain, _policy(policy, plain, seed), len(deployed), seed)
-    return {"deployed": deployed, "memory": memory, "stopped": stopped, "times": times}
+    played = environment(task, bus, parameters={"randomise": {}}, home=home)
+    here = watched(played)
+    memory = in_memory(played, _policy(policy, plain, seed), len(deployed), seed)
+    played.close()
+    pairs = list(zip(itertools.chain(*here), itertools.chain(*there), strict=False))
+    equal = sum(one == other for one, other in pairs)
+    return {
+        "deployed": deployed, "memory": memory, "stopped": stopped, "times": times,
+        "steps": sum(map(len, there)), "equal": equal,
+    }
 
 
 # ----------------------------------------------------------------- hostile

@@ -7,6 +7,7 @@ from deployed import HOSTILE, TASKS
 from wire import on_the_wire
 
 BUSES = ("can", "ethercat")
+REFERENCES = {"linear": "ruckig", "tracking": "feed_forward", "contour": "full_feed"}
 SAMPLE = (
     "chatters 2", "NaN at 4", "words at 4", "raises SystemExit", "leaves at once", "kills itself",
     "holds the interpreter", "fills the memory", "creeps 0.2",
@@ -61,10 +62,24 @@ def test_where_the_deploying_process_is_killed_the_drive_stops_by_its_own_watchd
     assert result["stands"]
 
 
-@pytest.mark.parametrize("bus", BUSES)
-def test_returns_on_the_bus_are_those_of_memory_but_for_the_start(bus):
-    result = over(bus, "episodes", task="linear", policy="trapezoid", count=3)
+def same(bus, task, count):
+    """Homed, moved to their starts and played: over the bus as in this process."""
+    result = over(bus, "episodes", task=task, policy=REFERENCES[task], count=count)
     assert result["stopped"] == ""
-    for name in ("episode_return", "success"):
-        here, there = ([row[name] for row in result[side]] for side in ("deployed", "memory"))
-        assert here == pytest.approx(there, rel=0.03), name
+    assert len(result["deployed"]) == count
+    assert result["equal"] == result["steps"]
+    late = [row.pop("late") for row in result["deployed"]]
+    assert late == [0] * count
+    assert result["deployed"] == result["memory"]
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_a_homing_the_ways_to_the_start_and_the_episodes_are_those_of_this_process(bus):
+    same(bus, "linear", 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("task", REFERENCES)
+def test_long_series_are_those_of_this_process(bus, task):
+    same(bus, task, 20)

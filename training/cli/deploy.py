@@ -129,6 +129,7 @@ def _compared(
     import numpy as np
 
     from ...envs.environment.deployed import in_memory
+    from ...envs.serve import in_process
     from ..evaluate.metrics import difference
 
     def against(what: str, one: list[Any], other: list[Any]) -> None:
@@ -149,8 +150,14 @@ def _compared(
         against(f"{name} - {first}", values[name], values[first])
     if options.gap:
         for name, own in values.items():
+            env = in_process.environment(
+                options.env, "ethercat" if options.ethercat else "can", options.drive,
+                options.given, options.home,
+            )
+            _limit(env.line, options, example.drive_names)
             acting = _policy(name, example, options.seed)
-            there = in_memory(example, acting, len(own), options.seed)
+            there = in_memory(env, acting, len(own), options.seed, options.slow)
+            env.close()
             against(f"{name}: bus - {'twin' if options.twin else 'memory'}", own, there)
     return rows
 
@@ -175,6 +182,7 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     """The environment on its bus, and the same in memory; the stack closes the first."""
     import gymnasium
 
+    from ...drive.model.model import load
     from ...envs.engine.checks import in_range, whole
     from ...envs.environment.registry import task
     from ..policies import needed
@@ -184,15 +192,15 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     kind = task(options.env)
     options.policy = options.policy or ["hold"]
     given = dict(options.argument or ())
-    options.twin = given.get("twin")
     for policy in options.policy:
         given = needed(policy) | given
     given.setdefault("randomise", {})  # nothing draws the parameters of the machine on the bus
-    example = kind(options.drive, **given)
+    options.given, options.twin = given, given.get("twin")
+    example = kind(load(options.drive, "ethercat" if options.ethercat else None), **given)
     axes = example.drive_names
     side = _side(options, axes, stack)
     made: Any = gymnasium.make(
-        kind.ID, drive=options.drive, port=side, disable_env_checker=True, **given
+        kind.ID, drive=example.drive.model, port=side, disable_env_checker=True, **given
     )
     env = made.unwrapped
     stack.callback(env.close)
@@ -330,11 +338,13 @@ def _tell_times(timing: Any, console: Console) -> None:
         return
     edges = timing.EDGES
     table = Table(title=f"{len(timing.waking)} steps of {1e3 * timing.period:g} ms, times in µs")
-    for name in ("", "median", "99 %", "99.9 %", "most", *(f"<{e:g}" for e in edges[1:-1]), "more"):
+    for name in ("", *(row.what for row in rows)):
         table.add_column(name, justify="right")
-    for row in rows:
-        told = (f"{value:.0f}" for value in (row.median, row.p99, row.p999, row.most))
-        table.add_row(row.what, *told, *(f"{n or ''}" for n in row.counts))
+    for name, key in (("median", "median"), ("99 %", "p99"), ("99.9 %", "p999"), ("most", "most")):
+        table.add_row(name, *(f"{getattr(row, key):.0f}" for row in rows))
+    table.add_section()
+    for n, name in enumerate([*(f"<{edge:g}" for edge in edges[1:-1]), "more"]):
+        table.add_row(name, *(f"{row.counts[n] or ''}" for row in rows))
     console.print(table)
     console.print(
         f"{timing.missed} set-points a step late, {timing.lost} steps without all answers, "
