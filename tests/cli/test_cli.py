@@ -233,4 +233,4 @@ def test_a_terminal_without_greek_letters_is_no_error():
 def test_a_working_directory_that_is_gone_is_told(tmp_path):
     done = shell(f"mkdir {tmp_path}/gone; cd {tmp_path}/gone; rmdir ../gone; servogym drives")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "servogym: the working directory is there no longer\n"
+    assert done.stderr == "servogym: the working directory no longer exists\n"

@@ -1,4 +1,4 @@
-"""The command line ``servogym``: a module a command, found by the table."""
+"""The command line ``servogym``: a table of commands, each in a module of its own."""
 
 import argparse
 import atexit
@@ -43,11 +43,11 @@ COMMANDS = {
     "demo": Command(
         "demo", "enable, home and move an axis, then stop it, and draw the run",
         "demo --drive kollmorgen_akd --payload 10 --out out",
-        "The quickest check of an installation: each part prints how accurate it was.",
+        "This is the quickest check of an installation: it prints the accuracy of each part.",
     ),
     "bench": Command(
         "bench", "measure the cost of drives, buses and environments", "bench --json",
-        "Figures are ratios within one run, since machines differ and are busy.",
+        "The figures are ratios within one run, because computers differ and may be busy.",
     ),
     "drives": Command(
         "drives", "list the drive models, describe one, or make one from a file or a slave",
@@ -66,7 +66,7 @@ COMMANDS = {
     "serve": Command(
         "serve", "serve a whole machine on its buses, as a machine file describes it",
         "serve machine.toml --seed 1",
-        "For the tests of a master of your own; servogym.testing has the same as pytest fixtures.",
+        "Use it to test your own master; servogym.testing offers the same as pytest fixtures.",
     ),
     "deploy": Command(
         "deploy", "play a policy on the drives of a bus, behind a guard",
@@ -82,7 +82,7 @@ COMMANDS = {
         "esi kollmorgen_akd -o akd.xml",
     ),
     "observe": Command(
-        "observe", "ask a drive on CAN what it is, and compare it with a drive model",
+        "observe", "read out a drive on CAN or EtherCAT, and compare it with a drive model",
         "observe --node-id 5 -i socketcan -c can0 -o drive.json",
         "Then: servogym observe --compare drive.json --drive generic. The power stage stays off.",
     ),
@@ -104,24 +104,25 @@ COMMANDS = {
         "tune toothed_belt --detuned 3",
     ),
     "twin": Command(
-        "twin", "turn the bus log of a machine into that machine, with intervals and a verdict",
+        "twin", "turn a bus log into a model of the machine, with intervals and a verdict",
         "twin moves.log --drive generic --mechanics auto -o out/twin",
-        "The log holds what the master sent and what the drive answered (607Ah, 6041h, 6064h, "
+        "The log has to contain the frames of the master and of the drive (607Ah, 6041h, 6064h, "
         "6077h). --plan writes the experiment to record.",
     ),
     "replay": Command(
         "replay", "play a log into a drive model and score its answers, or into a machine",
         "replay run.pcapng --drive kollmorgen_akd",
-        "Without a machine each answer is equal, explained by time or by physics, or differs: then "
-        "register or object are told with both values. With a machine or --twin the set-points of "
-        "the log move it, and measured and simulated position and torque go to a CSV.",
+        "Without a machine, each answer is equal, explained by time or by physics, or differs; for "
+        "a difference, register or object are printed with both values. With a machine or --twin, "
+        "the set-points of the log move it, and the measured and simulated position and torque are "
+        "written to a CSV.",
     ),
     "scope": Command(
         "scope", "record channels of a move, a running node or a log, with a trigger",
         "scope rigid --channels 6064h,axis.torque --trigger 6064h:rising:20000",
     ),
     "homing": Command(
-        "homing", "draw a diagram of each homing method from a run of it",
+        "homing", "draw a diagram of each homing method from a simulated run",
         "homing --gallery out/homing",
     ),
     "watch": Command(
@@ -133,24 +134,24 @@ COMMANDS = {
         "panel --axis vertical --drive festo_cmmp_as",
     ),
     "classroom": Command(
-        "classroom", "a machine for each pupil in the browser, and a wall for the teacher",
+        "classroom", "serve a machine for each pupil in the browser, and a wall for the teacher",
         "classroom --pupils 24 --host 0.0.0.0 --results out/class",
-        "Pupils open the printed address and give the code of the class and a name.",
+        "Pupils open the printed address and enter the class code and a name.",
     ),
     "course": Command(
         "course", "list the exercises of the course, show one, or check solutions in Python",
         "course check solution.py",
-        "`check` runs the file: check only solutions whose author you trust. `replay` plays a run "
-        "that a classroom has kept.",
+        "`check` runs the file: check only solutions whose author you trust. `replay` replays a "
+        "run that a classroom has stored.",
     ),
     "train": Command(
         "train", "train a policy with stable-baselines3",
         "train LinearAxis-v0 --steps 200000 --seed 1 --out out/axis",
     ),
     "tune-policy": Command(
-        "tune_policy", "fit the numbers of a baseline, and tell what that takes",
+        "tune_policy", "fit the numbers of a baseline, and report the effort",
         "tune-policy basis_feed_forward --out out/tuned.npz",
-        "The budget is told as that of a training: steps, processor time, choices by hand.",
+        "The effort is reported as for a training: steps, processor time, choices by hand.",
     ),
     "curves": Command(
         "train", "draw the learning curves of trainings", "curves out/axis",
@@ -182,14 +183,14 @@ BLAS = "OPENBLAS_NUM_THREADS"
 
 
 def _path(text: str) -> Path:
-    """A path; an empty word would be the working directory."""
+    """Parse a path; an empty word is refused, because it would mean the working directory."""
     if not text.strip():
         raise argparse.ArgumentTypeError("it is empty, give a path")
     return Path(text)
 
 
 class Parser(argparse.ArgumentParser):
-    """One that says what might have been meant."""
+    """An argument parser whose errors suggest similar names."""
 
     commands: dict[str, "Parser"]
 
@@ -198,7 +199,7 @@ class Parser(argparse.ArgumentParser):
         self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
-        """Usage, what is wrong, and near names; exit status 2."""
+        """Print usage, error and similar names; exit with status 2."""
         from ...drive.model.names import hint
 
         if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
@@ -208,7 +209,7 @@ class Parser(argparse.ArgumentParser):
         super().error(message)
 
     def refuse(self, unknown: list[str]) -> NoReturn:
-        """Options and words that no command has."""
+        """Refuse unknown options and words."""
         from ...drive.model.names import hint
 
         known = [*self._option_string_actions]
@@ -219,10 +220,10 @@ class Parser(argparse.ArgumentParser):
 
 
 class Version(argparse.Action):
-    """``--version``, looked up when it is asked for."""
+    """The option ``--version``, which looks the version up when it is used."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        """Tell it, and exit."""
+        """Print the version and exit."""
         from ... import __version__
 
         print(f"servogym {__version__}")
@@ -230,7 +231,7 @@ class Version(argparse.Action):
 
 
 def parser(asked: str | None = None) -> Parser:
-    """All commands by name, with the options of the one `asked` for; of all without a word."""
+    """All commands by name, with the options of the command `asked` for, or of all commands."""
     parser = Parser(
         prog="servogym",
         description="A laboratory for motion control: axes in MuJoCo, moved by an emulated drive.",
@@ -255,7 +256,7 @@ def parser(asked: str | None = None) -> Parser:
 
 
 def _joined(words: list[str]) -> list[str]:
-    """``hold, ruckig`` is one word, as if there were no space after the comma."""
+    """Join ``hold, ruckig`` into one word, as if there were no space after the comma."""
     joined: list[str] = []
     for word in words:
         if joined and joined[-1].endswith(",") and len(joined[-1]) > 1 and word[:1] not in "-":
@@ -274,7 +275,7 @@ def _parsed(words: list[str]) -> argparse.Namespace:
 
 
 def _told(error: BaseException) -> str:
-    """An error of the user, their task or policy in a line; empty for one of ours."""
+    """Format an error of the user, their task or policy in a line; empty for an internal error."""
     from ...drive.objects.abort import SdoAbort
 
     if not isinstance(error, (ValueError, OSError, RuntimeError, ImportError, SdoAbort)):
@@ -290,20 +291,20 @@ def _warned(
     message: Warning | str, category: type[Warning], filename: str, lineno: int,
     line: str | None = None,
 ) -> str:
-    """A warning to the user in a line; of others, with its place."""
+    """Format a warning to the user in a line; other warnings keep their place in the code."""
     if category is UserWarning:
         return f"servogym: {message}\n"
     return FORMAT(message, category, filename, lineno, line)
 
 
 def _freeze() -> None:
-    """Python would look for garbage in what ends anyway: 0.6 s; triton would tell of its own."""
+    """Skip the garbage collection at exit, which takes 0.6 s; triton would print about its own."""
     if "triton" not in sys.modules:
         gc.freeze()
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; what a user got wrong is one line on stderr and exit status 2.
+    """Run a command; a user's mistake gives one line on stderr and exit status 2.
 
     SIGTERM ends a command as Ctrl-C does.
     """
@@ -331,15 +332,15 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
     os.environ.setdefault(BLAS, "1")
-    gc.set_threshold(50_000)  # or Python looks for garbage in what is loaded, again and again
+    gc.set_threshold(50_000)  # or Python scans the loaded modules for garbage again and again
     atexit.register(_freeze)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that has no µ shows a ?
+            stream.reconfigure(errors="replace")  # a terminal without µ shows a ?
     try:
         here = os.getcwd()
     except OSError:
-        print("servogym: the working directory is there no longer", file=sys.stderr)
+        print("servogym: the working directory no longer exists", file=sys.stderr)
         return 2
     if here not in sys.path:
         sys.path.append(here)  # modules with tasks of your own, as `python -m` finds them
@@ -364,7 +365,7 @@ def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
         consent(options)
         return options.run(options, console)
-    except BrokenPipeError:  # who reads has enough, as `head` has
+    except BrokenPipeError:  # the reader has closed the pipe, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:

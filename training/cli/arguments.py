@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options that several commands share."""
 
 import argparse
 import importlib
@@ -18,29 +18,31 @@ LISTED = "help"  # instead of NAME=VALUE
 
 
 def add(parser: argparse._ActionsContainer) -> None:
-    """``--argument NAME=VALUE`` of an environment."""
+    """Add ``--argument NAME=VALUE`` for an environment."""
     parser.add_argument(
         "--argument", action="append", metavar="NAME=VALUE", type=_argument, nargs="?",
         const=(LISTED, None),
-        help="of the environment, VALUE in JSON or text; repeatable; without a value: lists them",
+        help="set an argument of the environment, VALUE in JSON or as text; repeatable; without a "
+        "value, list all arguments",
     )
     parser.add_argument(
         "--twin", dest="argument", action="append", metavar="FOLDER",
         type=lambda folder: ("twin", folder),
-        help="of `servogym twin`: its plant and drive; the same as --argument twin=FOLDER",
+        help="use plant and drive of a twin made by `servogym twin`; the same as --argument "
+        "twin=FOLDER",
     )
 
 
 def add_real_time(parser: argparse.ArgumentParser) -> None:
-    """``--real-time``, for what others are not to hold up."""
+    """Add ``--real-time``, for processes that others must not delay."""
     parser.add_argument(
         "--real-time", action="store_true",
-        help="before all other programs, where the system permits it (SCHED_FIFO, locked memory)",
+        help="run with real-time priority where the system permits it (SCHED_FIFO, locked memory)",
     )
 
 
 def real_time(options: argparse.Namespace, console: Console) -> None:
-    """Ask for it where it is wanted, and say what is missing."""
+    """Request real-time priority if wanted, and report what the system refuses."""
     if options.real_time:
         from ...drive.wire import real_time as system
 
@@ -52,16 +54,16 @@ MODELS = ("drive", "model")  # where the options of a command keep the drive mod
 
 
 def add_run_code(parser: argparse.ArgumentParser) -> None:
-    """``--run-code``, for each command that takes a drive model, which may bring a program."""
+    """Add ``--run-code`` to a command that takes a drive model, which may contain a program."""
     if any(action.dest in MODELS for action in parser._actions):
         parser.add_argument(
             "--run-code", action="store_true",
-            help="you have read hooks.py and modes.py in the folder of the drive model: run them",
+            help="run hooks.py and modes.py from the folder of the drive model; read them first",
         )
 
 
 def consent(options: argparse.Namespace) -> None:
-    """Let the programs run that the drive models of a command bring, if that was asked for."""
+    """Allow the programs of a command's drive models to run, if ``--run-code`` was given."""
     given = [getattr(options, name, None) for name in MODELS]
     if not getattr(options, "run_code", False) or not any(given):
         return
@@ -76,31 +78,35 @@ def consent(options: argparse.Namespace) -> None:
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
-    """``--workers``, ``--ray`` and ``--resume``: who does the jobs of a command."""
-    parser.add_argument("--workers", type=int, metavar="N", help="processes side by side")
+    """Add ``--workers``, ``--ray`` and ``--resume``, which say where the jobs of a command run."""
+    parser.add_argument("--workers", type=int, metavar="N", help="number of parallel processes")
     parser.add_argument(
         "--ray", nargs="?", const="", metavar="ADDRESS",
-        help="a Ray cluster: HOST:PORT, ray://HOST:PORT, auto; without: one is started here",
+        help="use the Ray cluster at HOST:PORT, ray://HOST:PORT or auto; without an address, "
+        "start one here",
     )
-    parser.add_argument("--resume", action="store_true", help="only what is missing in --out")
+    parser.add_argument(
+        "--resume", action="store_true",
+        help="continue an interrupted command: run only what is missing in --out",
+    )
 
 
 def work(options: argparse.Namespace) -> "Work":
-    """Who does the jobs."""
+    """Return the workers that the options ask for."""
     from ..scale.work import Work
 
     return Work(options.workers, options.ray, options.resume)
 
 
 def setup(options: argparse.Namespace) -> "Setup":
-    """Task, drive and arguments of a command. Raises ValueError for an unknown environment."""
+    """Return task, drive and arguments of a command. Raises ValueError for an unknown task."""
     from ..setup import Setup
 
     return Setup.of(options.env, options.drive or "generic", dict(options.argument or ()))
 
 
 def prepare(options: argparse.Namespace) -> None:
-    """Load the command, and meanwhile have workers on this machine loaded."""
+    """Load the command while the workers on this machine start."""
     if options.workers and options.workers > 0 and options.ray is None:
         from ..scale.template import prepare
 
@@ -158,7 +164,7 @@ def listing(env: str, console: Console) -> int:
 
 
 def arguments_of(kind: type) -> dict[str, inspect.Parameter]:
-    """All an environment takes, of its own and of its bases."""
+    """Collect the arguments of an environment, its own and those of its bases."""
     from ...envs.engine.checks import accepted
 
     return accepted(kind)

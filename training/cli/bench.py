@@ -6,31 +6,39 @@ from rich.console import Console
 
 
 def add(bench: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    bench.add_argument("--repeat", type=int, help="pairs of blocks (200), or of runs (1)")
-    bench.add_argument("--can", action="store_true", help="SDO servers, and drives in lock-step")
+    bench.add_argument("--repeat", type=int, help="number of pairs of blocks (200), or of runs (1)")
     bench.add_argument(
-        "--envs", action="store_true", help="the environments, beside the loop and their peers"
+        "--can", action="store_true", help="measure SDO servers and drives in lock-step"
     )
-    bench.add_argument("--vectors", action="store_true", help="our vector beside those of others")
     bench.add_argument(
-        "--ethercat", action="store_true", help="slave controllers, and pysoem on a veth pair"
+        "--envs", action="store_true",
+        help="measure the environments, compared with the loop and with other packages",
     )
-    bench.add_argument("--train", action="store_true", help="PPO on our vector and on DummyVecEnv")
+    bench.add_argument(
+        "--vectors", action="store_true", help="compare our vector with those of other packages"
+    )
+    bench.add_argument(
+        "--ethercat", action="store_true",
+        help="measure slave controllers, and pysoem on a veth pair",
+    )
+    bench.add_argument(
+        "--train", action="store_true", help="compare PPO on our vector and on DummyVecEnv"
+    )
     bench.add_argument(
         "--gpu", nargs="?", const="cuda", metavar="DEVICE",
-        help="machines on a device of warp: cuda if none is named, cuda:1, cpu",
+        help="measure machines on a warp device: cuda (the default), cuda:1, cpu",
     )
     bench.add_argument(
         "--workers", nargs="?", const=2, type=int, metavar="N",
-        help="comparisons alone and by N processes (2)",
+        help="compare one process with N processes (2)",
     )
     bench.add_argument(
         "--compare", nargs=2, action="append", default=[], metavar=("ENV", "POLICIES"),
-        help="of --workers: one comparison instead of one of each learned task; repeatable",
+        help="with --workers: run this comparison instead of one for each learned task; repeatable",
     )
-    bench.add_argument("--json", action="store_true", help="machine-readable")
+    bench.add_argument("--json", action="store_true", help="print JSON")
     bench.set_defaults(run=_bench)
 
 

@@ -16,31 +16,40 @@ OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file
 
 
 def add(benchmark: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     benchmark.add_argument("what", choices=("homing", "positioning", "learned", "headroom"))
     benchmark.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
-    benchmark.add_argument("--quick", action="store_true", help="a small part of it")
-    benchmark.add_argument("--out", type=Path, default=Path("out"), help="folder (out)")
-    own = benchmark.add_argument_group("homing, positioning: other cells than those of the page")
-    own.add_argument("--mechanics", help="of the family, separated by commas (all)")
-    own.add_argument("--payload", help="kg, of positioning several separated by commas")
-    own.add_argument("--distance", help="positioning: m, separated by commas (0.01,0.05,0.2)")
-    own.add_argument("--method", help="homing: methods besides those of the page, with commas")
-    own.add_argument("--runs", type=int, help="homing: of each cell (50)")
-    own.add_argument("--parameter-file", type=Path, help="stored parameters, of `servogym tune`")
-    learned = benchmark.add_argument_group("learned: a policy on a suite, as a submission")
+    benchmark.add_argument("--quick", action="store_true", help="run only a small part")
+    benchmark.add_argument("--out", type=Path, default=Path("out"), help="output folder (out)")
+    own = benchmark.add_argument_group("homing, positioning: cells other than those of the page")
+    own.add_argument("--mechanics", help="mechanics of the family, separated by commas (all)")
+    own.add_argument("--payload", help="payload (kg); for positioning, several separated by commas")
+    own.add_argument(
+        "--distance", help="positioning: distances (m), separated by commas (0.01,0.05,0.2)"
+    )
+    own.add_argument("--method", help="homing: further methods, separated by commas")
+    own.add_argument("--runs", type=int, help="homing: runs in each cell (50)")
+    own.add_argument(
+        "--parameter-file", type=Path, help="stored parameters, as `servogym tune` writes them"
+    )
+    learned = benchmark.add_argument_group("learned: submit a policy to a suite")
     learned.add_argument("--suite", help=f"version, or a file of your own ({SUITE})")
     learned.add_argument(
         "--policy",
-        help=f"{arguments.POLICY}; one with such a folder a task ({POLICY}); of homing "
-        "FILE.py:function, called with a Master of the axis, beside the drive's methods",
+        help=f"{arguments.POLICY}, or a folder with one for each task ({POLICY}); for homing, "
+        "FILE.py:function, which is called with a Master of the axis and compared with the "
+        "drive's methods",
     )
-    learned.add_argument("--entry", metavar="NAME", help="on the leaderboard (that of the policy)")
-    learned.add_argument("--tasks", help="of the suite, separated by commas (all it fits)")
-    learned.add_argument("--conditions", help="a part of them, to try; nothing is submitted")
-    possible = benchmark.add_argument_group("headroom: every row beside what is possible")
-    possible.add_argument("--episodes", type=int, help="of each task (20)")
-    possible.add_argument("--seed", type=int, help="of the episodes (0)")
+    learned.add_argument(
+        "--entry", metavar="NAME", help="name on the leaderboard (the policy's own)"
+    )
+    learned.add_argument(
+        "--tasks", help="tasks of the suite, separated by commas (all that the policy fits)"
+    )
+    learned.add_argument("--conditions", help="try only these conditions; no submission is written")
+    possible = benchmark.add_argument_group("headroom: every row compared with what is possible")
+    possible.add_argument("--episodes", type=int, help="episodes of each task (20)")
+    possible.add_argument("--seed", type=int, help="seed of the episodes (0)")
     arguments.add_work(benchmark)
     benchmark.set_defaults(run=_benchmark, folders=("out",))
 
@@ -62,7 +71,7 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
 
 
 def _numbers(name: str, text: str | None, kind: type[float] | type[int] = float) -> list[Any]:
-    """Raises ValueError for what is not a list of numbers."""
+    """Parse a list of numbers. Raises ValueError for anything else."""
     try:
         return [kind(word) for word in arguments.listed(text)]
     except ValueError:
@@ -70,7 +79,7 @@ def _numbers(name: str, text: str | None, kind: type[float] | type[int] = float)
 
 
 def _chosen(options: argparse.Namespace) -> dict[str, Any]:
-    """What of the options `jobs` of the benchmark takes."""
+    """Return the options that the benchmark takes."""
     positioning = options.what == "positioning"
     foreign = ("method", "runs") if positioning else ("distance",)
     if given := [name for name in foreign if getattr(options, name) is not None]:

@@ -9,16 +9,23 @@ from . import machines
 
 
 def add(bode: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     machines.add(bode)
     bode.add_argument(
-        "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"
+        "--amplitude", type=float, default=0.1,
+        help="rms amplitude as a share of the rated torque (0.1)",
     )
-    bode.add_argument("--speed", type=float, help="of travel, m/s or rad/s (a tenth of 6081h)")
-    bode.add_argument("--lowest", type=float, help="frequency in Hz (2, less of a slow axis)")
-    bode.add_argument("--highest", type=float, help="frequency in Hz")
-    bode.add_argument("--seed", type=int, default=0, help="of the excitation's phases (0)")
-    bode.add_argument("--out", type=Path, default=Path("out"), help="folder: bode.png, .csv (out)")
+    bode.add_argument(
+        "--speed", type=float, help="speed of travel, m/s or rad/s (a tenth of 6081h)"
+    )
+    bode.add_argument(
+        "--lowest", type=float, help="lowest frequency in Hz (2, lower for a slow axis)"
+    )
+    bode.add_argument("--highest", type=float, help="highest frequency in Hz")
+    bode.add_argument("--seed", type=int, default=0, help="seed of the excitation's phases (0)")
+    bode.add_argument(
+        "--out", type=Path, default=Path("out"), help="folder for bode.png and bode.csv (out)"
+    )
     bode.set_defaults(run=_bode, folders=("out",))
 
 

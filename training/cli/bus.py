@@ -1,4 +1,4 @@
-"""A bus of python-can by its own options, as several commands have it."""
+"""The options for a python-can bus, which several commands share."""
 
 import argparse
 import inspect
@@ -12,15 +12,15 @@ INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """The options of python-can."""
+    """Add the options of python-can."""
     from can.cli import add_bus_arguments
 
-    add_bus_arguments(parser, group_title="bus, as python-can has it")
-    parser.add_argument("--bus-config", help="section of the configuration file of python-can")
+    add_bus_arguments(parser, group_title="bus (options of python-can)")
+    parser.add_argument("--bus-config", help="section of python-can's configuration file")
 
 
 def opened(options: argparse.Namespace):
-    """The bus that the options say. Raises ValueError with all there is to say in a line."""
+    """Open the bus given by the options. Raises ValueError with a one-line reason."""
     import can
     from can.cli import create_bus_from_namespace
 
@@ -52,7 +52,7 @@ def opened(options: argparse.Namespace):
 
 
 def where(options: argparse.Namespace) -> str:
-    """What the options say of the bus, as they were given."""
+    """Return the options for the bus as they were given."""
     names = ("bus_config", "interface", "channel", "bitrate", "bus_kwargs")
     given = {name: getattr(options, name, None) for name in names}
     if isinstance(given["bus_kwargs"], dict):
@@ -61,7 +61,7 @@ def where(options: argparse.Namespace) -> str:
 
 
 def _keywords(constructor: Callable[..., Any]) -> set[str]:
-    """What a constructor takes by name: in its signature, its documentation, or asked of kwargs."""
+    """Collect a constructor's keywords from its signature, its documentation and its kwargs."""
     parameters = inspect.signature(constructor).parameters.values()
     documented = re.findall(r":param\b[^:]*?(\w+):", constructor.__doc__ or "")
     code = getattr(constructor, "__code__", None)
@@ -71,10 +71,10 @@ def _keywords(constructor: Callable[..., Any]) -> set[str]:
 
 
 def _check_keywords(options: argparse.Namespace, given: dict[str, Any]) -> None:
-    """Raises ValueError for a keyword of --bus-kwargs that the interface does not know.
+    """Raise ValueError for a keyword of --bus-kwargs that the interface does not know.
 
-    Many back-ends take any (**kwargs) and drop what they do not know, so the constructors of all
-    their classes are asked.
+    Many back-ends accept any keyword (**kwargs) and drop unknown ones, so the constructors of all
+    their classes are inspected.
     """
     from can.interface import _get_class_for_interface
     from can.util import load_config
@@ -89,7 +89,7 @@ def _check_keywords(options: argparse.Namespace, given: dict[str, Any]) -> None:
             context=given.get("config_context"),
         )["interface"]
         classes = _get_class_for_interface(interface).__mro__
-    except Exception:  # the bus itself tells it better
+    except Exception:  # the bus itself gives a better message
         return
     known: set[str] = set()
     for cls in classes:

@@ -9,8 +9,8 @@ PORT = 8402  # as `envs.panel.server`
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Its options."""
-    command.add_argument("--pupils", type=int, default=24, help="places, 1..100 (24)")
+    """Add the options of this command."""
+    command.add_argument("--pupils", type=int, default=24, help="number of places, 1..100 (24)")
     command.add_argument(
         "--axis", default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
@@ -19,7 +19,7 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument("--lessons", type=Path, help="folder with exercises of your own")
     command.add_argument(
         "--results", type=Path, metavar="DIR",
-        help="write results.csv there and each run, which `servogym course replay` plays",
+        help="write results.csv and each run to this folder; `servogym course replay` replays runs",
     )
     command.add_argument(
         "--code", default="",
@@ -31,7 +31,9 @@ def add(command: argparse.ArgumentParser) -> None:
         "--host", default="127.0.0.1",
         help="listen on this address instead of the loopback; 0.0.0.0 for other computers",
     )
-    command.add_argument("--pictures", type=int, default=5, help="a second, 1..25 (5)")
+    command.add_argument(
+        "--pictures", type=int, default=5, help="pictures per second for each page, 1..25 (5)"
+    )
     command.add_argument("--no-browser", action="store_true", help="do not open a browser")
     command.set_defaults(run=_classroom)
 

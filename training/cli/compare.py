@@ -14,42 +14,44 @@ if TYPE_CHECKING:
 
 
 def add_eval(command: argparse.ArgumentParser) -> None:
-    """Options of `eval`."""
-    command.add_argument("env", help="environment, as LinearAxis-v0")
+    """Add the options of `eval`."""
+    command.add_argument("env", help="environment, such as LinearAxis-v0")
     command.add_argument("--policy", help=arguments.POLICY)
     _add_episodes(command)
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Options of `compare`."""
-    command.add_argument("env", help="environment, as LinearAxis-v0")
-    command.add_argument("--policies", help="names, separated by commas")
+    """Add the options of `compare`."""
+    command.add_argument("env", help="environment, such as LinearAxis-v0")
+    command.add_argument("--policies", help="names of policies, separated by commas")
     command.add_argument(
         "--conditions", nargs="?", const="all", metavar="NAMES",
-        help="off nominal: delay, noise, friction, … (all), a list of names or axes, or "
-        "transfer: every drive, mechanics",
+        help="off-nominal conditions: all (delay, noise, friction, …), a list of names or axes, or "
+        "transfer (every drive with every mechanics)",
     )
     _add_episodes(command)
 
 
 def _add_episodes(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
-    command.add_argument("--episodes", type=int, default=50, help="1..1000 (50)")
-    command.add_argument("--seed", type=int, default=0, help="of the episodes (0)")
-    command.add_argument("--trace", type=int, default=0, help="episode to be drawn (0)")
+    command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    command.add_argument(
+        "--episodes", type=int, default=50, help="number of episodes, 1..1000 (50)"
+    )
+    command.add_argument("--seed", type=int, default=0, help="seed of the episodes (0)")
+    command.add_argument("--trace", type=int, default=0, help="episode to draw, counted from 0 (0)")
     arguments.add(command)
     arguments.add_work(command)
-    command.add_argument("--out", type=Path, help="folder (one of its own in out)")
+    command.add_argument("--out", type=Path, help="output folder (a new one in out)")
     command.add_argument(
         "--port", metavar="OPTIONS",
-        help="on drives of a bus: the options of `servogym deploy` for it, as one word, such as "
-        '"-i socketcan -c can0 --yes"',
+        help="play on the drives of a bus, with these options of `servogym deploy` as one word, "
+        'such as "-i socketcan -c can0 --yes"',
     )
     command.set_defaults(run=_compare, folders=("out",))
 
 
 def asked(options: argparse.Namespace) -> "Request":
-    """What the words ask for. Raises ValueError where there is no policy."""
+    """Return the request of a command line. Raises ValueError without a policy."""
     from ..evaluate.comparison import Request
 
     option = "policy" if options.command == "eval" else "policies"
@@ -81,7 +83,7 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
 
 
 def _deployed(options: argparse.Namespace, console: Console) -> int:
-    """The same policies and episodes on a bus."""
+    """Play the same policies and episodes on a bus."""
     from . import deploy
 
     policies = asked(options).policies

@@ -11,21 +11,23 @@ from rich.table import Table
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Options of `course`."""
+    """Add the options of `course`."""
     command.add_argument(
         "action", choices=("list", "show", "check", "replay"), nargs="?", default="list"
     )
     command.add_argument(
         "what", nargs="*", help="exercise to show, solutions to check, runs to replay"
     )
-    command.add_argument("--drive", default="generic", help="model, see `servogym drives`")
-    command.add_argument("--lessons", type=Path, help="folder with the exercises of a run")
-    command.add_argument("--json", action="store_true", help="a line of JSON for each solution")
+    command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
+    command.add_argument("--lessons", type=Path, help="folder with the exercises that a run used")
+    command.add_argument(
+        "--json", action="store_true", help="print a line of JSON for each solution"
+    )
     command.set_defaults(run=_course)
 
 
 def _course(options: argparse.Namespace, console: Console) -> int:
-    """List, show or check."""
+    """List or show exercises, check solutions, or replay runs."""
     from ...envs.course import exercise
 
     def tell(text: str) -> None:
@@ -71,7 +73,7 @@ def _course(options: argparse.Namespace, console: Console) -> int:
 
 
 def _replay(options: argparse.Namespace, tell: Callable[[str], None]) -> int:
-    """Play runs on fresh machines; exit status 1 where one comes to something else."""
+    """Replay runs on fresh machines; exit status 1 if one has another result."""
     from ...envs.course.exercise import SHIPPED, named
     from ...envs.panel import journal
 

@@ -10,23 +10,23 @@ from rich.console import Console
 
 
 def add(decode: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     decode.add_argument(
         "log", type=Path,
-        help=".log of candump, .asc, .blf, .trc, .csv; .pcapng and .pcap of EtherCAT",
+        help="CAN log: .log (candump), .asc, .blf, .trc, .csv; EtherCAT capture: .pcapng, .pcap",
     )
     decode.add_argument(
         "--drive",
-        help="drive model, see `servogym drives` (generic; on EtherCAT that of the identity)",
+        help="drive model, see `servogym drives` (generic; on EtherCAT, found by identity)",
     )
     decode.add_argument(
-        "--node-id", type=int, nargs="+", action="extend", help="nodes that are such a drive (all)"
+        "--node-id", type=int, nargs="+", action="extend", help="nodes with this drive model (all)"
     )
     decode.set_defaults(run=_decode)
 
 
 def _decode(options: argparse.Namespace, console: Console) -> int:
-    """Print the frames of a log. Raises ValueError where it is damaged or holds no frame."""
+    """Print the frames of a log. Raises ValueError if it is damaged or holds no frame."""
     lines = _of_ethercat if options.log.suffix in (".pcapng", ".pcap") else _of_can
     empty = True
     try:
@@ -44,7 +44,7 @@ def _decode(options: argparse.Namespace, console: Console) -> int:
 
 
 def _of_ethercat(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
-    """Time (s) and line; an empty line for a frame that tells nothing new."""
+    """Yield time (s) and line; the line is empty for a frame without new information."""
     from ...drive.ethercat.decode import EtherCatDecoder
     from ...drive.wire.pcapng import read
 
@@ -67,7 +67,7 @@ def _of_ethercat(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
 
 
 def _of_can(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
-    """Time (s) and line."""
+    """Yield time (s) and line."""
     from ...drive.canopen.decode import Decoder
     from ...drive.wire.bus import to_frame
     from ...drive.wire.log import messages, not_classical

@@ -7,10 +7,12 @@ from rich.console import Console
 
 
 def add(demo: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     demo.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     demo.add_argument("--out", type=Path, default=Path("out"), help="folder for scope.png")
-    demo.add_argument("--payload", type=float, default=5.0, help="kg on the carriage (5)")
+    demo.add_argument(
+        "--payload", type=float, default=5.0, help="payload on the carriage in kg (5)"
+    )
     demo.set_defaults(run=_demo, folders=("out",))
 
 

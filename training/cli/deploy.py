@@ -22,8 +22,8 @@ CAPTURES = (".pcapng",)
 
 
 def add(deploy: argparse.ArgumentParser) -> None:
-    """Its options."""
-    deploy.add_argument("env", metavar="TASK", help="such as LinearAxis-v0")
+    """Add the options of this command."""
+    deploy.add_argument("env", metavar="TASK", help="the task, such as LinearAxis-v0")
     deploy.add_argument(
         "--policy", action="append", help=f"{arguments.POLICY} (hold); several are compared on the "
         "same episodes",
@@ -33,37 +33,46 @@ def add(deploy: argparse.ArgumentParser) -> None:
         "--ethercat", metavar="IFACE", help="network interface; without it the bus is CAN"
     )
     deploy.add_argument(
-        "--node-id", type=int, action="append", help="of each drive on CAN, in the task's order (1)"
+        "--node-id", type=int, action="append",
+        help="node-id of each drive on CAN, in the task's order (1)",
     )
-    deploy.add_argument("--episodes", type=int, default=1, help="1 or more (1)")
-    deploy.add_argument("--seed", type=int, default=0, help="of the first reset (0)")
+    deploy.add_argument("--episodes", type=int, default=1, help="number of episodes, 1 or more (1)")
+    deploy.add_argument("--seed", type=int, default=0, help="seed of the first reset (0)")
     deploy.add_argument(
         "--limits", action="append", default=[], metavar="[AXIS=]LOW:HIGH",
-        help="positions (m or rad) of the guard, instead of 607Dh; repeatable",
+        help="position limits of the guard (m or rad) instead of 607Dh; repeatable",
     )
     for name, unit in (("velocity", "m/s or rad/s"), ("acceleration", "m/s²"), ("jerk", "m/s³")):
         deploy.add_argument(f"--max-{name}", type=float, help=f"of set-points ({unit})")
-    deploy.add_argument("--home", type=int, metavar="METHOD", help="reference the drives first")
-    deploy.add_argument("--slow", type=float, default=1.0, help="share of each action, 0..1 (1)")
-    deploy.add_argument("--dry-run", action="store_true", help="all but the power stage")
+    deploy.add_argument(
+        "--home", type=int, metavar="METHOD", help="home the drives with this method first"
+    )
+    deploy.add_argument(
+        "--slow", type=float, default=1.0, help="apply this share of each action, 0..1 (1)"
+    )
+    deploy.add_argument(
+        "--dry-run", action="store_true", help="do everything except switch on the power stage"
+    )
     deploy.add_argument("--yes", action="store_true", help="move without asking")
     deploy.add_argument(
         "--log", type=Path, action="append", default=[],
-        help="of every step .csv; of every frame .pcapng on EtherCAT, .log (candump), .asc, .blf "
-        "on CAN; repeatable",
+        help="log every step (.csv) or every frame (.pcapng on EtherCAT; .log as candump, .asc, "
+        ".blf "
+        "on CAN); repeatable",
     )
     deploy.add_argument(
         "--gap", action="store_true",
-        help="play the same episodes in memory, with --twin in the twin, and tell the difference",
+        help="play the same episodes in memory (with --twin, in the twin) and report the "
+        "difference",
     )
-    deploy.add_argument("--report", type=Path, help="episodes and times as .json")
+    deploy.add_argument("--report", type=Path, help="write episodes and times to this .json file")
     deploy.add_argument(
-        "--phase", type=float, help="of a step, when set-points go out, 0..0.9 (0.4)"
+        "--phase", type=float, help="phase of a step at which set-points are sent, 0..0.9 (0.4)"
     )
-    deploy.add_argument("--time-limit", type=float, help="of all episodes (s)")
+    deploy.add_argument("--time-limit", type=float, help="time limit for all episodes (s)")
     deploy.add_argument(
         "--lock-step", action="store_true",
-        help="time passes with the steps: for served machines whose clock is sync_end or frame",
+        help="let time pass with the steps, for served machines whose clock is sync_end or frame",
     )
     buses.add(deploy)
     arguments.add(deploy)
@@ -71,7 +80,7 @@ def add(deploy: argparse.ArgumentParser) -> None:
 
 
 def _deploy(options: argparse.Namespace, console: Console) -> int:
-    """Play episodes on the drives of a bus; 1 where the guard has stopped them."""
+    """Play episodes on the drives of a bus; exit status 1 if the guard has stopped them."""
     from ...envs.environment.deployed import episodes_of
     from ...envs.exchange.envelope import Stopped
 
@@ -179,7 +188,7 @@ def _tell_compared(rows: list[dict[str, Any]], console: Console) -> None:
 
 
 def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
-    """The environment on its bus, and the same in memory; the stack closes the first."""
+    """Make the environment on its bus and the same one in memory; the stack closes the first."""
     import gymnasium
 
     from ...drive.model.model import load
@@ -218,7 +227,7 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
 
 
 def _policy(name: str, example: Any, seed: int) -> Any:
-    """The policy, after a few steps in memory: what is loaded or compiled then is so before power.
+    """Return the policy after a few steps in memory, which load and compile it before power-on.
 
     Raises ValueError for one that gives no actions, or that knows what no bus tells.
     """
@@ -241,7 +250,7 @@ def _policy(name: str, example: Any, seed: int) -> Any:
 
 
 def _row(episode: Any) -> dict[str, Any]:
-    """An episode, for a report."""
+    """Describe an episode for a report."""
     told = {k: v for k, v in episode.info.items() if isinstance(v, int | float | str | bool)}
     return {"return": episode.returned, "steps": episode.steps, "late": episode.late} | told
 
@@ -255,7 +264,7 @@ def _tell_episode(number: int, episode: Any, console: Console) -> None:
 
 
 def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any:
-    """The drives on the bus of the options, with its logs."""
+    """Return the drives on the bus given by the options, with its logs."""
     from ...envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep, Pace
 
     pace = LockStep() if options.lock_step else Pace()
@@ -295,7 +304,7 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
 
 
 def _limit(line: Any, options: argparse.Namespace, axes: list[str]) -> None:
-    """The envelope as the options narrow it."""
+    """Return the envelope, narrowed by the options."""
     from dataclasses import replace
 
     for axis, guard in line.guards.items():
@@ -330,7 +339,7 @@ def _agreed(console: Console) -> bool:
 
 
 def _tell_times(timing: Any, console: Console) -> None:
-    """How late steps were, as percentiles and as a histogram."""
+    """Report how late steps were, as percentiles and as a histogram."""
     from rich.table import Table
 
     rows = timing.rows()
@@ -354,7 +363,7 @@ def _tell_times(timing: Any, console: Console) -> None:
 
 
 class _Log:
-    """Every answer of the drives, a line each; what is written stays, whatever happens next."""
+    """Writes every answer of the drives as a line; written lines stay, whatever happens next."""
 
     def __init__(self, path: Path, line: Any):
         path.parent.mkdir(parents=True, exist_ok=True)

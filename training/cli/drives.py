@@ -9,7 +9,7 @@ from rich.table import Table
 
 
 def add(drives: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     drives.add_argument("model", nargs="?", help="name or folder of a model")
     drives.add_argument(
         "--from-eds", type=Path, metavar="FILE", help="make a model from an EDS or a DCF"
@@ -18,34 +18,39 @@ def add(drives: argparse.ArgumentParser) -> None:
         "--from-esi", type=Path, metavar="FILE", help="make an EtherCAT model from an ESI file"
     )
     drives.add_argument(
-        "--from-sii", type=Path, metavar="FILE", help="make one from an image of an EEPROM"
+        "--from-sii", type=Path, metavar="FILE", help="make a model from an EEPROM image"
     )
     drives.add_argument(
         "--from-slave", metavar="IFACE",
-        help="make one from a slave that answers, by SDO information; needs servogym[soem]",
+        help="make a model from a connected slave by SDO information; needs servogym[soem]",
     )
-    drives.add_argument("--device", help="with --from-esi: one of several, by type or name")
     drives.add_argument(
-        "--position", type=int, default=0, help="with --from-slave: which one, from 0 on (0)"
+        "--device", help="with --from-esi: select one of several devices by type or name"
+    )
+    drives.add_argument(
+        "--position", type=int, default=0,
+        help="with --from-slave: position of the slave, from 0 on (0)",
     )
     drives.add_argument(
         "--chip", choices=("et1100", "lan9252", "emulated"), default="et1100",
-        help="with --from-esi and --from-sii: slave controller; emulated: its EEPROM is (et1100)",
+        help="with --from-esi and --from-sii: slave controller; `emulated` has an emulated EEPROM "
+        "(et1100)",
     )
     drives.add_argument(
         "--strict", action="store_true",
-        help="with --from-eds: refuse a file that departs from CiA 306, and list where",
+        help="with --from-eds: refuse a file that departs from CiA 306, and list the departures",
     )
     drives.add_argument(
         "--check", action="store_true",
-        help="try what the model states (objects, ranges, modes, faults) and print its data sheet",
+        help="test the statements of the model (objects, ranges, modes, faults) and print its "
+        "data sheet",
     )
-    drives.add_argument("-o", "--out", type=Path, help="folder of the model made, new or empty")
+    drives.add_argument("-o", "--out", type=Path, help="new or empty folder for the model")
     drives.set_defaults(run=_drives)
 
 
 def _identity(model) -> str:
-    """Identity object 1018h, as far as the model has it."""
+    """Format identity object 1018h, as far as the model has it."""
     parts = ("vendor-id", "product code", "revision", "serial number")
     rows = [(part, model.objects.get((0x1018, n))) for n, part in enumerate(parts, start=1)]
     return "\n".join(f"{part} {row.default:08X}h" for part, row in rows if row)
@@ -56,7 +61,7 @@ def _modes(model) -> str:
 
 
 def _changes(model) -> Iterator[tuple[str, str]]:
-    """What differs from the objects of the model it is based on, a row of the summary each."""
+    """Rows of the summary with the differences from the objects of the base model."""
     from ...drive.model.capabilities import SUPPORTED_METHODS, SUPPORTED_MODES
     from ...drive.model.model import load
 
@@ -90,7 +95,7 @@ def _called(row) -> str:
 
 
 def _limits(row) -> str:
-    """What may be written: numbers where only some are allowed, else the range, empty for texts."""
+    """Format the allowed values of an object: a list, a range, or nothing for texts."""
     if row.allowed is not None:
         return ", ".join(map(str, sorted(row.allowed)))
     return f"{row.minimum:.12g}..{row.maximum:.12g}" if row.format else ""
@@ -112,7 +117,7 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    """Print the data sheet of a model; 1 where a statement does not hold."""
+    """Print the data sheet of a model; exit status 1 if a statement does not hold."""
     from ...drive.statements import data_sheet
 
     if options.model is None:

@@ -20,10 +20,11 @@ MOST_SLAVES = 0xFFFF  # their positions have 16 bits (ETG.1000.4)
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     command.add_argument(
         "-i", "--interface", action="append", default=[],
-        help="such as veth1; a second one is the second port of the master (redundancy)",
+        help="network interface, such as veth1; a second one is the master's second port "
+        "(redundancy)",
     )
     command.add_argument(
         "--udp", nargs="?", const="127.0.0.1", metavar="ADDRESS",
@@ -31,21 +32,22 @@ def add(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--drive", action="append",
-        help="drive model (kollmorgen_akd); several are in a line in their order",
+        help="drive model (kollmorgen_akd); several form a line in this order",
     )
     command.add_argument(
         "--axis",
         default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 or none (linear)",
     )
-    command.add_argument("--slaves", type=int, default=1, help="of each model (1)")
-    command.add_argument("--clock", default="frame", help="frame, dc or real (frame)")
-    command.add_argument("--log", type=Path, help="capture of all frames, .pcapng")
+    command.add_argument("--slaves", type=int, default=1, help="number of slaves of each model (1)")
+    command.add_argument("--clock", default="frame", help="clock: frame, dc or real (frame)")
+    command.add_argument("--log", type=Path, help="write all frames to this .pcapng file")
     command.add_argument(
         "--fault", action="append", default=[], metavar="LINE",
-        help='such as "drop at=cycle:100 count=3" or "retreat at=op:50 slave=1"; repeatable',
+        help='inject a fault, such as "drop at=cycle:100 count=3" or "retreat at=op:50 slave=1"; '
+        'repeatable',
     )
-    command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
+    command.add_argument("--seed", type=int, default=0, help="seed of faults with a rate (0)")
     arguments.add_real_time(command)
     command.set_defaults(run=_ethercat, files=("log",))
 
@@ -131,7 +133,7 @@ def _serve(options: argparse.Namespace, console: Console, ports: "list[Port]") -
 
 
 def _table(server: "EtherCatServer", rate: float) -> Table:
-    """What the slaves are doing."""
+    """The status line of the slaves."""
     s = server.bus.statistics
     table = Table(
         title=f"{s.cycles} cycles, {rate:.0f}/s, working counter {server.working_counter}, "

@@ -7,10 +7,12 @@ from rich.console import Console
 
 
 def add(homing: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
     homing.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    homing.add_argument("--method", type=int, action="append", help="only this one; repeatable")
+    homing.add_argument(
+        "--method", type=int, action="append", help="draw only this method; repeatable"
+    )
     homing.add_argument("--format", choices=("svg", "png"), default="svg")
     homing.set_defaults(run=_homing, folders=("gallery",))
 

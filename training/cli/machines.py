@@ -1,4 +1,4 @@
-"""A machine by name or from a file, as several commands have it; and `servogym machines`."""
+"""Options for a machine by name or from a file, which commands share; `servogym machines`."""
 
 import argparse
 import json
@@ -25,7 +25,7 @@ NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
 
 
 def add_machines(machines: argparse.ArgumentParser) -> None:
-    """Options of `servogym machines`."""
+    """Add the options of `servogym machines`."""
     add(machines)
     machines.set_defaults(run=_machines, machine=None)
 
@@ -62,28 +62,34 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
 
 
 def _headings(row: dict[str, str]) -> list[str]:
-    """Without units of one machine: the rows of a table have m or rad."""
+    """Format a line without units of one machine: the rows of a table have m or rad."""
     return [name.partition(" (m")[0] for name in row]
 
 
 def add(parser: argparse.ArgumentParser, others: str = "") -> None:
-    """The machine, its drive, and where it stands; what else than a machine may be named."""
+    """Add options for machine, drive and position; `others` names alternatives to a machine."""
     parser.add_argument(
         "machine", nargs="?", default="rigid",
         help=f"{', '.join(NAMES)}, {'' if others else 'or '}an MJCF file{others and ', '}{others} "
         "(rigid)",
     )
     parser.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    parser.add_argument("--axis", help="drive of the machine (the first); joint of an MJCF")
-    parser.add_argument("--gear", type=float, help="of an MJCF: rad of motor per m or rad")
-    parser.add_argument("--at", type=float, help="where the axis stands, m or rad (the middle)")
+    parser.add_argument("--axis", help="drive of the machine (the first), or joint of an MJCF")
+    parser.add_argument(
+        "--gear", type=float, help="gear ratio for an MJCF: rad of the motor per m or rad"
+    )
+    parser.add_argument("--at", type=float, help="position of the axis, m or rad (the middle)")
     parser.add_argument(
         "--set", action="append", metavar="NAME=VALUE", default=[], type=_value,
-        help="parameter of the machine, as payload=10; repeatable",
+        help="set a parameter of the machine, such as payload=10; repeatable",
     )
-    parser.add_argument("--twin", type=Path, help="folder of `servogym twin`, instead of a machine")
     parser.add_argument(
-        "--parameter-file", type=Path, help="the drive's stored parameters, of `servogym tune`"
+        "--twin", type=Path,
+        help="use the twin in this folder (of `servogym twin`) instead of a machine",
+    )
+    parser.add_argument(
+        "--parameter-file", type=Path,
+        help="the drive's stored parameters, as `servogym tune` writes them",
     )
 
 
@@ -98,7 +104,7 @@ def _value(text: str) -> tuple[str, Any]:
 
 
 def made(options: argparse.Namespace) -> tuple[Machine, str]:
-    """The machine of the options at rest in its place, and the name of the drive that is meant.
+    """Make the machine of the options at rest in its place; -> it, and the chosen drive's name.
 
     Raises:
         ValueError: an unknown machine, parameter or axis.

@@ -16,20 +16,25 @@ STYLE = {"OPERATION_ENABLED": "green", "FAULT": "red", "FAULT_REACTION_ACTIVE": 
 
 
 def add(node: argparse.ArgumentParser) -> None:
-    """Its options."""
-    node.epilog = f"without -i: -i {buses.INTERFACE} -c {buses.CHANNEL}, which needs no hardware"
+    """Add the options of this command."""
+    node.epilog = (
+        f"the default bus is -i {buses.INTERFACE} -c {buses.CHANNEL}, which needs no hardware"
+    )
     node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    node.add_argument("--node-id", type=int, action="append", help="1..127 (1); repeatable")
+    node.add_argument(
+        "--node-id", type=int, action="append", help="node-id, 1..127 (1); repeatable"
+    )
     node.add_argument(
         "--axis",
         default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
     )
     buses.add(node)
-    node.add_argument("--log", help="file for all frames; .log candump, .asc, .blf ...")
+    node.add_argument("--log", help="log all frames to this file: .log (candump), .asc, .blf ...")
     node.add_argument(
         "--parameter-file", type=Path,
-        help="where 1010h and LSS store, and power-on looks; of several drives each has its own, "
+        help="file into which 1010h and LSS store and from which power-on loads; with several "
+        "drives, each has a file "
         "with the node-id in its name",
     )
     arguments.add_real_time(node)
@@ -37,7 +42,7 @@ def add(node: argparse.ArgumentParser) -> None:
 
 
 class Line:
-    """What a server does now, in a line: states, frames a second, the last SDO request."""
+    """The status line of a server: states, frames a second, the last SDO request."""
 
     def __init__(self, server: Any):
         from ...drive.canopen.decode import Decoder

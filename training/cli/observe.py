@@ -12,21 +12,28 @@ from . import bus as buses
 
 
 def add(observe: argparse.ArgumentParser) -> None:
-    """Its options."""
-    observe.add_argument("--node-id", type=int, default=1, help="of the drive, 1..127 (1)")
+    """Add the options of this command."""
+    observe.add_argument("--node-id", type=int, default=1, help="node-id of the drive, 1..127 (1)")
     observe.add_argument(
-        "--ethercat", metavar="IFACE", help="the drive is a slave at this interface, such as eth0"
+        "--ethercat", metavar="IFACE",
+        help="observe an EtherCAT slave at this interface, such as eth0",
     )
-    observe.add_argument("--position", type=int, default=0, help="of the slave, from 0 on (0)")
+    observe.add_argument(
+        "--position", type=int, default=0, help="position of the slave, from 0 on (0)"
+    )
     observe.add_argument(
         "--drive", default="generic",
-        help="model to compare with; while observing, whose data types the objects have (generic)",
+        help="drive model to compare with; while observing, it gives the data types of the "
+        "objects (generic)",
     )
     observe.add_argument("--read-only", action="store_true", help="write nothing to the drive")
-    observe.add_argument("--compare", type=Path, metavar="FILE", help="an observation made before")
+    observe.add_argument(
+        "--compare", type=Path, metavar="FILE", help="compare this observation with the model"
+    )
     observe.add_argument(
         "-o", "--out", type=Path,
-        help="file for the observation; with --compare a folder for a model that says the same",
+        help="file for the observation; with --compare, folder for a model with the observed "
+        "answers",
     )
     buses.add(observe)
     observe.set_defaults(run=_observe)
@@ -61,7 +68,7 @@ def _observe(options: argparse.Namespace, console: Console) -> int:
 
 
 def _node(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Of a node on CAN."""
+    """Observe a node on CAN."""
     from ...drive.canopen.observe import Observer
     from ...drive.model.model import load
     from ...drive.wire.bus import CanPort
@@ -78,7 +85,7 @@ def _node(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str,
 
 
 def _slave(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Of a slave on EtherCAT."""
+    """Observe a slave on EtherCAT."""
     from ...drive.model.model import load
     from ...drive.wire.ethercat_observe import observe
 
@@ -89,7 +96,7 @@ def _slave(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str
 
 
 def _compare(options: argparse.Namespace, console: Console) -> int:
-    """Print the differences; 1 where there are some."""
+    """Print the differences; exit status 1 if there are any."""
     from ...drive.canopen import observe as canopen
     from ...drive.ethercat import observe as ethercat
     from ...drive.model.files import content

@@ -17,7 +17,7 @@ RATE = 20.0  # as `envs.panel.bus`
 
 
 def add(panel: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     from can.cli import add_bus_arguments
 
     panel.add_argument(
@@ -25,40 +25,45 @@ def add(panel: argparse.ArgumentParser) -> None:
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
     )
     panel.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    panel.add_argument("--mjcf", type=Path, help="a robot of your own instead of --axis")
+    panel.add_argument("--mjcf", type=Path, help="use a robot of your own instead of --axis")
     panel.add_argument(
-        "--joint", action="append", metavar="NAME", help="of --mjcf that gets a drive; repeatable"
+        "--joint", action="append", metavar="NAME",
+        help="joint of --mjcf that gets a drive; repeatable",
     )
-    panel.add_argument("--parameter-file", type=Path, help="where 1010h stores, one axis only")
+    panel.add_argument(
+        "--parameter-file", type=Path, help="file into which 1010h stores, for one axis only"
+    )
     panel.add_argument(
         "--twin", type=Path, metavar="DIR",
         help="a twin, as `servogym twin` makes it, beside the axis or node: it gets the same "
         "commands, the scope shows both",
     )
     add_bus_arguments(panel, group_title="a running node on a bus, as python-can has it")
-    panel.add_argument("--bus-config", help="section of the configuration file of python-can")
+    panel.add_argument("--bus-config", help="section of python-can's configuration file")
     panel.add_argument(
         "--node-id", type=int, action="append",
-        help="1..127, repeatable: watch, and command if asked to, nodes on a bus instead of a "
-        f"machine of one's own; without -i on -i {INTERFACE} -c {CHANNEL}",
+        help="watch, and on request command, this node (1..127) on a bus instead of an own "
+        f"machine; repeatable; the default bus is -i {INTERFACE} -c {CHANNEL}",
     )
     panel.add_argument(
-        "--listen", action="store_true", help="send nothing on the bus; PDOs alone are seen"
+        "--listen", action="store_true", help="send nothing on the bus and show only PDOs"
     )
-    panel.add_argument("--samples", type=float, help=f"a second of the scope on a bus ({RATE:g})")
+    panel.add_argument(
+        "--samples", type=float, help=f"samples per second of the scope on a bus ({RATE:g})"
+    )
     panel.add_argument(
         "--units", metavar="M[,M/S]",
-        help="on a bus: a position unit in m, a velocity unit in m/s (the same)",
+        help="on a bus: size of a position unit in m and of a velocity unit in m/s (the same)",
     )
     panel.add_argument(
-        "--lessons", type=Path, help="folder with exercises of your own, .toml files"
+        "--lessons", type=Path, help="folder with .toml files of your own exercises"
     )
     panel.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
     panel.add_argument(
         "--host", default="127.0.0.1",
-        help="listen on this address instead of the loopback",
+        help="listen on this address instead of the loopback interface",
     )
-    panel.add_argument("--pictures", type=int, default=25, help="a second, 1..60 (25)")
+    panel.add_argument("--pictures", type=int, default=25, help="pictures per second, 1..60 (25)")
     panel.add_argument("--no-browser", action="store_true", help="do not open a browser")
     panel.set_defaults(run=_panel)
 

@@ -13,20 +13,21 @@ if TYPE_CHECKING:
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Its options: those of the comparison with a machine, and what answers alone need."""
+    """Add the options of the comparison with a machine and those for scoring answers."""
     twin.add_replay(command)
     command.add_argument(
-        "--node-id", type=int, help="without a machine: of the drive in a log of CAN (first heard)"
+        "--node-id", type=int,
+        help="without a machine: node-id of the drive in a CAN log (the first in the log)",
     )
     command.add_argument(
         "--most", type=int, default=40,
-        help="without a machine: differences that are listed, most frequent first (40)",
+        help="without a machine: number of differences to list, most frequent first (40)",
     )
     command.set_defaults(run=_replay, machine=None)
 
 
 def _replay(options: argparse.Namespace, console: Console) -> int:
-    """Compare motions where there is a machine or a twin; else score the drive's answers."""
+    """Compare motions if there is a machine or a twin; otherwise score the drive's answers."""
     if options.machine is not None or options.twin is not None:
         return twin.compare(options, console)
     if options.log.suffix in (".pcapng", ".pcap"):

@@ -10,25 +10,31 @@ from . import arguments
 
 
 def add(results: argparse.ArgumentParser) -> None:
-    """Its options."""
-    results.add_argument("folder", nargs="?", type=Path, help="with a folder a task (ours)")
+    """Add the options of this command."""
     results.add_argument(
-        "--again", action="store_true", help="run the comparison of each folder anew before"
+        "folder", nargs="?", type=Path,
+        help="folder with a subfolder for each task (that of this package)",
+    )
+    results.add_argument(
+        "--again", action="store_true", help="first repeat the comparison of each folder"
     )
     results.add_argument(
         "--train", nargs="?", const="", metavar="OUT",
-        help="train all again into this folder; without it only tell the commands and CPU-seconds",
+        help="repeat all trainings into this folder; without it, only print the commands and "
+        "CPU-seconds",
     )
     results.add_argument(
         "--suite",
-        help="of a benchmark: checks the submissions in the folder, writes the leaderboard",
+        help="check the submissions in the folder for this suite and write the leaderboard",
     )
     results.add_argument(
-        "--run-code", action="store_true", help="you have read the programs that the folder names"
+        "--run-code", action="store_true",
+        help="run the programs that the folder names; read them first",
     )
     arguments.add_work(results)
     results.add_argument(
-        "-o", "--out", type=Path, help="page (README.md in the folder; of ours out/learned.md)"
+        "-o", "--out", type=Path,
+        help="page to write (README.md in the folder; by default out/learned.md)",
     )
     results.set_defaults(run=_results, files=("out",))
 
@@ -79,7 +85,7 @@ def _leaderboard(options: argparse.Namespace, console: Console) -> int:
 
 
 def _again(folder: Path, options: argparse.Namespace, console: Console) -> None:
-    """Each folder's comparison as its `compare.json` says it was made."""
+    """Repeat each folder's comparison with the command in its `compare.json`."""
     from ..evaluate import compare as comparing
     from ..evaluate import results
     from . import compare, parser

@@ -22,30 +22,33 @@ DEPTH, BEFORE, RATE, DURATION = 4000, 100, 50.0, 10.0
 
 
 def add(scope: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     scope.epilog = (
-        f"`{BUS}` polls a running node: TPDOs as they are heard, what is in none by SDO; it "
-        "commands nothing. A log is one of `servogym decode`, or a scope.csv."
+        f"`{BUS}` records a running node without commanding it: it listens to TPDOs and polls "
+        "other objects by SDO. A log has a format of `servogym decode`, or is a scope.csv."
     )
     machines.add(scope, f"`{BUS}` for a running node, or a log (.log, .asc, .blf, .pcapng ...)")
     scope.add_argument(
-        "--channels", help="objects by name or as 6064h and 60F9h:01, with commas; of a machine "
-        "axis.FIELD of the record as well",
+        "--channels",
+        help="objects by name or as 6064h and 60F9h:01, separated by commas; for a machine also "
+        "axis.FIELD of the record",
     )
     scope.add_argument(
-        "--trigger", help="CHANNEL:EDGE:LEVEL, EDGE of rising, falling, above, change"
+        "--trigger", help="CHANNEL:EDGE:LEVEL, where EDGE is rising, falling, above or change"
     )
     scope.add_argument("--before", type=int, default=BEFORE, help=f"samples ahead of it ({BEFORE})")
     scope.add_argument("--depth", type=int, default=DEPTH, help=f"samples in all ({DEPTH})")
-    scope.add_argument("--move", type=float, default=0.1, help="distance, m or rad (0.1)")
-    scope.add_argument("--node-id", type=int, help="of the node, on a bus or in a log (1)")
+    scope.add_argument(
+        "--move", type=float, default=0.1, help="distance of the move, m or rad (0.1)"
+    )
+    scope.add_argument("--node-id", type=int, help="node-id on a bus or in a log (1)")
     scope.add_argument("--rate", type=float, default=RATE, help=f"polls a second ({RATE:g})")
     scope.add_argument(
         "--duration", type=float, default=DURATION, help=f"of a bus at most, s ({DURATION:g})"
     )
     buses.add(scope)
     scope.add_argument(
-        "--out", type=Path, default=Path("out"), help="folder: scope.csv, .png (out)"
+        "--out", type=Path, default=Path("out"), help="folder for scope.csv and scope.png (out)"
     )
     scope.set_defaults(run=_scope, drive=None, folders=("out",))
 

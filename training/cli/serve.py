@@ -13,28 +13,31 @@ from . import bus as buses
 
 
 def add(command: argparse.ArgumentParser) -> None:
-    """Options of `serve`."""
-    command.epilog = f"of a task without -i and --ethercat: -i {buses.INTERFACE} -c {buses.CHANNEL}"
+    """Add the options of `serve`."""
+    command.epilog = f"the default bus of a task is -i {buses.INTERFACE} -c {buses.CHANNEL}"
     command.add_argument(
-        "file", help="machine file, see the how-to page on serving; or the id of a task, such as "
-        "LinearAxis-v0, whose machine is served as `servogym deploy` commands it",
+        "file", help="machine file (see the how-to page on serving), or the id of a task, such as "
+        "LinearAxis-v0, whose machine is served for `servogym deploy`",
     )
-    of_task = command.add_argument_group("of a task, what else stands in the file")
+    of_task = command.add_argument_group("for a task: settings that a machine file would contain")
     of_task.add_argument("--drive", default="", help="drive model (generic)")
-    of_task.add_argument("-i", "--interface", default="", help="of python-can")
-    of_task.add_argument("-c", "--channel", default="", help="of that interface")
+    of_task.add_argument("-i", "--interface", default="", help="interface of python-can")
+    of_task.add_argument("-c", "--channel", default="", help="channel of that interface")
     of_task.add_argument(
-        "--ethercat", default="", metavar="IFACE", help="network interface instead"
-    )
-    of_task.add_argument("--node-id", type=int, default=0, help="of its first drive on CAN (1)")
-    of_task.add_argument(
-        "--clock", default="", help="real, sync, sync_end; of EtherCAT frame, dc, real"
+        "--ethercat", default="", metavar="IFACE",
+        help="serve on this network interface instead of CAN",
     )
     of_task.add_argument(
-        "--log", default="", help="of all frames; .pcapng on EtherCAT, .log on CAN"
+        "--node-id", type=int, default=0, help="node-id of its first drive on CAN (1)"
+    )
+    of_task.add_argument(
+        "--clock", default="", help="clock: real, sync or sync_end; on EtherCAT frame, dc or real"
+    )
+    of_task.add_argument(
+        "--log", default="", help="log all frames: .pcapng on EtherCAT, .log on CAN"
     )
     arguments.add(of_task)
-    command.add_argument("--seed", type=int, default=0, help="of faults with a rate (0)")
+    command.add_argument("--seed", type=int, default=0, help="seed of faults with a rate (0)")
     command.add_argument("--check", action="store_true", help="read the file and build the "
                          "machines, but open no bus")
     arguments.add_real_time(command)
@@ -86,12 +89,12 @@ ONLY_OF_TASKS = ("drive", "interface", "channel", "ethercat", "node_id", "clock"
 
 
 def _is_task(name: str) -> bool:
-    """Whether it is no file."""
+    """Whether the argument is a task, not a file."""
     return not (Path(name).suffix or Path(name).exists())
 
 
 def _of_task(options: argparse.Namespace) -> dict[str, Any]:
-    """What a machine file with this task alone would say."""
+    """Return the content of a machine file that has only this task."""
     if options.ethercat:
         bus = {"kind": "ethercat", "interface": options.ethercat}
     else:

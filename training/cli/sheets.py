@@ -1,4 +1,4 @@
-"""`servogym eds` and `servogym esi`: data sheets of a drive model for the tools of others."""
+"""`servogym eds` and `servogym esi`: data sheets of a drive model for configuration tools."""
 
 import argparse
 from pathlib import Path
@@ -7,18 +7,21 @@ from rich.console import Console
 
 
 def add_eds(eds: argparse.ArgumentParser) -> None:
-    """Options of `eds`."""
+    """Add the options of `eds`."""
     eds.add_argument("model", help="name or folder of a model")
-    eds.add_argument("-o", "--out", type=Path, required=True, help="file .eds or .dcf")
-    eds.add_argument("--dcf", action="store_true", help="with the values of one node")
-    eds.add_argument("--node-id", type=int, help="1..127, for --dcf")
+    eds.add_argument("-o", "--out", type=Path, required=True, help="output file, .eds or .dcf")
+    eds.add_argument("--dcf", action="store_true", help="write a DCF with the values of one node")
+    eds.add_argument("--node-id", type=int, help="node-id for --dcf, 1..127")
     eds.set_defaults(run=_eds, files=("out",))
 
 
 def add_esi(esi: argparse.ArgumentParser) -> None:
-    """Options of `esi`."""
+    """Add the options of `esi`."""
     esi.add_argument("model", help="name or folder of a model")
-    esi.add_argument("-o", "--out", type=Path, required=True, help="file .xml, or .bin: its EEPROM")
+    esi.add_argument(
+        "-o", "--out", type=Path, required=True,
+        help="output file: .xml, or .bin for the EEPROM image",
+    )
     esi.set_defaults(run=_esi, files=("out",))
 
 

@@ -15,24 +15,35 @@ RANGE = re.compile(r"([^.,]+(?:\.[^.,]+)?)\.\.(.+?)(:log)?$")  # LOW..HIGH, LOW.
 
 
 def add(sweep: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     sweep.add_argument("envs", help="environments, separated by commas")
-    sweep.add_argument("--policies", default="", help="that play in each cell")
+    sweep.add_argument(
+        "--policies", default="", help="policies that play in each cell, separated by commas"
+    )
     sweep.add_argument("--train", default="", choices=("PPO", "SAC"), type=str.upper,
-                       help="train one in each cell instead")
-    sweep.add_argument("--steps", type=int, default=100_000, help="of each training (100000)")
-    sweep.add_argument("--drives", default="generic", help="models, separated by commas")
-    sweep.add_argument("--conditions", default="", help="as those of `servogym compare`")
-    sweep.add_argument("--seeds", default="0", help="of the episodes, or of the trainings: 0,1,2")
+                       help="train a policy in each cell instead")
+    sweep.add_argument("--steps", type=int, default=100_000, help="steps of each training (100000)")
+    sweep.add_argument("--drives", default="generic", help="drive models, separated by commas")
+    sweep.add_argument("--conditions", default="", help="conditions, as for `servogym compare`")
+    sweep.add_argument(
+        "--seeds", default="0", help="seeds of the episodes or of the trainings, such as 0,1,2"
+    )
     sweep.add_argument(
         "--vary", action="append", default=[], metavar="NAME=VALUES", type=_varied,
-        help="of the environment or hyper-parameter: 1,2,5; with --trials LOW..HIGH[:log] too",
+        help="values of an argument or hyper-parameter, such as 1,2,5; with --trials also "
+        "LOW..HIGH[:log]",
     )
-    sweep.add_argument("--trials", type=int, help="of an Optuna study instead of the grid")
-    sweep.add_argument("--episodes", type=int, default=50, help="of each cell, 1..1000 (50)")
+    sweep.add_argument(
+        "--trials", type=int, help="run an Optuna study with this many trials instead of the grid"
+    )
+    sweep.add_argument(
+        "--episodes", type=int, default=50, help="episodes of each cell, 1..1000 (50)"
+    )
     arguments.add(sweep)
     arguments.add_work(sweep)
-    sweep.add_argument("--out", type=Path, default=Path("out/sweep"), help="folder (out/sweep)")
+    sweep.add_argument(
+        "--out", type=Path, default=Path("out/sweep"), help="output folder (out/sweep)"
+    )
     sweep.set_defaults(run=_sweep)
 
 

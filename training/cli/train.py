@@ -11,42 +11,54 @@ from . import arguments
 
 
 def add(train: argparse.ArgumentParser) -> None:
-    """Options of `train`."""
-    train.add_argument("env", help="id of an environment, as LinearAxis-v0")
+    """Add the options of `train`."""
+    train.add_argument("env", help="environment, such as LinearAxis-v0")
     train.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
-    train.add_argument("--algorithm", choices=("PPO", "SAC"), type=str.upper, help="(PPO)")
-    train.add_argument("--seed", type=int, help="of environments, weights and actions (0)")
-    train.add_argument("--steps", type=int, help="of all environments together")
-    train.add_argument("--envs", type=int, help="environments side by side")
+    train.add_argument(
+        "--algorithm", choices=("PPO", "SAC"), type=str.upper,
+        help="algorithm of stable-baselines3 (PPO)",
+    )
+    train.add_argument("--seed", type=int, help="seed of environments, weights and actions (0)")
+    train.add_argument("--steps", type=int, help="total number of steps of all environments")
+    train.add_argument("--envs", type=int, help="number of parallel environments")
     arguments.add(train)
-    train.add_argument("--residual", metavar="POLICY", help="correct what this policy does")
+    train.add_argument("--residual", metavar="POLICY", help="learn a correction of this policy")
     train.add_argument(
-        "--bounds", type=_bounds, help="largest correction of each action: 0.05,0.05"
+        "--bounds", type=_bounds, help="largest correction of each action, such as 0.05,0.05"
     )
     train.add_argument(
-        "--start", type=Path, metavar="FOLDER", help="begin with the weights of this training"
+        "--start", type=Path, metavar="FOLDER", help="start from the weights of this training"
     )
     train.add_argument(
-        "--demonstrate", metavar="POLICY", help="learn to act as this policy does, not by rewards"
+        "--demonstrate", metavar="POLICY",
+        help="imitate this policy instead of learning from rewards",
     )
     train.add_argument(
-        "--device", help="of warp, on which it learns, see `servogym bench --gpu`: cuda, cpu"
+        "--device", help="warp device for the training, cuda or cpu; see `servogym bench --gpu`"
     )
     train.add_argument(
         "--setting", action="append", metavar="NAME=VALUE", type=arguments.named,
         help="hyper-parameter, VALUE in JSON; repeatable",
     )
-    train.add_argument("--out", type=Path, help="folder (out/ENV-DRIVE-ALGORITHM-SEED)")
-    train.add_argument("--resume", action="store_true", help="from the latest checkpoint in it")
-    train.add_argument("--checkpoint-every", type=int, help="steps (50000)")
-    train.add_argument("--evaluate-every", type=int, help="steps (25000, and at the end)")
+    train.add_argument("--out", type=Path, help="output folder (out/ENV-DRIVE-ALGORITHM-SEED)")
+    train.add_argument(
+        "--resume", action="store_true", help="resume from the latest checkpoint in --out"
+    )
+    train.add_argument("--checkpoint-every", type=int, help="steps between checkpoints (50000)")
+    train.add_argument(
+        "--evaluate-every", type=int,
+        help="steps between evaluations (25000; there is also one at the end)",
+    )
     train.set_defaults(run=_train, folders=("out",))
 
 
 def add_curves(curves: argparse.ArgumentParser) -> None:
-    """Options of `curves`."""
-    curves.add_argument("folder", type=Path, help="of a training, or with several in seed_*")
-    curves.add_argument("-o", "--out", type=Path, default=Path("out/curves.png"), help="picture")
+    """Add the options of `curves`."""
+    curves.add_argument("folder", type=Path, help="folder of a training, or of several in seed_*")
+    curves.add_argument(
+        "-o", "--out", type=Path, default=Path("out/curves.png"),
+        help="output picture (out/curves.png)",
+    )
     curves.set_defaults(run=_curves, files=("out",))
 
 

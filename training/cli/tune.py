@@ -9,23 +9,30 @@ from . import machines
 
 
 def add(tune: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     machines.add(tune)
-    tune.add_argument("--gain-margin", type=float, default=6.0, help="of both loops, dB (6)")
-    tune.add_argument("--phase-margin", type=float, default=35.0, help="of both, degree (35)")
     tune.add_argument(
-        "--move", type=float, help="distance to show the following error on, m or rad"
+        "--gain-margin", type=float, default=6.0, help="gain margin of both loops in dB (6)"
+    )
+    tune.add_argument(
+        "--phase-margin", type=float, default=35.0,
+        help="phase margin of both loops in degrees (35)",
+    )
+    tune.add_argument(
+        "--move", type=float, help="distance of the move that shows the following error, m or rad"
     )
     tune.add_argument(
         "--detuned", type=float, default=1.0, metavar="FACTOR",
-        help="begin with velocity and position gain times this (1)",
+        help="start from velocity and position gains multiplied by this factor (1)",
     )
     tune.add_argument(
-        "--amplitude", type=float, default=0.1, help="rms, share of the rated torque (0.1)"
+        "--amplitude", type=float, default=0.1,
+        help="rms amplitude as a share of the rated torque (0.1)",
     )
-    tune.add_argument("--seed", type=int, default=0, help="of the excitation's phases (0)")
+    tune.add_argument("--seed", type=int, default=0, help="seed of the excitation's phases (0)")
     tune.add_argument(
-        "--out", type=Path, default=Path("out"), help="folder: tune.png, parameters.json (out)"
+        "--out", type=Path, default=Path("out"),
+        help="folder for tune.png and parameters.json (out)",
     )
     tune.set_defaults(run=_tune, folders=("out",))
 

@@ -7,12 +7,18 @@ from rich.console import Console
 
 
 def add(tune: argparse.ArgumentParser) -> None:
-    """Its options."""
-    tune.add_argument("policy", help="one with numbers: basis_feed_forward, identified+zv …")
-    tune.add_argument("--task", help="the task it is tuned for, where several offer it")
-    tune.add_argument("--budget", type=int, help="steps of the environment (300000)")
-    tune.add_argument("--episodes", type=int, help="basis_feed_forward: that it is fitted on (64)")
-    tune.add_argument("--out", type=Path, help="file of its numbers (out/tuned.npz or .json)")
+    """Add the options of this command."""
+    tune.add_argument(
+        "policy", help="policy with tunable numbers, such as basis_feed_forward or identified+zv"
+    )
+    tune.add_argument("--task", help="task to tune for, if several tasks offer the policy")
+    tune.add_argument("--budget", type=int, help="budget in steps of the environment (300000)")
+    tune.add_argument(
+        "--episodes", type=int, help="basis_feed_forward: number of episodes for the fit (64)"
+    )
+    tune.add_argument(
+        "--out", type=Path, help="output file for the numbers (out/tuned.npz or .json)"
+    )
     tune.set_defaults(run=_tune, files=("out",))
 
 

@@ -19,11 +19,12 @@ LIVE = "bus"
 
 
 def add_twin(twin: argparse.ArgumentParser) -> None:
-    """Its options."""
+    """Add the options of this command."""
     twin.add_argument(
         "logs", nargs="*", type=Path, metavar="LOG",
-        help="of one axis: candump, .asc, .blf, .pcapng, .csv; the last of several is held out, "
-        "the end of a single one",
+        help="log of one axis: candump, .asc, .blf, .pcapng, .csv; of several logs the last is "
+        "held out, "
+        "of a single log its end",
     )
     twin.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     twin.add_argument(
@@ -31,69 +32,82 @@ def add_twin(twin: argparse.ArgumentParser) -> None:
         help="auto, rigid, spring, toothed_belt, ball_screw, vertical, rotary_table, gantry.x ... "
         "(auto: rigid, spring, toothed_belt)",
     )
-    twin.add_argument("-o", "--out", type=Path, help="folder of the twin")
+    twin.add_argument("-o", "--out", type=Path, help="output folder for the twin")
     add_log(twin)
     twin.add_argument(
         "--read-gains", metavar="FILE|bus",
-        help="gains and other objects of the drive: its stored parameters, a JSON, or `bus` for a "
-        "running node",
+        help="read gains and other objects from the drive's stored parameters, a JSON file, or a "
+        "running node "
+        "(`bus`)",
     )
     twin.add_argument(
-        "--free", default="", metavar="NAME,...", help="further unknown parameters, as pid_gain"
+        "--free", default="", metavar="NAME,...",
+        help="further unknown parameters, such as pid_gain",
     )
     twin.add_argument(
-        "--against", type=Path, metavar="FOLDER", help="a twin: what has changed since its log"
+        "--against", type=Path, metavar="FOLDER",
+        help="compare with this twin: report what has changed since its log",
     )
     twin.add_argument(
         "--plan",
         type=Path,
         metavar="CSV",
-        help="write the experiment a log should hold; with a log, that which tells what it leaves "
+        help="write an experiment to record; with a log, one that determines what the log leaves "
         "open",
     )
     twin.add_argument(
-        "--range", nargs=2, type=float, metavar=("LOW", "HIGH"), help="of the plan, m or rad"
+        "--range", nargs=2, type=float, metavar=("LOW", "HIGH"),
+        help="position range of the plan, m or rad",
     )
-    twin.add_argument("--velocity", type=float, default=0.5, help="of the plan (0.5 m/s)")
-    twin.add_argument("--acceleration", type=float, default=5.0, help="of the plan (5 m/s²)")
-    twin.add_argument("--jerk", type=float, default=200.0, help="of the plan (200 m/s³)")
-    twin.add_argument("--period", type=float, default=1.0, help="of the plan's bus, ms (1)")
+    twin.add_argument("--velocity", type=float, default=0.5, help="velocity of the plan (0.5 m/s)")
     twin.add_argument(
-        "--sweep", action="store_true", help="the plan ends with a sweep, for springs"
+        "--acceleration", type=float, default=5.0, help="acceleration of the plan (5 m/s²)"
     )
-    twin.add_argument("--node-id", type=int, default=1, help="of --read-gains bus (1)")
+    twin.add_argument("--jerk", type=float, default=200.0, help="jerk of the plan (200 m/s³)")
+    twin.add_argument("--period", type=float, default=1.0, help="bus cycle of the plan in ms (1)")
+    twin.add_argument(
+        "--sweep", action="store_true",
+        help="end the plan with a frequency sweep, for axes with a spring",
+    )
+    twin.add_argument("--node-id", type=int, default=1, help="node-id for --read-gains bus (1)")
     buses.add(twin)
     twin.set_defaults(run=_twin, folders=("out",))
 
 
 def add_replay(replay: argparse.ArgumentParser) -> None:
-    """Its options."""
-    replay.add_argument("log", type=Path, help="candump, .asc, .blf, .pcapng or .csv")
+    """Add the options of this command."""
+    replay.add_argument("log", type=Path, help="log: candump, .asc, .blf, .pcapng or .csv")
     machines.add(replay)
     add_log(replay, axis=False)
     replay.add_argument("--who", help="node or slave of the log, if there are several")
-    replay.add_argument("--out", type=Path, default=Path("out"), help="folder: replay.csv (out)")
+    replay.add_argument("--out", type=Path, default=Path("out"), help="folder for replay.csv (out)")
     replay.set_defaults(folders=("out",))
 
 
 def add_log(parser: argparse.ArgumentParser, axis: bool = True) -> None:
-    """What has to be said of a log."""
+    """Add the options that describe a log."""
     parser.add_argument(
-        "--columns", help="of a CSV: time=HEADING:ms,target_position=HEADING:mm,..."
-    )
-    parser.add_argument("--mode", type=int, help="of operation (6061h), if the log has none")
-    parser.add_argument("--torque-constant", type=float, help="Nm/A, for a current in A")
-    parser.add_argument(
-        "--cycle", type=float, help="of the master, ms, of a log sampled more seldom"
+        "--columns", help="columns of a CSV: time=HEADING:ms,target_position=HEADING:mm,..."
     )
     parser.add_argument(
-        "--hold", action="store_true", help="set-points of such a log are steps, not on a curve"
+        "--mode", type=int, help="mode of operation (6061h), if the log does not contain it"
+    )
+    parser.add_argument(
+        "--torque-constant", type=float, help="torque constant (Nm/A), for a current in A"
+    )
+    parser.add_argument(
+        "--cycle", type=float,
+        help="bus cycle of the master in ms, for a log that is sampled less often",
+    )
+    parser.add_argument(
+        "--hold", action="store_true",
+        help="set-points of such a log are steps, not points on a curve",
     )
     if axis:
         parser.add_argument("--axis", help="node or slave of the log, if there are several")
         parser.add_argument(
             "--set", action="append", metavar="NAME=VALUE", default=[], type=machines._value,
-            help="of the machine, known: feed_constant=0.01, carriage_mass=2; repeatable",
+            help="known parameter of the machine, such as feed_constant=0.01; repeatable",
         )
 
 
@@ -171,7 +185,7 @@ def _fitted(
 
 
 class _telling:
-    """Progress in a line that replaces itself, at a terminal."""
+    """Shows progress in a line that replaces itself, if the output is a terminal."""
 
     def __init__(self, console: Console):
         self._console = console
@@ -193,7 +207,7 @@ class _telling:
 
 
 def _gains(options: argparse.Namespace) -> dict[str, float]:
-    """Objects of the drive: of a file, or read from a running node."""
+    """Return the drive's objects from a file or from a running node."""
     where = options.read_gains
     if where is None:
         return {}
@@ -206,7 +220,9 @@ def _gains(options: argparse.Namespace) -> dict[str, float]:
             values = values.get("parameters", values)
             return _known(options.drive, values)
         except (ValueError, AttributeError, TypeError):
-            raise ValueError(f"--read-gains {where}: no JSON of objects and numbers") from None
+            raise ValueError(
+                f"--read-gains {where}: it is not a JSON file of objects and numbers"
+            ) from None
     from ...drive.canopen.remote import CanOpenPort
     from ...drive.wire.bus import CanPort
 
@@ -221,7 +237,7 @@ def _gains(options: argparse.Namespace) -> dict[str, float]:
 
 
 def _known(drive: str, values: dict[str, Any]) -> dict[str, float]:
-    """Objects by name, of names or of addresses as a parameter file has them."""
+    """Return objects by name, from names or from addresses as in a parameter file."""
     from ...drive.kernel.record import OD
     from ...drive.model.model import load
 
@@ -255,7 +271,7 @@ def _print(found: dict[str, Any]) -> None:
 
 
 def _plan(options: argparse.Namespace, family_name: str = "", kinds: Sequence[str] = ()) -> int:
-    """Write an experiment: for an axis nobody knows, or of the kinds a log has left open."""
+    """Write an experiment for an unknown axis, or of the kinds that a log has left open."""
     from ...envs.twin.experiment import Scale
     from ...envs.twin.families import family
     from ...envs.twin.plan import WHOLE, Limits, plan, write
@@ -291,7 +307,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
          and all(twin.arguments.get(k) == v for k, v in f.arguments.items())), None,
     )
     if name is None:
-        raise ValueError(f"--against {options.against}: its machine is of no family known here")
+        raise ValueError(f"--against {options.against}: its machine belongs to no known family")
     built = {k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments} | dict(
         options.set
     )
@@ -318,7 +334,7 @@ def _fitted_with(
     options: argparse.Namespace, console: Console, name: str, built: dict[str, Any],
     gains: dict[str, float],
 ) -> tuple[Any, list[Any], Any]:
-    """A fit with the gains of a twin, in the drive's own units."""
+    """Fit with the gains of a twin, in the drive's own units."""
     from ...envs.engine import parameters
     from ...envs.twin import logs
     from ...envs.twin.families import family
@@ -344,7 +360,7 @@ def _fitted_with(
 
 
 def compare(options: argparse.Namespace, console: Console) -> int:
-    """Run the set-points of a log into a machine and print how far it is from the log."""
+    """Feed the set-points of a log to a machine and print its deviation from the log."""
     import csv
 
     import numpy as np

@@ -9,14 +9,19 @@ from . import arguments
 
 
 def add(watch: argparse.ArgumentParser) -> None:
-    """Its options."""
-    watch.add_argument("env", metavar="ENV", help="such as LinearAxis-v0")
+    """Add the options of this command."""
+    watch.add_argument("env", metavar="ENV", help="environment, such as LinearAxis-v0")
     watch.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
     watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    watch.add_argument("--episodes", type=int, default=1, help="1 or more (1)")
-    watch.add_argument("--seed", type=int, default=0, help="of the first reset (0)")
-    watch.add_argument("--speed", type=float, default=1.0, help="1 is real time (1)")
-    watch.add_argument("--record", type=Path, help=".mp4, .gif, or a folder; else a window")
+    watch.add_argument("--episodes", type=int, default=1, help="number of episodes, 1 or more (1)")
+    watch.add_argument("--seed", type=int, default=0, help="seed of the first reset (0)")
+    watch.add_argument(
+        "--speed", type=float, default=1.0, help="speed of the playback; 1 is real time (1)"
+    )
+    watch.add_argument(
+        "--record", type=Path,
+        help="record to an .mp4 or .gif file or into a folder, instead of a window",
+    )
     arguments.add(watch)
     watch.set_defaults(run=_watch)
 
