@@ -78,7 +78,7 @@ class Loopback:
         return -(-(start + self._length(winner.queue[0][2])) // self._unit)
 
     def advance(self, time: int) -> None:
-        """Let pass all frames that are complete at `time`."""
+        """Deliver all frames that are complete at `time`."""
         limit = time * self._unit
         while True:
             if self._running is None:

@@ -1,4 +1,4 @@
-"""Simulated time for drives on a bus: it passes with SYNC, as fast as the machine computes.
+"""Simulated time for drives on a bus: it advances with SYNC, as fast as the computer permits.
 
 No clock is read, so two runs with the same frames are the same bit by bit.
 """
@@ -52,7 +52,7 @@ class LockStep:
         self._settle()
 
     def sync(self, count: int = 1) -> None:
-        """Produce `count` SYNCs and let their periods pass."""
+        """Produce `count` SYNCs and advance by their periods."""
         for _ in range(count):
             self._own.send(self._sync, self.time)
             self._pass_period()

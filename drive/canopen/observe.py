@@ -1,4 +1,4 @@
-"""What a drive on CANopen says of itself when it is asked: see `servogym.drive.observation`."""
+"""Observes a drive on CANopen by queries: see `servogym.drive.observation`."""
 
 import struct
 from collections.abc import Callable, Iterable, Mapping
@@ -33,7 +33,7 @@ PROTOCOL = {  # requests without an object, as CiA 301 answers or refuses them
 
 
 def of_model(model: "str | DriveModel | Any", node_id: int = 1) -> dict[str, Any]:
-    """The observation of a model: of its node, in this process. Raises ValueError as `load`."""
+    """Observe a model through a node in this process. Raises ValueError as `load`."""
     drive = Drive(load(model, "can"), node_id=node_id)
     period = float(drive.model.cycle_time["position"])
     port = NodePort(Cycling({"x": drive}, period), Node(drive))
@@ -41,7 +41,7 @@ def of_model(model: "str | DriveModel | Any", node_id: int = 1) -> dict[str, Any
 
 
 class Observer(_Observer):
-    """Asks one node.
+    """Queries one node.
 
     Args:
         bus: the way to it.
@@ -69,7 +69,7 @@ class Observer(_Observer):
 
 
 class CanLine:
-    """The way to a node."""
+    """The connection to a node."""
 
     def __init__(self, bus: FramePort, node_id: int, timeout: float):
         self.about = {"bus": "can", "node_id": node_id}
@@ -78,7 +78,7 @@ class CanLine:
         self.upload, self.download = self._sdo.upload, self._sdo.download
 
     def wait(self, time: float) -> list[Frame]:
-        """Let a time pass (s); -> what was heard."""
+        """Wait for a time (s); -> the frames received."""
         end = self._bus.now() + time
         heard: list[Frame] = []
         while self._bus.now() < end:
@@ -99,11 +99,11 @@ class CanLine:
         return ""
 
     def indices(self, block: range) -> Iterable[int]:
-        """All of them: a node has no list."""
+        """All objects, because a node has no list of them."""
         return block
 
     def _raw(self, request: bytes) -> str:
-        """The answer to a raw request, "" where none comes."""
+        """The answer to a raw request, "" without an answer."""
         end = self._bus.now() + SETTLED
         frames = [Frame(Base.SDO_REQUEST + self._node_id, request)]
         while True:

@@ -1,4 +1,4 @@
-"""How frames reach nodes: they and time pass through a port the user gives."""
+"""Ports through which frames reach nodes, and which advance time."""
 
 from collections.abc import Iterable
 from typing import Protocol
@@ -12,7 +12,7 @@ class FramePort(Protocol):
     """A member of a bus; `servogym.drive.wire.bus.CanPort` is one of python-can."""
 
     def now(self) -> float:
-        """Time (s) from any beginning; it passes while frames are exchanged."""
+        """Time (s) from any origin; it advances while frames are exchanged."""
 
     def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
         """Send `frames`, wait for some (ms at most) -> all frames received since the last call."""

@@ -1,4 +1,4 @@
-"""Drives on CANopen as a master reaches them: objects over SDO, or over PDO where mapped."""
+"""Access of a master to drives on CANopen: objects by SDO, or by PDO where mapped."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -66,11 +66,11 @@ class CanOpenPort:
         return self._bus.now()
 
     def read(self, axis: str, name: str) -> int | float:
-        """An object (drive units), of the last PDO that has it, else by SDO."""
+        """Read an object (drive units) from the last PDO that contains it, otherwise by SDO."""
         return self.nodes[axis].read(name)
 
     def upload(self, axis: str, name: str) -> int | float:
-        """An object (drive units), by SDO."""
+        """Read an object (drive units) by SDO."""
         return self.nodes[axis].upload(name)
 
     def write(self, axis: str, name: str, value: int | float) -> None:
@@ -194,7 +194,7 @@ class RemoteObjects:
         return frames
 
     def take(self, frame: Frame) -> None:
-        """Hear a frame of the bus."""
+        """Handle a frame of the bus."""
         self.answers.heard(frame)
         for pdo in self._tpdos:
             if frame.id == pdo.cob_id and not frame.remote and len(frame.data) >= len(pdo.data):
@@ -222,7 +222,7 @@ class RemoteObjects:
         return self.upload(name)
 
     def _asked(self, pdo: Pdo) -> bytearray:
-        """What a PDO would carry now, by SDO."""
+        """Read the present content of a PDO by SDO."""
         data = bytearray(pdo.data)
         for name, at in pdo.places.items():
             with suppress(SdoAbort):  # what can only be written
@@ -231,7 +231,7 @@ class RemoteObjects:
         return data
 
     def upload(self, name: str) -> int | float:
-        """An object's value (drive units), by SDO."""
+        """Read an object (drive units) by SDO."""
         row = self._model.number(name)
         return row.unpack(self._by_sdo(lambda: self.sdo.upload(row.index, row.subindex)))
 

@@ -1,4 +1,4 @@
-"""A CAN log played into a node of a model, and each answer of the drive scored.
+"""Plays a CAN log into a node of a model, and scores each answer of the drive.
 
 What a master sent goes in at its time; what the drive sent is compared with what the model sends,
 service by service in its order: SDO answers, emergencies, boot-up and state, PDOs.
@@ -19,7 +19,7 @@ WAIT = 1.0  # s that an answer of the model may come later than the drive's
 
 
 def node_of(frames: Iterable[Frame]) -> int | None:
-    """The first node that answers an SDO or tells its state; None where none does."""
+    """The first node that answers an SDO or reports its state; None if there is none."""
     for frame in frames:
         base, node_id = frame.id & 0x780, frame.id & 0x7F
         if node_id and not frame.extended and base in (SDO_RESPONSE, Base.ERROR_CONTROL):

@@ -60,7 +60,7 @@ class Receiver:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after a reset of the communication."""
+        """Restart, as after a reset of the communication."""
         self._rpdos: dict[int, _Receive] = {}
         self._waiting: dict[int, _Receive] = {}
         self._late: set[int] = set()
@@ -94,7 +94,7 @@ class Receiver:
         return bool(self._monitored)
 
     def _receive(self, rpdo: _Receive, data: bytes, time: int) -> None:
-        """Take an RPDO; a short one is not used, of a long one the first bytes are."""
+        """Receive an RPDO; a short one is ignored, and of a long one the first bytes are used."""
         if rpdo.deadline:
             rpdo.heard_at = time
         if len(data) != rpdo.width:
@@ -132,7 +132,7 @@ class Receiver:
         self._changed[0] = 1
 
     def sync(self) -> None:
-        """Latch what waited for this SYNC."""
+        """Latch the data that waited for this SYNC."""
         if self._counts:
             for rpdo in self._rpdos.values():
                 rpdo.syncs = (rpdo.syncs + 1) % rpdo.every
@@ -153,7 +153,7 @@ class Receiver:
                 self._emergency.report(ErrorCode.RPDO_TIMEOUT, rpdo.number, Cause.RPDO_TIMEOUT)
 
     def forget(self) -> None:
-        """Drop what waits and stop the deadlines; after leaving OPERATIONAL."""
+        """Drop waiting data and stop the deadlines, after leaving OPERATIONAL."""
         self._waiting.clear()
         for rpdo in self._rpdos.values():
             rpdo.syncs = 0

@@ -136,7 +136,7 @@ class SdoClient:
                 )
 
     def _give_up(self, code: Abort, head: bytes) -> None:
-        """Tell the server, as CiA 301 wants."""
+        """Notify the server, as CiA 301 requires."""
         data = b"\x80" + head + struct.pack("<I", code)
         self._port.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)])
 

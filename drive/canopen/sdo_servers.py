@@ -21,7 +21,7 @@ class SdoServers:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after a reset of the communication."""
+        """Restart, as after a reset of the communication."""
         self.servers: dict[int, SdoServer] = {}
         self.configure()
 

@@ -1,4 +1,4 @@
-"""An electronic data sheet (EDS, CiA 306) or device configuration (DCF), read as it is found.
+"""Reads an electronic data sheet (EDS, CiA 306) or device configuration (DCF) as it is found.
 
 Files of makers depart from CiA 306 in many ways that every other reader forgives: an object that is
 listed and has no section, a section that is not listed, 65535 where an INTEGER16 is meant, text in
@@ -29,7 +29,7 @@ _NODE = re.compile(r"\$?\s*NODE_?ID", re.I)
 
 @dataclass
 class Entry:
-    """An object of a sheet, its texts as they are written."""
+    """An object of a sheet, with its texts unchanged."""
 
     index: int
     subindex: int
@@ -46,13 +46,13 @@ class Entry:
 
     @property
     def where(self) -> str:
-        """Its address."""
+        """The address of the object."""
         return f"{self.index:04X}h:{self.subindex:02X}h"
 
 
 @dataclass
 class Sheet:
-    """What a file says, and how it was repaired."""
+    """The content of a file, and its repairs."""
 
     path: Path
     entries: dict[tuple[int, int], Entry] = field(default_factory=dict)

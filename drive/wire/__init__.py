@@ -1,1 +1,1 @@
-"""The only room that knows sockets, clocks and python-can: buses, logs, a real-time server."""
+"""Buses, logs and real-time servers: the only package with sockets, clocks and python-can."""

@@ -1,4 +1,4 @@
-"""A CAN adapter that may fail: a bus of python-can behind which a node lives through its bus."""
+"""A CAN adapter that may fail: a python-can bus that lets a node survive trouble on it."""
 
 import time
 from collections import deque
@@ -14,7 +14,7 @@ PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus an
 
 
 class Adapter:
-    """A bus that refuses frames, goes bus-off or is pulled, and comes back.
+    """A bus that may refuse frames, go bus-off or be unplugged, and that recovers.
 
     What cannot be sent waits and is tried again in its order; what has waited for `PATIENCE` is
     lost, as in a controller whose transmission is cancelled. A message is tried at once where none
@@ -43,7 +43,7 @@ class Adapter:
         self._opened_at = 0.0
 
     def send(self, message: can.Message) -> None:
-        """Send as soon as the bus takes it."""
+        """Send a message as soon as the bus accepts it."""
         if not self._waiting and self._takes(message):
             return
         if len(self._waiting) >= QUEUE:
@@ -54,7 +54,7 @@ class Adapter:
             self.flush()
 
     def _takes(self, message: can.Message) -> bool:
-        """Whether the bus takes it now."""
+        """Try to send a message now; -> whether the bus accepts it."""
         try:
             self.bus.send(message)
         except TROUBLE as error:
@@ -64,7 +64,7 @@ class Adapter:
         return True
 
     def flush(self) -> None:
-        """Try to send what waits."""
+        """Try to send waiting messages."""
         while self._waiting:
             since, message = self._waiting[0]
             if time.monotonic() - since > PATIENCE:
@@ -76,7 +76,7 @@ class Adapter:
                 return
 
     def receive(self, timeout: float) -> can.Message | None:
-        """The next message, None after `timeout` (s)."""
+        """Return the next message, None after `timeout` (s)."""
         if self._waiting:
             self.flush()
         try:
@@ -120,7 +120,7 @@ class Adapter:
 
 
 class AdapterPort(CanPort):
-    """An adapter as a master needs it, in real time; what fails is tried again.
+    """The port of an adapter for a master, in real time; failed transmissions are repeated.
 
     Args:
         adapter: the bus.

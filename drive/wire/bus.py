@@ -1,4 +1,4 @@
-"""python-can: our frames as its messages, and a bus of it as the port of a master.
+"""python-can: converts frames to its messages, and offers its bus as the port of a master.
 
 >>> bus = CanPort(can.Bus(interface="socketcan", channel="can0", bitrate=1_000_000))
 >>> master = Master(CanOpenPort(bus, 1))
@@ -18,7 +18,7 @@ AGAIN = 0.002  # s, until it is tried again
 
 
 def to_message(frame: Frame) -> can.Message:
-    """The frame as python-can sends it."""
+    """Convert a frame to a message of python-can."""
     return can.Message(
         arbitration_id=frame.id,
         data=frame.data,
@@ -28,7 +28,7 @@ def to_message(frame: Frame) -> can.Message:
 
 
 def to_frame(message: can.Message) -> Frame | None:
-    """A classical data or remote frame; None for error frames and CAN FD."""
+    """Convert a message to a classical data or remote frame; None for error frames and CAN FD."""
     if message.is_error_frame or message.is_fd:
         return None
     return Frame(
@@ -40,7 +40,7 @@ def to_frame(message: can.Message) -> Frame | None:
 
 
 def give(send: Callable[[can.Message], None], message: can.Message) -> None:
-    """Send a message, again where the transmit buffer is full. Raises BusError if it stays so."""
+    """Send a message, with retries if the buffer is full. Raises BusError if it stays full."""
     end = None
     while True:
         try:
@@ -59,7 +59,7 @@ def give(send: Callable[[can.Message], None], message: can.Message) -> None:
 
 
 class CanPort:
-    """A bus of python-can as a master needs it, in real time.
+    """The port of a python-can bus for a master, in real time.
 
     Args:
         bus: the bus; its owner shuts it down.

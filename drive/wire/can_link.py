@@ -1,4 +1,4 @@
-"""Links to the world: a bus of python-can, and a log of what passes through any link."""
+"""Links to the outside: a python-can bus, and a log of the frames on any link."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from .log import LogFile
 
 
 class CanLink:
-    """A bus of python-can; it has a time of its own and does not look at ours.
+    """A python-can bus; it runs in its own time and ignores the time of the simulation.
 
     Args:
         bus: the bus; its owner shuts it down.
@@ -23,11 +23,11 @@ class CanLink:
         self._wait = wait
 
     def send(self, frame: Frame, time: int) -> None:
-        """Send at once. Raises BusError where the bus does not take it."""
+        """Send a frame at once. Raises BusError if the bus does not accept it."""
         give(self._bus.send, to_message(frame))
 
     def receive(self, time: int) -> Iterator[Frame]:
-        """Classical data and remote frames, until none is left."""
+        """Return all classical data and remote frames received so far."""
         message = self._bus.recv(self._wait)
         while message is not None:
             frame = to_frame(message)
@@ -53,12 +53,12 @@ class Traced:
         self._log = LogFile(file)
 
     def send(self, frame: Frame, time: int) -> None:
-        """Send and write down."""
+        """Send a frame and log it."""
         self._link.send(frame, time)
         self._write(frame, time, received=False)
 
     def receive(self, time: int) -> Iterator[Frame]:
-        """Receive and write down."""
+        """Receive frames and log them."""
         for frame in self._link.receive(time):
             self._write(frame, time, received=True)
             yield frame

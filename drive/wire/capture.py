@@ -60,7 +60,7 @@ class Capture:
 
 
 def _stamp(ancillary: list[tuple[int, int, bytes]]) -> int:
-    """When the kernel has seen a frame (ns)."""
+    """The time at which the kernel received a frame (ns)."""
     for level, kind, data in ancillary:
         if (level, kind) == (socket.SOL_SOCKET, STAMPS):
             seconds, ns = (int.from_bytes(data[i : i + 8], "little") for i in (0, 8))

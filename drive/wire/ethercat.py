@@ -13,7 +13,7 @@ SLACK = 2_000_000  # ns: a master gives a frame up then (SOEM), so machines run 
 
 
 class Port(Protocol):
-    """Where frames come from and go to."""
+    """A port that receives and sends frames."""
 
     name: str
 
@@ -28,7 +28,7 @@ class Port(Protocol):
 
     @property
     def socket(self):
-        """To wait at."""
+        """The file descriptor on which to wait."""
 
 
 class EtherCatServer:
@@ -83,7 +83,7 @@ class EtherCatServer:
                 show()
 
     def serve(self, port: int = 0) -> None:
-        """Wait for a frame at a port, answer it, let the machines run."""
+        """Wait for a frame at a port, answer it, and advance the machines."""
         length = self.ports[port].receive(self._buffer)
         if length == 0:
             if self.bus.clock != Clock.FRAME:

@@ -1,4 +1,4 @@
-"""A drive model made from an ESI file, an EEPROM image, or a slave that answers.
+"""Makes a drive model from an ESI file, an EEPROM image, or a connected slave.
 
 Sources: ETG.2000 (ESI), ETG.2010 (SII).
 
@@ -55,7 +55,7 @@ ASKED = {0x0000: 9, 0x0140: 2, 0x0502: 1}  # registers of a live slave: address 
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of a description."""
+    """The result of an import."""
 
     folder: Path
     name: str
@@ -66,7 +66,7 @@ class Imported:
 
 @dataclass
 class _Source:
-    """What was read, wherever it comes from."""
+    """The content of a description, whatever its source."""
 
     device: Description
     vendor: str
@@ -118,7 +118,7 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
 
 
 def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported:
-    """Make a drive model from a slave that answers; its state is PRE_OP, nothing is written.
+    """Make a drive model from a connected slave; its state is PRE_OP, and nothing is written.
 
     Args:
         interface: such as ``eth0``; needs the right of raw sockets and pysoem.
@@ -185,7 +185,7 @@ def _made(source: _Source, folder: Path, path: Path) -> Imported:
 
 
 def _check(place: Path) -> str:
-    """The folder makes a slave that a segment takes; -> its data sheet."""
+    """Check that the folder makes a slave that a segment accepts; -> its data sheet."""
     Segment([Slave(Drive(load(place, "ethercat")))])
     return data_sheet(place)
 
@@ -268,7 +268,7 @@ class _Maker(_Import):
         self.result.tell(0, where, says, taken, why)
 
     def _mapped(self, direction: str, pdo: Pdo) -> list[tuple[int, int, int]] | None:
-        """Entries as the model can have them; None: the PDO is left out, which is told."""
+        """Convert entries for the model; None if the PDO is left out, which is reported."""
         where = f"{pdo.index:04X}h"
         area = range(0x1600, 0x1A00) if direction == "rx" else range(0x1A00, 0x1C00)
         if pdo.index not in area:
@@ -304,7 +304,7 @@ class _Maker(_Import):
     def _shorter(
         self, direction: str, where: str, entries: list[tuple[int, int, int]]
     ) -> list[tuple[int, int, int]]:
-        """As many entries as a PDO can have: objects of the maker in a row become one gap."""
+        """Limit the entries of a PDO: adjacent manufacturer-specific objects become one gap."""
         own = [entry[:2] not in self.base.objects for entry in entries]
         at = len(entries)
         while at and len(entries) > ENTRIES:
@@ -334,7 +334,7 @@ class _Maker(_Import):
         return entries
 
     def _mappable(self, direction: str, entry: Any) -> bool:
-        """Whether an object can be mapped in this length; where nothing has it, it is made."""
+        """Whether an object can be mapped in this length; a missing object is created."""
         address = entry.index, entry.subindex
         row, known = self.rows.get(address), None
         if row is None and not self.whole:
@@ -522,7 +522,7 @@ class _Maker(_Import):
         return max([assigned, *bits.values()], default=0) // 8
 
     def _eeprom(self) -> int:
-        """A size that holds what is made; never less than the description's."""
+        """A size sufficient for the generated content, at least that of the description."""
         device = self.source.device
         size = device.size if 256 <= device.size <= LARGEST and device.size % 128 == 0 else 0
         image = replace(device, size=1 << 16)

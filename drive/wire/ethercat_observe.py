@@ -1,4 +1,4 @@
-"""A drive at a network interface is observed: `servogym observe --ethercat`.
+"""Observes a drive at a network interface: `servogym observe --ethercat`.
 
 First the segment is looked at with frames that change nothing. A segment that exchanges process
 data belongs to another master and is left alone. Where a drive is enabled or moves in PRE_OP, its
@@ -85,7 +85,7 @@ def _check(interface: str, position: int, count: int) -> None:
 
 
 def _states(master: EtherCatMaster, interface: str) -> list[AlState]:
-    """States of the slaves, by reads alone."""
+    """Read the states of the slaves without writing."""
     try:
         count = master.send(Datagram(Command.BRD, 0, R.AL_STATUS, bytes(2)))[0].wkc
     except TimeoutError:
@@ -180,14 +180,14 @@ class AskedSlave:
         )
 
     def read(self, address: int, size: int) -> bytes:
-        """Registers. Raises TimeoutError where the slave does not answer."""
+        """Read registers. Raises TimeoutError if the slave does not answer."""
         for _ in range(3):
             if (data := self._slave.fprd(address, size, SOEM_ANSWER)) is not None:
                 return data
         raise TimeoutError(f"slave {self.position} does not answer at {address:04X}h")
 
     def write(self, address: int, data: bytes) -> bool:
-        """Registers; -> whether they were written."""
+        """Write registers; -> whether they were written."""
         return self._slave.fpwr(address, data, SOEM_ANSWER)
 
 

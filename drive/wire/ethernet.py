@@ -20,7 +20,7 @@ _TIMEOUT = struct.Struct("ll")  # of SO_RCVTIMEO: s and µs
 
 
 def _wait(port: socket.socket, seconds: float) -> None:
-    """Let `recv_into` wait that long in the kernel: a system call less than `settimeout`."""
+    """Let `recv_into` wait in the kernel, which saves a system call compared with `settimeout`."""
     value = _TIMEOUT.pack(int(seconds), int(seconds % 1 * 1e6))
     port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, value)
 
@@ -61,7 +61,7 @@ class RawPort:
         self.name, self._awake = interface, 0
 
     def receive(self, buffer: memoryview) -> int:
-        """Read a frame; -> its length, 0 where none has come."""
+        """Read a frame; -> its length, 0 if none has arrived."""
         try:
             length = self._look(buffer) or self.socket.recv_into(buffer)
         except BlockingIOError:
@@ -81,7 +81,7 @@ class RawPort:
         return 0
 
     def send(self, frame: memoryview) -> None:
-        """Send a frame; one that the interface has no room for is lost, as on a cable."""
+        """Send a frame; if the interface has no room for it, it is lost, as on a cable."""
         try:
             self.socket.send(frame)
         except OSError as error:
@@ -128,7 +128,7 @@ class UdpPort:
         return length + len(HEADER)
 
     def send(self, frame: memoryview) -> None:
-        """Answer who has sent last."""
+        """Send a frame to the last sender."""
         self.socket.sendto(frame[len(HEADER) :], self._from)
 
     def close(self) -> None:

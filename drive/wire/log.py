@@ -48,7 +48,7 @@ def not_classical(message: can.Message) -> str:
 
 
 def messages(log: Path) -> Iterator[can.Message]:
-    """The messages of a log; what a reader stumbles over becomes a ValueError with the line."""
+    """Read the messages of a log; an error of a reader becomes a ValueError with the line."""
     suffixes = [suffix.lower() for suffix in log.suffixes]
     packed = suffixes[-1:] == [".gz"]
     plain = suffixes[-2:-1] if packed else suffixes[-1:]
@@ -185,7 +185,7 @@ def _are_differences(lines: _Lines) -> bool:
 
 
 class _Blocks:
-    """A .blf for the reader of python-can, which would hold whatever a block claims to be."""
+    """A .blf file for python-can's reader, which would allocate whatever size a block claims."""
 
     def __init__(self, log: Path, packed: bool):
         self._file: Any = gzip.open(log) if packed else log.open("rb")  # noqa: SIM115
@@ -260,12 +260,12 @@ class LogFile:
             raise ValueError(f"log = {str(file)!r}: {error}; use .log, .asc or .blf") from None
 
     def __call__(self, message: can.Message) -> None:
-        """Write a message down."""
+        """Write a message to the log."""
         self._try(lambda: self._writer(message))
         self._written = True
 
     def flush(self) -> None:
-        """Hand what is written to the operating system: it survives a kill of the process."""
+        """Hand written data to the operating system, so that it survives a kill of the process."""
         if self._written:
             self._written = False
             self._try(lambda: getattr(self._writer, "file", None) and self._writer.file.flush())

@@ -58,7 +58,7 @@ class Writer:
         self._block(PACKET, head + _padded(bytes(frame)))
 
     def flush(self) -> None:
-        """Hand what is written to the operating system: it survives a kill of the process."""
+        """Hand written data to the operating system, so that it survives a kill of the process."""
         self._file.flush()
 
     def close(self) -> None:

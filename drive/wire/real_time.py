@@ -1,4 +1,4 @@
-"""Real time, as far as the system gives it: a priority before all others, memory that stays."""
+"""Real time, as far as the system permits it: real-time priority and locked memory."""
 
 import ctypes
 import gc

@@ -1,4 +1,4 @@
-"""What an oscilloscope records where the drive is not in this process: a node on a bus, or a log.
+"""Recordings for the oscilloscope from drives outside this process: a node on a bus, or a log.
 
 Rows are made as values pass: in a log at the time of the frame, of a node at each poll. What has
 not been heard yet is nan; a value holds until the next one.
@@ -43,7 +43,7 @@ Group = dict[str, float]  # values that came together, by the name of the object
 
 
 class Signal(NamedTuple):
-    """What passed of one object: when, and the numbers; both of shape ``(n,)``."""
+    """The recorded times and values of one object, both of shape ``(n,)``."""
 
     time: np.ndarray  # s, from the first frame of the log
     value: np.ndarray
@@ -128,7 +128,7 @@ class Source:
                 group.clear()
 
     def signals(self, who: str) -> dict[str, Signal]:
-        """All that passed of a drive, by object."""
+        """Everything recorded of a drive, by object."""
         if self._columns:
             time = self._columns[0][2]
             found = {name: (time, samples) for name, _, samples in self._columns[1:]}
@@ -144,7 +144,7 @@ class Source:
         return {name: Signal(t, v, units.get(name, "")) for name, (t, v) in found.items()}
 
     def often(self, who: str, most: int) -> list[str]:
-        """Objects of a drive that pass most often, at most so many."""
+        """The most frequent objects of a drive, up to a number."""
         return sorted(self.units[who], key=lambda name: -self._count[who, name])[:most]
 
     def name(self, who: str, channel: str) -> str:
@@ -210,7 +210,7 @@ def record(recording: Recording, groups: Iterable[tuple[float, Group]]) -> None:
 
 
 class NodeScope:
-    """Polls a running node: TPDOs as they are heard, what is in none by SDO. It commands nothing.
+    """Records a running node without commanding it: TPDOs, and other objects polled by SDO.
 
     Two masters cannot use one SDO channel at the same time (CiA 301): where another one does, map
     what is of interest, or record the bus with ``--log`` and look at that.

@@ -32,7 +32,7 @@ def arrival(message: can.Message | None) -> float:
 
 @dataclass
 class Statistics:
-    """What a real-time server has done."""
+    """The statistics of a real-time server."""
 
     received: int = 0
     sent: int = 0
@@ -81,7 +81,7 @@ class Server:
 
     @property
     def bus(self) -> can.BusABC:
-        """The bus as it is open now."""
+        """The bus that is open now."""
         return self.adapter.bus
 
     def stop(self) -> None:
@@ -98,7 +98,7 @@ class Server:
                 due = time.monotonic() + every
 
     def serve(self, message: can.Message | None) -> None:
-        """Handle a received message, let the due cycles pass, send what there is to send."""
+        """Handle a received message, run the due cycles, and send the answers."""
         at = self._at = max(self._at, arrival(message))
         self._advance(at)
         now = int((at - self._begin) * 1e6)
@@ -125,7 +125,7 @@ class Server:
             self.log.flush()
 
     def _is_echo(self, frame: Frame, now: int) -> bool:
-        """Whether this is what the server has sent itself a moment ago."""
+        """Whether the server itself has just sent this message."""
         for i, (_, sent) in enumerate(self._sent):
             if sent == frame:
                 del self._sent[i]

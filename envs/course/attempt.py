@@ -1,4 +1,4 @@
-"""An attempt at an exercise: a fresh machine, and a judge that sees every cycle of it."""
+"""An attempt at an exercise: a fresh machine, and a judge that evaluates every cycle."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ MEASURED = (
 
 
 class Observer:
-    """Looks at a drive: what it shows, and which of its parameters have changed.
+    """Observes a drive: its state, and which of its parameters have changed.
 
     It compares the bytes of the parameters, so it sees a change whoever made it: a page, an SDO or
     a PDO.
@@ -69,7 +69,7 @@ class Observer:
         self._peak = 0.0
 
     def look(self) -> Look:
-        """The drive as it is now."""
+        """The present state of the drive."""
         index, written = self._index, frozenset[str]()
         now = self._bytes[self._places].tobytes()
         if now != self._before:
@@ -89,7 +89,7 @@ class Observer:
         )
 
     def _tell(self) -> tuple[str, str, str, str, str, bool, int, bool]:
-        """What goes by names, which changes seldom."""
+        """The part of a look that consists of names, which changes rarely."""
         drive, axis = self.drive, self.drive.axis
         controlword, mode = int(axis.od.controlword), drive.mode
         homing = mode == Mode.HOMING and controlword & START_HOMING and drive.energised
@@ -102,7 +102,7 @@ class Observer:
 
 @dataclass
 class Report:
-    """What became of an attempt.
+    """The result of an attempt.
 
     Args:
         exercise: its name.
@@ -124,7 +124,7 @@ class Report:
 
 
 class Attempt:
-    """An exercise that is being done on an axis of a machine.
+    """An exercise in progress on an axis of a machine.
 
     Args:
         exercise: to be done.
@@ -176,7 +176,7 @@ class Attempt:
 
     @property
     def report(self) -> Report:
-        """What became of it until now."""
+        """The result so far."""
         return Report(
             self.exercise.name, self.done, self.step, self.wrong, [*self.times], self.hints,
             [*self.predictions],
@@ -197,7 +197,7 @@ class Attempt:
         return self.predictions[-1]
 
     def hint(self) -> str:
-        """The next hint of the step, the last one again when there are no more; it is counted."""
+        """Return the next hint of the step and count it; after the last, return the last again."""
         hints = self.present.hints if self.present else ()
         if not hints:
             return ""
@@ -208,7 +208,7 @@ class Attempt:
 
     @property
     def hinted(self) -> tuple[str, ...]:
-        """The hints of the step that were given."""
+        """The hints of the step given so far."""
         return self.present.hints[: self._hinted] if self.present else ()
 
     def look(self) -> None:
@@ -243,7 +243,7 @@ class Attempt:
         self._enter()
 
     def lose(self, why: str) -> None:
-        """End the attempt, and say why; what is done or lost already stays so."""
+        """End the attempt and say why; an attempt that has already ended stays as it is."""
         if self.done or self.wrong:
             return
         self.wrong = why

@@ -150,7 +150,7 @@ KEYS: dict[str, tuple[Callable[[str, Any], str], Callable[[Look, Any], bool]]] =
 
 
 def check(table: Any) -> dict[str, Any]:
-    """A condition of a file. Raises ValueError naming what could never hold."""
+    """Check a condition of a file. Raises ValueError naming a part that could never hold."""
     if not isinstance(table, Mapping) or not table:
         raise ValueError(f"{table!r} is not a condition: use {', '.join(KEYS)}")
     for key, value in table.items():
@@ -162,5 +162,5 @@ def check(table: Any) -> dict[str, Any]:
 
 
 def holds(look: Look, condition: Mapping[str, Any]) -> bool:
-    """Whether all of a condition holds at a look."""
+    """Whether a condition holds with all of its keys."""
     return all(KEYS[key][1](look, want) for key, want in condition.items())

@@ -1,4 +1,4 @@
-"""Exercises: TOML files that say what has to happen, in which order, and which ways are wrong.
+"""Exercises: TOML files that state the goals, their order, and known wrong approaches.
 
 An exercise is a file::
 
@@ -74,7 +74,7 @@ DISTURBANCES: dict[str, Callable[[Machine, int, float], None]] = {
 
 @dataclass(frozen=True)
 class Begin:
-    """What is done to a machine when an exercise or a step begins.
+    """Changes to a machine at the beginning of an exercise or a step.
 
     Args:
         positions: of joints (m or rad), by drive; power off and on again there.
@@ -89,7 +89,7 @@ class Begin:
     disturb: Mapping[str, float] = field(default_factory=dict)
 
     def act(self, machine: Machine, axis: str) -> None:
-        """Do it. Raises ValueError for what the machine cannot do."""
+        """Apply the changes. Raises ValueError for anything that the machine cannot do."""
         if self.positions:
             machine.reset(positions=self.positions)
         drive, number = machine.drives[axis], [*machine.drives].index(axis)
@@ -103,7 +103,7 @@ class Begin:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A question that is answered before the run shows it.
+    """A question to be answered before the run shows the answer.
 
     Args:
         question: what will happen.
@@ -120,7 +120,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do.
+    """One step of an exercise.
 
     Args:
         text: what.
@@ -143,7 +143,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Exercise:
-    """A task of several steps.
+    """An exercise of several steps.
 
     Args:
         name: of its file.
@@ -164,7 +164,7 @@ class Exercise:
 
 
 def load(path: str | Path) -> Exercise:
-    """An exercise of a file.
+    """Read an exercise from a file.
 
     Raises:
         ValueError: names file, step, and what is wrong.
@@ -186,7 +186,7 @@ def load(path: str | Path) -> Exercise:
 
 
 def load_all(folder: str | Path = SHIPPED) -> list[Exercise]:
-    """The exercises of a folder in the order of their files' names. Raises ValueError: none."""
+    """The exercises of a folder by file name. Raises ValueError if there are none."""
     files = sorted(Path(folder).glob("*.toml"))
     if not files:
         raise ValueError(f"--lessons {folder}: there is no .toml file in it")
@@ -194,7 +194,7 @@ def load_all(folder: str | Path = SHIPPED) -> list[Exercise]:
 
 
 def named(name: str, folder: str | Path = SHIPPED) -> Exercise:
-    """An exercise by its name or the path of its file. Raises ValueError: there is none."""
+    """An exercise by its name or the path of its file. Raises ValueError if there is none."""
     if name.endswith(".toml"):
         return load(name)
     known = {path.stem: path for path in sorted(Path(folder).glob("*.toml"))}

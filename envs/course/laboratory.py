@@ -1,4 +1,4 @@
-"""An exercise in Python: a fresh machine, a master whose every cycle is judged, and a report."""
+"""An exercise in Python: a fresh machine, a master judged in every cycle, and a report."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +12,7 @@ from .exercise import Exercise, named
 
 
 class Laboratory:
-    """A fresh machine with an exercise begun on it.
+    """A fresh machine on which an exercise has begun.
 
     >>> laboratory = Laboratory("32_units")
     >>> laboratory.master.enable()
@@ -37,7 +37,7 @@ class Laboratory:
         self.begin(chosen)
 
     def begin(self, exercise: str | Exercise) -> None:
-        """Begin an exercise with the machine as it was handed over: nothing of before is left."""
+        """Begin an exercise on a fresh machine; nothing is left of earlier attempts."""
         self.exercise = _chosen(exercise)
         self.machine.restore(self._fresh)
         self.attempt = Attempt(self.exercise, self.machine, self.axis)
@@ -45,26 +45,26 @@ class Laboratory:
 
     @property
     def drive(self) -> Drive:
-        """The drive that is to be commanded; time passes with `wait` or the master."""
+        """The drive to be commanded; time advances with `wait` or the master."""
         return self.machine.drives[self.axis]
 
     @property
     def report(self) -> Report:
-        """What became of it until now."""
+        """The result so far."""
         return self.attempt.report
 
     def control(self, *controlwords: int) -> None:
-        """Send controlwords one after the other, ten position cycles each."""
+        """Send controlwords one after the other, for ten position cycles each."""
         for controlword in controlwords:
             self.drive.write("controlword", controlword)
             self.wait(10 * self.machine.cycle_time)
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, judged cycle by cycle."""
+        """Advance time, judged cycle by cycle."""
         self.master.wait(seconds)
 
     def wait_until(self, condition: Callable[[], bool], timeout: float = 10.0) -> None:
-        """Let time pass until a condition holds. Raises TimeoutError."""
+        """Advance time until a condition holds. Raises TimeoutError."""
         for _ in range(round(timeout / self.machine.cycle_time)):
             if condition():
                 return

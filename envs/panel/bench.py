@@ -1,4 +1,4 @@
-"""Bench: drives on a port, one who commands them, a scope, messages; what each panel has.
+"""Bench: drives on a port, a commander, a scope and messages, which every panel has.
 
 `session.Session` is the bench of a machine in this process, `bus.BusBench` that of nodes on a bus.
 A motion runs to its end inside its call, exchange by exchange; whatever paces that looks after
@@ -41,11 +41,11 @@ BUTTONS = {"enable()": "Enable", "reset_fault()": "Reset fault", "home()": "Home
 
 
 class Interrupted(Exception):
-    """A motion was ended by another command."""
+    """Another command has ended this motion."""
 
 
 def words(error: ServoError) -> tuple[str, str]:
-    """What went wrong and what to do, for readers who see the drive's words beside it."""
+    """Says what went wrong and what to do, for readers who see the drive's words beside it."""
     step = error.next_step
     for call, button in BUTTONS.items():
         step = step.replace(call, button)
@@ -53,19 +53,19 @@ def words(error: ServoError) -> tuple[str, str]:
 
 
 class Agent(Protocol):
-    """Commands the machine in the place of a person."""
+    """An agent that commands the machine instead of a person."""
 
     name: str
 
     def step(self) -> None:
-        """One step of its own; it lets the cycles pass through the session."""
+        """Take one step of the agent, which advances the cycles through the session."""
 
     def release(self) -> None:
-        """Give the machine back."""
+        """Hand the machine back."""
 
 
 class Bench:
-    """What pages and clock need of drives, wherever they are.
+    """The interface of drives to pages and clock, wherever the drives are.
 
     Args:
         port: the way to the drives.
@@ -103,7 +103,7 @@ class Bench:
         self.beside: Beside | None = None  # a twin
 
     def _scope(self, period: float) -> Recorder:
-        """A scope with the usual channels of the first axis."""
+        """Make a scope with the usual channels of the first axis."""
         first = self.axes[0]
         known = [name for name in CHANNELS if name in self.model(first).names] or ["statusword"]
         names = [self.channel(first, name) for name in known]
@@ -114,27 +114,27 @@ class Bench:
     # ------------------------------------------------------ what each bench has
 
     def exchange(self) -> None:
-        """Let a little time pass: paced, recorded, watched."""
+        """Advance by a short time, with pacing, recording and supervision."""
         raise NotImplementedError
 
     def rows(self, axis: str) -> list[Object]:
-        """The objects of a drive."""
+        """The object rows of a drive."""
         raise NotImplementedError
 
     def value(self, axis: str, name: str) -> float | None:
-        """An object as it is known now (drive units), without waiting; None: not known yet."""
+        """The last known value of an object (drive units), without waiting; None if unknown."""
         raise NotImplementedError
 
     def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
-        """Values of objects as people read them; what cannot be read says why."""
+        """Values of objects as readable text, or the reason why an object cannot be read."""
         raise NotImplementedError
 
     def pulse(self) -> str:
-        """How time passes, in a word or two, where the clock does not know it."""
+        """How time passes, in a word or two, if the clock cannot tell."""
         return ""
 
     def write(self, axis: str, name: int | str, *arguments: float) -> str:
-        """Write an object as a master does; -> why it is refused, if it is."""
+        """Write an object as a master does; -> the reason of a refusal, or nothing."""
         raise NotImplementedError
 
     def powered(self, axis: str) -> bool:
@@ -146,7 +146,7 @@ class Bench:
         raise NotImplementedError
 
     def mapped(self, axis: str, direction: str) -> list[Object]:
-        """The objects in the process data of a direction, rx or tx."""
+        """The objects in the process data of one direction, rx or tx."""
         raise NotImplementedError
 
     def fields(self) -> tuple[str, ...]:
@@ -154,7 +154,7 @@ class Bench:
         return ()
 
     def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
-        """What gives the value of a channel. Raises ValueError for an unknown one."""
+        """Return a reader for the value of a channel. Raises ValueError for an unknown channel."""
         raise NotImplementedError
 
     def channel_unit(self, axis: str, name: str) -> str:
@@ -162,44 +162,44 @@ class Bench:
         raise NotImplementedError
 
     def _axis(self, name: str) -> dict[str, Any]:
-        """All that is shown of an axis."""
+        """Everything that the pages show of an axis."""
         raise NotImplementedError
 
     def joint_position(self, axis: str) -> float | None:
-        """Where its joint is (m or rad); None: nobody knows but the drive."""
+        """The position of its joint (m or rad); None if only the drive knows it."""
         return None
 
     def referenced(self, axis: str) -> bool:
-        """Whether an axis is homed, as far as it is known."""
+        """Whether an axis is homed, as far as this is known."""
         return True
 
     # ----------------------------------------------------------------- the drives
 
     def model(self, axis: str) -> DriveModel:
-        """What kind of drive it is."""
+        """The drive model of an axis."""
         return self.port.models[axis]
 
     def units(self, axis: str) -> Units:
-        """What a drive unit is at the load."""
+        """The size of the drive units at the load."""
         return self.port.units(axis)
 
     def unit(self, axis: str) -> tuple[str, float]:
-        """The unit people read positions in, and how many make one of the port's."""
+        """The display unit of positions, and how many of them make one unit of the port."""
         known = {"m": ("mm", 1e3), "rad": ("°", 180 / np.pi)}
         return known.get(self.port.units(axis).name, ("units", 1.0))
 
     def acceleration(self, axis: str) -> float:
-        """What an acceleration unit is at the load, m/s² or rad/s²; 0: not known."""
+        """The size of an acceleration unit at the load, m/s² or rad/s²; 0 if it is not known."""
         return 0.0
 
     # --------------------------------------------------------------------- channels
 
     def channel(self, axis: str, name: str) -> str:
-        """What the scope calls an object of an axis."""
+        """The scope's name for an object of an axis."""
         return f"{axis}{HERE}{name}" if len(self.axes) > 1 else name
 
     def channels(self) -> list[str]:
-        """All the scope can show."""
+        """All channels that the scope can show."""
         return [
             self.channel(axis, name)
             for axis in self.axes
@@ -210,7 +210,7 @@ class Bench:
         ] + (self.beside.channels() if self.beside else [])
 
     def found(self, channel: str) -> tuple[str, str]:
-        """Axis and name of a channel; one of the twin is in units of its axis."""
+        """Axis and name of a channel; a channel of the twin is in the units of its axis."""
         axis, colon, name = channel.partition(HERE)
         if colon and axis in self.axes:
             return axis, name
@@ -219,7 +219,7 @@ class Bench:
         return self.axes[0], channel
 
     def reader(self, channel: str) -> Callable[[], float]:
-        """What gives the value of a channel. Raises ValueError for an unknown one."""
+        """Return a reader for the value of a channel. Raises ValueError for an unknown channel."""
         axis, name = self.found(channel)
         if self.beside and channel.startswith(TWIN + HERE):
             return self.beside.reader(name)
@@ -230,7 +230,7 @@ class Bench:
         return self.channel_unit(*self.found(channel))
 
     def put_beside(self, machine: Any, axis: str = "", drive: str = "") -> None:
-        """A twin beside an axis, the first one if none is named; the scope shows both.
+        """Put a twin beside an axis, by default the first one; the scope shows both.
 
         Raises ValueError as `twin.Beside`.
         """
@@ -244,7 +244,7 @@ class Bench:
             self.scope.choose([channel for pair in pairs for channel in pair])
 
     def advance(self, time: float) -> None:
-        """Let so much time pass (s)."""
+        """Advance by this time (s)."""
         end = self.time + time - 1e-9
         while self.time < end:
             if self.agent is not None:
@@ -257,16 +257,16 @@ class Bench:
     def tell(
         self, kind: str, text: str, axis: str = "", reason: str = "", remedy: str = ""
     ) -> None:
-        """Enter something into the log; see `log.KINDS`."""
+        """Add an entry to the log; see `log.KINDS`."""
         self.log.enter(self.time, kind, text, axis, self.control.who, reason, remedy)
 
     @property
     def messages(self) -> list[Event]:
-        """The last events."""
+        """The latest events of the log."""
         return self.log.events[-MESSAGES:]
 
     def _watch_faults(self) -> None:
-        """Enter a fault that has come or gone."""
+        """Log a fault that has appeared or disappeared."""
         for axis in self.axes:
             fault, remedy = self.fault_of(axis)
             if fault == self._faults.get(axis, ""):
@@ -283,7 +283,7 @@ class Bench:
         self, what: str, motion: Callable[[], Any], axis: str = "", *, through: bool = False,
         goes_on: bool = False,
     ) -> str:
-        """Carry out a motion; -> what came of it, empty if all went well.
+        """Carry out a motion; -> the reason of a failure, empty if all went well.
 
         Args:
             what: it is, in words.
@@ -323,14 +323,14 @@ class Bench:
         return said
 
     def enable(self, axis: str) -> str:
-        """Walk to OPERATION_ENABLED."""
+        """Bring the drive to OPERATION_ENABLED."""
         moves = (self.value(axis, "modes_of_operation_display") or 0) in STREAMED
         return self.run(
             f"{axis}: enable", self.masters[axis].enable, axis, through=True, goes_on=moves
         )
 
     def disable(self, axis: str) -> str:
-        """Take the power off; an agent gives the machine back."""
+        """Switch the power off; an agent hands the machine back."""
         self.release()
         return self.run(f"{axis}: disable", self.masters[axis].disable, axis)
 
@@ -347,12 +347,12 @@ class Bench:
         )
 
     def home(self, axis: str, method: int | None = None) -> str:
-        """Home; the method that is set if none is given."""
+        """Home the axis, by default with the method that is set."""
         master = self.masters[axis]
         return self.run(f"{axis}: home", lambda: master.home(method=method, timeout=MOVES), axis)
 
     def move(self, axis: str, position: float, *, relative: bool = False) -> str:
-        """Move to a position (m or rad), or by so much."""
+        """Move to a position (m or rad), or by a distance."""
         master = self.masters[axis]
 
         def motion() -> None:
@@ -374,15 +374,15 @@ class Bench:
         )
 
     def stop(self, axis: str | None = None) -> str:
-        """Stop an axis, or all, in any mode; it keeps its power and stands until a new command."""
+        """Stop an axis, or all, in any mode; it stays powered and at rest until a new command."""
         return self._stop("stop", axis, Master.stop)
 
     def quick_stop(self, axis: str | None = None) -> str:
-        """Quick stop of an axis, or of all at once; it outranks an agent."""
+        """Quick-stop an axis, or all at once; this takes precedence over an agent."""
         return self._stop("quick stop", axis, Master.quick_stop)
 
     def _stop(self, what: str, axis: str | None, how: Callable[[Master], Any]) -> str:
-        """All at once, so that none waits for another one."""
+        """Stop all axes at once, so that none waits for another."""
         self.release()
         axes = [name for name in ((axis,) if axis else self.axes) if self.powered(name)]
         named = f"{', '.join(axes) or axis or 'all axes'}: {what}"
@@ -395,7 +395,7 @@ class Bench:
         return said
 
     def abandon(self, why: str) -> None:
-        """End what moves by commands of somebody who is there no longer."""
+        """End the motions that were commanded by a tab that is no longer there."""
         axes = [name for name in self.axes if name in self.underway and self.powered(name)]
         if not (axes or self.agent):
             return
@@ -406,13 +406,13 @@ class Bench:
             self.underway.difference_update(axes)
 
     def control_word(self, axis: str, word: int) -> str:
-        """Send a controlword as it is."""
+        """Send a controlword unchanged."""
         if self.agent is not None:
             return f"{self.agent.name} has the machine: take it back first"
         return self.command(axis, "controlword", word & 0xFFFF)
 
     def command(self, axis: str, name: int | str, *arguments: float) -> str:
-        """Write an object for somebody, and enter it into the log; -> why it is refused."""
+        """Write an object on behalf of a tab and log it; -> the reason of a refusal."""
         wrong = self.write(axis, name, *arguments)
         known = f"{name:04X}h" if isinstance(name, int) else name
         sub = f":{int(arguments[0]):02X}" if len(arguments) > 1 else ""
@@ -435,7 +435,7 @@ class Bench:
     # ------------------------------------------------------------ what is seen
 
     def shown(self) -> dict[str, Any]:
-        """All that the pages show of now, as plain values."""
+        """The present state of everything that the pages show, as plain values."""
         return {
             "time": self.time,
             "doing": self.doing,

@@ -1,4 +1,4 @@
-"""Nodes on a bus as a bench: watched by SDO uploads and by what passes; commanded if asked to.
+"""Nodes on a bus as a bench, observed by SDO uploads and bus traffic, commanded on request.
 
 Nothing is sent but SDO requests: no PDO, no SYNC, no NMT command; another master is not disturbed
 as long as it leaves the default SDO channel alone. A bench that only listens sends nothing at all.
@@ -107,14 +107,14 @@ class BusBench(Bench):
 
     @property
     def rate(self) -> float:
-        """Samples of the scope in a second, as they come."""
+        """The achieved sampling rate of the scope (1/s)."""
         marks = self._marks
         return (len(marks) - 1) / (marks[-1] - marks[0]) if len(marks) > 1 else 0.0
 
     # ----------------------------------------------------------------- time passes
 
     def exchange(self) -> None:
-        """Ask for one thing, or wait for what passes; paced and recorded."""
+        """Request one object or wait for bus traffic, with pacing and recording."""
         self.pace()
         now = self.bus.now()
         due = now >= self._due
@@ -137,7 +137,7 @@ class BusBench(Bench):
             self.scope.sample(self.time)
 
     def _read_next(self) -> None:
-        """Read the next object: alternately of the header and of the visible page."""
+        """Read the next object, alternately for the header and for the visible page."""
         self._turn += 1
         turn = self._turn // 2
         axis = self.axes[turn % len(self.axes)]
@@ -152,7 +152,7 @@ class BusBench(Bench):
             self._read(axis, self._watched[turn // len(self.axes) % len(self._watched)])
 
     def _read(self, axis: str, row: Object, fresh: float = 0.0) -> None:
-        """An object by SDO, unless a PDO has told it within `fresh` (s), or the node is silent."""
+        """Read an object by SDO, unless a PDO brought it within `fresh` (s) or the node is mute."""
         key = axis, row.index, row.subindex
         now = self.bus.now()
         if now < self._silent.get(axis, 0.0) or now - self._heard.get(key, -math.inf) < fresh:
@@ -173,7 +173,7 @@ class BusBench(Bench):
             self._map_again(axis)
 
     def _map_again(self, *axes: str) -> None:
-        """Read the PDO mapping of these when there is time for it."""
+        """Read the PDO mapping of these nodes when there is time for it."""
         wanted = [(axis, direction) for axis in axes for direction in ("tx", "rx")]
         self._unmapped = [*dict.fromkeys((*self._unmapped, *wanted))]
 
@@ -194,7 +194,7 @@ class BusBench(Bench):
             self._images[where] = pdo, b""
 
     def _hear(self, frame: Frame) -> None:
-        """Any frame on the bus."""
+        """Handle any frame on the bus."""
         where = self._pdos.get(frame.id)
         if where is not None and not frame.remote:
             pdo, _ = self._images[where]
@@ -224,7 +224,7 @@ class BusBench(Bench):
     # ----------------------------------------------------------------------- objects
 
     def pulse(self) -> str:
-        """The rate of the scope."""
+        """The requested sampling rate of the scope."""
         return f"{self.rate:.0f} of {self.asked_rate:g} samples/s"
 
     def rows(self, axis: str) -> list[Object]:
@@ -280,7 +280,7 @@ class BusBench(Bench):
         return ""
 
     def told(self, axis: str, *arguments: Any) -> None:
-        """A drive has taken a value, by name or index of the object: its twin gets it as well."""
+        """Forward a value that a drive has accepted, by object name or index, to its twin."""
         if self.beside is not None and axis == self.beside.axis:
             self.beside.told(*arguments)
 
@@ -371,7 +371,7 @@ class BusBench(Bench):
 
 
 def _decoded(row: Object, data: bytes) -> float | str:
-    """The value of an object's bytes."""
+    """Decode the bytes of an object."""
     if row.format and len(data) == row.size:
         return struct.unpack("<" + row.format, data)[0]
     if row.format:
@@ -380,7 +380,7 @@ def _decoded(row: Object, data: bytes) -> float | str:
 
 
 class _Tap(CanOpenPort):
-    """The nodes; whatever passes is heard as well."""
+    """The port of the nodes, which also listens to all traffic."""
 
     hear: Callable[[Frame], None] = staticmethod(lambda frame: None)
 
@@ -393,7 +393,7 @@ class _Tap(CanOpenPort):
 
 
 class _Port:
-    """The nodes as masters reach them; time passes through the bench."""
+    """The port through which masters reach the nodes; time advances through the bench."""
 
     def __init__(self, bus: CanOpenPort, bench: BusBench):
         self._bus, self._bench = bus, bench
@@ -415,7 +415,7 @@ class _Port:
         self._bench.told(axis, name, value)
 
     def exchange(self) -> None:
-        """Some time of the bench."""
+        """Advance the bench by a short time."""
         self._bench.exchange()
 
     def _may(self) -> None:

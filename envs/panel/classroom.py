@@ -1,4 +1,4 @@
-"""A classroom: a place for each pupil, with a machine of its own; a teacher who sees them all.
+"""A classroom: a place with its own machine for each pupil, and a teacher who sees them all.
 
 Places have nothing in common but the process: each has its session, its clock with its thread, its
 token and its results. Who comes with the code of the class and a name that nobody has gets a place;
@@ -40,7 +40,7 @@ FORM = "servogym class 1"
 
 
 class Result(NamedTuple):
-    """What became of an attempt of a pupil at an exercise."""
+    """The result of a pupil's attempt at an exercise."""
 
     pupil: str
     exercise: str
@@ -76,12 +76,12 @@ class Place:
 
     @property
     def done(self) -> set[str]:
-        """Names of the exercises that are done."""
+        """The names of the finished exercises."""
         return {result.exercise for result in self.results if result.done}
 
 
 class Classroom:
-    """Places, who sits there, and what they have done.
+    """The places, their pupils, and the pupils' results.
 
     Args:
         make: a session with a fresh machine, position cycles an exchange as given.
@@ -120,7 +120,7 @@ class Classroom:
     # ----------------------------------------------------------------- who comes
 
     def person(self, token: str) -> Place | None:
-        """Whose token it is; that place is opened."""
+        """Return the place to which a token belongs, and open it."""
         found = None
         for place in self.places.values():  # all of them: time tells nothing
             if hmac.compare_digest(place.token.encode(), token.encode()):
@@ -135,7 +135,7 @@ class Classroom:
         return next(same, None)
 
     def may_enter(self, name: str, word: str, own: str) -> str:
-        """Why somebody may not come in; empty if they may.
+        """The reason why somebody may not enter; empty if they may.
 
         Args:
             name: of the pupil.
@@ -191,7 +191,7 @@ class Classroom:
         return session
 
     def _seat(self, place: Place) -> None:
-        """Somebody has this place from now on."""
+        """Assign this place to somebody."""
         session: Any = place.clock.session
         session.attempted = lambda pupil: self._attempted(place, pupil)
         if self.task is not None:
@@ -200,7 +200,7 @@ class Classroom:
         place.clock.start()
 
     def remove(self, place: Place) -> None:
-        """Nobody has this place any more; its results stay in the files. May take a moment."""
+        """Free this place; its results stay in the files. This may take a moment."""
         with self._door:
             self.places = {n: each for n, each in self.places.items() if each is not place}
             self._keep()
@@ -217,7 +217,7 @@ class Classroom:
         return self._files / f"class-{key}.json"
 
     def _keep(self) -> None:
-        """Write who has which place; the file is for the user of the server alone."""
+        """Write who has which place; only the user of the server can read the file."""
         if self._kept is None:
             return
         with self._lock:
@@ -233,7 +233,7 @@ class Classroom:
             new.replace(self._kept)
 
     def resume(self) -> int:
-        """Give those who were here before their places again; their machines are fresh.
+        """Restore the places of returning pupils; their machines are fresh.
 
         They were here if a class room with the same code and the same folder for results was.
 
@@ -263,7 +263,7 @@ class Classroom:
         return len(self.places)
 
     def end(self) -> None:
-        """All clocks stand."""
+        """Stop all clocks."""
         for place in self.places.values():
             place.clock.end()
         for place in self.places.values():
@@ -272,7 +272,7 @@ class Classroom:
     # -------------------------------------------------------------- what is done
 
     def give(self, exercise: Exercise | None) -> None:
-        """A task for all: begun at once on a fresh machine each; None: who comes is free."""
+        """Begin a task for all at once, each on a fresh machine; None leaves new pupils free."""
         with self._door:  # who comes meanwhile gets it once
             self.task, places = exercise, self.places
         if exercise is None:
@@ -281,16 +281,16 @@ class Classroom:
             place.clock.stop_motion(lambda session: _given(session, exercise))
 
     def reset(self, place: Place) -> None:
-        """A machine as it was at first; an exercise is left."""
+        """Restore the initial state of a machine; this ends an exercise."""
         place.clock.stop_motion(_fresh)
 
     def stop(self) -> None:
-        """Quick stop of all machines."""
+        """Quick-stop all machines."""
         for place in self.places.values():
             place.clock.stop_motion(lambda session: session.quick_stop())
 
     def _attempted(self, place: Place, pupil: lessons.Pupil) -> None:
-        """An attempt is over."""
+        """Record an attempt that has ended."""
         report, now = pupil.attempt.report, datetime.now().astimezone()
         with self._lock:
             run = ""
@@ -321,17 +321,17 @@ class Classroom:
 
 
 def code(length: int) -> str:
-    """Letters and digits that are read out without a mistake."""
+    """Make a code of letters and digits that can be read out without mistakes."""
     return "".join(secrets.choice(LETTERS) for _ in range(length))
 
 
 def _simple(text: str) -> str:
-    """A code as somebody has typed it."""
+    """Normalise a code as somebody has typed it."""
     return "".join(text.split()).replace("-", "").casefold()
 
 
 def _plain(name: str) -> str:
-    """A name as two people would call it the same."""
+    """Normalise a name for comparison."""
     return " ".join(unicodedata.normalize("NFKC", name).casefold().split())
 
 

@@ -1,4 +1,4 @@
-"""Clock: a session against the wall clock, in a thread that alone touches it.
+"""Clock: runs a session against the wall clock, in the only thread that touches it.
 
 Requests are served between two cycles; a motion goes on until it ends or the next one begins, which
 waits for a change of state or mode, unless it is a stop.
@@ -48,13 +48,13 @@ class Clock:
         self._thread = threading.Thread(target=self._run, name="panel clock", daemon=True)
 
     def start(self) -> None:
-        """Begin to run."""
+        """Start the clock."""
         self._rebase()
         self._mark = time.monotonic(), self.session.time
         self._thread.start()
 
     def end(self) -> None:
-        """End soon, in the middle of a motion if there is one."""
+        """Request the end, even in the middle of a motion."""
         self._stopping = True
 
     def stop(self) -> None:
@@ -66,19 +66,19 @@ class Clock:
     # ----------------------------------------------- called from other threads
 
     def ask(self, request: Callable[[Bench], Any]) -> "Future[Any]":
-        """Carry out something that takes no time of the machine, between two cycles."""
+        """Carry out an action between two cycles, which takes no machine time."""
         future: Future[Any] = Future()
         self._requests.put((request, future))
         return future
 
     def move(self, motion: Callable[[Bench], Any], *, at_once: bool = False) -> "Future[Any]":
-        """Carry out a motion; one under way ends, or is carried through first if not `at_once`."""
+        """Carry out a motion; the present one ends at once, or completes first if not `at_once`."""
         future: Future[Any] = Future()
         self._motions.append((motion, future, at_once))
         return future
 
     def stop_motion(self, stop: Callable[[Bench], Any]) -> "Future[Any]":
-        """Carry out a stop now; motions that wait are dropped, the one under way ends."""
+        """Carry out a stop now; waiting motions are dropped and the present one ends."""
         waiting = []
         while self._motions:
             waiting.append(self._motions.popleft()[1])
@@ -89,7 +89,7 @@ class Clock:
         return future
 
     def set_speed(self, speed: float) -> None:
-        """Speed of time, 0.1..10. Raises ValueError."""
+        """Set the speed of time, 0.1..10. Raises ValueError beyond this range."""
         self._own_time()
         if not SLOWEST <= speed <= FASTEST:
             raise ValueError(f"speed {speed:g} is out of range {SLOWEST:g}..{FASTEST:g}")
@@ -97,13 +97,13 @@ class Clock:
         self._begin = 0.0
 
     def pause(self, paused: bool) -> None:
-        """Stop time, or let it go on. Raises ValueError where it is not ours."""
+        """Pause or resume time. Raises ValueError if the session does not control it."""
         self._own_time()
         self.paused = paused
         self._begin = 0.0
 
     def single(self, cycles: int = 1) -> None:
-        """Stop time, and let so many position cycles pass. Raises ValueError."""
+        """Pause time and advance by some position cycles. Raises ValueError as `pause`."""
         self._own_time()
         self.paused = True
         self._single += cycles
@@ -157,7 +157,7 @@ class Clock:
             future.set_exception(error)
 
     def _pace(self) -> bool:
-        """Wait until the next exchange is due, and look after requests; -> it is a single cycle."""
+        """Wait for the next exchange and serve requests; -> whether it is a single cycle."""
         while True:
             self._serve()
             if self._stopping or self._is_over():
@@ -190,7 +190,7 @@ class Clock:
             self._wait(max(ahead / self.speed, self._nap))
 
     def _is_over(self) -> bool:
-        """Whether the motion under way ends for one that waits."""
+        """Whether the present motion ends in favour of a waiting one."""
         if not self._in_motion or not self._motions:
             return False
         if not self.session.carried_through:
@@ -198,7 +198,7 @@ class Clock:
         return any(at_once for *_, at_once in self._motions.copy())
 
     def _wait(self, seconds: float) -> None:
-        """Sleep, but not over a request."""
+        """Sleep until the time or a request comes."""
         try:
             request = self._requests.get(timeout=seconds)
         except queue.Empty:

@@ -1,4 +1,4 @@
-"""Parameters of a drive, of a file and of the factory, side by side."""
+"""Compares the parameters of a drive, of a file and of the factory."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from .bench import Bench
 
 
 class Difference(NamedTuple):
-    """A parameter that is not the same everywhere."""
+    """A parameter whose values differ."""
 
     address: str  # 6081h:00
     row: Object
@@ -46,7 +46,7 @@ def compare(bench: Bench, axis: str, file: Mapping[str, float] | None = None) ->
 
 
 def write_back(bench: Bench, axis: str, chosen: Mapping[Object, float]) -> list[str]:
-    """Write values to the drive; -> why some are refused, one line each."""
+    """Write values to the drive; -> a line for each refused value, with the reason."""
     wrong = []
     for row, value in chosen.items():
         whole = value if row.format == "f" else int(value)

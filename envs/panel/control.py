@@ -1,4 +1,4 @@
-"""Who commands: one seat, and a token that each tab of the browser has for itself.
+"""Control: one seat, and a token for each tab of the browser.
 
 A stop needs no seat. Who has the seat shows with each picture that it is still there; a window that
 is silent for `LOST` seconds, because it was closed, cut off or stands still, has lost what it had
@@ -9,11 +9,11 @@ LOST = 3.0  # s of silence; a reload takes less
 
 
 class NotInControl(ValueError):
-    """A command of a tab that only watches."""
+    """A tab that only watches has sent a command."""
 
 
 class Control:
-    """The seat of the commander. A tab is any text that is its own."""
+    """The seat of the commander. A tab is identified by any unique text."""
 
     def __init__(self) -> None:
         self.holder: str | None = None
@@ -23,11 +23,11 @@ class Control:
         self._seen: float | None = None  # when the holder was there last (s); None: it never says
 
     def name(self, tab: str) -> str:
-        """What the log calls a tab."""
+        """The name of a tab in the log."""
         return self.named.setdefault(tab, f"window {len(self.named) + 1}")
 
     def take(self, tab: str) -> None:
-        """Sit down; the one who sat there before watches from now on."""
+        """Take the seat; its former holder only watches from now on."""
         if self.holder not in (None, tab):
             self.takeovers += 1
         if self.holder != tab:
@@ -35,7 +35,7 @@ class Control:
         self.holder = tab
 
     def leave(self, tab: str) -> None:
-        """Stand up, if it sits there."""
+        """Release the seat, if this tab holds it."""
         if self.holder == tab:
             self.holder, self._seen = None, None
 
@@ -44,18 +44,18 @@ class Control:
         return self.holder == tab
 
     def check(self, tab: str) -> None:
-        """Raises NotInControl for a tab that only watches."""
+        """Raise NotInControl for a tab that only watches."""
         if not self.holds(tab):
             who = "another window has control" if self.holder else "nobody has control"
             raise NotInControl(f"{who}: press Take control first")
 
     def beat(self, tab: str, now: float) -> None:
-        """A tab is there at `now` (s)."""
+        """Note that a tab is alive at `now` (s)."""
         if self.holder == tab:
             self._seen = now
 
     def lost(self, now: float) -> bool:
-        """Whether the holder was silent for too long; said once."""
+        """Whether the holder was silent for too long; reported once."""
         if self._seen is None or now - self._seen < LOST:
             return False
         self._seen = None

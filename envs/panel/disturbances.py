@@ -1,4 +1,4 @@
-"""What an experiment puts in a machine's way: causes of faults, and what ails its parts."""
+"""Disturbances for experiments: causes of faults, and defects of the machine's parts."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from .session import Session
 
 
 class Disturbance(NamedTuple):
-    """Something with a size; 0 is none."""
+    """A disturbance with a size; 0 means none."""
 
     name: str
     unit: str  # people give it in
@@ -36,7 +36,7 @@ DISTURBANCES = (
 
 
 def unit_at(session: Session, disturbance: Disturbance, axis: str) -> str:
-    """The unit people give it in, for the joint of an axis."""
+    """The unit in which it is entered, for the joint of an axis."""
     turns = session.port.units(axis).name == "rad"
     return {"µm": "µrad", "N": "Nm"}.get(disturbance.unit, disturbance.unit) if turns else (
         disturbance.unit
@@ -44,7 +44,7 @@ def unit_at(session: Session, disturbance: Disturbance, axis: str) -> str:
 
 
 def disturb(session: Session, axis: str, disturbance: Disturbance, value: float) -> str:
-    """Set one, in the unit people give it in; -> why it is refused."""
+    """Set a disturbance in its display unit; -> the reason of a refusal."""
     if not (math.isfinite(value) and 0.0 <= value <= disturbance.most):
         return f"{value:g} is out of range 0..{disturbance.most:g} {disturbance.unit}"
     if why := session.examined():
@@ -57,7 +57,7 @@ def disturb(session: Session, axis: str, disturbance: Disturbance, value: float)
 
 
 def inject(session: Session, axis: str, cause: str) -> str:
-    """Make a cause of a fault present; -> why it is refused."""
+    """Inject the cause of a fault; -> the reason of a refusal."""
     if why := session.examined():
         return why
     try:
@@ -69,6 +69,6 @@ def inject(session: Session, axis: str, cause: str) -> str:
 
 
 def clear(session: Session, axis: str) -> None:
-    """Take all injected causes away."""
+    """Remove all injected causes."""
     session.act("clear", axis)
     session.tell("done", f"{axis}: nothing is injected any more")

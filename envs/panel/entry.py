@@ -1,4 +1,4 @@
-"""What people type into fields: a number with its range, or words that say what is wrong."""
+"""Parses numbers typed into fields, checks their range, and explains what is wrong."""
 
 import math
 
@@ -9,7 +9,7 @@ def number(
     text: object, low: float = -math.inf, high: float = math.inf, unit: str = "", *,
     whole: bool = False,
 ) -> float:
-    """The number in a field.
+    """Parse the number in a field.
 
     Whole numbers may be hexadecimal: ``0x1F`` or ``1Fh``. A decimal comma is a point.
 

@@ -1,4 +1,4 @@
-"""Function generator: what a set-point does over time, within the limits of an axis.
+"""Function generator: set-points over time within the limits of an axis.
 
 A wave begins and ends where the set-point is 0; it is refused in words where its peak speed or
 acceleration is more than the axis may have.
@@ -14,7 +14,7 @@ Wave = Callable[[float], float]  # of the time (s)
 
 
 class Kind(NamedTuple):
-    """What is set."""
+    """The quantity of a set-point."""
 
     name: str  # of the object
     modes: tuple[Mode, ...]  # the first that a drive has
@@ -60,7 +60,7 @@ def travel(way: float, most: Most) -> tuple[Wave, float]:
 
 
 def position(shape: str, way: float, frequency: float, most: Most) -> Wave:
-    """To 0 + `way` and back, so many times a second. Raises ValueError beyond the limits."""
+    """A wave to `way` and back at a frequency (Hz). Raises ValueError beyond the limits."""
     half = 0.5 / frequency
     if shape == "sine":
         rate = 2 * math.pi * frequency
@@ -80,7 +80,7 @@ def position(shape: str, way: float, frequency: float, most: Most) -> Wave:
 
 
 def velocity(shape: str, size: float, frequency: float, most: Most) -> Wave:
-    """Speeds up to `size` in both directions. Raises ValueError beyond the limits."""
+    """A wave of speeds up to `size` in both directions. Raises ValueError beyond the limits."""
     _within("speed", abs(size), most.velocity)
     if shape == "sine":
         rate = 2 * math.pi * frequency
@@ -90,7 +90,7 @@ def velocity(shape: str, size: float, frequency: float, most: Most) -> Wave:
 
 
 def torque(shape: str, size: float, frequency: float, _: Most) -> Wave:
-    """Torques up to `size` in both directions."""
+    """A wave of torques up to `size` in both directions."""
     if shape == "sine":
         return lambda time: size * math.sin(2 * math.pi * frequency * time)
     return _square(size, frequency)

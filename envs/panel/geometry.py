@@ -18,7 +18,7 @@ MOST_VERTICES = 60_000  # of a mesh; more are shown as their box
 
 
 def scene(machine: Machine) -> dict[str, Any]:
-    """What does not move or change its shape, for the browser."""
+    """The constant part of the scene for the browser: bodies and their shapes."""
     model = machine.model
     moving = [body for body in range(model.nbody) if model.body_weldid[body]]
     shapes = [shape for geom in range(model.ngeom) if (shape := _shape(model, geom))]
@@ -66,7 +66,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any] | None:
 
 
 def _part(part: Part) -> dict[str, Any]:
-    """What is not a geom, as a shape."""
+    """A shape that is not a geom of the model."""
     kind = mujoco.mjtGeom(part.kind).name.removeprefix("mjGEOM_").lower()
     return {
         "kind": kind, "body": part.body, "pos": part.place, "quat": part.turned,
@@ -75,7 +75,7 @@ def _part(part: Part) -> dict[str, Any]:
 
 
 def _marks(machine: Machine, axis: int) -> list[dict[str, Any]]:
-    """Software limits and switches of a sliding joint, where its body would be there."""
+    """Software limits and switches of a sliding joint, drawn where its body would be at them."""
     model, coupling = machine.model, machine.couplings[axis]
     joint = int(model.dof_jntid[coupling.dof])
     if model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_SLIDE):
@@ -113,7 +113,7 @@ def _marks(machine: Machine, axis: int) -> list[dict[str, Any]]:
 
 
 def _centre(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[float]:
-    """The centre of what the joint carries."""
+    """The centre of the bodies that the joint carries."""
     body = int(model.jnt_bodyid[joint])
     while not model.body_geomnum[body] and body + 1 < model.nbody:
         body += 1
@@ -121,7 +121,7 @@ def _centre(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[floa
 
 
 class Poses:
-    """Where all bodies are, and where they would be at the target; as text of float32."""
+    """The poses of all bodies, now and at the target, as text of float32."""
 
     def __init__(self, machine: Machine):
         self._machine = machine
@@ -130,7 +130,7 @@ class Poses:
         self._ghost = mujoco.MjData(model)
 
     def now(self) -> dict[str, Any]:
-        """Numbers in the order of the scene's bodies: position and quaternion (w first)."""
+        """Poses in the order of the scene's bodies: position and quaternion (w first)."""
         machine = self._machine
         here, ghost = machine.data, self._ghost
         ghost.qpos[:] = here.qpos

@@ -1,4 +1,4 @@
-"""Who may ask: the one that knows the token, from a page of our own.
+"""Access control: requests need the token and have to come from a page of our own.
 
 The token is asked for on the loopback, too: other people's programs on this computer reach it. It
 comes as ``?token=`` once and as a cookie from then on; the address loses it, for it may be seen on
@@ -32,7 +32,7 @@ HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsew
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is this computer alone."""
+    """Whether a host is a loopback address of this computer."""
     return host in LOOPBACK
 
 
@@ -42,15 +42,15 @@ JOIN = "/join"  # where strangers send their form
 
 
 class Door(Protocol):
-    """Who has a token, and what strangers get."""
+    """Tells the owners of tokens from strangers, and answers strangers."""
 
     def person(self, token: str) -> Any:
-        """Whose token it is, None of a stranger."""
+        """Return the owner of a token, None for a stranger."""
 
     async def answer(
         self, scope: Scope, receive: Receive, send: Send, cookie: Callable[[str], bytes]
     ) -> bool:
-        """Answer a stranger's HTTP request; -> whether it was. `cookie` makes one of a token."""
+        """Answer a stranger's HTTP request; -> whether it was one. `cookie` builds a cookie."""
 
 
 class Owner:

@@ -1,4 +1,4 @@
-"""Journal: all that acts on a machine from outside, by the cycle, so that a run can be replayed.
+"""Journal: all outside actions on a machine, by the cycle, so that a run can be replayed.
 
 Pages, masters and experiments reach the drives of a session by `ACTS` alone. What was done since an
 exercise began, at which position cycle, is the run; on a fresh machine of the same kind the same
@@ -47,7 +47,7 @@ CYCLES = "cycles"  # of an exchange, from here on
 
 
 class Journal:
-    """What was done, by position cycles since it began; `None` of a session keeps none."""
+    """The actions of a run, by position cycles since it began."""
 
     def __init__(self) -> None:
         self.cycle = 0
@@ -55,11 +55,11 @@ class Journal:
         self._cycles = 0
 
     def enter(self, what: str, *arguments: Any) -> None:
-        """Something was done now."""
+        """Record an action at the present cycle."""
         self.events.append([self.cycle, what, *map(_plain, arguments)])
 
     def passed(self, cycles: int) -> None:
-        """So many position cycles pass, which are one exchange."""
+        """Count position cycles, which form one exchange."""
         if cycles != self._cycles:
             self._cycles = cycles
             self.events.append([self.cycle, CYCLES, cycles])
@@ -67,7 +67,7 @@ class Journal:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON can hold it; numbers keep all their digits."""
+    """Convert a value for JSON; numbers keep all their digits."""
     if isinstance(value, Mapping):
         return {str(name): _plain(each) for name, each in value.items()}
     if isinstance(value, bytes):
@@ -76,7 +76,7 @@ def _plain(value: Any) -> Any:
 
 
 def told(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal) -> dict[str, Any]:
-    """A run as its file has it.
+    """A run, as stored in its file.
 
     Args:
         kind: of the machine, key of `plants.catalogue.AXES`.
@@ -93,7 +93,7 @@ def told(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal) -
 
 
 def read(path: str | Path) -> dict[str, Any]:
-    """A run of a file. Raises ValueError for what is none."""
+    """Read a run from a file. Raises ValueError for anything else."""
     try:
         run = json.loads(Path(path).read_text(encoding="utf-8"))
         if not isinstance(run, dict) or run.get("form") != FORM:
@@ -128,11 +128,11 @@ class Player:
 
     @property
     def over(self) -> bool:
-        """Whether all of it was played."""
+        """Whether the whole run was played."""
         return self.cycle >= int(self.run["cycles"])
 
     def due(self) -> list[str]:
-        """Do what was done at this cycle; -> in words."""
+        """Repeat the actions of this cycle; -> a description."""
         said = []
         while self._events and self._events[-1][0] <= self.cycle:
             _, what, *arguments = self._events.pop()
@@ -151,11 +151,11 @@ class Player:
 
     @property
     def next(self) -> int:
-        """Position cycles of the next exchange."""
+        """The number of position cycles of the next exchange."""
         return max(min(self._cycles, int(self.run["cycles"]) - self.cycle), 1)
 
     def passed(self, cycles: int) -> None:
-        """So many have passed on the machine: they are judged."""
+        """Judge the cycles that have passed on the machine."""
         self.cycle += cycles
         self.attempt.look()
 
@@ -173,7 +173,7 @@ class Player:
 
 
 def same(run: Mapping[str, Any], attempt: Attempt) -> bool:
-    """Whether a replay has come to what the run says."""
+    """Whether a replay has the result that the run states."""
     was, now = dict(run["report"]), asdict(attempt.report)
     times = zip(was.pop("times"), now.pop("times"), strict=False)
     return was == now and all(math.isclose(a, b, abs_tol=1e-9) for a, b in times)

@@ -71,7 +71,7 @@ class Pupil:
 
     @property
     def present(self) -> Progress:
-        """How far it is."""
+        """The present progress."""
         attempt = self.attempt
         step = attempt.present
         return Progress(
@@ -81,11 +81,11 @@ class Pupil:
 
     @property
     def over(self) -> bool:
-        """Whether it is done or lost."""
+        """Whether the exercise has ended, done or failed."""
         return self.attempt.done or bool(self.attempt.wrong)
 
     def look(self) -> None:
-        """Judge what has passed."""
+        """Judge the cycles that have passed."""
         if not self._told:
             self.attempt.look()
             self._tell()
@@ -95,23 +95,23 @@ class Pupil:
             self.end()
 
     def end(self) -> None:
-        """The attempt is over, or given up: who keeps results is told, once."""
+        """Report the end of the attempt once to the keeper of results."""
         if not self._told:
             self._told, self._session.journal = True, None
             self._session.attempted(self)
 
     def hint(self) -> str:
-        """The next hint; it is counted."""
+        """Return the next hint and count it."""
         self.journal.enter("hint")
         return self.attempt.hint()
 
     def predict(self, option: int) -> bool:
-        """Answer the question of the step. Raises ValueError: there is none."""
+        """Answer the question of the step. Raises ValueError if there is none."""
         self.journal.enter("predict", option)
         return self.attempt.predict(option)
 
     def lose(self, why: str) -> None:
-        """The exercise ends; nothing that was done already is lost."""
+        """End the exercise; finished steps remain recorded."""
         if not self.over:
             self.journal.enter("lose", why)
             self.attempt.lose(why)
@@ -119,7 +119,7 @@ class Pupil:
 
 
 def begin(session: Session, axis: str, exercise: Exercise) -> None:
-    """Begin an exercise on an axis of a session. Raises ValueError: the machine cannot."""
+    """Begin an exercise on an axis of a session. Raises ValueError if the machine cannot."""
     session.pupil = Pupil(session, axis, exercise)
 
 

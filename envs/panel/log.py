@@ -9,7 +9,7 @@ KINDS = ("command", "done", "refused", "fault", "stop", "info", "alarm")
 
 
 class Event(NamedTuple):
-    """Something that has happened."""
+    """An event of the log."""
 
     number: int
     kind: str  # of KINDS; info and alarm are shown in every window
@@ -22,7 +22,7 @@ class Event(NamedTuple):
 
 
 class Log:
-    """The last events, the newest last."""
+    """The latest events, the newest last."""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
@@ -32,7 +32,7 @@ class Log:
         self, time: float, kind: str, text: str, axis: str = "", who: str = "", reason: str = "",
         remedy: str = "",
     ) -> None:
-        """Enter an event. Raises ValueError for an unknown kind."""
+        """Add an event. Raises ValueError for an unknown kind."""
         if kind not in KINDS:
             raise ValueError(f"kind {kind!r}: use one of {', '.join(KINDS)}")
         self._number += 1
@@ -40,7 +40,7 @@ class Log:
         self.events = [*self.events[1 - KEPT :], event]
 
     def csv(self) -> str:
-        """All of them as a table."""
+        """All events as a table."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(["number", "time (s)", "kind", "axis", "by", "event", "reason", "remedy"])
@@ -51,5 +51,5 @@ class Log:
 
 
 def plain(text: str) -> str:
-    """A text for a cell: no formula where a spreadsheet opens it."""
+    """Make a text safe for a cell, so that a spreadsheet does not take it for a formula."""
     return f"'{text}" if text[:1] in "=+-@" else text

@@ -1,4 +1,4 @@
-"""Reception: the page on which a pupil gives the code of the class and a name.
+"""Reception: the page on which a pupil enters the class code and a name.
 
 It is plain HTML, for whoever has no token gets nothing else of the panel. Wrong codes take a second
 each and wait for one another, so that nobody gets through by trying.
@@ -64,7 +64,7 @@ class Reception:
         self._waiting = 0
 
     def person(self, token: str) -> "Place | Reception | None":
-        """The place of a pupil, or the reception itself: that is the teacher."""
+        """The place of a pupil, or the reception itself for the teacher."""
         known = self.room.person(token)
         teaches = hmac.compare_digest(self.teacher.encode(), token.encode())
         return self if teaches else known
@@ -72,7 +72,7 @@ class Reception:
     async def answer(
         self, scope: Scope, receive: Receive, send: Send, cookie: Callable[[str], bytes]
     ) -> bool:
-        """The form, and what comes of it; nothing else."""
+        """Serve the form and handle its answer; nothing else."""
         prefix = _prefix(scope)
         if scope["method"] == "GET" and not scope["path"].startswith("/_nicegui"):
             await answer(send, 200, _page(prefix), kind="text/html")

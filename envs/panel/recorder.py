@@ -1,4 +1,4 @@
-"""The scope's memory: every sample of some channels, a trigger that looks at each of them.
+"""The scope's memory: every sample of some channels, and a trigger that evaluates each.
 
 The ring holds the last samples at the full rate. A page gets a window of them, at most so many
 points: of each stretch the smallest and the largest value, so that no peak is lost.
@@ -21,7 +21,7 @@ POINTS = 900  # in a picture
 
 
 class Run(IntEnum):
-    """What the scope does when its trigger event has come and the window is full."""
+    """The behaviour of the scope after its trigger event, when the window is full."""
 
     ROLL = 0  # there is no trigger, the newest sample is at the right
     NORMAL = 1  # show it, wait for the next one
@@ -29,7 +29,7 @@ class Run(IntEnum):
 
 
 class Window(NamedTuple):
-    """What a picture shows."""
+    """The content of a picture."""
 
     number: int  # of the sample behind the last one shown
     time: np.ndarray  # s, of each point, 0 at the trigger event or at the newest sample
@@ -63,7 +63,7 @@ class Recorder:
         self.choose(channels)
 
     def choose(self, channels: Sequence[str]) -> None:
-        """Other channels; the memory begins anew. Raises ValueError, nothing has changed then."""
+        """Change channels and clear the memory. Raises ValueError without changing anything."""
         names = tuple(dict.fromkeys(channels))
         if not 1 <= len(names) <= MOST_CHANNELS:
             raise ValueError(f"{len(names)} channels: choose 1..{MOST_CHANNELS}")
@@ -80,7 +80,7 @@ class Recorder:
         self.arm()
 
     def arm(self) -> None:
-        """Wait for the event of the trigger from now on."""
+        """Arm the trigger."""
         self._watch = Watch(self.trigger) if self.trigger else None
         self._watched = self._reader(self.trigger.channel) if self.trigger else None
         self._event: int | None = None  # sample of the event that is being filled
@@ -93,7 +93,7 @@ class Recorder:
     def set_trigger(
         self, run: Run, channel: str = "", edge: Edge = Edge.RISING, level: float = 0.0
     ) -> None:
-        """Wait for an event, or roll. Raises ValueError for an unknown channel or level."""
+        """Set the trigger, or roll. Raises ValueError for an unknown channel or level."""
         if run is not Run.ROLL:
             self._reader(channel)
             if not abs(level) < 1e12:
@@ -161,7 +161,7 @@ class Recorder:
             self.frozen = True
 
     def freeze(self, frozen: bool) -> None:
-        """Keep the picture as it is, samples go on; or let it go on."""
+        """Freeze the picture while samples continue, or release it."""
         if frozen and self._captured is None:
             number = min(self._samples, self.count, self.depth)
             places = np.arange(self.count - number, self.count) % self.depth
@@ -175,7 +175,7 @@ class Recorder:
 
     @property
     def state(self) -> str:
-        """In a word."""
+        """The state of the scope in one word."""
         if self.frozen:
             return "stopped"
         if self.trigger is None:
@@ -185,7 +185,7 @@ class Recorder:
         return "triggered" if self.captures else "waiting"
 
     def view(self, points: int = POINTS) -> Window:
-        """The picture of now, at most `points` of each channel."""
+        """The present picture, with at most `points` of each channel."""
         if self._captured is not None and self._shown is not None:
             begin, event, end = self._shown
             times, values = self._captured
@@ -227,7 +227,7 @@ class Recorder:
                 "before": self.before, "trigger": trigger}
 
     def use(self, set_up: Mapping[str, Any]) -> None:
-        """Be as a set-up says. Raises ValueError for what is none; nothing has changed then."""
+        """Apply a set-up. Raises ValueError for an invalid one without changing anything."""
         before = self.set_up()
         try:
             self._use(set_up)
@@ -248,7 +248,7 @@ class Recorder:
                          float(trigger["level"]))
 
     def csv(self, shown: Mapping[str, tuple[float, str]] | None = None) -> str:
-        """The samples of the picture, all of them, as a table.
+        """All samples of the picture as a table.
 
         Args:
             shown: by channel, what its values are multiplied by and the unit then.

@@ -1,4 +1,4 @@
-"""Serve the panel of a session, or a classroom: the loopback alone, unless told otherwise."""
+"""Serve the panel of a session, or a classroom, by default only on the loopback interface."""
 
 import os
 import secrets
@@ -17,7 +17,7 @@ PORT = 8402
 
 
 def free(host: str, port: int) -> None:
-    """Raises ValueError where the port cannot be had."""
+    """Raise ValueError if the port is not available."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family) as probe:
@@ -30,7 +30,7 @@ def free(host: str, port: int) -> None:
 
 
 def kept_token() -> str:
-    """This user's token, the same each time, so that a page finds a server that was started anew.
+    """Return this user's permanent token, with which a page reconnects to a restarted server.
 
     It lies in a file that nobody else may read; where none can be, it is a new one.
     """
@@ -128,7 +128,7 @@ def serve_class(
 
 
 def address(host: str, port: int) -> str:
-    """Where a browser finds it."""
+    """The address for a browser."""
     if host in ("0.0.0.0", "::"):
         return f"http://{socket.gethostname()}:{port}/"
     name = "localhost" if host in ("127.0.0.1", "::1") else host

@@ -28,21 +28,21 @@ FIELDS = tuple(
 
 
 class Laboratory(Protocol):
-    """What knows policies; `training` has one."""
+    """The interface to policies; `training` implements it."""
 
     shipped_only: bool  # whether only what is offered may be named
 
     def fitting(self, axis: str) -> Any:
-        """What is offered at an axis: ``what``, ``names``, ``goal``, ``shown``."""
+        """The policies offered for an axis: ``what``, ``names``, ``goal``, ``shown``."""
 
     def prepare(self, machine: Machine, axis: str, name: str, goal: float) -> None:
-        """Do on a copy what takes long. Raises what is wrong with the policy or the goal."""
+        """Prepare a policy on a copy. Raises the errors of the policy or the goal."""
 
     def agent(self, session: "Session", axis: str, name: str, goal: float) -> Agent:
-        """A policy that takes over; the goal is in the unit that is offered."""
+        """Make a policy that takes over; the goal is in the offered unit."""
 
     def compare(self, machine: Machine, axis: str, names: list[str], goal: float) -> Sequence[Any]:
-        """How each policy does, on copies of a machine."""
+        """Compare policies on copies of a machine."""
 
 
 class Session(Bench):
@@ -72,19 +72,19 @@ class Session(Bench):
         self.fresh = machine.snapshot()  # what an exercise begins with
 
     def exchange(self) -> None:
-        """The next position cycles: paced, stepped, recorded, watched."""
+        """Advance by position cycles, with pacing, recording and supervision."""
         single = self.pace()
         self._port.deliver()
         self.pass_cycles(1 if single or self.streams else self.cycles)
 
     def cycle(self) -> None:
-        """The next position cycle, for who commands in each."""
+        """Advance by one position cycle, for an agent that commands in each cycle."""
         self.pace()
         self._port.deliver()
         self.pass_cycles(1)
 
     def pass_cycles(self, cycles: int) -> None:
-        """Let position cycles pass, and look at what has come of them."""
+        """Advance by position cycles and check the result."""
         if self.journal is not None:
             self.journal.passed(cycles)
         self.machine.step(cycles)
@@ -104,7 +104,7 @@ class Session(Bench):
             self.pupil.look()
 
     def act(self, what: str, *arguments: Any) -> Any:
-        """Act on the machine from outside: each page, master and experiment does it here.
+        """Act on the machine from outside; every page, master and experiment uses this.
 
         Args:
             what: of `journal.ACTS`.
@@ -118,7 +118,7 @@ class Session(Bench):
         return done
 
     def examined(self) -> str:
-        """Why what ails the machine stays as it is, if it does: it belongs to an exercise."""
+        """The reason why disturbances cannot be changed: they belong to an exercise."""
         if self.pupil is None or self.pupil.over:
             return ""
         return "an exercise is under way, and this belongs to it: finish or leave it first"
@@ -126,7 +126,7 @@ class Session(Bench):
     # ---------------------------------------------------------------- objects
 
     def rows(self, axis: str) -> list[Object]:
-        """All of the drive's dictionary."""
+        """The whole dictionary of the drive."""
         return [slot.row for slot in self.machine.drives[axis].objects.slots.values()]
 
     def value(self, axis: str, name: str) -> float | None:
@@ -146,7 +146,7 @@ class Session(Bench):
         return texts
 
     def write(self, axis: str, name: int | str, *arguments: float) -> str:
-        """Write an object as a master does; -> why it is refused, if it is."""
+        """Write an object as a master does; -> the reason of a refusal, or nothing."""
         try:
             self.act("write", axis, name, *arguments)
         except (SdoAbort, TypeError, ValueError) as error:
@@ -154,7 +154,7 @@ class Session(Bench):
         return ""
 
     def acceleration(self, axis: str) -> float:
-        """What the factors and the mechanics make of it."""
+        """The size of the drive units at the load, from factors and mechanics."""
         record = self.machine.drives[axis].axis
         return float(record.rad_s2_per_acceleration_unit) / self.machine.joint(axis)[0]
 
@@ -173,7 +173,7 @@ class Session(Bench):
         return [slot.row for slot, _ in self.machine.drives[axis].mapped(direction)]
 
     def fields(self) -> tuple[str, ...]:
-        """Fields of the record."""
+        """The fields of the record."""
         return FIELDS
 
     def channel_reader(self, axis: str, name: str) -> Callable[[], float]:
@@ -187,7 +187,7 @@ class Session(Bench):
     # ------------------------------------------------------------------ gains
 
     def gains(self, axis: str, names: Iterable[str]) -> dict[str, int]:
-        """What a drive has of these now, objects or what a maker's tool sets (drive units)."""
+        """Present values of objects or of settings of the maker's tool (drive units)."""
         drive = self.machine.drives[axis]
         return {
             name: int(drive.read(name) if name in drive.objects.names else drive.axis.od[name])
@@ -195,7 +195,7 @@ class Session(Bench):
         }
 
     def commission(self, axis: str, values: Mapping[str, float]) -> str:
-        """Give a drive gains, all or none; -> why they are refused."""
+        """Write gains to a drive, all or none; -> the reason of a refusal."""
         before = self.gains(axis, values)
         try:
             self.act("commission", axis, dict(values))
@@ -208,12 +208,12 @@ class Session(Bench):
     # ------------------------------------------------------ snapshots, agents
 
     def keep(self, name: str) -> None:
-        """Keep the machine as it is under a name."""
+        """Save the state of the machine under a name."""
         self.kept[name] = self.machine.snapshot()
         self.tell("done", f"kept as {name!r}")
 
     def back(self, name: str) -> str:
-        """Become what was kept; -> why it cannot be."""
+        """Restore a saved state; -> the reason of a refusal."""
         if name not in self.kept:
             return f"there is no snapshot {name!r}"
         self.release()
@@ -226,17 +226,17 @@ class Session(Bench):
         return ""
 
     def restore(self, snapshot: bytes) -> None:
-        """The machine as it was; the twin stands beside it. Raises ValueError of another one."""
+        """Restore the machine and align the twin. Raises ValueError for another machine."""
         self.machine.restore(snapshot)
         self._moved()
 
     def _moved(self) -> None:
-        """The machine was put somewhere else."""
+        """Note that the machine was placed elsewhere."""
         if self.beside is not None:
             self.beside.due = True
 
     def joint_position(self, axis: str) -> float | None:
-        """Where the joint is (m or rad)."""
+        """The position of the joint (m or rad)."""
         number = self.axes.index(axis)
         return float(self.machine.data.qpos[self.machine.couplings[number].qpos])
 
@@ -249,7 +249,7 @@ class Session(Bench):
         return self.machine.drives[axis].parameters.export()
 
     def load_parameters(self, axis: str, content: bytes) -> str:
-        """Store a parameter file and put it in force; -> why it is refused."""
+        """Load a parameter file and apply it; -> the reason of a refusal."""
         drive = self.machine.drives[axis]
         if drive.energised:
             return "the drive has power: disable it before its parameters change as a whole"
@@ -259,7 +259,7 @@ class Session(Bench):
         return wrong
 
     def reset(self) -> None:
-        """Power off and on again, the joints where they are."""
+        """Switch the power off and on again, with the joints where they are."""
         self.release()
         self._lose("switched off and on")
         self._port.forget()
@@ -330,7 +330,7 @@ class Session(Bench):
 
 
 class _Port(MachinePort):
-    """The machine; time passes through the session, and commands may come late."""
+    """The port of the machine; time advances through the session, commands may be delayed."""
 
     def __init__(self, machine: Machine, session: Session):
         super().__init__(machine)
@@ -354,7 +354,7 @@ class _Port(MachinePort):
         self._session.exchange()
 
     def deliver(self) -> None:
-        """Hand over what is due."""
+        """Apply the commands that are due."""
         while self._late and self._late[0][0] <= self._session.time:
             _, axis, name, value = self._late.popleft()
             try:
@@ -363,5 +363,5 @@ class _Port(MachinePort):
                 self._session.tell("refused", f"{axis}: {error}", axis)
 
     def forget(self) -> None:
-        """Nothing is under way any more."""
+        """Drop all pending commands."""
         self._late.clear()

@@ -15,14 +15,14 @@ class SetPoints:
         self.bench = bench
 
     def most(self, axis: str) -> Most:
-        """Fastest speed and acceleration of the profile, 6081h and 6083h (SI at the load)."""
+        """Speed and acceleration of the profile, 6081h and 6083h (SI at the load)."""
         bench = self.bench
         speed = float(bench.value(axis, "profile_velocity") or 0) * bench.units(axis).velocity
         rate = float(bench.value(axis, "profile_acceleration") or 0) * bench.acceleration(axis)
         return Most(speed, rate)
 
     def set(self, axis: str, kind: str, value: float) -> str:
-        """Hand over a set-point of a kind (`generator.KINDS`); -> why it is refused.
+        """Send a set-point of a kind (`generator.KINDS`); -> the reason of a refusal.
 
         Args:
             axis: that follows it.
@@ -51,7 +51,7 @@ class SetPoints:
     def generate(
         self, axis: str, kind: str, shape: str, size: float, frequency: float, time: float
     ) -> str:
-        """Let set-points follow a wave for `time` (s), then stop; -> why it is refused.
+        """Let set-points follow a wave for `time` (s), then stop; -> the reason of a refusal.
 
         Args:
             axis: that follows it.
@@ -77,7 +77,7 @@ class SetPoints:
         return self.bench.run(f"{axis}: {kind} {shape}, {frequency:g} Hz", motion, axis)
 
     def _streamed(self, axis: str) -> Most:
-        """Limits of what is streamed. Raises Refused where it cannot be."""
+        """The limits of a streamed set-point. Raises Refused if it cannot be streamed."""
         if self.bench.real_time:
             raise Refused("set-points", "the panel does not reach a node on a bus in each cycle",
                           "use Move, or a master with PDOs and SYNC")
@@ -96,7 +96,7 @@ class SetPoints:
         return found
 
     def _raw(self, axis: str, kind: str, value: float) -> int:
-        """In drive units. Raises Refused beyond the limits of the drive."""
+        """Convert a set-point to drive units. Raises Refused beyond the limits of the drive."""
         units = self.bench.units(axis)
         if kind == "torque":
             most = (
@@ -132,7 +132,7 @@ class SetPoints:
                           "choose a target inside")
 
     def _stream(self, axis: str, kind: str, wave: Wave, time: float) -> None:
-        """Follow a wave, a set-point each exchange."""
+        """Follow a wave with a set-point in each exchange."""
         master, name = self.bench.masters[axis], KINDS[kind].name
         master.follow(self._mode_of(axis, kind))
         units = self.bench.units(axis)
@@ -150,5 +150,5 @@ class SetPoints:
             master.write(name, round(wave(time) / unit))
 
     def _known(self, axis: str, name: str) -> float | None:
-        """An object, None where the drive does not have it."""
+        """Read an object; None if the drive does not have it."""
         return self.bench.value(axis, name) if name in self.bench.model(axis).names else None

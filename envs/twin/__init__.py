@@ -1,1 +1,1 @@
-"""A log of a bus becomes a machine: replay, families of mechanics, fit, intervals, verdict."""
+"""Turns a bus log into a machine: replay, families of mechanics, fit, intervals, verdict."""

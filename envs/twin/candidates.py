@@ -1,4 +1,4 @@
-"""Machines that repeat an experiment side by side, each with parameters of its own."""
+"""Machines that repeat an experiment in parallel, each with its own parameters."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

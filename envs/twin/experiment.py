@@ -47,7 +47,7 @@ APART = 5e-3  # s from one controlword to the next, on the way to an enabled dri
 
 
 class Unusable(ValueError):
-    """A log that no twin can be made of: what is missing, and how to record it."""
+    """A log is unsuitable for a twin; the message says what is missing and how to record it."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Events:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Set-points in rows of position cycles, and what was measured meanwhile."""
+    """Set-points for each position cycle, and the measured values."""
 
     name: str  # of the log
     mode: int
@@ -104,7 +104,7 @@ class Experiment:
 
     @property
     def moving(self) -> np.ndarray:
-        """Which samples are of motion, shape ``(m,)``.
+        """Which samples belong to motion, shape ``(m,)``.
 
         At rest dry friction holds the axis where the noise of the encoder has left it, and the
         integrator with it: nothing is to be learned of the machine, and no two runs are alike.
@@ -134,11 +134,11 @@ class Experiment:
 
     @property
     def sampling(self) -> float:
-        """From a sample to the next (s)."""
+        """The sampling period (s)."""
         return self.duration / max(len(self.time) - 1, 1)
 
     def until(self, end: float) -> "Experiment":
-        """Its first part, to a time (s)."""
+        """The first part of the experiment, up to a time (s)."""
         keep = self.time <= end
         n = min(len(self.arrives), self.begins + math.ceil(end / self.cycle) + 40)
         return replace(
@@ -150,7 +150,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Scale:
-    """What numbers of a log are in SI."""
+    """Factors that convert the numbers of a log to SI."""
 
     position: float  # m or rad a unit
     velocity: float
@@ -174,7 +174,7 @@ def experiment(
     mode: int | None = None, torque_constant: float | None = None, cycle: float | None = None,
     hold: bool = False,
 ) -> Experiment:
-    """Make an experiment of what a log has of one drive.
+    """Make an experiment from the part of a log that belongs to one drive.
 
     Args:
         signals: by object.
@@ -324,7 +324,7 @@ class Cadence:
 
 
 def _regular(time: np.ndarray, log: str) -> Cadence:
-    """The period of time stamps, by least squares over the number of the cycle of each."""
+    """The period of time stamps, by least squares over their cycle numbers."""
     if len(time) < 3:
         raise Unusable(f"{log}: fewer than 3 samples: record the moves with the bus running")
     steps = np.diff(time)
@@ -377,7 +377,7 @@ def _free_period(period: float, step: float) -> float:
 
 
 def _in_units(signal: Signal, scale: Scale, name: str) -> Signal:
-    """A set-point in units of the drive, also where a table has it in SI."""
+    """Convert a set-point to drive units, also from a table in SI."""
     if signal.unit in ("m", "rad"):
         return Signal(signal.time, signal.value / scale.position, "")
     if signal.unit in ("m/s", "rad/s"):
@@ -480,7 +480,7 @@ def _mode(
 def _first_rest(
     position: Signal, begin: float, end: float, quantum: float, log: str
 ) -> float:
-    """When the axis stands for the first time (s)."""
+    """The first time at which the axis is at rest (s)."""
     inside = (position.time >= begin) & (position.time <= end)
     time, value = position.time[inside], position.value[inside]
     if len(time) < 3:
@@ -506,7 +506,7 @@ def _held(signal: Signal, at: np.ndarray, period: float) -> np.ndarray:
 
 
 def _filled(signal: Signal, places: Cadence, cycle: float, hold: bool) -> Signal:
-    """A cyclic set-point that was sampled too seldom: steps, or a curve through the samples."""
+    """Rebuild an undersampled cyclic set-point: steps, or a curve through the samples."""
     at = np.arange(places.even[0], places.even[-1] + 0.5 * cycle, cycle)
     if hold:
         last = np.clip(np.searchsorted(places.even, at + 1e-9, "right") - 1, 0, None)
@@ -515,7 +515,7 @@ def _filled(signal: Signal, places: Cadence, cycle: float, hold: bool) -> Signal
 
 
 def _curve(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Through points, by cubics with slopes that do not overshoot (Fritsch, Carlson 1980)."""
+    """Interpolate by cubics whose slopes do not overshoot (Fritsch, Carlson 1980)."""
     if len(x) < 4:
         return np.interp(at, x, y)
     from ..autotune.needs import scipy
@@ -524,7 +524,7 @@ def _curve(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _smooth(values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """A mean over 5 ms, so that increments of the encoder do not look like motion."""
+    """Average over 5 ms, so that encoder increments do not look like motion."""
     count = 2 * round(2.5e-3 / max(float(np.median(np.diff(time))), 1e-9)) + 1
     padded = np.pad(values, count // 2, mode="edge")
     return np.convolve(padded, np.ones(count) / count, "valid")

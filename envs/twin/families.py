@@ -1,4 +1,4 @@
-"""Families of mechanics a log may come from, and what is unknown of each."""
+"""Families of mechanics that a log may come from, and the unknown parameters of each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ COMMON = ("coulomb_friction", "viscous_friction", "load_force")
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of machine.
+    """A family of machines.
 
     Args:
         name: of it.
@@ -39,7 +39,7 @@ class Family:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Names of all that is looked for, beside gains and lag."""
+        """The names of the unknown parameters, without gains and lag."""
         return (self.mass, *COMMON, *(self.spring or ()), *self.extra)
 
     def make(self, drive: str | DriveModel) -> Machine:

@@ -42,7 +42,7 @@ LIGHT = 0.6  # least inertia over that of the motor and what is known to be on i
 
 @dataclass(frozen=True)
 class Fitted:
-    """One family, as far as it explains the logs."""
+    """The fit of one family to the logs."""
 
     family: Family
     values: dict[str, float]  # parameters, and `LAG`
@@ -69,7 +69,7 @@ class Fitted:
         return self.held_position / max(self.floor_position, 1e-12)
 
     def shares(self, held: bool = True) -> dict[str, float]:
-        """What is left over of position (rms, m or rad), following error and torque (shares).
+        """Residuals of position (rms, m or rad), following error and torque (shares).
 
         Args:
             held: of what was held out, else of what was fitted.
@@ -205,7 +205,7 @@ def choose(
 def refuse(
     experiments: Sequence[Experiment], rough: Rough, joint: parameters.Joint, chosen: Family
 ) -> None:
-    """Raise Unusable for logs that tell too little, or do not fit together, in one line."""
+    """Raise Unusable, with one line, for logs with too little information or a mismatch."""
     name = experiments[0].name
     axis = joint.drive.axis
     limit = 0.995 * min(float(axis.torque_limit_positive), float(axis.torque_limit_negative))
@@ -262,7 +262,7 @@ def _plausible(rough: Rough) -> bool:
 
 
 def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[float]]:
-    """What is fitted, and from which time on each log is held out (s)."""
+    """The fitted part, and the time from which each log is held out (s)."""
     if len(experiments) > 1:
         return list(experiments[:-1]), [math.inf] * (len(experiments) - 1) + [0.0]
     only = experiments[0]
@@ -273,7 +273,7 @@ def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[fl
 def _start(
     chosen: Family, joint: parameters.Joint, rough: Rough, experiments: Sequence[Experiment]
 ) -> dict[str, float]:
-    """Where the search begins: of the regression, at the joint."""
+    """Start values of the search at the joint, from the regression."""
     gear = joint.gear
     row = parameters.PARAMETERS[chosen.mass]
     nominal = row.get(joint)
@@ -359,7 +359,7 @@ def _starts(
     search: Search, chosen: Family, joint: parameters.Joint, start: dict[str, float],
     noise: Noise, gains_known: bool,
 ) -> list[dict[str, float]]:
-    """Several places to begin, where there are local minima."""
+    """Several start points, if there are local minima."""
     starts = [start]
     if "pid_gain" in chosen.extra:
         grid = [

@@ -1,4 +1,4 @@
-"""What has changed in a machine since its twin was made, from a new log of its moves."""
+"""Finds the changes of a machine since its twin was made, from a new log of its moves."""
 
 import math
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Change:
 
     @property
     def certain(self) -> bool:
-        """Whether the interval leaves zero out."""
+        """Whether the interval excludes zero."""
         return not self.low <= 0.0 <= self.high
 
     def __str__(self) -> str:

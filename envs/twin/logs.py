@@ -1,4 +1,4 @@
-"""Logs of one axis, read and brought into experiments."""
+"""Reads the logs of one axis into experiments."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ def read(
     who: str | None = None, columns: str | None = None, mode: int | None = None,
     torque_constant: float | None = None, cycle: float | None = None, hold: bool = False,
 ) -> list[Experiment]:
-    """Experiments of the logs, in their order.
+    """Read the logs into experiments, in their order.
 
     Args:
         logs: candump, asc, blf, pcapng, CSV.

@@ -1,4 +1,4 @@
-"""The experiment a log should hold: moves that tell the parameters of an axis apart."""
+"""Plans an experiment: moves that separate the parameters of an axis."""
 
 import csv
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ SHARE_OF_SWEEP = 0.3  # of the highest acceleration
 
 @dataclass(frozen=True)
 class Limits:
-    """Within which a plan stays, at the joint (m or rad). Raises ValueError for others."""
+    """The limits of a plan at the joint (m or rad). Raises ValueError for invalid ones."""
 
     low: float
     high: float
@@ -46,7 +46,7 @@ class Limits:
 def plan(
     limits: Limits, period: float, *, kinds: Sequence[str] = WHOLE, sweep: bool = False
 ) -> np.ndarray:
-    """Set-points of the experiment, one a bus cycle, shape ``(n,)``; it begins in the middle.
+    """Set-points of the experiment, one for each bus cycle, shape ``(n,)``, from mid-range.
 
     Args:
         limits: of place, speed, acceleration and jerk.

@@ -1,4 +1,4 @@
-"""Pictures of a twin beside what was measured, and a page that says what to make of it."""
+"""Pictures that compare a twin with the measurement, and a page that assesses it."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,8 +27,8 @@ def report(folder: Path, fitted: Fitted, content: Mapping[str, Any]) -> list[Pat
     lines = [
         f"# Twin of {', '.join(each['name'] for each in content['logs']) or 'a log'}\n",
         f"**{content['said']}.**\n",
-        f"Drive {content['drive']}, mechanics {content['mechanics']}; a set-point shows "
-        f"in a sample {1e3 * content['lag']:.3g} ms later.\n",
+        f"Drive {content['drive']}, mechanics {content['mechanics']}; a set-point appears in "
+        f"the samples {1e3 * content['lag']:.3g} ms later.\n",
         f"| parameter | value | 95 % from | to | unit |\n|---|---:|---:|---:|---|\n{rows}",
         f"Held out: position {held['position_rms']:.3g} {unit} rms (floor {held['floor']:.3g}), "
         f"torque {held['torque_rms']:.3g} Nm rms (floor {held['floor_torque']:.3g}), "
@@ -62,7 +62,7 @@ def _save(figure: Any, path: Path) -> None:
 
 
 def _motion(path: Path, fitted: Fitted) -> None:
-    """Position, following error, torque and what is left over, of the last log."""
+    """Plot position, following error, torque and residuals of the last log."""
     experiment, run = fitted.whole[-1], fitted.simulated[-1]
     cut = fitted.cuts[-1]
     scale, unit = (1e3, "mm") if fitted.unit == "m" else (1.0, "rad")
@@ -99,7 +99,7 @@ def _motion(path: Path, fitted: Fitted) -> None:
 
 
 def _friction(path: Path, fitted: Fitted) -> None:
-    """Torque without inertia over the speed, and the law that was found."""
+    """Plot the torque without inertia over the speed, and the identified friction law."""
     assert fitted.candidates is not None
     gear = abs(fitted.candidates.joint.gear)
     speed, torque = fitted.rough.curve
@@ -120,14 +120,14 @@ def _friction(path: Path, fitted: Fitted) -> None:
 
 
 def _weight(fitted: Fitted) -> float:
-    """Constant force that regression found beside the load force: gravity (N or Nm)."""
+    """The constant force that the regression found besides the load force: gravity (N or Nm)."""
     assert fitted.candidates is not None
     gear = fitted.candidates.joint.gear
     return fitted.rough.load * gear + fitted.values.get("load_force", 0.0)
 
 
 def _spectrum(path: Path, fitted: Fitted) -> None:
-    """Frequency response from torque to acceleration that the moves have excited."""
+    """Plot the frequency response from torque to acceleration excited by the moves."""
     assert fitted.candidates is not None
     gear = fitted.candidates.joint.gear
     figure, axes = _figure(1, 1, (5.0, 3.6))

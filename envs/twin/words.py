@@ -1,4 +1,4 @@
-"""What a fit cannot tell, in words, and the move that would."""
+"""Describes the parameters that a fit cannot determine, and the moves that would."""
 
 import numpy as np
 
@@ -6,20 +6,20 @@ from .candidates import LAG
 from .fit import FAIR, GOOD, Fitted
 
 WIDE = 0.15  # half an interval over the value, above which a parameter is poorly known
-TIED = 0.97  # correlation of two estimates that are told apart no more
+TIED = 0.97  # correlation above which two estimates can no longer be separated
 GAINS = "read the gains from the drive (--read-gains)"
 RING = "let it ring out: add a short, sharp move and a rest of half a second"
-MOVES = {  # what tells two parameters apart, and the kinds of moves (`plan.KINDS`) that do
+MOVES = {  # advice that separates two parameters, and the kind of moves (`plan.KINDS`) for it
     frozenset(("payload", "coulomb_friction")): (
-        "two accelerations tell them apart; add a move at half the acceleration", "acceleration"),
+        "two accelerations separate them; add a move at half the acceleration", "acceleration"),
     frozenset(("payload", "velocity_gain")): (
         f"{GAINS}, or add a move at the torque limit", "acceleration"),
     frozenset(("coulomb_friction", "viscous_friction")): (
-        "two speeds tell them apart; add moves at a third of the speed", "speed"),
+        "two speeds separate them; add moves at a third of the speed", "speed"),
     frozenset(("coulomb_friction", "load_force")): (
-        "both directions tell them apart; add the same moves back", "speed"),
+        "both directions separate them; add the same moves back", "speed"),
     frozenset(("payload", "load_stiffness")): (
-        "a sweep over the resonance tells them apart; add a sine of the set-point that rises from "
+        "a sweep over the resonance separates them; add a sine of the set-point that rises from "
         "5 to 100 Hz", "sweep"),
     frozenset(("load_stiffness", "load_damping")): (RING, "ring"),
     frozenset(("transmission_stiffness", "transmission_damping")): (RING, "ring"),
@@ -29,42 +29,42 @@ MOVES = {  # what tells two parameters apart, and the kinds of moves (`plan.KIND
 ALONE = {
     "payload": ("add moves with more acceleration", "acceleration"),
     "inertia": ("add moves with more acceleration", "acceleration"),
-    "coulomb_friction": ("add slow moves to both sides", "slow"),
+    "coulomb_friction": ("add slow moves in both directions", "slow"),
     "viscous_friction": (
         "add long moves at the highest speed and at a third of it", "speed"),
-    "load_force": ("add the same moves to both sides", "slow"),
+    "load_force": ("add the same moves in both directions", "slow"),
     "load_stiffness": ("add short, sharp moves, or a sweep over the resonance", "sweep"),
     "load_damping": ("add short, sharp moves with a rest behind each", "ring"),
     "transmission_stiffness": ("add short, sharp moves, or a sweep over the resonance", "sweep"),
     "transmission_damping": ("add short, sharp moves with a rest behind each", "ring"),
-    "backlash": ("add slow moves to both sides, short ones", "slow"),
+    "backlash": ("add short, slow moves in both directions", "slow"),
 }
 OTHERS = ("record moves that differ more in speed and acceleration", "acceleration")
 ALWAYS = (
-    "Torque is what the drive reports: masses, frictions and stiffnesses are as true as its torque "
-    "constant. A second log with a known payload added would tell it."
+    "The torque is the one that the drive reports: masses, frictions and stiffnesses are as "
+    "accurate as its torque constant. A second log with a known added payload would determine it."
 )
 COARSE = (
-    "With so few increments a turn inertia, friction and gains stand in for one another: the "
-    "motion is right, single parameters may be half as large again, and no intervals are given."
+    "With so few increments a turn, inertia, friction and gains compensate one another: the "
+    "motion is right, but single parameters may be half as large again, so no intervals are given."
 )
 SWINGING = 0.2  # torque at rest of the highest one, above which the axis does not stand still
 
 
 def doubts(fitted: Fitted) -> list[str]:
-    """Sentences about parameters that this log leaves open; none where it tells them all."""
+    """Sentences about parameters that this log does not determine; none if it determines all."""
     if fitted.increment:
         return [COARSE, *_limit_cycle(fitted)]
     return [text for text, _ in _open(fitted)]
 
 
 def missing(fitted: Fitted) -> tuple[str, ...]:
-    """Kinds of moves (`plan.KINDS`) that would tell what this log leaves open, each once."""
+    """Kinds of moves (`plan.KINDS`) that would determine the open parameters, each once."""
     return tuple(dict.fromkeys(kind for _, kind in _open(fitted) if kind))
 
 
 def _open(fitted: Fitted) -> list[tuple[str, str]]:
-    """Sentences, and the kind of moves that each asks for."""
+    """Sentences about open parameters, each with the kind of moves that it requires."""
     said: list[tuple[str, str]] = []
     estimate = fitted.estimate
     names = [free.name for free in estimate.free]
@@ -84,19 +84,19 @@ def _open(fitted: Fitted) -> list[tuple[str, str]]:
             pair = frozenset((first, names[k]))
             if abs(correlation[i, k]) > TIED and LAG not in pair and pair & poor:
                 advice, kind = MOVES.get(pair, OTHERS)
-                text = f"{names[k]} and {first} are hardly told apart by this log: {advice}."
+                text = f"{names[k]} and {first} are hard to separate with this log: {advice}."
                 said.append((text, kind))
                 paired |= pair
     for name in names:
         if name in poor and name not in paired:
             low, high = estimate.interval(name)
             advice, kind = ALONE.get(name, (GAINS, ""))
-            said.append((f"{name} is known poorly ({low:.3g} to {high:.3g}): {advice}.", kind))
+            said.append((f"{name} is uncertain ({low:.3g} to {high:.3g}): {advice}.", kind))
     return said
 
 
 def _limit_cycle(fitted: Fitted) -> list[str]:
-    """A sentence about an axis that swings between increments where it should stand."""
+    """A sentence about an axis that oscillates between increments when it should be at rest."""
     measured, twin = [], []
     for experiment, run in zip(fitted.whole, fitted.simulated, strict=True):
         measured.append(experiment.torque[~experiment.moving])
@@ -106,14 +106,14 @@ def _limit_cycle(fitted: Fitted) -> list[str]:
     if there < SWINGING * highest:
         return []
     return [
-        f"At rest the axis swings between increments of its encoder: torque {there:.3g} Nm rms, "
-        f"{here:.3g} of the twin. When it passes an edge nobody can foretell, so torque at rest is "
-        "not compared."
+        "At rest the axis oscillates between increments of its encoder: its torque is "
+        f"{there:.3g} Nm rms, that of the twin {here:.3g}. The instants at which it passes an edge "
+        "cannot be predicted, so torque at rest is not compared."
     ]
 
 
 def verdict(fitted: Fitted) -> str:
-    """In a sentence."""
+    """The verdict in a sentence."""
     scale, unit = (1e6, "µm") if fitted.unit == "m" else (1e6, "µrad")
     figures = f"held-out position error {scale * fitted.held_position:.3g} {unit} rms, " + (
         f"{fitted.held_position / fitted.increment:.2f} increments of the encoder"
@@ -124,11 +124,11 @@ def verdict(fitted: Fitted) -> str:
     if not fitted.complete:
         return f"interrupted: the best so far, without intervals; {figures}"
     if fitted.ratio <= GOOD:
-        return f"good: believe it; {figures}"
+        return f"good: trust it; {figures}"
     if fitted.ratio <= FAIR:
-        return f"fair: good for the motion, parameters with care; {figures}"
+        return f"fair: trust the motion, use the parameters with care; {figures}"
     return (
-        f"refused: do not believe it; {figures}. The family {fitted.family.name} lacks what moves "
-        "this axis, or the drive model, its gains or its units are others: try --mechanics auto, "
+        f"refused: do not trust it; {figures}. The family {fitted.family.name} does not describe "
+        "this axis, or the drive model, its gains or its units differ: try --mechanics auto, "
         "--read-gains"
     )

@@ -210,7 +210,7 @@ def tied(fitted, first, second):
 def test_a_log_says_what_it_cannot_tell_apart_and_which_move_would(fitted):
     assert missing(fitted) == ()
     blind = tied(fitted, "coulomb_friction", "viscous_friction")
-    assert any("hardly told apart" in text and "third of the speed" in text
+    assert any("hard to separate" in text and "third of the speed" in text
                for text in doubts(blind))
     assert missing(blind)[0] == "speed"
 
