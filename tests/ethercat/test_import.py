@@ -410,7 +410,7 @@ def test_a_hundred_megabytes_are_refused_and_not_held(tmp_path, capsys):
     with file.open("wb") as stream:
         stream.truncate(100_000_000)
     assert cli.main(["drives", "--from-esi", str(file), "-o", str(tmp_path / "mine")]) == 2
-    assert "more than 33554432 bytes" in capsys.readouterr().err
+    assert "at most 33554432" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("cut", [0, 1, 64, 130, 500, 900])
