@@ -15,7 +15,7 @@ class Asked(loops.Asked):
     def kept(self, response: Response) -> bool:
         """Whether a response has them."""
         return all(
-            found.stable and found.gain >= self.gain and found.phase >= self.phase
+            found.stable and found.sure >= self.gain and found.phase >= self.phase
             for found in (response.velocity_margins, response.position_margins)
         )
 
@@ -51,7 +51,7 @@ def why_not(response: Response, asked: Asked) -> str:
     """What stands in the way of the margins, in words."""
     loops = {"velocity": response.velocity_margins, "position": response.position_margins}
     turning = [name for name, found in loops.items() if not found.stable]
-    if turning and all(m.gain >= asked.gain and m.phase >= asked.phase for m in loops.values()):
+    if turning and all(m.sure >= asked.gain and m.phase >= asked.phase for m in loops.values()):
         return (
             f"the {' and the '.join(turning)} loop as measured goes round -1 (Nyquist), so its "
             "margins are not proof; measure with a larger amplitude"

@@ -29,6 +29,11 @@ class Margins:
     # two measured lines that cannot be told from a crossing
     doubtful: float = field(default=math.inf, compare=False)
 
+    @property
+    def sure(self) -> float:
+        """Gain margin (dB) where coming close to -180 degrees counts as crossing it."""
+        return min(self.gain, self.doubtful)
+
     def and_of(self, others: Iterable["Margins"]) -> "Margins":
         """The smallest ones of several loops, and where they are."""
         loops = [self, *others]

@@ -24,11 +24,11 @@ def holds(played):
     for found, (gain, phase, stable) in zip(after, played.known, strict=True):
         if tuned.reached:
             assert found.stable
-            assert found.gain >= 6.0
+            assert found.sure >= 6.0
             assert found.phase >= 35.0
         if tuned.reached and played.case.linear:
             assert stable
-            assert gain >= min(found.gain, found.doubtful, 12.0) - LIKE_KNOWN[0]
+            assert gain >= min(found.sure, 12.0) - LIKE_KNOWN[0]
             assert phase >= min(found.phase, 70.0) - LIKE_KNOWN[1]
     assert tuned.reached or tuned.reason
     assert played.follows
