@@ -293,13 +293,6 @@ def test_set_points_on_the_fly_keep_every_limit_with_four_jerks():
     check_random_cases(20 if jit.DISABLED else 20_000, seed=1)
 
 
-@pytest.mark.slow
-def test_set_points_on_the_fly_keep_every_limit_with_four_jerks_long(tell):
-    for part in range(20):
-        check_random_cases(50_000, seed=2 + part)
-        tell(f"{(part + 1) * 50_000} cases of four set-points")
-
-
 @jit.block
 def _stays_inside(v, a, speed, up, down, jerk):
     """Whether no limit is left while the acceleration (rad/s²) is taken away at once."""
@@ -427,9 +420,11 @@ def test_limits_that_change_wildly_in_motion_miss_no_target():
 
 
 @pytest.mark.slow
-def test_limits_that_change_wildly_in_motion_miss_no_target_long(tell):
+@pytest.mark.parametrize("check", [check_random_cases, check_wild_cases])
+def test_set_points_on_the_fly_long(check, tell):
+    """Limits are kept and no target is missed, with four jerks and with limits that change."""
     for part in range(20):
-        check_wild_cases(50_000, seed=2 + part)
+        check(50_000, seed=2 + part)
         tell(f"{(part + 1) * 50_000} cases of four set-points")
 
 

@@ -53,12 +53,7 @@ def _dictionary() -> Any:
 def _serve(bus: can.BusABC, node: Node, stop: threading.Event) -> None:
     """Our node in a thread: every frame it receives is handled at once."""
     while not stop.is_set():
-        message = bus.recv(0.05)
-        frame = to_frame(message) if message else None
-        if frame:
-            node.receive(frame, 0)
-            for answer in node.poll(0):
-                bus.send(to_message(answer))
+        _answer(bus, node, 0.05)
 
 
 @contextmanager

@@ -50,6 +50,46 @@ def real_time(options: argparse.Namespace, console: Console) -> None:
             console.print(f"without {' and '.join(missing)}", highlight=False)
 
 
+PORT = 8402  # as `envs.panel.server`
+
+
+def add_page(parser: argparse.ArgumentParser, pictures: int, most: int) -> None:
+    """``--port``, ``--host``, ``--pictures`` and ``--no-browser`` of a command that serves a page.
+
+    Args:
+        parser: of the command.
+        pictures: a second, if not given.
+        most: pictures a second at the most.
+    """
+    parser.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
+    parser.add_argument(
+        "--host", default="127.0.0.1",
+        help="listen on this address, not on the loopback interface; 0.0.0.0 for other computers",
+    )
+    parser.add_argument(
+        "--pictures", type=int, default=pictures, help=f"pictures per second, 1..{most} ({pictures})"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
+    parser.set_defaults(most_pictures=most)
+
+
+def page(options: argparse.Namespace, console: Console) -> dict[str, Any]:
+    """Where a page is served, and how it says so. Raises ValueError for what cannot be had."""
+    from ...envs.panel import server
+
+    for name, most in (("port", 65535), ("pictures", options.most_pictures)):
+        if not 1 <= getattr(options, name) <= most:
+            raise ValueError(f"--{name} = {getattr(options, name)} is out of range 1..{most}")
+    server.free(options.host, options.port)
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    return {
+        "host": options.host, "port": options.port, "browser": not options.no_browser, "tell": tell
+    }
+
+
 MODELS = ("drive", "model")  # where the options of a command keep the drive models it is given
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-PORT = 8402  # as `envs.panel.server`
+from . import arguments
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -26,15 +26,7 @@ def add(command: argparse.ArgumentParser) -> None:
         help="code of the class, one is drawn if not given; with the code and the --results of "
         "before, pupils have their places again",
     )
-    command.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
-    command.add_argument(
-        "--host", default="127.0.0.1",
-        help="listen on this address instead of the loopback; 0.0.0.0 for other computers",
-    )
-    command.add_argument(
-        "--pictures", type=int, default=5, help="pictures per second for each page, 1..25 (5)"
-    )
-    command.add_argument("--no-browser", action="store_true", help="do not open a browser")
+    arguments.add_page(command, pictures=5, most=25)
     command.set_defaults(run=_classroom)
 
 
@@ -48,11 +40,7 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
     from ...envs.tasks import fitting
     from ..policies.takeover import Laboratory
 
-    for name, most in (("port", 65535), ("pictures", 25)):
-        if not 1 <= getattr(options, name) <= most:
-            raise ValueError(f"--{name} = {getattr(options, name)} is out of range 1..{most}")
-    server.free(options.host, options.port)
-
+    served = arguments.page(options, console)
     title = options.axis.replace("-", " ")
 
     def make(cycles: int) -> Session:
@@ -74,12 +62,7 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
         make(1).exchange()
     again = room.resume()
 
-    def tell(text: str) -> None:
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
-
     if again:
-        tell(f"{again} of before have their places again, with fresh machines")
-    server.serve_class(
-        room, host=options.host, port=options.port, browser=not options.no_browser, tell=tell
-    )
+        served["tell"](f"{again} of before have their places again, with fresh machines")
+    server.serve_class(room, **served)
     return 0

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from . import arguments
 from .bus import CHANNEL, INTERFACE, opened, where
 
 if TYPE_CHECKING:
     from ...envs.panel.bench import Bench
 
-PORT = 8402  # as `envs.panel.server`
 RATE = 20.0  # as `envs.panel.bus`
 
 
@@ -58,13 +58,7 @@ def add(panel: argparse.ArgumentParser) -> None:
     panel.add_argument(
         "--lessons", type=Path, help="folder with .toml files of your own exercises"
     )
-    panel.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
-    panel.add_argument(
-        "--host", default="127.0.0.1",
-        help="listen on this address instead of the loopback interface",
-    )
-    panel.add_argument("--pictures", type=int, default=25, help="pictures per second, 1..60 (25)")
-    panel.add_argument("--no-browser", action="store_true", help="do not open a browser")
+    arguments.add_page(panel, pictures=25, most=60)
     panel.set_defaults(run=_panel)
 
 
@@ -159,23 +153,12 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     from ...envs.tasks import fitting
     from ..policies.takeover import Laboratory
 
-    if not 1 <= options.port <= 65535:
-        raise ValueError(f"--port = {options.port} is out of range 1..65535")
-    if not 1 <= options.pictures <= 60:
-        raise ValueError(f"--pictures = {options.pictures} is out of range 1..60")
-    server.free(options.host, options.port)
-
-    def tell(text: str) -> None:
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
-
+    served = arguments.page(options, console) | {"pictures": options.pictures}
     if options.node_id:
-        bench, adapter = _bus(options, tell)
+        bench, adapter = _bus(options, served["tell"])
         try:
             _put_twin(bench, options)
-            server.serve(
-                bench, host=options.host, port=options.port, browser=not options.no_browser,
-                pictures=options.pictures, tell=tell,
-            )
+            server.serve(bench, **served)
         finally:
             adapter.shutdown()
         return 0
@@ -199,9 +182,5 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
         session.laboratory = Laboratory(lambda axis: fitting.FITTING[options.axis])
     else:
         session.no_policies = fitting.NONE[options.axis]
-    server.serve(
-        session, host=options.host, port=options.port,
-        browser=not options.no_browser, pictures=options.pictures,
-        tell=tell,
-    )
+    server.serve(session, **served)
     return 0

@@ -24,10 +24,7 @@ def add(tune: argparse.ArgumentParser) -> None:
 
 def _tune(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import tuner
-    from ..policies import tuned
 
-    if tuner.tunable(options.policy) is None:
-        out = options.out or Path("out/tuned.npz")
-        return tuned.run(options.policy, options.episodes, out, console, tuner.offered())
-    out, budget = options.out or Path("out/tuned.json"), options.budget or tuner.BUDGET
-    return tuner.run(options.policy, options.task, budget, out, console)
+    return tuner.run(
+        options.policy, options.task, options.budget, options.episodes, options.out, console
+    )

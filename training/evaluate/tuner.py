@@ -5,8 +5,12 @@ numbers and then points that fill the ranges evenly (the additive recurrence R_d
 `FEW` training episodes; the rest tries the best of them on `MANY` further episodes. The numbers
 with the best interquartile mean of the task's metric there are written. No choice is made by hand.
 Only steps that were played count: an episode that ends early leaves room for more points.
+
+A row of `FITTED` has a way of its own to its numbers, a fit. What it costs is told in the same
+units: steps of the environment, processor time, and the choices that a person made.
 """
 
+import io
 import json
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,13 +18,15 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from rich.console import Console
 
 from ...drive.model.names import hint
-from ...envs.environment.registry import short, task
+from ...envs.engine.checks import whole
+from ...envs.environment.registry import NAMESPACE, short, task
 from ...envs.environment.servo_env import ServoEnv
-from ..policies import POLICIES
+from ..policies import POLICIES, basis_feed_forward
 from ..policies.numbers import Tunable
 from ..report import write_bytes
 from .episodes import Evaluator
@@ -28,6 +34,8 @@ from .metrics import iqm, metrics
 
 BUDGET = 300_000  # steps
 FEW, MANY = 16, 48  # episodes, with seeds from 1 on; no evaluation has them
+FITTED = {"basis_feed_forward": basis_feed_forward}
+MOST = 1000  # episodes of a fit
 
 
 def points(ranges: Mapping[str, Any]) -> Iterator[dict[str, float]]:
@@ -94,29 +102,67 @@ def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict
     }
 
 
-def run(policy: str, env: str | None, budget: int, out: Path, console: Console) -> int:
-    """Tune a row for a task, add the numbers to the file, and print them; -> exit status.
+def run(
+    policy: str, env: str | None, budget: int | None, episodes: int | None, out: Path | None,
+    console: Console,
+) -> int:
+    """Find the numbers of a row for a task, write them, and say what that took; -> exit status.
 
     Raises ValueError for a policy without numbers, or a task that does not offer it.
     """
     kind = tunable(policy)
+    if kind is None and policy not in FITTED:
+        remark = hint(policy, [*FITTED, *offered()])
+        raise ValueError(f"policy {policy!r} has no numbers to tune: {remark}")
+    own = _task(policy, env)
     if kind is None:
-        raise ValueError(f"policy {policy!r} has no numbers: {hint(policy, offered())}")
+        out = out or Path("out/tuned.npz")
+        said = _fit(policy, own, episodes, out)
+    else:
+        out = out or Path("out/tuned.json")
+        said = _tune(policy, kind, own, budget or BUDGET, out)
+    console.print(said, highlight=False)
+    console.print(f"{out}", soft_wrap=True)
+    return 0
+
+
+def _task(policy: str, env: str | None) -> type[ServoEnv]:
+    """The task by name, or the only one that offers the policy."""
     if env is None:
+        ids = [name for name in gymnasium.registry if name.startswith(NAMESPACE)]
+        offering = [found for found in map(task, ids) if policy in found.POLICIES]
+        if len(offering) == 1:
+            return offering[0]
         raise ValueError(f"policy {policy!r}: for which task? add --task, as --task LinearAxis-v0")
     own = task(env)
     if policy not in own.POLICIES:
         raise ValueError(f"{own.ID} does not offer {policy!r}: {hint(policy, own.POLICIES)}")
+    return own
+
+
+def _fit(policy: str, own: type[ServoEnv], episodes: int | None, out: Path) -> str:
+    row = FITTED[policy]
+    asked = whole("--episodes", row.EPISODES if episodes is None else episodes, 1, MOST)
+    begin = time.process_time()
+    numbers, steps = row.fit(own, asked)
+    seconds = time.process_time() - begin
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, coefficients=numbers)
+    write_bytes(out, file.getvalue())
+    return (
+        f"{policy}: {numbers.size} numbers from {asked} episodes of {short(own.ID)}, "
+        f"{steps:,} steps, {seconds:.0f} CPU-seconds; chosen by hand: {row.CHOICES}"
+    )
+
+
+def _tune(policy: str, kind: type[Tunable], own: type[ServoEnv], budget: int, out: Path) -> str:
     found = tune(kind, own, budget)
     known = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
     known.setdefault(policy, {})[short(own.ID)] = found
     write_bytes(out, (json.dumps(known, indent=1, sort_keys=True) + "\n").encode())
     numbers = ", ".join(f"{name} {value:g}" for name, value in found["numbers"].items())
-    console.print(
+    return (
         f"{policy} on {short(own.ID)}: {numbers}; {found['metric']} {found['untuned']:.4g} -> "
         f"{found['tuned']:.4g}; {found['points']} points, {found['steps']:,} steps, "
-        f"{found['cpu_seconds']:.0f} CPU-seconds",
-        highlight=False,
+        f"{found['cpu_seconds']:.0f} CPU-seconds"
     )
-    console.print(f"{out}", soft_wrap=True)
-    return 0
