@@ -40,7 +40,7 @@ def place(model: DriveModel, row: Object) -> int | None:
     return FIELD_PLACES.get(row.offset, own.get(row.offset))
 
 
-class Kept(NamedTuple):
+class WrittenValue(NamedTuple):
     """A value as it was written."""
 
     raw: int
@@ -68,7 +68,7 @@ def written(drive: Device, n: int) -> None:
         drive.axis.kept_shown[n] = WRITTEN
 
 
-def kept(drive: Device) -> dict[int, Kept]:
+def kept(drive: Device) -> dict[int, WrittenValue]:
     """Return, by place, storable values that have not been written since the units changed."""
     axis = drive.axis
     if not axis.converted:
@@ -78,13 +78,13 @@ def kept(drive: Device) -> dict[int, Kept]:
     }
     arrays = [axis[name].tolist() for name in ARRAYS]
     return {
-        n: Kept(*(array[n] for array in arrays))
+        n: WrittenValue(*(array[n] for array in arrays))
         for n, number in shown.items()
         if axis.kept_shown[n] == number
     }
 
 
-def keep(drive: Device, values: dict[int, Kept]) -> None:
+def keep(drive: Device, values: dict[int, WrittenValue]) -> None:
     """Put `kept` values in force, whose numbers stand in the objects; all others are as written."""
     axis = drive.axis
     if values:

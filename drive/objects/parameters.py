@@ -187,7 +187,7 @@ class Parameters:
             row = self._drive.model.objects.get((int(match[1], 16), int(match[2], 16)))
             known = row is not None and row in kept.storable(self._drive.model).values()
             whole = isinstance(value, int) or match[3] == "unit"
-            fits = match[3] in kept.Kept._fields and whole and abs(value) < 2**62
+            fits = match[3] in kept.WrittenValue._fields and whole and abs(value) < 2**62
             return "" if known and fits else "is not a value as it was written"
         match = re.fullmatch(r"([0-9A-F]{4}):([0-9A-F]{2})", address)
         if not match:
@@ -280,8 +280,8 @@ class Parameters:
         for slot, value in others:
             slot.put(value)
         if self._drive.model.quirk("values_keep_meaning"):
-            whole = {n: p for n, p in exact.items() if len(p) == len(kept.Kept._fields)}
-            kept.keep(self._drive, {n: kept.Kept(**parts) for n, parts in whole.items()})
+            whole = {n: p for n, p in exact.items() if len(p) == len(kept.WrittenValue._fields)}
+            kept.keep(self._drive, {n: kept.WrittenValue(**parts) for n, parts in whole.items()})
 
     def reset_communication(self) -> None:
         """Communication objects 1000h-1FFFh as after power-on; the rest stays (CiA 301, NMT)."""

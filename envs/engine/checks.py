@@ -163,7 +163,7 @@ def place_of(error: BaseException) -> str:
     return f"{own[-1].filename}, line {own[-1].lineno}, in {own[-1].name}" if own else ""
 
 
-def told(error: BaseException) -> str:
+def error_line(error: BaseException) -> str:
     """An error in a line: kind, what it says, and where in a user's own code it came from."""
     place = place_of(error)
     text = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())

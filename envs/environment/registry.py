@@ -15,7 +15,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from ...drive.kernel.words import Mode
 from ...drive.model.names import hint
-from ..engine.checks import told, whole
+from ..engine.checks import error_line, whole
 from .device_env import vectors
 from .servo_env import ServoEnv
 
@@ -108,11 +108,12 @@ def _import(module: str, name: str) -> None:
     except ModuleNotFoundError as error:
         raise ValueError(
             f"environment {name!r}: module {module!r} cannot be imported "
-            f"({told(error)}); install its package, or set PYTHONPATH"
+            f"({error_line(error)}); install its package, or set PYTHONPATH"
         ) from error
     except Exception as error:
         raise ValueError(
-            f"environment {name!r}: module {module!r} ends with an error of its own: {told(error)}"
+            f"environment {name!r}: module {module!r} ends with an error of its own: "
+            f"{error_line(error)}"
         ) from error
 
 

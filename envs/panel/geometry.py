@@ -8,7 +8,7 @@ import numpy as np
 from ...drive.diagrams import Mode
 from ..engine.coupling import SWITCHES
 from ..engine.machine import Machine
-from ..view.camera import beside, corners, floor, seen
+from ..view.camera import beside, corners, floor, visible_points
 from ..view.decor import Part, parts
 
 PLACE = np.dtype("<f4")
@@ -22,7 +22,7 @@ def scene(machine: Machine) -> dict[str, Any]:
     model = machine.model
     moving = [body for body in range(model.nbody) if model.body_weldid[body]]
     shapes = [shape for geom in range(model.ngeom) if (shape := _shape(model, geom))]
-    points = seen(model, machine.data)
+    points = visible_points(model, machine.data)
     bar = beside(model, points) if len(points) else []
     decor = [*parts(model), *bar]
     standing = [corners(part) for part in decor if not part.body]

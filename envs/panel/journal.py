@@ -75,7 +75,7 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def told(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal) -> dict[str, Any]:
+def outcome(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal) -> dict[str, Any]:
     """A run, as stored in its file.
 
     Args:

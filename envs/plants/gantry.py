@@ -21,7 +21,7 @@ from ..engine.physics import compiled
 from . import own_units
 from .linear_axis import LinearAxisParameters, commission, tune
 from .loops import in_units
-from .shaft import seen
+from .shaft import plant_at_shaft
 from .sizing import largest
 from .tuning import Unmovable, fitting, inertia_at_shaft, rule
 
@@ -297,7 +297,8 @@ def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive, tuned: bool)
     inertia += 0.5 * float(bridge) / float(coupling.gear) ** 2
     tune(drive, inertia)
     if tuned:  # for both ways to move: side by side, and one against the other
-        plants = [seen(machine, dict(zip(PAIR, (1.0, sign), strict=True))) for sign in (1.0, -1.0)]
+        signs = [dict(zip(PAIR, (1.0, sign), strict=True)) for sign in (1.0, -1.0)]
+        plants = [plant_at_shaft(machine, each) for each in signs]
         found = fitting(plants, drive, rule(drive, inertia), 0.0)
         if found is None:
             raise Unmovable(

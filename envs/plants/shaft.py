@@ -31,7 +31,9 @@ WITHOUT = (
 )
 
 
-def seen(machine: Machine, names: str | Mapping[str, float], *, pushes: float = 1.0) -> Seen:
+def plant_at_shaft(
+    machine: Machine, names: str | Mapping[str, float], *, pushes: float = 1.0
+) -> Seen:
     """The plant of a drive, at the present place of the machine.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 from ..engine.machine import Machine
 from .gantry import PAIR
 from .loops import Gains, Margin, gains_of
-from .shaft import seen
+from .shaft import plant_at_shaft
 from .sizing import FAST, PEAK, Load, Motor, load_of, motor_of
 
 
@@ -94,10 +94,10 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
             "choose a servo drive, see `servogym drives`"
         )
     beam = PAIR if name in PAIR and all(x in machine.drives for x in PAIR) else (name,)
-    plant = seen(machine, dict.fromkeys(beam, 1.0))
+    plant = plant_at_shaft(machine, dict.fromkeys(beam, 1.0))
     gear, unit = machine.joint(name)
     gear = abs(gear)
-    inertia = seen(machine, dict.fromkeys(beam, 1.0), pushes=0.0).inertia
+    inertia = plant_at_shaft(machine, dict.fromkeys(beam, 1.0), pushes=0.0).inertia
     motor, load, gains = motor_of(drive), load_of(machine, name, inertia), gains_of(drive)
     dof = int(machine.couplings[[*machine.drives].index(name)].dof)
     own = float(machine.model.dof_armature[dof]) / gear**2

@@ -36,7 +36,7 @@ from .loops import (
     in_units,
     ranges,
 )
-from .shaft import seen
+from .shaft import plant_at_shaft
 from .sizing import Load, Motor, Profile, load_of, motor_of, possible
 
 A = 3.0  # larger is softer and better damped
@@ -103,7 +103,7 @@ def fitting(plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: flo
     """Gains of a drive for a plant: those of the rule where they do.
 
     Args:
-        plants: of `shaft.seen`, in all situations.
+        plants: of `shaft.plant_at_shaft`, in all situations.
         drive: whose ranges count.
         by_rule: of `rule`.
         stiffness: that they need to do (Nm/rad).
@@ -158,7 +158,7 @@ def tuned(
     told = _told(drive, inertia, motor_side)
     drive.commission(told)
     pushes = (1.0, -1.0) if load.loss > 0.0 else (1.0,)
-    plants = [seen(machine, name, pushes=each) for each in pushes]
+    plants = [plant_at_shaft(machine, name, pushes=each) for each in pushes]
     found = fitting(plants, drive, rule(drive, inertia, motor_side), left / (SOFT * window))
     if found is None:
         raise Unmovable(
@@ -200,7 +200,7 @@ def turned(machine: Machine, name: str) -> None:
     Raises:
         Unmovable: a load above its rated torque, or (`TooLight`) one it would oscillate with.
     """
-    drive, plant = machine.drives[name], seen(machine, name)
+    drive, plant = machine.drives[name], plant_at_shaft(machine, name)
     _bears(drive, motor_of(drive), load_of(machine, name, plant.inertia))
     slip = gains_of(drive)
     (gain, _, stable), _ = plant.margins(slip)

@@ -34,7 +34,7 @@ def framed(
     """
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
-    points = seen(model, data)
+    points = visible_points(model, data)
     if not len(points):
         return camera
     standing = [part for part in parts(model) if not part.body]
@@ -66,7 +66,7 @@ def framed(
     return camera
 
 
-def seen(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+def visible_points(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Return the points that geoms other than the floor can reach, ``(n, 3)`` (m).
 
     Sliding joints stand at both their ends, and those that turn anywhere, all at once.

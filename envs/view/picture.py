@@ -14,7 +14,7 @@ import numpy as np
 
 from ..engine.machine import Machine
 from ..engine.physics import STATE
-from .camera import beside, floor, framed, seen
+from .camera import beside, floor, framed, visible_points
 from .decor import Part, parts
 from .overlay import Line, Overlay, lines
 
@@ -222,7 +222,7 @@ class Picture:
         """Add what makes the plant a machine, and the scale on the floor."""
         model, data = self._env.machine.model, self._env.machine.data
         if self._parts is None:
-            self._parts = [*parts(model), *beside(model, seen(model, data))]
+            self._parts = [*parts(model), *beside(model, visible_points(model, data))]
         turn, own = np.empty(9), np.empty(9)
         for part in self._parts:
             if scene.ngeom >= scene.maxgeom:

@@ -8,7 +8,7 @@ from servogym.drive.master import Master
 from servogym.envs import bode, linear_axis, rotary_axis, tune
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.plants.loops import gains_of
-from servogym.envs.plants.shaft import seen
+from servogym.envs.plants.shaft import plant_at_shaft
 
 pytestmark = only_with("control", "scipy")
 TOML = """based_on = "generic"
@@ -60,7 +60,7 @@ def test_an_axis_with_other_loops_is_commissioned_moves_and_is_measured_as_such(
     master.move_to(0.3)
     assert not x.fault
     in_the_middle(machine)
-    velocity, (gain, phase, stable) = seen(machine, "x").margins(gains)
+    velocity, (gain, phase, stable) = plant_at_shaft(machine, "x").margins(gains)
     response = bode(machine)
     found = response.position_margins
     assert stable
@@ -76,9 +76,9 @@ def test_an_axis_with_other_loops_is_commissioned_moves_and_is_measured_as_such(
 
 def test_filters_of_the_torque_command_take_margin_and_bode_says_how_much():
     machine = in_the_middle(linear_axis())
-    without = seen(machine, "x").margins(gains_of(machine.drives["x"]))[0]
+    without = plant_at_shaft(machine, "x").margins(gains_of(machine.drives["x"]))[0]
     machine.drives["x"].commission({"torque_command_filter_time": 1_000, "notch_frequency_1": 3000})
-    plant = seen(machine, "x")
+    plant = plant_at_shaft(machine, "x")
     known = plant.margins(gains_of(machine.drives["x"]))[0]
     assert known[1] < without[1] - 15.0
     measured = bode(machine).velocity_margins
@@ -98,7 +98,7 @@ def test_what_a_gear_loses_is_felt_as_inertia_while_the_motor_pushes():
     """A worm gear with an efficiency of 65 % makes its load 1 / 0.65 as heavy."""
     machine = in_the_middle(rotary_axis(mechanics="rotary_table"))
     gains = gains_of(machine.drives["x"])
-    pushing, lossless = (seen(machine, "x", pushes=share) for share in (1.0, 0.0))
+    pushing, lossless = (plant_at_shaft(machine, "x", pushes=share) for share in (1.0, 0.0))
     motor = 0.6e-4  # kg·m²
     assert pushing.inertia - motor == pytest.approx((lossless.inertia - motor) / 0.65, rel=0.02)
     measured = bode(machine)
@@ -112,7 +112,7 @@ def test_what_a_gear_loses_is_felt_as_inertia_while_the_motor_pushes():
 def test_loops_slower_than_the_usual_frequencies_are_measured_below_them():
     """50 kg·m² on a soft gear: the position loop crosses over at half a hertz."""
     machine = in_the_middle(rotary_axis(mechanics="rotary_table", inertia=50.0))
-    _, (gain, phase, _) = seen(machine, "x").margins(gains_of(machine.drives["x"]))
+    _, (gain, phase, _) = plant_at_shaft(machine, "x").margins(gains_of(machine.drives["x"]))
     found = bode(machine)
     assert found.frequencies[0] < 0.5
     assert found.position_margins.phase == pytest.approx(phase, abs=LIKE[1])

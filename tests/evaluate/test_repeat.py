@@ -88,11 +88,11 @@ def test_the_cpu_seconds_are_those_of_the_whole_training_not_of_its_best_checkpo
     (training,) = repeat.plan(folder, tmp_path)
     assert training.cpu_seconds == pytest.approx(350.0)
     assert not training.inferred
-    assert repeat.told([training]) == (
+    assert repeat.in_sentences([training]) == (
         "Together they took 350 CPU-seconds, 3 minutes of 2 cores. These times were measured."
     )
     guessed = training._replace(task="Other-v0", cpu_seconds=50.0, inferred=True)
-    said = repeat.told([training, guessed])
+    said = repeat.in_sentences([training, guessed])
     assert said.startswith("Together they took at most 400 CPU-seconds")
     assert "Of these, 350 were measured (LinearAxis-v0)." in said
     assert "The times of Other-v0, at most 50, were not recorded" in said

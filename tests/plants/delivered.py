@@ -23,7 +23,7 @@ from servogym.envs.masters.port import MachinePort
 from servogym.envs.masters.squaring import square
 from servogym.envs.plants.gantry import PAIR
 from servogym.envs.plants.loops import gains_of
-from servogym.envs.plants.shaft import seen
+from servogym.envs.plants.shaft import plant_at_shaft
 from servogym.envs.plants.sizing import load_of
 from servogym.training.report import markdown, progress
 
@@ -209,7 +209,7 @@ def margins(machine):
     found = []
     for beam in _beams(machine):
         for signs in [(1.0,)] if len(beam) == 1 else [(1.0, 1.0), (1.0, -1.0)]:
-            plant = seen(machine, dict(zip(beam, signs, strict=True)))
+            plant = plant_at_shaft(machine, dict(zip(beam, signs, strict=True)))
             found += plant.margins(gains_of(machine.drives[beam[0]]))
     return _least(found, "the model")
 

@@ -15,7 +15,7 @@ from servogym.envs.engine.checks import cores
 from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.training import cli
-from servogym.training.evaluate.comparison import Comparison, Early, Request, evaluate
+from servogym.training.evaluate.comparison import BackgroundSummary, Comparison, Request, evaluate
 from servogym.training.scale import job as jobs
 from servogym.training.scale import processes
 from servogym.training.scale.job import Job, encoded
@@ -248,7 +248,7 @@ def test_the_traced_episode_is_drawn_before_the_last_job_is_done():
     request = Request(Setup.of("LinearAxis-v0"), ["ruckig", "pd"], 25, traced=20)
     comparison = Comparison(request)
     drawn = []
-    early = Early(comparison, lambda traces: drawn.append(traces) or b"PNG")
+    early = BackgroundSummary(comparison, lambda traces: drawn.append(traces) or b"PNG")
     early(1, comparison.jobs[1]())
     assert early.picture is None
     early(0, comparison.jobs[0]())

@@ -19,7 +19,7 @@ from servogym.envs import gantry, linear_axis, rotary_axis
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.tasks import GantryContourEnv, LinearAxisEnv, RobotEnv
 from servogym.envs.view import picture
-from servogym.envs.view.camera import framed, seen
+from servogym.envs.view.camera import framed, visible_points
 from servogym.envs.view.decor import BOX, parts
 from servogym.envs.view.overlay import (
     BAR,
@@ -295,7 +295,7 @@ def test_the_camera_has_the_machine_and_all_its_motion_in_sight(make):
     ahead = np.array([np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift)])
     right = np.array([np.sin(turn), -np.cos(turn), 0])
     half = np.tan(np.radians(float(model.vis.global_.fovy)) / 2)
-    away = seen(model, machine.data) - (camera.lookat - camera.distance * ahead)
+    away = visible_points(model, machine.data) - (camera.lookat - camera.distance * ahead)
     depth = away @ ahead
     across = (away @ right) / (depth * half * WIDTH / HEIGHT)
     upward = (away @ np.cross(right, ahead)) / (depth * half)

@@ -279,9 +279,9 @@ def _told(error: BaseException) -> str:
     from ...drive.objects.abort import SdoAbort
 
     if not isinstance(error, (ValueError, OSError, RuntimeError, ImportError, SdoAbort)):
-        from ...envs.engine.checks import place_of, told
+        from ...envs.engine.checks import error_line, place_of
 
-        return told(error) if place_of(error) else ""
+        return error_line(error) if place_of(error) else ""
     if isinstance(error, OSError) and error.strerror:  # what the system says, without its number
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split())

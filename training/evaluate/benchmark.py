@@ -1,6 +1,6 @@
 """The common part of the benchmarks of homing and of positioning: a grid, a page, a picture.
 
-A benchmark defines the cells that it plays (`cells`) and how to present their results (`told`).
+A benchmark defines the cells that it plays (`cells`) and how to present their results (`report`).
 This module does the rest, from the jobs to the files.
 """
 
@@ -26,7 +26,7 @@ OPTIONS = {  # of the command line, where an argument of `cells` has another nam
 }
 
 
-class Told(NamedTuple):
+class Report(NamedTuple):
     """The report of a benchmark: a table, notes below it, and a picture with several panels."""
 
     heading: Sequence[str]
@@ -50,7 +50,7 @@ class Benchmark:
         title: of the page.
         of: what it compares, for the picture.
         cells: gives the grid for a drive, of all cells or of a small part, and further choices.
-        told: makes the report from the rows of each cell.
+        report: makes the report from the rows of each cell.
         warm: makes small jobs that need all compiled code, from the drive and the grid's jobs.
     """
 
@@ -58,7 +58,7 @@ class Benchmark:
     title: str
     of: str
     cells: Callable[..., Grid[Any, list[Row]]]
-    told: Callable[[Mapping[Any, list[Row]]], Told]
+    report: Callable[[Mapping[Any, list[Row]]], Report]
     warm: Callable[[str, Sequence[Job]], Sequence[Job]]
 
 
@@ -87,17 +87,17 @@ def run(
     with played(grid, work, console, out, warm=kind.warm(drive, grid.jobs)) as found:
         if not any(found.values()):
             raise ValueError(next(iter(grid.gaps.values())))
-        told = kind.told(found)
-        notes = told.notes + "\n\n" + "\n".join(f"- {sentence}" for sentence in told.sentences)
+        report = kind.report(found)
+        notes = report.notes + "\n\n" + "\n".join(f"- {sentence}" for sentence in report.sentences)
         rows = [row for own in found.values() for row in own]
         write_csv(path.with_suffix(".csv"), source, rows)
-        page = markdown(told.heading, told.table)
+        page = markdown(report.heading, report.table)
         write_page(path.with_suffix(".md"), f"{kind.title}, drive {drive}", page, source, notes)
         draw(
-            path.with_suffix(".png"), f"{kind.of}, drive {drive}", told.rows, told.columns,
-            told.panels, told.failures, told.why,
+            path.with_suffix(".png"), f"{kind.of}, drive {drive}", report.rows, report.columns,
+            report.panels, report.failures, report.why,
         )
-        console.print(f"{told.done}; {path}.csv, .md, .png")
+        console.print(f"{report.done}; {path}.csv, .md, .png")
     return 0
 
 

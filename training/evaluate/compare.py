@@ -27,7 +27,7 @@ from ..report import (
 )
 from ..scale.work import ALONE, Work
 from ..setup import Setup
-from .comparison import ZERO, Comparison, Early, Request, quoted
+from .comparison import ZERO, BackgroundSummary, Comparison, Request, quoted
 from .episodes import Evaluation
 from .grid import played
 from .metrics import METRICS, RESAMPLES, SEEN, Difference, Summary, paired
@@ -134,7 +134,7 @@ def run(
 
         return pictured.drawn(f"{setup}, {episode}", _moving(traces))
 
-    early = Early(comparison, picture)
+    early = BackgroundSummary(comparison, picture)
     with played(comparison, work, console, out, warm=[warm(setup)], then=early) as results:
         table, metrics = summaries(results), {"score": SCORE, **results[0].metrics}
         heading = ["metric", *(column_of(result.policy) for result in results)]

@@ -119,7 +119,8 @@ class Comparison:
         }
         jobs = [(key, job) for key, each in self._episodes.items() for job in each.jobs]
         late = [job.arguments["traced"] is None for _, job in jobs]
-        order = sorted(range(len(jobs)), key=late.__getitem__)  # `Early` waits for the traced ones
+        # `BackgroundSummary` waits for the traced ones
+        order = sorted(range(len(jobs)), key=late.__getitem__)
         self.jobs = [jobs[i][1] for i in order]
         self._places = {
             key: [order.index(i) for i, (owner, _) in enumerate(jobs) if owner == key]
@@ -162,7 +163,7 @@ class Comparison:
         return traces
 
 
-class Early:
+class BackgroundSummary:
     """Makes the second picture and the intervals of a comparison while other jobs still run.
 
     Args:

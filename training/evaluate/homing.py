@@ -26,7 +26,7 @@ from ..pictures.homing_gallery import fit_home_switch, home_switch
 from ..policies.file import from_file
 from ..report import number
 from ..scale.job import Job, Result
-from .benchmark import Benchmark, Row, Told, known_mechanics
+from .benchmark import Benchmark, Report, Row, known_mechanics
 from .grid import Grid
 
 RUNS, QUICK_RUNS = 50, 2  # of a cell
@@ -304,7 +304,7 @@ def histogram(turns: np.ndarray) -> str:
     return " ".join(map(str, np.histogram(np.mod(turns, 1.0), 5, (0.0, 1.0))[0]))
 
 
-def told(found: Mapping[Key, list[Row]]) -> Told:
+def report(found: Mapping[Key, list[Row]]) -> Report:
     """Prepare page and picture from the runs of each cell."""
     cells = [figures(key, runs) for key, runs in found.items()]
     table = [
@@ -358,10 +358,12 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
     }
     runs = [row for own in found.values() for row in own]
     done = f"{sum(row['attained'] for row in runs)} of {len(runs)} runs found a reference"
-    return Told(
+    return Report(
         heading, table, notes, sentences(cells), methods, family, panels,
         panel("failures").astype(int), why, done,
     )
 
 
-HOMING = Benchmark("homing", "Homing", "homing methods", cells, told, lambda drive, jobs: jobs[:1])
+HOMING = Benchmark(
+    "homing", "Homing", "homing methods", cells, report, lambda drive, jobs: jobs[:1]
+)

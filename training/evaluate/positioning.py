@@ -21,7 +21,7 @@ from ...envs import FAMILY, POINT_TO_POINT, SWINGING_LOAD, ServoEnv
 from ..report import number
 from ..scale.job import Result
 from ..setup import Setup
-from .benchmark import Benchmark, Row, Told, known_mechanics
+from .benchmark import Benchmark, Report, Row, known_mechanics
 from .episodes import fixed
 from .grid import Grid
 from .parts import Episodes, warm
@@ -222,7 +222,7 @@ def _rest(duty: float, settling: float) -> float:
     return (duty - 1.0) * settling
 
 
-def told(found: Mapping[Key, list[Row]]) -> Told:
+def report(found: Mapping[Key, list[Row]]) -> Report:
     """Prepare page and picture from the moves of each cell."""
     means = {
         key: {name: float(np.mean([row[name] for row in rows])) for name in (*SHOWN, "settled")}
@@ -278,13 +278,13 @@ def told(found: Mapping[Key, list[Row]]) -> Told:
         "settling (s)": panel("settling_s"), "overshoot (µm)": panel("overshoot_um"),
         "rms torque / rated": panel("rms_torque_share_of_rated"),
     }
-    return Told(
+    return Report(
         heading, table, notes, sentences(means), columns, strategies, panels, failures, why,
         f"{len(rows)} moves",
     )
 
 
 POSITIONING = Benchmark(
-    "positioning", "Positioning", "positioning strategies", cells, told,
+    "positioning", "Positioning", "positioning strategies", cells, report,
     lambda drive, jobs: [warm(Setup.of(POINT_TO_POINT, drive))],
 )

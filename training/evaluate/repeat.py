@@ -137,7 +137,7 @@ def table(trainings: Sequence[Training]) -> str:
     return markdown(HEADING, rows)
 
 
-def told(trainings: Sequence[Training]) -> str:
+def in_sentences(trainings: Sequence[Training]) -> str:
     """State the sum in sentences, measured and inferred parts apart."""
     total = sum(training.cpu_seconds for training in trainings)
     text = f"{total:.0f} CPU-seconds, {total / 60 / CORES:.0f} minutes of {CORES} cores."
@@ -166,7 +166,7 @@ def run(
         for command in training.commands:
             console.print(f"servogym {shlex.join(command)}", soft_wrap=True, highlight=False)
     console.print(table(trainings), highlight=False, markup=False)
-    console.print(told(trainings), highlight=False)
+    console.print(in_sentences(trainings), highlight=False)
     if out is None:
         return 0
     workers = whole("--workers", 1 if workers is None else workers, 1, 1000)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...drive.model.names import hint
 from ...envs import TASKS
-from ...envs.engine.checks import told
+from ...envs.engine.checks import error_line
 from ...envs.environment.servo_env import ServoEnv
 from ...envs.exchange.faces import PDO, SETPOINT
 from .adaptive import AdaptiveLqr
@@ -320,5 +320,5 @@ def _declared(point: metadata.EntryPoint) -> Any:
         return point.load()
     except Exception as error:
         raise ValueError(
-            f"policy {point.name!r}: its entry point {point.value} fails ({told(error)})"
+            f"policy {point.name!r}: its entry point {point.value} fails ({error_line(error)})"
         ) from error

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.engine.checks import misfit, told
+from ...envs.engine.checks import error_line, misfit
 from .datasheet import Datasheet
 
 SUFFIX = ".py"
@@ -45,7 +45,7 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
         return Own(name, made(datasheet, seed))
     except Exception as error:
         raise ValueError(
-            f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {told(error)}"
+            f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {error_line(error)}"
         ) from error
 
 
@@ -95,7 +95,7 @@ class Own:
         try:
             return getattr(self._policy, method)(*arguments)
         except (Exception, SystemExit) as error:
-            raise ValueError(f"policy {self._name!r}, {method}: {told(error)}") from error
+            raise ValueError(f"policy {self._name!r}, {method}: {error_line(error)}") from error
 
 
 class Function:
@@ -128,7 +128,7 @@ def _load(name: str, path: Path, function: str) -> Callable[[np.ndarray], np.nda
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise ValueError(f"policy {name!r}: {path} fails: {told(error)}") from error
+        raise ValueError(f"policy {name!r}: {path} fails: {error_line(error)}") from error
     act = getattr(module, function, None)
     if not callable(act):
         functions = [n for n, value in vars(module).items() if callable(value) and n[0] != "_"]

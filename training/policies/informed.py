@@ -27,7 +27,7 @@ from .script import Script
 SPARE = 0.95  # of the top speed of a homing, the rest holds the path
 
 
-class Told:
+class InformedPolicy:
     """A policy that is made anew for each episode, from a data sheet that tells the truth."""
 
     def __init__(self, make: Callable[[Datasheet, int], Any], env: ServoEnv, seed: int):
@@ -124,10 +124,10 @@ def known_outage(env: ServoEnv, seed: int) -> Script:
 INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is told
     "adaptive_feed_forward": KnownMass,
     "squaring": KnownSkew,
-    "lqr": lambda env, seed: Told(Lqr, env, seed),
-    "ruckig": lambda env, seed: Told(ruckig_policy, env, seed),
-    "ruckig+zv": lambda env, seed: Told(ruckig_zv_policy, env, seed),
-    "ruckig+zvd": lambda env, seed: Told(ruckig_zvd_policy, env, seed),
+    "lqr": lambda env, seed: InformedPolicy(Lqr, env, seed),
+    "ruckig": lambda env, seed: InformedPolicy(ruckig_policy, env, seed),
+    "ruckig+zv": lambda env, seed: InformedPolicy(ruckig_zv_policy, env, seed),
+    "ruckig+zvd": lambda env, seed: InformedPolicy(ruckig_zvd_policy, env, seed),
     "search": KnownHome,
     "plc": known_outage,
 }

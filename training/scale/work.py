@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ...envs.engine.checks import cores, whole
 from .job import Job, Result, decoded, encoded
-from .kept import Kept
+from .result_store import ResultStore
 
 MOST = 10_000  # workers
 
@@ -56,7 +56,7 @@ class Work:
         Raises:
             Exception: of a job, of the executor or of `then`; what was done until then is kept.
         """
-        console, kept = console or Console(quiet=True), Kept(folder, self.resume)
+        console, kept = console or Console(quiet=True), ResultStore(folder, self.resume)
         found = [kept.get(job) for job in jobs]
         missing = [i for i, result in enumerate(found) if result is None]
         if self.resume and len(missing) < len(jobs):
@@ -112,7 +112,7 @@ class Work:
 
     def clear(self, jobs: Sequence[Job], folder: Path) -> None:
         """Remove what was kept of them: the results are written."""
-        Kept(folder, self.resume).clear(list(jobs))
+        ResultStore(folder, self.resume).clear(list(jobs))
 
     def _done(
         self, jobs: Sequence[Job], warm: Sequence[Job], console: Console

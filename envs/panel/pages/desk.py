@@ -38,7 +38,7 @@ class Desk:
         self.clock, self.tab = clock, tab
         self.axis = clock.session.axes[0]
         self.jogging = False
-        self.told = clock.shown["messages"][-1][0] if clock.shown["messages"] else 0
+        self.last_message = clock.shown["messages"][-1][0] if clock.shown["messages"] else 0
 
     @property
     def shown(self) -> dict[str, Any]:
@@ -46,7 +46,7 @@ class Desk:
         return self.clock.shown
 
     @property
-    def seen(self) -> dict[str, Any]:
+    def status(self) -> dict[str, Any]:
         """The same of the axis of this tab."""
         return self.clock.shown["axes"][self.axis]
 

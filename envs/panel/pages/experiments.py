@@ -215,7 +215,7 @@ class ExperimentsPage:
         session: Any = self.desk.clock.session
         for row, value, place in self.rows:
             value.set_text(f"{row.read(session, place) / row.scale:.4g}")
-        injected = self.desk.seen["injected"]
+        injected = self.desk.status["injected"]
         self.injected.set_text(
             "Injected and still present." if injected else "Nothing is injected."
         )

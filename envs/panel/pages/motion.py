@@ -9,7 +9,7 @@ from .desk import Desk, over, refuse
 from .homing_diagram import homing_svg
 from .set_points import SetPointCard
 from .units import physical
-from .widgets import Entry, Readout, Tag, button, card, live, told
+from .widgets import Entry, Readout, Tag, button, card, formatted, live
 
 # what shapes a motion, by kind; objects a model does not have are left out
 PARAMETERS = {
@@ -68,7 +68,7 @@ class MotionPage:
                 int(mode): f"{self.model.mode_name(mode)} · {mode.name.replace('_', ' ').lower()}"
                 for mode in self.model.modes
             }
-            present = self.desk.seen["mode"]
+            present = self.desk.status["mode"]
             self.mode = (
                 ui.select(
                     modes,
@@ -118,7 +118,7 @@ class MotionPage:
                 int(method): _method_name(int(method), method in self.model.own_homing)
                 for method in sorted(self.model.homing_methods)
             }
-            present = self.desk.seen["homing_method"]
+            present = self.desk.status["homing_method"]
             with ui.element("div").classes("cluster"):
                 self.method = (
                     ui.select(
@@ -172,7 +172,7 @@ class MotionPage:
 
     async def _mode(self, mode: int | None) -> None:
         """What was chosen, not what the list shows by now: it follows the drive meanwhile."""
-        if mode is not None and mode != self.desk.seen["mode"]:
+        if mode is not None and mode != self.desk.status["mode"]:
             self._changing += 1
             try:
                 await self._go("set_mode", int(mode))
@@ -223,13 +223,13 @@ class MotionPage:
 
     def show(self) -> None:
         """The present."""
-        seen = self.desk.seen
+        seen = self.desk.status
         self._top_speed()
         digits = 0 if self.unit == "units" else 3
-        self.position.show(told(seen["position"], digits))
-        self.velocity.show(told(seen["velocity"], digits))
-        self.torque.show(told(seen["torque"], 1))
-        self.error.show(told(seen["following_error"], digits))
+        self.position.show(formatted(seen["position"], digits))
+        self.velocity.show(formatted(seen["velocity"], digits))
+        self.torque.show(formatted(seen["torque"], 1))
+        self.error.show(formatted(seen["following_error"], digits))
         self.homed.set_text(
             "A bus does not tell whether the axis is referenced." if seen["homed"] is None
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."

@@ -24,7 +24,7 @@ from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
 from .wall import show_wall
-from .widgets import TOGGLE, Readout, Tag, button, card, live, pending, told, two_sided
+from .widgets import TOGGLE, Readout, Tag, button, card, formatted, live, pending, two_sided
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 MODES = {int(mode): name for mode, name in MODE_ABBREVIATION.items()} | {0: "no mode"}
@@ -264,7 +264,7 @@ class Shell:
 
     async def show(self) -> None:
         """A new picture."""
-        shown, seen, clock = self.desk.shown, self.desk.seen, self.clock
+        shown, seen, clock = self.desk.shown, self.desk.status, self.clock
         state = State(seen["state"]) if seen["state"] >= 0 else None
         name = state.name.replace("_", " ").lower() if state is not None else "state not known"
         self.state.set_text(name if seen.get("answers", True) else "no answer")
@@ -275,7 +275,7 @@ class Shell:
             self.state.classes(**({"add": name} if name == kind else {"remove": name}))
         self.mode.set_text(MODES.get(seen["mode"], f"mode {seen['mode']}"))
         unit, _ = clock.session.unit(self.desk.axis)
-        self.position.show(told(seen["position"], 0 if unit == "units" else 3), unit)
+        self.position.show(formatted(seen["position"], 0 if unit == "units" else 3), unit)
         self.doing.set_text(seen["fault"] or shown["doing"])
         holds, holder = self.desk.in_control, shown["holder"]
         self.seat.set_text("In control" if holds else TAKE_CONTROL)
@@ -297,7 +297,7 @@ class Shell:
         self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)
-        pulse = "paused" if clock.paused else f"{told(clock.achieved, 2)}× real time"
+        pulse = "paused" if clock.paused else f"{formatted(clock.achieved, 2)}× real time"
         live(self.measured, self.desk.bench.pulse() or pulse)
         self._messages(shown["messages"])
         result = self.pages[self.present].show()
@@ -312,8 +312,8 @@ class Shell:
 
     def _messages(self, events: list[Event]) -> None:
         for event in events:
-            if event.number > self.desk.told:
-                self.desk.told = event.number
+            if event.number > self.desk.last_message:
+                self.desk.last_message = event.number
                 if event.kind == "info" and not event.who:
                     ui.notify(event.text, position="bottom-left")
                 elif event.kind in ("alarm", "fault"):

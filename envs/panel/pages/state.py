@@ -46,11 +46,11 @@ class StatePage:
             refuse(await self.desk.command(lambda session: session.control_word(axis, word)))
 
     async def _toggle(self, mask: int) -> None:
-        axis, word = self.desk.axis, self.desk.seen["controlword"] ^ mask
+        axis, word = self.desk.axis, self.desk.status["controlword"] ^ mask
         refuse(await self.desk.command(lambda session: session.control_word(axis, word)))
 
     def _explain(self, mask: int) -> None:
-        bits = statusword_bits(self.desk.seen["mode"], self.own_modes)
+        bits = statusword_bits(self.desk.status["mode"], self.own_modes)
         bit = bits[mask.bit_length() - 1]
         ui.notify(f"bit {mask.bit_length() - 1}, {bit.name.replace('_', ' ')}: {bit.meaning}")
 
@@ -60,7 +60,7 @@ class StatePage:
 
     def show(self) -> None:
         """The present."""
-        seen = self.desk.seen
+        seen = self.desk.status
         self.diagram.show(seen["state"])
         self.controlword.show(seen["controlword"], controlword_bits(seen["mode"], self.own_modes))
         self.statusword.show(seen["statusword"], statusword_bits(seen["mode"], self.own_modes))

@@ -8,7 +8,7 @@ from nicegui import Client, run, ui
 from ....drive.diagrams import State, abbreviation
 from ..classroom import Classroom, Place
 from ..guard import PERSON
-from .widgets import Tag, answer_to, button, card, told
+from .widgets import Tag, answer_to, button, card, formatted
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 EVERY = 0.5  # s between two pictures
@@ -82,7 +82,7 @@ class PlaceCard:
             self.state.lit(kind, KINDS.get(state) == kind)
         self.mode.say(abbreviation(seen["mode"]) if seen["mode"] else "no mode")
         unit, _ = self.place.clock.session.unit(worst)
-        self.position.say(f"{told(seen['position'], 1)} {unit}")
+        self.position.say(f"{formatted(seen['position'], 1)} {unit}")
         self.here.say("here" if here else "away")
         self.here.lit("good", here)
         lesson = shown["lesson"]

@@ -81,12 +81,12 @@ class Readout:
 
     def show(self, value: float | str, unit: str | None = None) -> None:
         """The value of now."""
-        live(self._value, value if isinstance(value, str) else told(value))
+        live(self._value, value if isinstance(value, str) else formatted(value))
         if unit is not None:
             self._unit.set_text(unit)
 
 
-def told(value: float, digits: int = 3) -> str:
+def formatted(value: float, digits: int = 3) -> str:
     """A number of steady width."""
     if not math.isfinite(value):
         return "–"

@@ -8,7 +8,7 @@ from .job import Job, Result, decoded
 FOLDER = "jobs"  # in the folder of the results
 
 
-class Kept:
+class ResultStore:
     """Stored results of one run, or of none.
 
     Args:
