@@ -121,7 +121,7 @@ def _again(folder: Path) -> str:
     if not all((path / repeat.FILE).is_file() for path in folders(folder)):
         return ""
     trainings = repeat.plan(folder, Path("out"))
-    return AGAIN + repeat.table(trainings) + f"\n{repeat.told(trainings)}\n\n"
+    return AGAIN + repeat.table(trainings) + f"\n{repeat.in_sentences(trainings)}\n\n"
 
 
 class _Policy(NamedTuple):
