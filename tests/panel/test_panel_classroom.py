@@ -368,7 +368,7 @@ def test_a_run_is_replayed_to_the_same_bits_and_the_same_verdict(cycles):
     (pupil,) = ended
     assert pupil.attempt.done, pupil.attempt.wrong
     run = json.loads(
-        json.dumps(journal.told("linear", "generic", "x", pupil.attempt, pupil.journal))
+        json.dumps(journal.outcome("linear", "generic", "x", pupil.attempt, pupil.journal))
     )
     player = journal.Player(run, named("12_stop_it"))
     attempt = player.play()

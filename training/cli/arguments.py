@@ -64,10 +64,11 @@ def add_page(parser: argparse.ArgumentParser, pictures: int, most: int) -> None:
     parser.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
     parser.add_argument(
         "--host", default="127.0.0.1",
-        help="listen on this address, not on the loopback interface; 0.0.0.0 for other computers",
+        help="listen on this address, not the loopback interface; 0.0.0.0 for other computers",
     )
     parser.add_argument(
-        "--pictures", type=int, default=pictures, help=f"pictures per second, 1..{most} ({pictures})"
+        "--pictures", type=int, default=pictures,
+        help=f"pictures per second, 1..{most} ({pictures})",
     )
     parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
     parser.set_defaults(most_pictures=most)
