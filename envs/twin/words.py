@@ -48,6 +48,10 @@ COARSE = (
     "With so few increments a turn, inertia, friction and gains compensate one another: the "
     "motion is right, but single parameters may be half as large again, so no intervals are given."
 )
+MISSED = (
+    ". In profile position a write of the profile that the logger has missed does the same: look "
+    "at the pictures for single motions that are off, and record again"
+)
 SWINGING = 0.2  # torque at rest of the highest one, above which the axis does not stand still
 
 
@@ -130,5 +134,5 @@ def verdict(fitted: Fitted) -> str:
     return (
         f"refused: do not trust it; {figures}. The family {fitted.family.name} does not describe "
         "this axis, or the drive model, its gains or its units differ: try --mechanics auto, "
-        "--read-gains"
+        "--read-gains" + (MISSED if any(each.events for each in fitted.whole) else "")
     )

@@ -188,7 +188,7 @@ def record(machine, file, rng, mode, period, *, fieldbus="can", name="x", droppe
         bus = EtherCatBus(machine, file, period, rng, dropped, jitter)
         port = EtherCatPort(EtherCatMaster(bus), {name: drive.model}, outputs=outputs,
                             inputs=INPUTS, units=Units(unit, 1.0, "m"))
-    if mode != "pp":
+    if mode != "pp" or fieldbus == "ethercat":  # there it is the period of the bus in memory too
         port.write(name, "interpolation_time_index", -3)
         port.write(name, "interpolation_time_period_value", round(period * 1e3))
     if mode == "ip" and "buffer_clear" in drive.model.names:

@@ -1,0 +1,199 @@
+"""What a master sends, row by row: set-points of each cycle, or written on occasion.
+
+A row is a position cycle of the drive. Before the log the machine is enabled, and brought to the
+speed that the log begins with.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...drive.kernel.record import OD
+from ...drive.kernel.words import Mode
+from ...drive.wire.recording import Signal
+
+OFFSETS = ("position_offset", "velocity_offset", "torque_offset")
+# parameters of a move that a master may write in the log itself, between moves too
+PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "end_velocity")
+SI = ("m", "rad", "m/s", "rad/s", "Nm")  # units that are none of a drive
+ENABLE = (0x0006, 0x0007, 0x000F)  # controlwords
+NEW_SET_POINT = INTERPOLATE = 0x10  # in pp, in ip
+APART = 5e-3  # s from one controlword to the next, on the way to an enabled drive
+
+
+@dataclass(frozen=True)
+class Events:
+    """What a master writes on occasion, and in which position cycle it arrives.
+
+    Frames that begin a motion are stamped by a logger to a cycle or two, so each may be moved with
+    all that follows it, up to the next one: see `moved`.
+    """
+
+    at: np.ndarray  # row of each, shape (k,)
+    columns: Mapping[str, np.ndarray]  # what is written then, by variable, each of shape (k,)
+    begins: np.ndarray  # whether a motion begins, shape (k,)
+
+    def rows(self, count: int) -> dict[str, np.ndarray]:
+        """Values by row; a process image arrives with each, as some drives watch for it."""
+        last = np.searchsorted(self.at, np.arange(count), "right") - 1
+        return {name: values[last] for name, values in self.columns.items()}
+
+    def moved(self, cycles: np.ndarray) -> "Events":
+        """With each that begins a motion, and what follows it, so many rows later."""
+        motion = np.cumsum(self.begins)
+        at = self.at + np.concatenate([[0], cycles])[motion]
+        return replace(self, at=np.maximum.accumulate(at))
+
+
+def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count):
+    """Cyclic set-points by position cycle, and which of them come with a process image."""
+    written = {
+        "controlword": np.full(count, ENABLE[-1] | INTERPOLATE * (mode == 7)),
+        "modes_of_operation": np.full(count, mode),
+    }
+    arrives = np.zeros(count, np.uint8)
+    bus = np.arange(0, count - lead + per, per)
+    have = np.round(even / (per * step)).astype(int)
+    inside = (have >= -3) & (have * per < count - lead + 3 * per)
+    number, at = np.unique(have[inside], return_index=True)
+    values = raw.value[inside][at]
+    cycles = np.arange(len(bus))
+    every = _between(number, values, cycles)
+    every[cycles > number[-1]] = values[-1]
+    every[cycles < number[0]] = values[0]
+    column = np.repeat(every, per)[: count - lead]
+    speed = (values[1] - values[0]) / ((number[1] - number[0]) * per * step)
+    column = np.concatenate([_lead(every[0], speed, lead, per, step), column])
+    arrives[::per] = 1
+    written[target] = np.round(column).astype(int)
+    _control(signals, written, arrives, clock, step, lead, count, per)
+    for name in OFFSETS:
+        if name in signals and np.any(signals[name].value):
+            written[name] = _held_rows(signals[name], clock, step, lead, count)
+    for n, word in enumerate(ENABLE):
+        at = n * per * max(round(APART / (per * step)), 1)
+        written["controlword"][at : at + max(per, 1) * max(round(APART / (per * step)), 1)] = word
+        arrives[at] = 1
+    written["controlword"][: arrives.nonzero()[0][1]] = ENABLE[0]
+    return written, arrives
+
+
+def occasional(signals, target, mode, clock, step, lead, drive) -> Events:
+    """What a master writes on occasion: set-points, controlwords, profiles; enabled before."""
+    names = [name for name in (target, *PROFILE, *OFFSETS)
+             if name in signals and signals[name].unit not in SI and name in (OD.names or ())]
+    now = {"controlword": ENABLE[0], "modes_of_operation": int(mode)}
+    now |= {name: 0 if name == target else int(getattr(drive.axis.od, name)) for name in names}
+    heard = sorted(
+        (float(at), n, name, round(float(value)))
+        for n, name in enumerate([*names, "controlword"]) if name in signals
+        for at, value in zip(clock(signals[name].time), signals[name].value, strict=True)
+        if name != "controlword" or value.astype(int) & 0x0F == 0x0F
+    )
+    word, held, begins = ENABLE[-1], 0, [False] * len(ENABLE)
+    for at, _, name, value in heard:
+        if at > 0.0:
+            break
+        if name == "controlword":
+            word, held = value & ~NEW_SET_POINT, value & NEW_SET_POINT
+        else:
+            now[name] = value
+    apart = max(round(APART / step), 1)
+    words = (*ENABLE[:-1], word)
+    found = [(n * apart, now | {"controlword": each}) for n, each in enumerate(words)]
+    for at, _, name, value in heard:
+        if at <= 0.0:
+            continue
+        row = math.ceil(at / step - 1e-6) + lead
+        before = found[-1][1]
+        if name == "controlword":  # a bit that was set before the log is no edge in it
+            held &= value
+            value &= ~held
+        if before[name] == value:
+            continue
+        edge = name == "controlword" and bool(value & ~before[name] & NEW_SET_POINT)
+        starts = edge if mode == Mode.PROFILE_POSITION else name == target
+        if row == found[-1][0]:
+            found[-1][1][name] = value
+            begins[-1] |= starts
+        else:
+            found.append((row, before | {name: value}))
+            begins.append(starts)
+    columns = {name: np.array([each[name] for _, each in found]) for name in now}
+    return Events(np.array([row for row, _ in found]), columns, np.array(begins))
+
+
+def filled(signal: Signal, even: np.ndarray, cycle: float, hold: bool) -> Signal:
+    """Rebuild an undersampled cyclic set-point: steps, or a curve through the samples."""
+    at = np.arange(even[0], even[-1] + 0.5 * cycle, cycle)
+    if hold:
+        last = np.clip(np.searchsorted(even, at + 1e-9, "right") - 1, 0, None)
+        return Signal(at, signal.value[last], signal.unit)
+    return Signal(at, _curve(even, signal.value, at), signal.unit)
+
+
+def _curve(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Interpolate by cubics whose slopes do not overshoot (Fritsch, Carlson 1980)."""
+    if len(x) < 4:
+        return np.interp(at, x, y)
+    from ..autotune.needs import scipy
+
+    return scipy("interpolate").PchipInterpolator(x, y, extrapolate=True)(np.clip(at, x[0], x[-1]))
+
+
+def _between(number: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Cyclic set-points with those that are missing from the log on a cubic through four others."""
+    every = np.interp(at, number, values)
+    missing = np.setdiff1d(at[(at > number[0]) & (at < number[-1])], number)
+    for k in missing:
+        right = int(np.searchsorted(number, k))
+        four = slice(max(right - 2, 0), right + 2)
+        x, y = number[four].astype(float), values[four]
+        if len(x) == 4 and x[-1] - x[0] <= 8:
+            every[k] = np.polynomial.polynomial.polyval(
+                0.0, np.linalg.solve(np.vander(x - k, 4, increasing=True), y)
+            )
+    return every
+
+
+def _lead(first: float, speed: float, lead: int, per: int, step: float) -> np.ndarray:
+    """Set-points before the log: at rest, or up to the speed it begins with."""
+    time = np.repeat(np.arange(-(lead // per), 0) * per * step, per)
+    if abs(speed) * per * step < 1e-9:
+        return np.full(lead, first)
+    ramp, even = 0.06, 0.06  # s, of rising speed and of constant one
+    moved = np.where(time > -even, speed * time, 0.0)
+    rising = (time <= -even) & (time > -even - ramp)
+    moved = np.where(
+        rising,
+        -speed * even + speed * (time + even) + speed * (time + even) ** 2 / (2 * ramp),
+        moved,
+    )
+    moved = np.where(time <= -even - ramp, -speed * even - 0.5 * speed * ramp, moved)
+    return first + moved
+
+
+def _held_rows(signal: Signal, clock, step: float, lead: int, count: int) -> np.ndarray:
+    column = np.zeros(count, int)
+    at = np.maximum(np.ceil(clock(signal.time) / step - 1e-6).astype(int), 0) + lead
+    for row, value in zip(at, signal.value, strict=True):
+        column[row:] = round(float(value))
+    return column
+
+
+def _control(signals, written, arrives, clock, step, lead, count, per) -> None:
+    """Controlwords of the log, as long as they keep the drive enabled."""
+    if "controlword" not in signals:
+        return
+    word = signals["controlword"]
+    at = np.maximum(np.ceil(clock(word.time) / step - 1e-6).astype(int), 0) + lead
+    changed = np.concatenate([[True], np.diff(word.value) != 0])
+    for row, value in zip(at[changed], word.value[changed].astype(int), strict=True):
+        if row >= count or value & 0x0F != 0x0F:
+            continue
+        row += -row % per
+        if row < count:
+            written["controlword"][row:] = value
+            arrives[row] = 1
