@@ -163,11 +163,11 @@ def measured(
         also[AGAINST] = found(True, amplitude, before.get(AGAINST))
     less = SMALL * main.amplitude
     if SMALLER in before:
-        also[SMALLER] = found(False, less, before[SMALLER])
-    elif small and less >= LEAST_AMPLITUDE:
+        also[SMALLER] = before[SMALLER]
+    if also.get(SMALLER) or (small and less >= LEAST_AMPLITUDE):
         with suppress(RuntimeError):  # too little of it is coherent
-            other = found(False, less, None)
-            if other.amplitude == less and main.differs(other) > LIKE:
+            other = found(False, less, also.get(SMALLER))
+            if also.get(SMALLER) or (other.amplitude == less and main.differs(other) > LIKE):
                 also[SMALLER] = other
     return replace(main, also=tuple(also.items()))
 

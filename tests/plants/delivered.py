@@ -174,6 +174,7 @@ def _refused(cell, said, measure, tuned):
     found = play(other, measure, tuned)
     if found.kind != "moves":
         return replace(found, cell=cell, kind="silent", said=f"{said} | but: {found.said}")
+    said = " | ".join(filter(None, (said, found.said)))
     return replace(found, cell=cell, kind="refused", said=said, takes=other.load)
 
 
@@ -189,11 +190,14 @@ def _moved(cell, machine, measure, tuned):
         measured = measured_margins(machine)
     machine.reset(positions=plant.begin)
     moves(machine, plant)
-    settled = math.nan, math.nan
+    settled, said = (math.nan, math.nan), ""
     if tuned:
         machine.reset(positions=plant.middle)
-        settled = settling_of(machine, plant)
-    return Outcome(cell, "moves", known=known, measured=measured, settled=settled)
+        try:
+            settled = settling_of(machine, plant)
+        except (ServoError, RuntimeError) as error:
+            said = f"tune: {error}"
+    return Outcome(cell, "moves", said, known=known, measured=measured, settled=settled)
 
 
 def _beams(machine):
@@ -417,9 +421,15 @@ def sentences(outcomes):
     if tuned:
         most = max(tuned, key=lambda o: abs(o.changed))
         said.append(
-            f"- `tune` changes the settling time of {len(tuned)} axes by {100 * most.changed:+.1f} "
-            f"% at most ({most.cell}: {most.settled[0]:.3f} s, then {most.settled[1]:.3f} s)."
+            f"- `tune` changes the settling time of {sum(abs(o.changed) <= LIKE for o in tuned)} "
+            f"of {len(tuned)} axes by 10 % at most; most by {100 * most.changed:+.1f} % "
+            f"({most.cell}: {most.settled[0]:.3f} s, then {most.settled[1]:.3f} s)."
         )
+    said += [
+        f"- `tune` ends in a fault on the trial move of {o.cell}"
+        + (f" (played with {o.takes:.3g})." if o.kind == "refused" else ".")
+        for o in outcomes if "tune: " in o.said
+    ]
     return said
 
 

@@ -54,6 +54,7 @@ def test_the_whole_matrix(model, plant):
             found = play(cell, measure=True, tuned=cell.tuned)
             moves = cell.torque_allows and cell not in NO_GAINS
             assert found.kind == ("moves" if moves else "refused"), found.said
+            assert "tune: " not in found.said, found.said
             assert not cell.tuned or abs(found.changed) <= LIKE
 
 
