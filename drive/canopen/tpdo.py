@@ -37,7 +37,7 @@ class _Transmit:
     def configure(
         self, cob_id: int, kind: int, inhibit: int, timer: int, start: int, width: int
     ) -> None:
-        """Take over parameters; with another type or length the PDO begins anew."""
+        """Take over parameters; if type or length has changed, the PDO restarts."""
         self._identifier = cob_id & 0x7FF
         self._inhibit, self._timer, self._sync_start = inhibit * 100, timer * 1000, start
         if self._number == 1:
@@ -68,7 +68,7 @@ class _Transmit:
         return bool((now ^ before) & self._mask)
 
     def start(self) -> None:
-        """Begin anew, as on entering OPERATIONAL: event-driven PDOs are sent once."""
+        """Restart, as on entering OPERATIONAL: event-driven PDOs are sent once."""
         self._last: bytes | None = None
         self._sampled = b""
         self._sent_at = -(1 << 62)  # when it was due, so that a late poll does not add up
@@ -84,7 +84,7 @@ class _Transmit:
         return Frame(self._identifier, data)
 
     def sync(self, counter: int, time: int) -> Frame | None:
-        """What this PDO sends at a SYNC; `counter` is 0 where SYNC has none."""
+        """Return the data to send at a SYNC; `counter` is 0 if the SYNC has none."""
         kind = self.kind
         if kind == RTR_SYNC:
             self._sampled = self._content()
@@ -103,7 +103,7 @@ class _Transmit:
         return None
 
     def poll(self, time: int) -> Frame | None:
-        """What this PDO sends by event or event timer at `time` (µs)."""
+        """Return the data to send by event or event timer at `time` (µs)."""
         waited = time - self._sent_at
         if waited < self._inhibit:
             return None
@@ -152,16 +152,16 @@ class Transmitter:
         return bool(self._by_event)
 
     def start(self) -> None:
-        """On entering OPERATIONAL."""
+        """Restart all TPDOs on entering OPERATIONAL."""
         for tpdo in self._tpdos.values():
             tpdo.start()
 
     def sync(self, counter: int, time: int) -> list[Frame]:
-        """What a SYNC at `time` (µs) makes the drive send, within the synchronous window."""
+        """Send the TPDOs for a SYNC at `time` (µs), within the synchronous window."""
         return [f for tpdo in self._at_sync if (f := tpdo.sync(counter, time))]
 
     def poll(self, time: int) -> None:
-        """Send what is due by event or event timer at `time` (µs)."""
+        """Send the TPDOs that are due by event or event timer at `time` (µs)."""
         for tpdo in self._by_event:
             frame = tpdo.poll(time)
             if frame:

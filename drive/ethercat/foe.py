@@ -66,7 +66,7 @@ class Foe:
         self._packet = 0  # of the last data
 
     def request(self, body: bytes) -> Answer:
-        """The body of a telegram of type FoE."""
+        """Answer the body of a telegram of type FoE."""
         if len(body) < HEAD.size:
             return MailboxError.SIZE_TOO_SHORT
         opcode, number = HEAD.unpack_from(body)

@@ -1,4 +1,4 @@
-"""The drives of an environment as slaves on a segment: process data travel in EtherCAT frames.
+"""Connects the drives of an environment as slaves: process data travel in EtherCAT frames.
 
 An environment is put on one by a fault of the bus among its `faults`. As long as none happens an
 episode is the same as without frames, byte by byte. A frame that is lost leaves the drives with
@@ -32,10 +32,10 @@ class EtherCatLine:
     A step has two frames of process data: with the set-points (LRW), and for the answers (LRD).
 
     Args:
-        machine: of the environment.
-        drives: that its agent commands, with the mapping of the task.
+        machine: the machine of the environment.
+        drives: the drives that its agent commands, with the mapping of the task.
         period: of its steps (s).
-        faults: that happen, in each episode anew.
+        faults: the faults to inject; they start again in each episode.
 
     Raises:
         ValueError: a drive without EtherCAT, a fault of a slave that is not there.
@@ -65,7 +65,7 @@ class EtherCatLine:
         self.lost = 0  # frames that did not come back, or were not counted by all slaves
 
     def begin(self, random: np.random.Generator) -> None:
-        """Before an episode: slaves in OPERATIONAL, faults counted anew, their rates by `random`.
+        """Prepare an episode: slaves in OPERATIONAL, fault counts reset, fault rates by `random`.
 
         A drive that was without power is what it was when the environment was made.
         """
@@ -106,12 +106,12 @@ class EtherCatLine:
         self._bus.let_pass(ticks * self._tick)
 
     def state(self) -> tuple[Any, ...]:
-        """All that has happened since it was made; the drives are kept by their machine."""
+        """The state of the line since its creation; the machine stores the state of the drives."""
         segment = self._segment.snapshot(drives=False)
         return segment, self._bus.state(), self._master.state(), self.lost
 
     def become(self, state: tuple[Any, ...]) -> None:
-        """Go on where `state` was told, of a line made alike; the drives are there already."""
+        """Restore a `state` of an equal line; the machine has already restored the drives."""
         segment, bus, master, self.lost = state
         self._segment.restore(segment)
         self._bus.become(bus)

@@ -66,24 +66,25 @@ class Owner:
     async def answer(
         self, scope: Scope, receive: Receive, send: Send, cookie: Callable[[str], bytes]
     ) -> bool:
-        """Nothing."""
+        """Answer no request of strangers, who get no page."""
         return False
 
 
 class Guard:
-    """Lets pass what may, and answers the rest with 403 and a sentence.
+    """Forwards permitted requests and answers the rest with 403 and a sentence.
 
     Args:
-        app: what is guarded, an ASGI application.
-        door: knows tokens.
-        name: of the cookie: one for each server, for a browser keeps them by host, not by port.
+        app: the guarded ASGI application.
+        door: recognises tokens.
+        name: of the cookie, different for each server, because a browser stores cookies by host
+            and not by port.
     """
 
     def __init__(self, app: Callable[..., Awaitable[None]], door: Door, name: str):
         self.app, self.door, self.name = app, door, name
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
+        """Handle a request, as ASGI defines."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
@@ -116,7 +117,7 @@ class Guard:
 
     @staticmethod
     def stranger(headers: dict[str, str]) -> str:
-        """Why a page that asks is none of ours; empty if it is, or where no page asks."""
+        """The reason why the requesting page is foreign; empty if it is ours or there is none."""
         origin = headers.get("origin")
         if origin is not None:
             served = {headers.get("host", "").lower(), headers.get("x-forwarded-host", "").lower()}

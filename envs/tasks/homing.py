@@ -47,7 +47,7 @@ NOWHERE = (1.0, -1.0)  # of a switch that is not there
 
 @block
 def act(episode, action, rpdos):
-    """Velocity, torque limit, and above the threshold mode hm with bit 4: home is here."""
+    """Command velocity and torque limit; above the threshold, declare home (mode hm, bit 4)."""
     rpdo = rpdos[0]
     rpdo.target_velocity = round(action.velocity * episode._max_velocity * METRE)
     share = LEAST_TORQUE + (1.0 - LEAST_TORQUE) * 0.5 * (1.0 + action.torque_limit)
@@ -60,7 +60,7 @@ def act(episode, action, rpdos):
 
 @block
 def _terms(error, tolerance, time, impact_energy, greatest_torque):
-    """Accuracy, half of it exactness and half closeness; speed, gentleness."""
+    """Combine accuracy (half exactness, half closeness), speed and gentleness into a reward."""
     share = abs(error) / tolerance
     exact = 1.0 / (1.0 + share * share)
     close = closeness(share, NEAR / tolerance)
@@ -77,9 +77,9 @@ def _worth(accuracy, speed, gentleness):
 
 @block
 def _watch_switches(episode, inputs, position):
-    """Keep the limit switch met last, and where the switch of the reference changed last.
+    """Remember the last limit switch, and the place where the reference switch last changed.
 
-    That is in the middle of the step in which it did.
+    The place is taken in the middle of the step in which the switch changed.
     """
     if episode._switch >= 0:
         on = (inputs >> episode._switch & 1) != 0
@@ -136,7 +136,7 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 def _home(env: Any) -> float:
-    """Where the reference really is, or the home of the drive's method that runs (m)."""
+    """The true position of the reference, or the home of the drive's running method (m)."""
     return float(env.episode._home) if env.aim is None else env.aim
 
 
@@ -364,7 +364,7 @@ the positive one; -1 the negative, 0 none |
         self._part.rpdos["max_torque"] = self._max_torque
 
     def figures(self) -> dict[str, float]:
-        """What is wrong with the home that was found, and what hit the stops."""
+        """The error of the home that was found, and the impacts on the stops."""
         error = 1e6 * abs(self.episode.error) if self.episode.attained else math.nan
         return {"reference_error": error, "impact_energy": self.episode.impact_energy}
 
@@ -381,7 +381,7 @@ the positive one; -1 the negative, 0 none |
         self, method: int, objects: dict[str, int] | None = None,
         observer: Callable[[float], None] | None = None,
     ) -> HomingFigures:
-        """What a homing method of the drive makes of this episode's start, switches and loads.
+        """Run a homing method of the drive with this episode's start, switches and loads.
 
         `objects` are written before, such as its speeds (position units/s); `observer` is called at
         the start and after each step, with the time since then (s). See
@@ -401,7 +401,7 @@ the positive one; -1 the negative, 0 none |
         self, method: int, objects: dict[str, int] | None = None,
         observer: Callable[[float], None] | None = None,
     ) -> dict[str, float]:
-        """What `built_in` does by the metrics of an evaluation; no settling time without a home."""
+        """Return the metrics of `built_in` for an evaluation; no settling time without a home."""
         figures = self.built_in(method, objects, observer)
         found = figures.attained
         metrics = {

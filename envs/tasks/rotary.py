@@ -1,4 +1,4 @@
-"""servogym/RotaryAxis-v0: turn a table, or move a conveyor, to a place that repeats."""
+"""servogym/RotaryAxis-v0: turn a table, or move a conveyor, to a periodic position."""
 
 import math
 from functools import partial
@@ -27,13 +27,13 @@ MARK = 0.19  # m, radius on which the mark of the table runs
 
 @block
 def nearest(way, period):
-    """The shorter way of those that end at the same place."""
+    """Return the shortest of the ways that end at the same place."""
     return way - period * math.floor(way / period + 0.5)
 
 
 @block
 def act(episode, action, rpdos):
-    """Move the set-point by action × maximum velocity × step time; it repeats as 607Bh does."""
+    """Move the set-point by action × maximum velocity × step time, in the range of 607Bh."""
     episode._target += action.velocity * episode._way
     target = episode._target - episode._period * math.floor(episode._target / episode._period)
     rpdos[0].target_position = round(target * episode._units) % episode._range
@@ -41,7 +41,7 @@ def act(episode, action, rpdos):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation and reward of what the TPDOs brought back."""
+    """Compute observation and reward from the received TPDOs."""
     tpdo = tpdos[0]
     period = episode._period
     position = tpdo.position_actual_value / episode._units

@@ -111,7 +111,7 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     """
     mjcf = options.twin is None and options.machine not in NAMES
     if options.gear is not None and not mjcf:
-        raise ValueError("--gear is of an MJCF; the machines of the laboratory have feed_constant")
+        raise ValueError("--gear applies to an MJCF; the built-in machines have feed_constant")
     machine = _machine(options) if options.twin is None else _of_twin(options)
     name = options.axis or next(iter(machine.drives))
     if name not in machine.drives:

@@ -1,4 +1,4 @@
-"""The SDO channel of one node as a log shows it: expedited, segmented and block (CiA 301, SDO).
+"""Decodes the SDO channel of one node in a log: expedited, segmented, block (CiA 301, SDO).
 
 Both sides are followed, so that the value of a transfer in parts is told with its last part. What
 cannot follow what went before is told as bytes; a log may begin or break off anywhere.
@@ -15,23 +15,23 @@ _HEAD = struct.Struct("<BHB")
 
 
 class Objects(Protocol):
-    """What the channel needs to know of the object dictionary."""
+    """The part of the object dictionary that the channel needs."""
 
     def name(self, index: int, subindex: int) -> str:
-        """Name and address of an object."""
+        """Return name and address of an object."""
 
     def size(self, index: int, subindex: int) -> int:
-        """Bytes of an object, 0 where that is not known or not fixed."""
+        """Return the length of an object (bytes), 0 if it is unknown or variable."""
 
     def text(self, index: int, subindex: int, data: bytes) -> str:
-        """A value by meaning."""
+        """Format a value with its meaning."""
 
     def learn(self, index: int, subindex: int, data: bytes) -> None:
-        """The object has this value from now on."""
+        """Note the new value of an object."""
 
 
 class _Phase(Enum):
-    """What runs, by what the next part of it is."""
+    """The transfer in progress, by the kind of its next part."""
 
     IDLE = 0
     SEGMENTS = 1
@@ -64,14 +64,14 @@ class Channel:
         _, self._index, self._subindex = _HEAD.unpack_from(data)
 
     def request(self, data: bytes) -> str:
-        """What eight bytes from the client say."""
+        """Explain eight bytes from the client."""
         if self._phase is _Phase.CLIENT_BLOCK and data[0] != 0x80:
             return self._part(data)
         service = _REQUESTS.get(data[0] >> 5)
         return service(self, data) if service else _stray(data)
 
     def response(self, data: bytes) -> str:
-        """What eight bytes from the server say."""
+        """Explain eight bytes from the server."""
         if self._phase is _Phase.SERVER_BLOCK and data[0] != 0x80:
             return self._part(data)
         service = _RESPONSES.get(data[0] >> 5)
