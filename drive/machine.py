@@ -28,20 +28,11 @@ class Machine(Protocol):
 
 @dataclass
 class Standing:
-    """Drives without a machine: time passes, and they stand still."""
+    """Drives without a machine: their cycles pass, as with a motor that is held."""
 
     drives: Mapping[str, Drive]
     cycle_time: float  # (s)
     time: float = 0.0  # (s)
-
-    def step(self, cycles: int = 1) -> None:
-        """Let so many position cycles pass."""
-        self.time += cycles * self.cycle_time
-
-
-@dataclass
-class Cycling(Standing):
-    """A drive that stands still, and whose cycles pass."""
 
     def step(self, cycles: int = 1) -> None:
         """Let so many position cycles pass."""

@@ -363,7 +363,9 @@ class _Import:
 
     def _default(self, index: int, subindex: int) -> int | None:
         row = self.rows.get((index, subindex))
-        return None if row is None or "+" in row["default"] else int(row["default"])
+        if row is None or "+" in row["default"] or FORMATS[row["data_type"]] in ("", "f"):
+            return None  # not there, follows the node-id, or no integer
+        return int(row["default"])
 
     def _said(self, index: int, subindex: int) -> int | None:
         """The default that the file itself has, not the profile's in its place."""
@@ -423,7 +425,11 @@ class _Import:
     def _period(self) -> None:
         """Of the set-points (60C2h); one that no master keeps was not set."""
         value, index = self._default(PERIOD, 1), self._default(PERIOD, 2)
-        if value is None or index is None or value * 10.0**index <= LONGEST_PERIOD:
+        if value is None or index is None:
+            return
+        if not (self.rows[PERIOD, 1]["field"] and self.rows[PERIOD, 2]["field"]):
+            return  # of another type: nothing follows from it
+        if index <= 0 and value * 10.0**index <= LONGEST_PERIOD:
             return
         for subindex in (1, 2):
             usual = int(self.base.objects[PERIOD, subindex].default)
@@ -577,11 +583,15 @@ class _Import:
     def _mode(self, modes: list[Mode]) -> Mode | None:
         """The mode of a drive whose 6060h nobody can write, of the set-point in its RPDOs."""
         row = self.rows.get((0x6060, 0))
-        if row is None or row["access"] not in ("ro", "const"):
+        if row is not None and row["access"] not in ("ro", "const"):
             return None
         mapped = {int(pdo[6], 0) for pdo in self.pdos if pdo[0] == "rx" and pdo[6] != ""}
         mode = next((mode for index, mode in SET_POINTS.items() if index in mapped), None)
-        if mode is None or int(row["default"]) in modes:
+        if mode is not None and row is None:
+            self.sheet.tell(0, "6060h", "missing", str(int(mode)), "its PDO has this set-point")
+            self.result.toml.setdefault("fixed", {})["modes_of_operation"] = int(mode)
+            return mode
+        if mode is None or row is None or int(row["default"]) in modes:
             return None
         self._set(0x6060, 0, int(mode), "it is read-only, and its PDO has this set-point")
         return mode

@@ -163,7 +163,7 @@ def ethercat_line(
 
     Args:
         models: drive models by name or folder; a machine of several axes has a slave for each.
-        axis: key of `AXES`; ``none``: drives that stand still.
+        axis: key of `AXES`; ``none``: drives whose motor is held.
         ring: the last slave leads back to a second port of the master.
 
     Raises ValueError: unknown model or axis, a model without EtherCAT.
@@ -175,6 +175,7 @@ def ethercat_line(
     for name in models:
         model = load(name, "ethercat")
         if axis == "none":
+            Drive(model).cycle(0.0)  # the first one compiles
             drives.append(Drive(model))
             machines.append(Standing({"x": drives[-1]}, model.cycle_time["position"]))
             continue

@@ -194,6 +194,15 @@ def test_a_period_that_no_master_keeps_was_not_set(made, value, index, taken):
     assert (drive.read(0x60C2, 1), drive.read(0x60C2, 2)) == taken
 
 
+@pytest.mark.parametrize("kind", ["7", "8"])
+def test_a_period_of_another_type_is_no_period(made, kind):
+    """-3 of an UNSIGNED32 are no seconds, and a REAL32 is no power of ten."""
+    index = f"60C2 2 {kind} rw 0 DefaultValue=-3"
+    model = made(sheet(SMALL, "60C2 1 5 rw 0 DefaultValue=8", index))
+    assert any(r.where == "60C2h:02h" for r in model.repairs)
+    assert Drive(model.folder).read(0x60C2, 1) == 8
+
+
 def test_ten_thousand_objects(made):
     rows = [f"{0x2000 + n // 200:04X} {n % 200 + 1:x} 6 rw 0" for n in range(10_000)]
     assert made(sheet(SMALL, *rows)).objects > 10_000
@@ -348,6 +357,18 @@ def test_modes_that_6502h_does_not_say_follow_from_the_objects(made):
     page = (model.folder / "README.md").read_text(encoding="utf-8")
     assert "6502h has no default" in page
     assert "60E3h names none" in page
+
+
+def test_a_drive_without_6060h_has_the_mode_of_its_set_point(made):
+    rows = re.sub(r"606[01] .*\n", "", SMALL).replace("1600 0 5 rw 0 DefaultValue=1",
+                                                      "1600 0 5 rw 0 DefaultValue=2")
+    model = made(sheet(rows, "1600 2 7 rw 0 DefaultValue=0x607A0020"))
+    assert said(model, "6060h").taken == "8"
+    drive = Drive(model.folder)
+    drive.cycle(0.0)
+    assert drive.axis.od.modes_of_operation == drive.axis.od.modes_of_operation_display == 8
+    with pytest.raises(SdoAbort):
+        drive.read(0x6060)
 
 
 def test_a_variable_of_the_profile_with_sub_indices_is_another_object(made):

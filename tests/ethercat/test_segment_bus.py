@@ -18,12 +18,15 @@ from servogym.drive.ethercat.bus import Bus
 from servogym.drive.ethercat.faulty import Fault, FaultyBus
 from servogym.drive.ethercat.frame import Command, Datagram, pack
 from servogym.drive.ethercat.master import EtherCatMaster
+from servogym.drive.ethercat.port import EtherCatPort
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
 from servogym.drive.kernel.words import State
+from servogym.drive.master import Master
 from servogym.drive.model.model import load
 from servogym.drive.objects.abort import SdoAbort
 from servogym.envs.engine import loop
+from servogym.envs.plants.catalogue import ethercat_line
 from servogym.envs.plants.linear_axis import linear_axis
 
 AKD = "kollmorgen_akd"
@@ -50,6 +53,19 @@ def operational(bus, rpdos=(0x1724,), tpdos=(0x1B24,)):
 
 def outputs(target=0, control=0, torque=0):
     return struct.pack("<iHh", target, control, torque)
+
+
+@pytest.mark.parametrize("model", [AKD, "generic", "festo_cmmp_as"])
+def test_a_drive_without_an_axis_runs_its_state_machine(model):
+    """`--axis none`: no motion, but states, ramps and faults as with a motor that is held."""
+    segment, machines = ethercat_line([model], "none")
+    master = EtherCatMaster(Bus(segment, machines))
+    axis = Master(EtherCatPort(master, {"x": model}))
+    axis.enable()
+    assert machines[0].drives["x"].state is State.OPERATION_ENABLED
+    axis.disable()
+    assert machines[0].drives["x"].state is State.SWITCH_ON_DISABLED
+    assert machines[0].time > 0.0
 
 
 def test_33_an_episode_of_the_environment_replayed_in_frames_is_the_same_episode():

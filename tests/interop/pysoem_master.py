@@ -11,6 +11,7 @@ import pysoem
 PORT, SECOND = "vb", "vb2"
 WAIT = 1_000_000  # µs; SOEM's own 2 ms are short for a machine that does other things as well
 SCANS = 20
+NO_OBJECT = 0x0602_0000  # abort code
 COMMANDS = {0x40: 0x06, 0x21: 0x07, 0x23: 0x0F}  # status & 6Fh -> controlword
 
 
@@ -344,7 +345,8 @@ def as_found(distance, cycles=4000):
     try:
         put(0x6060, b"\x08")
     except pysoem.SdoError as error:
-        if read_again(slave, 0x6060) != b"\x08":  # some have one mode alone
+        # some have one mode alone, or do not say it
+        if error.abort_code != NO_OBJECT and read_again(slave, 0x6060) != b"\x08":
             found["why"] = f"6060h: {error}"
     if 0x607A in outputs:
         put(0x607A, struct.pack("<i", get(0x6064, "<i")))

@@ -37,7 +37,8 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--axis",
         default="linear",
-        help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 or none (linear)",
+        help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 or none: "
+        "the drive alone, as with a motor that is held (linear)",
     )
     command.add_argument("--slaves", type=int, default=1, help="number of slaves of each model (1)")
     command.add_argument("--clock", default="frame", help="clock: frame, dc or real (frame)")

@@ -41,7 +41,6 @@ def _replay(options: argparse.Namespace, console: Console) -> int:
 def _of_ethercat(options: argparse.Namespace) -> "Score":
     from ...drive.ethercat.bus import Bus
     from ...drive.ethercat.replay import Replay, exchanges, slaves_of
-    from ...drive.machine import Cycling
     from ...drive.wire.pcapng import read
     from ...envs.plants.catalogue import ethercat_line
 
@@ -49,8 +48,7 @@ def _of_ethercat(options: argparse.Namespace) -> "Score":
     if not pairs:
         raise ValueError(f"{options.log}: no EtherCAT frame with its reply is in it")
     segment, machines = ethercat_line([options.drive] * slaves_of(pairs), "none")
-    running = [Cycling(machine.drives, machine.cycle_time) for machine in machines]
-    return Replay(Bus(segment, running, "real"), options.drive).run(pairs)
+    return Replay(Bus(segment, machines, "real"), options.drive).run(pairs)
 
 
 def _of_can(options: argparse.Namespace) -> "Score":
