@@ -572,12 +572,13 @@ class PortLine:
                     value = self._at(axis) if name == "target_position" else 0
                     self._side.port.write(axis, name, value)
         self.master.set_mode(mode)
-        if self._side.pace.real:
-            self.master.wait(REST)
-        else:
-            for _ in range(math.ceil(REST / self._period)):
-                self._side.send()
-                self._side.sample(LOCK_STEP_PATIENCE)
+        pace = self._side.pace
+        deadline = pace.now()
+        for _ in range(math.ceil(REST / self._period)):
+            deadline += self._period
+            pace.wait(deadline)
+            self._side.send()
+            self._side.sample(self._period if pace.real else LOCK_STEP_PATIENCE)
 
     @contextmanager
     def _gently(self) -> Iterator[None]:

@@ -158,16 +158,16 @@ def _compared(
     for name in others:
         against(f"{name} - {first}", values[name], values[first])
     if options.gap:
-        for name, own in values.items():
-            env = in_process.environment(
-                options.env, "ethercat" if options.ethercat else "can", options.drive,
-                options.given, options.home,
-            )
-            _limit(env.line, options, example.drive_names)
+        env = in_process.environment(
+            options.env, "ethercat" if options.ethercat else "can", options.drive,
+            options.given, options.home,
+        )
+        _limit(env.line, options, example.drive_names)
+        for name, own in values.items():  # one after the other, as on the bus
             acting = _policy(name, example, options.seed)
             there = in_memory(env, acting, len(own), options.seed, options.slow)
-            env.close()
             against(f"{name}: bus - {'twin' if options.twin else 'memory'}", own, there)
+        env.close()
     return rows
 
 
