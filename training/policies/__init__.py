@@ -1,4 +1,4 @@
-"""Policies through one door: `make` gives an object with `reset` and `act`, by its name.
+"""Policies by name: `make` returns an object with `reset` and `act`.
 
 A policy is made for one environment from what may be known of it (`datasheet.Datasheet`), sees
 observations and gives actions. It never touches the physics nor what was drawn at random. Two are
@@ -61,17 +61,17 @@ from .trained.saved import ZIP
 
 
 class Policy(Protocol):
-    """What every policy is."""
+    """The interface of every policy."""
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin an episode."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The action, float32 in -1..1, for an observation."""
+        """Return the action, float32 in -1..1, for an observation."""
 
 
 class Baseline(NamedTuple):
-    """A row of the table. The tasks themselves say which of them they have, in ``POLICIES``."""
+    """A row of the table. Each task lists the rows that it offers in its ``POLICIES``."""
 
     make: Callable[..., Any]  # of a data sheet and a seed
     what: str
@@ -170,7 +170,7 @@ MODE = "csp"  # what policies command where they do not need another mode
 
 
 def needed(name: Any) -> dict[str, Any]:
-    """The arguments of the environment a policy needs; none for other names than of `POLICIES`."""
+    """The environment arguments that a policy needs; none for names outside `POLICIES`."""
     row = POLICIES.get(label(name).partition(":")[0])
     return dict(row.arguments) if row else {}
 
@@ -183,7 +183,7 @@ def fitted(name: str) -> bytes:
 
 
 def declared() -> list[str]:
-    """All registered names: of the table, and then of those that installed packages declare."""
+    """All registered names: those of the table, then those declared by installed packages."""
     points = metadata.entry_points(group=ENTRY_POINTS)
     return [*POLICIES, *sorted({point.name for point in points} - POLICIES.keys())]
 
@@ -236,7 +236,7 @@ def trainings(name: Any, task: str) -> list[str]:
 
 
 def label(policy: Any) -> str:
-    """What a policy is called: its name, of a class or a function its own."""
+    """The label of a policy: its name, or the name of its class or function."""
     return policy if isinstance(policy, str) else getattr(policy, "__name__", repr(policy))
 
 

@@ -1,4 +1,4 @@
-"""An LQR that finds out what swings: a bank of models, and the gain of the likeliest one.
+"""An LQR that identifies the resonance: a bank of models, and the gain of the likeliest one.
 
 Each model of the bank is the one of `lqr` with another resonance. All predict the deflection of the
 load and its rate from those of the step before and the velocity of the axis; the one with the least
@@ -68,7 +68,7 @@ class Identified(Regulated):
         self._place = self._velocity = self._last = 0.0
 
     def act(self, seen: Any) -> float:
-        """Velocity of the set-point (m/s)."""
+        """Return the velocity of the set-point (m/s)."""
         deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
         rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
         state = np.array([self._place, self._velocity, deflection, rate, self._last])
@@ -97,6 +97,6 @@ class Identified(Regulated):
 
 
 class AdaptiveLqr(Lqr):
-    """Each axis identified and regulated for itself."""
+    """Identifies and regulates each axis separately."""
 
     AXIS = Identified

@@ -1,4 +1,4 @@
-"""Feed-forward that finds out mass and friction, and an outer loop on the tracking error.
+"""Feed-forward that identifies mass and friction, and an outer loop on the tracking error.
 
 Recursive least squares fit the torque to acceleration and friction of the reference while the axis
 moves: two unknowns, the mass and a share of the friction of the data sheet (Slotine, Li 1991,
@@ -40,7 +40,7 @@ LONGEST = 1.2  # steps
 
 
 class AdaptiveFeedForward(FeedForward):
-    """Along the reference that is observed."""
+    """Follows the observed reference with identified mass and friction."""
 
     loop = 1.0  # share of the gains of the outer loop
 
@@ -69,15 +69,15 @@ class AdaptiveFeedForward(FeedForward):
         self._doubt -= np.outer(gain, known) @ self._doubt
 
     def ahead(self, error: float, velocity: float, rate: float) -> float:
-        """How far the set-point leads (m); of the error (m) and the motion (m/s, m/s²): not."""
+        """The lead of the set-point (m) from error (m) and motion (m/s, m/s²): here none."""
         return 0.0
 
     def fed(self) -> float:
-        """What else is fed forward to the set-point (m): nothing."""
+        """A further correction of the set-point (m): here none."""
         return 0.0
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Torque in the middle of the step to come, and the correction of the set-point."""
+        """Return the torque in the middle of the next step, and the correction of the set-point."""
         axis, dt = self._axis, self._known.step_time
         seen = self._known.named(observation)
         velocity = float(seen.reference_velocity) * axis.fastest
@@ -108,7 +108,7 @@ class LeadingFeedForward(AdaptiveFeedForward):
         self.lag = 0.0  # steps
 
     def ahead(self, error: float, velocity: float, rate: float) -> float:
-        """The way of that time, at this velocity and acceleration."""
+        """The distance of the identified lag, at this velocity and acceleration."""
         dt = self._known.step_time
         self.lag += RATE * error * velocity / (velocity**2 + SLOW**2) / dt
         self.lag = min(max(self.lag, -LONGEST), LONGEST)

@@ -1,4 +1,4 @@
-"""Feed-forward by basis functions: what iterative learning finds, carried over to other references.
+"""Feed-forward by basis functions, which carries iterative learning over to other references.
 
 Iterative learning control finds the corrections of one motion by repeating it. Written as a sum of
 basis functions of the reference, what it found for some motions holds for motions that were never
@@ -38,7 +38,7 @@ FILE = Path(__file__).parents[2] / "assets" / "policies" / "basis_feed_forward.n
 
 
 class Reference:
-    """What has been seen of a reference, and what is ahead, in m/s and m/s²."""
+    """The observed part of a reference and the part ahead, in m/s and m/s²."""
 
     def __init__(self, known: Datasheet):
         self._known = known
@@ -71,7 +71,7 @@ class Reference:
 
 
 class BasisFeedForward(LeadingFeedForward):
-    """Along the reference that is observed.
+    """Follows the observed reference with a correction by basis functions.
 
     Args:
         datasheet: of the environment.
@@ -102,32 +102,32 @@ class BasisFeedForward(LeadingFeedForward):
         return fitted().tobytes()
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Torque, lead and outer loop of the law below, and the correction."""
+        """Return torque, lead and outer loop of the underlying law, plus the correction."""
         self._reference.see(observation)
         return super().act(observation)
 
 
 @lru_cache(maxsize=1)
 def fitted() -> np.ndarray:
-    """The coefficients that come with the laboratory."""
+    """The coefficients shipped with this package."""
     return foreign.arrays(FILE)["coefficients"]
 
 
 class Informed(AdaptiveFeedForward):
-    """The torque of the law below with mass and friction told, and no outer loop."""
+    """The torque of the underlying law with given mass and friction, and no outer loop."""
 
     def __init__(self, env: ServoEnv):
         super().__init__(datasheet(env))
         self._env = env
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Take them over."""
+        """Take over mass and friction."""
         super().reset(observation, info)
         drawn = self._env.parameters
         self.found = np.array([self._axis.mass(drawn["payload"]), drawn["friction"]])
 
     def identify(self, acceleration: float, velocity: float, force: float) -> None:
-        """Nothing is left to be found."""
+        """Identify nothing, because mass and friction are given."""
 
 
 def rehearsed(

@@ -1,4 +1,4 @@
-"""Bounds: what no controller can be better than in an episode, told everything that was drawn.
+"""Bounds: no controller can be better in an episode, even with all drawn parameters given.
 
 | task | quantity | what it follows from | |
 |------|----------|----------------------|-|
@@ -41,7 +41,7 @@ CSP = int(Mode.CYCLIC_SYNC_POSITION)
 
 
 class Bound:
-    """Stands for no controller: what is possible in an episode that has begun.
+    """The limit of what is possible in an episode that has begun; it is not a controller.
 
     Raises:
         ImportError: scipy is missing.
@@ -59,12 +59,12 @@ class Bound:
             raise ValueError(f"policy 'bound': {error}") from None
 
     def values(self) -> dict[str, float]:
-        """By metric: the best that it can be."""
+        """The best possible value of each metric."""
         return self._of(self._env)
 
 
 def _least(make: Callable[[int], Plant], asked: Question, delay: int) -> float:
-    """Seconds until a load has settled, with no longer a horizon than is needed."""
+    """The time until a load has settled (s), over the shortest sufficient horizon."""
     steps = min(round(HORIZON / make(1).timestep), asked.last)
     while True:
         whole = make(steps)
@@ -79,12 +79,12 @@ def _ticks(env: Any, seconds: float) -> int:
 
 
 def _delay(env: Any, d: int = 0) -> int:
-    """Physics steps before anything that was commanded arrives; without noise nothing moves."""
+    """Physics steps before the first command arrives; without noise nothing moves until then."""
     return 0 if env.machine.couplings[d]["noise"] > 0.0 else int(env.machine.world["delay"][0])
 
 
 def _set_points(env: Any, d: int = 0) -> dict[str, float]:
-    """Top speed of the set-points, and how far an axis can be ahead of them."""
+    """The top speed of the set-points, and the distance by which an axis can lead them."""
     coupling, od = env.machine.couplings[d], env.machine.axes[d]["od"]
     units = env.units
     ahead = float(od["following_error_window"]) + 2.0  # of rounding
@@ -142,7 +142,7 @@ def _homed(env: Any) -> dict[str, float]:
 
 
 def _commissioned(env: Any) -> dict[str, float]:
-    """The cause gone, to the switch at the speed of the search, and to the goal at the profile's.
+    """Wait for the cause to clear, search the switch, and move to the goal by profile.
 
     Ramps count once each; states, edges and the end of the homing take no time.
     """
@@ -170,7 +170,7 @@ def _tracked(env: Any) -> dict[str, float]:
 
 
 def _contoured(env: Any) -> dict[str, float]:
-    """Nothing is known to keep the tool from the contour at full feed."""
+    """No known effect keeps the tool from following the contour at full feed."""
     return {"episode_return": float(env.STEPS), "contour_error": 0.0}
 
 

@@ -1,4 +1,4 @@
-"""What a policy may know before an episode: its task's constants and the machine's data sheet.
+"""The prior knowledge of a policy: constants of its task and data sheet of the machine.
 
 Nothing here comes from the physics or from an episode. What was drawn at random is not known.
 """
@@ -40,7 +40,7 @@ class Vibration(NamedTuple):
 
 @dataclass(frozen=True)
 class Axis:
-    """Data sheet of one axis: what is moved, by how much force, how it is commanded and seen."""
+    """Data sheet of one axis: moved mass, force, commands and observations."""
 
     carriage: float  # kg, without payload
     rotor: float  # of motor and transmission, as a mass at the carriage (kg)
@@ -61,7 +61,7 @@ class Axis:
     sensor: Sensor | None  # None: nothing is seen of the load
 
     def mass(self, payload: float) -> float:
-        """What a force at the carriage accelerates, the motor included (kg)."""
+        """The mass that a force at the carriage accelerates, including the motor (kg)."""
         return self.carriage + payload + self.rotor
 
 
@@ -93,7 +93,7 @@ class Datasheet:
         return fields.width(self.action_record)
 
     def action(self, **values: Any) -> np.ndarray:
-        """An action by the names of its components, float32; 0 where nothing is said."""
+        """Build an action from named components, float32; components not given are 0."""
         action, slots = np.zeros(self.actions, np.float32), fields.slots(self.action_record)
         for name, value in values.items():
             action[slots[name]] = value
@@ -118,7 +118,7 @@ class Datasheet:
 
     @property
     def axis(self) -> Axis:
-        """The first. Raises ValueError where there is none."""
+        """Return the first axis. Raises ValueError if there is none."""
         if not self.axes:
             raise ValueError(
                 f"{self.task} has no data sheet of its axes, which its baselines need, that of "
@@ -148,7 +148,7 @@ def _told(parameters: Any, truth: Mapping[str, float]) -> Any:
 
 
 def datasheet(env: ServoEnv, truth: Mapping[str, float] = UNTOLD) -> Datasheet:
-    """What a policy may know of `env`: the same whatever was drawn for its present episode.
+    """The data sheet of `env`, independent of the parameters drawn for its present episode.
 
     Args:
         env: the environment.
@@ -189,7 +189,7 @@ def datasheet(env: ServoEnv, truth: Mapping[str, float] = UNTOLD) -> Datasheet:
 
 
 def _of_class(task: type[ServoEnv]) -> dict[str, Any]:
-    """What a task says in its class, or in those it inherits from."""
+    """Read a value from the class of a task or from its bases."""
     own = [each for each in task.__mro__ if issubclass(each, ServoEnv) and each is not ServoEnv]
     return {name: value for each in reversed(own) for name, value in vars(each).items()}
 
@@ -227,7 +227,7 @@ def _linear(env: ServoEnv, p: LinearAxisParameters, truth: Mapping[str, float]) 
 
 
 def _rotary(env: ServoEnv, p: RotaryParameters, truth: Mapping[str, float]) -> Axis:
-    """An axis without ends: rad for m, Nm for N, kg·m² for kg; half its range is the farthest."""
+    """An endless axis: rad for m, Nm for N, kg·m² for kg; half its range is the largest way."""
     drive, units = env.drive, env.units
     fastest = _object(drive, "max_profile_velocity") / units
     rotor = drive.model.rotor_inertia if p.rotor_inertia is None else p.rotor_inertia
@@ -279,7 +279,7 @@ def _spring(p: LinearAxisParameters) -> Vibration | None:
 
 
 def _of_gantry(env: ServoEnv, p: GantryParameters, truth: Mapping[str, float], d: int) -> Axis:
-    """Axis X or Y: all that hangs on it is carried."""
+    """Axis X or Y, which carries everything attached to it."""
     task, drive, heaviest = vars(env), env.drives[d], _heaviest(env, p.payload, truth)
     gear = 2 * math.pi / FEED_CONSTANT
     fastest = _object(drive, "max_profile_velocity") / METRE

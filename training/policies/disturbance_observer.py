@@ -1,4 +1,4 @@
-"""Feed-forward with a disturbance observer: what the nominal model cannot explain is fed forward.
+"""Feed-forward with a disturbance observer for forces outside the nominal model.
 
 The observer (Ohnishi 1987; Sariyildiz, Oboe, Ohnishi 2020) takes the force of the motor, less what
 the nominal mass and friction need for the reference, through a low-pass of first order, and the
@@ -22,7 +22,7 @@ LIMIT = 0.3  # of the force at the maximum torque, that is believed
 
 
 class DisturbanceObserver(FeedForward):
-    """Along the reference that is observed."""
+    """Follows the observed reference and compensates the estimated disturbance."""
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         super().__init__(datasheet, seed)

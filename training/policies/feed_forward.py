@@ -35,7 +35,7 @@ class Torque:
         return self._own
 
     def __call__(self, slope: float, middle: float, rate: float) -> float:
-        """For the step to come, in -1..1 of the torque offset.
+        """Return the feed-forward for the next step, in -1..1 of the torque offset.
 
         Args:
             slope: of the set-points (m/s).
@@ -48,7 +48,7 @@ class Torque:
 
 
 class FeedForward:
-    """Along the reference that is observed."""
+    """Follows the observed reference with nominal feed-forward."""
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._known, self._axis = datasheet, datasheet.axis
@@ -58,7 +58,7 @@ class FeedForward:
         self._torque = Torque(self._known)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Torque in the middle of the step to come."""
+        """Return the torque in the middle of the next step."""
         axis, dt = self._axis, self._known.step_time
         seen = self._known.named(observation)
         velocity = float(seen.reference_velocity) * axis.fastest
@@ -71,7 +71,7 @@ class FeedForward:
 
 
 class RuckigFeedForward(Profile):
-    """Along a time-optimal path at the drive's limits.
+    """Follows a time-optimal path at the drive's limits.
 
     Raises:
         ValueError: the environment has no torque to command.
@@ -86,14 +86,14 @@ class RuckigFeedForward(Profile):
             )
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Plan, begin at rest."""
+        """Plan the path and begin at rest."""
         super().reset(observation, info)
         self._torque = Torque(self._known)
         places = np.pad(self._places[0], (1, 2), "edge")  # at rest before and after
         self._velocities = np.diff(places) / self._known.step_time
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Velocity of the set-point, and the torque for it."""
+        """Return the velocity of the set-point and the torque for it."""
         velocity = super().act(observation)
         before, now, after = self._velocities[self._step - 1 : self._step + 2]
         rate = (after - before) / (2.0 * self._known.step_time)

@@ -15,7 +15,7 @@ SUFFIX = ".py"
 
 
 def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
-    """A policy of what a file or an entry point has.
+    """Make a policy from the content of a file or an entry point.
 
     Args:
         name: of the policy.
@@ -50,7 +50,7 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
 
 
 def _takes(name: str, function: Any, *arguments: str) -> None:
-    """Raises ValueError where a function of the user's cannot be called as it will be."""
+    """Raise ValueError if a user's function does not accept the arguments it will get."""
     if isinstance(function, staticmethod | classmethod) or not callable(function):
         return  # inherited, or of a kind of its own: it tells by itself
     if inspect.iscoroutinefunction(function) or inspect.isgeneratorfunction(function):
@@ -77,7 +77,7 @@ class Own:
         self._called("reset", observation, info)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The action. Raises ValueError for what is not finite numbers of an action."""
+        """Return the action. Raises ValueError unless it consists of finite numbers."""
         action = self._called("act", observation)
         try:
             with np.errstate(over="ignore"):  # what is too large is told below
@@ -105,11 +105,11 @@ class Function:
         self.act = act
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """A function remembers nothing."""
+        """Do nothing, because a function has no memory."""
 
 
 def from_file(name: str) -> Any:
-    """What stands behind ``FILE.py:name``.
+    """Load the object named by ``FILE.py:name``.
 
     Raises:
         ValueError: there is no such file or name, or the file cannot be run.

@@ -23,7 +23,7 @@ CORNER = 0.7  # cosine: a turn of more than 45 degrees within the preview
 
 
 class Squaring:
-    """Both sides of the bridge of `GantrySync-v0`; x1 is right, x2 is wrong by the skew."""
+    """Squares the bridge of `GantrySync-v0`; x1 is right, and x2 is off by the skew."""
 
     OVER, SHARE = OVER, 0.4  # over the switches (m/s), of the acceleration commissioned
     UNTWIST, ZONE = UNTWIST, ZONE
@@ -71,13 +71,13 @@ class Squaring:
 
 
 class SlowSquaring(Squaring):
-    """Square at the commissioned speeds: a quarter over the switches and on the ramps."""
+    """Squares at the commissioned speeds, at a quarter of them over switches and on ramps."""
 
     OVER, SHARE = 0.25 * OVER, 0.1
 
 
 class TunedSquaring(Squaring, Tunable):
-    """Square at the speeds of the tuner."""
+    """Squares at the speeds found by the tuner."""
 
     NAME = "tuned_squaring"
     RANGES = {  # noqa: RUF012
@@ -94,13 +94,13 @@ class TunedSquaring(Squaring, Tunable):
 
 
 class ConstantFeed:
-    """The path at full feed as it is: what the drives' lag makes of it stays."""
+    """Follows the path at full feed; the lag of the drives is not compensated."""
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._action = datasheet.action(override=1.0)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Nothing is remembered."""
+        """Do nothing, because this policy has no memory."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Return the same action in every step."""
@@ -108,7 +108,7 @@ class ConstantFeed:
 
 
 class FullFeed:
-    """X and Y of `GantryContour-v0`, from the path as it has been seen so far."""
+    """Commands X and Y of `GantryContour-v0` from the part of the path observed so far."""
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._known, self._dt = datasheet, datasheet.step_time
@@ -126,7 +126,7 @@ class FullFeed:
         self.lead = np.zeros(2)  # of the path over where the axes shall be (m)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Corrections and feed override."""
+        """Return corrections and feed override."""
         path = np.asarray(self._known.named(observation).path, float)
         ahead = 2.0 ** np.arange(len(path)) * self._step  # of its points (m)
         points = path * ahead[:, None]
@@ -156,7 +156,7 @@ class FullFeed:
         return self._known.action(correction=share, override=self._override(override))
 
     def outer(self, observation: np.ndarray) -> np.ndarray | float:
-        """Correct what the axes are behind where they shall be (m): nothing."""
+        """The correction of the contour lag of the axes (m): here none."""
         return 0.0
 
     def _override(self, feed: float) -> float:
@@ -165,7 +165,7 @@ class FullFeed:
 
 
 class TunedFullFeed(FullFeed, Tunable):
-    """The same with an outer loop on where the axes are, and a lag, by numbers of the tuner."""
+    """The same with an outer loop on the positions and a lag, with numbers of the tuner."""
 
     NAME, FADING = "tuned_full_feed", 0.98
     RANGES = {  # noqa: RUF012
@@ -187,12 +187,12 @@ class TunedFullFeed(FullFeed, Tunable):
         self._sum = np.zeros(2)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Corrections and feed override."""
+        """Return corrections and feed override."""
         self._wanted = self.lead.copy()  # of the step before, whose end is observed
         return super().act(observation)
 
     def outer(self, observation: np.ndarray) -> np.ndarray:
-        """A share of what they are behind, and of its fading sum (m)."""
+        """A share of the contour lag and of its decaying sum (m)."""
         axes = self._known.named_by_axis(observation)
         behind = self._window * np.array([float(axis.distance) for axis in axes]) - self._wanted
         self._sum = self.FADING * self._sum + self._integral * behind

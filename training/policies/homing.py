@@ -69,7 +69,7 @@ def search_policy(datasheet: Datasheet, seed: int = 0) -> Script:
 
 
 def _searched(datasheet: Datasheet, speeds: Mapping[str, float]) -> Callable[[], Steps]:
-    """What looks for the reference of the task."""
+    """The search for the reference of the task at given speeds."""
     legs = LEGS.get(datasheet.reference)
     return partial(search, datasheet, legs, speeds) if legs else partial(to_stop, datasheet)
 
@@ -84,7 +84,7 @@ class TunedSearch(Script, Tunable):
 
 
 class BuiltIn:
-    """A homing method of the drive: it takes the place of the agent for the whole episode.
+    """A homing method of the drive, which replaces the agent for the whole episode.
 
     Args:
         datasheet: of the environment.

@@ -1,4 +1,4 @@
-"""Shaped while it moves: the resonance is identified in the first motion of the episode.
+"""Input shaping during the motion: the resonance is identified in the first motion.
 
 The first pulse of an input shaper needs no resonance, only its damping ratio, which hardly counts:
 the axis begins with a share of the quickest path. Until half a period has passed, when the second
@@ -92,7 +92,7 @@ class Identified:
         return np.array(state), float(seen.velocity) * self._axis.fastest, whole
 
     def identify(self, seen: Any) -> None:
-        """Take the step from the last observation to this one."""
+        """Process the step from the last observation to this one."""
         (state, velocity, known), (now, faster, whole) = self._before, self._look(seen)
         self._before = now, faster, whole
         if not (known and whole):
@@ -117,7 +117,7 @@ class Identified:
         self.frequency = float(self._frequencies[k]) * math.exp(ratio * between)
 
     def act(self, seen: Any) -> float:
-        """Where the set-point is at the end of the step, from where it began (m)."""
+        """The set-point at the end of the step, relative to its start (m)."""
         if self._step:
             self.identify(seen)
         self._step += 1
@@ -147,7 +147,7 @@ class Identified:
 
 
 class IdentifiedZv(Tunable):
-    """Each axis identified and shaped for itself.
+    """Identifies and shapes each axis separately.
 
     Args:
         datasheet: of the environment.
@@ -175,7 +175,7 @@ class IdentifiedZv(Tunable):
             one.reset(seen)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Velocities that bring the set-points to the next places of their paths."""
+        """Return velocities that bring the set-points to the next points of their paths."""
         velocities = np.zeros(len(self._axes), np.float32)
         seen_of_axes = self._known.named_by_axis(observation)
         for d, (one, seen) in enumerate(zip(self._axes, seen_of_axes, strict=True)):

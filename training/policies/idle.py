@@ -1,4 +1,4 @@
-"""Baselines that want nothing: hold, and chance."""
+"""Baselines without a goal: holding still and random actions."""
 
 from typing import Any
 
@@ -32,5 +32,5 @@ class Chance:
         self._generator = np.random.default_rng(self._seed)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Draw the next."""
+        """Draw the next action."""
         return self._generator.uniform(-1.0, 1.0, self._shape).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Laws that are told what was drawn at random, which no controller knows.
+"""Laws that are given the randomly drawn parameters, which no controller knows.
 
 What lies between such a law and the same law uninformed is what identifying can gain with it. It is
 no limit of what is possible: a law of another kind may be better, and some that know less are.
@@ -28,13 +28,13 @@ SPARE = 0.95  # of the top speed of a homing, the rest holds the path
 
 
 class InformedPolicy:
-    """A policy that is made anew for each episode, from a data sheet that tells the truth."""
+    """A policy rebuilt for each episode from a data sheet with the true parameters."""
 
     def __init__(self, make: Callable[[Datasheet, int], Any], env: ServoEnv, seed: int):
         self._make, self._env, self._seed = make, env, seed
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Make it for the machine as it was drawn."""
+        """Build the policy for the machine as drawn."""
         self._policy = self._make(datasheet(self._env, self._env.parameters), self._seed)
         self._policy.reset(observation, info)
 
@@ -44,31 +44,31 @@ class InformedPolicy:
 
 
 class KnownMass(AdaptiveFeedForward):
-    """Mass and friction told at the beginning; the drive's own feed-forward stays nominal."""
+    """A law given mass and friction; the drive's own feed-forward stays nominal."""
 
     def __init__(self, env: ServoEnv, seed: int):
         super().__init__(datasheet(env), seed)
         self._env = env
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Take them over."""
+        """Take over mass and friction."""
         super().reset(observation, info)
         payload = self._env.parameters.get("payload", self._axis.payload)
         self.found = np.array([self._axis.mass(payload), self._env.parameters.get("friction", 1.0)])
 
     def identify(self, acceleration: float, velocity: float, force: float) -> None:
-        """Nothing is left to be found."""
+        """Identify nothing, because mass and friction are given."""
 
 
 class KnownSkew(Squaring):
-    """The skew told at the beginning."""
+    """A law that is given the skew at the beginning."""
 
     def __init__(self, env: ServoEnv, seed: int):
         super().__init__(datasheet(env), seed)
         self._env = env
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Take it over."""
+        """Take over the skew."""
         super().reset(observation, info)
         self._square = -float(self._env.episode.skew)
 
@@ -78,7 +78,7 @@ class KnownSkew(Squaring):
 
 
 class KnownHome:
-    """Homing with the true home told: there as fast as the task allows, and declared."""
+    """Homing with the true home given: move there as fast as the task allows and declare it."""
 
     STIFF = 80.0  # 1/s, of the position loop
     NEAR, SLOW = 0.3, 3e-3  # of the tolerance and m/s, within which it declares
@@ -93,14 +93,14 @@ class KnownHome:
         self._times = np.arange(self._known.steps + 1) * self._known.step_time
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Plan."""
+        """Plan the path to the true home."""
         episode = self._env.episode
         self._way = float(episode._home - episode.start)
         self._path = time_optimal(self._way, self._bounds)(self._times)
         self._step = 0
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Velocity along the path; at its end home is here."""
+        """Return the velocity along the path; at its end, declare home."""
         seen, known = self._known.named(observation), self._known
         place = float(seen.displacement) * self._stroke
         near = abs(self._way - place) <= self.NEAR * known.tolerance
@@ -117,7 +117,7 @@ class KnownHome:
 
 
 def known_outage(env: ServoEnv, seed: int) -> Script:
-    """The step chain, told when the cause of the fault goes: it resets in that very step."""
+    """The step chain, given the time at which the cause clears: it resets in that very step."""
     return Script(lambda: chain(datasheet(env), gone=int(env.episode.outage) - 1))
 
 

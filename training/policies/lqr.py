@@ -67,7 +67,7 @@ def gain(vibration: Vibration, dt: float) -> np.ndarray:
 
 
 def sensed(datasheet: Datasheet, axis: Axis) -> Sensor:
-    """The sensor of the load. Raises ValueError where there is none."""
+    """Return the sensor of the load. Raises ValueError if there is none."""
     if axis.sensor is None:
         raise ValueError(
             "this policy needs the sensor of the load, as 'lqr' does: make "
@@ -100,7 +100,7 @@ class Regulated:
         self._place = self._velocity = self._last = 0.0
 
     def act(self, seen: Any) -> float:
-        """Velocity of the set-point (m/s)."""
+        """Return the velocity of the set-point (m/s)."""
         wanted = self._steps[self._step] if self._step < len(self._steps) else 0.0
         deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
         rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
@@ -120,7 +120,7 @@ class Regulated:
 
 
 class Lqr:
-    """Each axis regulated for itself."""
+    """Regulates each axis separately."""
 
     AXIS: type[Regulated] = Regulated
 
@@ -134,7 +134,7 @@ class Lqr:
             one.reset(seen)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Velocities of the set-points."""
+        """Return the velocities of the set-points."""
         named_by_axis = self._known.named_by_axis(observation)
         velocities = [
             one.act(seen) / axis.speed
