@@ -86,6 +86,25 @@ def test_the_tuner_finds_numbers_that_are_no_worse_and_says_the_budget(tmp_path,
     assert f"{found['steps']:,} steps" in capsys.readouterr().out
 
 
+class Risky(TunedRuckig):
+    """With much torque it gives up where the way is long: the interquartile mean hides that."""
+
+    def reset(self, observation, info):
+        super().reset(observation, info)
+        share = self.numbers(self._known.task)["share"]
+        self._gives_up = share > 0.6 and abs(self._way) > 0.3
+
+    def act(self, observation):
+        return (0.0 if self._gives_up else 1.0) * super().act(observation)
+
+
+def test_the_tuner_takes_no_numbers_that_fail_where_the_untuned_ones_do_not():
+    untuned = TunedRuckig.RANGES | {"share": TunedRuckig.RANGES["share"]._replace(untuned=0.5)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Risky, "RANGES", untuned)
+        assert tuner.tune(Risky, LinearAxisEnv, 40_000)["numbers"]["share"] <= 0.6
+
+
 def test_a_row_plays_with_the_numbers_that_come_with_the_laboratory():
     assert TunedRuckig.GIVEN is None
     for policy, tasks in tuned().items():
