@@ -226,3 +226,9 @@ def test_random_damage_is_read_or_refused(model):
             sii.unpack(bytes(damaged))
         except ValueError:
             continue
+
+
+def test_a_category_of_strings_without_a_byte_has_none():
+    image = bytearray(sii.CATEGORIES) + struct.pack("<HHH", sii.Category.STRINGS, 0, sii.END)
+    image[sii.CONFIGURED] = sii.checksum(image[: sii.CONFIGURED])
+    assert sii.unpack(bytes(image)).name == ""
