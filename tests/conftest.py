@@ -200,10 +200,11 @@ def gl():
 
 @pytest.fixture(scope="module")
 def browser():
-    """Chromium, for the tests of the panel."""
+    """Chromium, for the tests of the panel; no page of theirs has an error in its console."""
     from browser import chromium, sync_api
 
     with sync_api.sync_playwright() as playwright:
         browser = chromium(playwright)
         yield browser
         browser.close()
+        assert browser.errors == []

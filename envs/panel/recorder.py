@@ -70,8 +70,9 @@ class Recorder:
         self._readers = [self._reader(name) for name in names]
         self.channels = names
         self.units = {name: self._unit_of(name) for name in names}
-        self._ring = np.zeros((len(names), self.depth))
-        self._times = np.zeros(self.depth)
+        # filled, so that the memory is there from now on and does not grow for minutes
+        self._ring = np.full((len(names), self.depth), np.nan)
+        self._times = np.full(self.depth, np.nan)
         self.clear()
 
     def clear(self) -> None:

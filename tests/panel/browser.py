@@ -84,10 +84,28 @@ class Server:
         self.process.stdout.close()
 
 
+# what a console says of a server that is away, or that refuses what it has to
+EXPECTED = re.compile(r"ERR_CONNECTION|ERR_NETWORK|WebSocket connection to|status of 403")
+
+
 def chromium(playwright):
-    """A browser."""
+    """A browser; `errors` has what the consoles of its pages say is wrong."""
     expect.set_options(timeout=60_000)  # ms; a slow machine is not a defect
-    return playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+    new, errors = browser.new_context, []
+
+    def hear(message):
+        if message.type == "error" and not EXPECTED.search(message.text):
+            errors.append(message.text[:300])
+
+    def new_context(**options):
+        context = new(**options)
+        context.on("console", hear)
+        context.on("weberror", lambda error: errors.append(str(error.error)[:300]))
+        return context
+
+    browser.new_context, browser.errors = new_context, errors
+    return browser
 
 
 def tab(browser, server, width=1280, height=800):

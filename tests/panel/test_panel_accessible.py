@@ -60,7 +60,7 @@ def class_pages(page):
     server = Server("--pictures", "4", "--code", WORD, command="classroom")
     try:
         browser = page.context.browser
-        form = browser.new_page()
+        form = browser.new_context().new_page()
         form.goto(server.url)
         pupil = come(browser, server, "Ada")
         open_page(pupil, "lessons")

@@ -1,7 +1,9 @@
 """A whole class at its machines: real time, nothing crosses, and monkeys that press everything.
 
-    pytest -m slow -s tests/panel/test_panel_class_pace.py -k real_time   # prints figures
-    SERVOGYM_MINUTES=30 pytest -m slow -s tests/panel/test_panel_class_pace.py
+    SERVOGYM_MINUTES=30 pytest -m slow -s tests/panel/test_panel_class_pace.py -k real_time
+    SERVOGYM_MINUTES=15 pytest -m slow -s tests/panel/test_panel_class_pace.py -k for_long
+
+Both say each half minute how far they are, and end with figures. `SERVOGYM_PUPILS` is 24.
 
 Pupils' pages are `pupil.Page`, which answers the server as a browser does at a fraction of its
 load; browsers are on the pupils' computers, not on the one that is measured. Real browsers come in
@@ -16,16 +18,15 @@ import re
 import time
 
 import pytest
-from browser import (
-    Server,
-)
-from test_panel_classroom import WORD
+from browser import CHROMIUM, Server, at, chromium, expect, open_page, shows, sync_api
+from test_panel_classroom import WORD, come, teacher
 from test_panel_pace import memory, processor_time
 
 pytest.importorskip("nicegui", reason="needs servogym[panel]")
 pupil = pytest.importorskip("pupil", reason="needs aiohttp and python-socketio")
 MINUTES = float(os.environ.get("SERVOGYM_MINUTES", "2"))
 PUPILS = int(os.environ.get("SERVOGYM_PUPILS", "24"))
+TELL = 30.0  # s between two lines
 NUMBERS = ("0", "1", "-1", "10", "100", "250", "1e3", "-5e4", "300000", "1e9", "x", "", "0Fh")
 # what ends the page, asks for a file or takes minutes of the processor
 NOT = re.compile("leave-class|pick|tune|measure|run-compare|hand-over|parameters|csv|theme|file")
@@ -46,14 +47,16 @@ def served(tmp_path, *options):
             server.kill()
         errors.seek(0)
         said = errors.read()
+        print(f"tracebacks of the server: {said.count('Traceback')}")
         assert "Traceback" not in said, said[-3000:]
 
 
-async def class_of(server, count):
+async def class_of(server, count, tell):
     """So many pupils at their machines, ready to move, each with a torque limit of its own."""
     pages = [pupil.Page(server.url) for _ in range(count)]
     for number, page in enumerate(pages):
         await page.enter(WORD, f"Pupil {number}")
+    tell(f"{count} pupils are in")
     for number, page in enumerate(pages):
         await page.until(lambda page: page.text("control") == "In control")
         await page.click("go-motion")
@@ -66,6 +69,7 @@ async def class_of(server, count):
     for number, page in enumerate(pages):
         await page.until(lambda page: "is referenced" in page.text("homed"))
         await page.until(lambda page, number=number: limit(page) == 1000 + number)
+    tell("all axes are referenced")
     return pages
 
 
@@ -73,10 +77,14 @@ def limit(page):
     return float(page.text("value-max_torque"))
 
 
-async def to_and_fro(pages, speeds, seconds):
+async def to_and_fro(pages, speeds, seconds, tell):
     """All axes move all the time; real time by each page's own header."""
-    end, target = time.monotonic() + seconds, 100
+    end, target, said = time.monotonic() + seconds, 100, time.monotonic()
     while time.monotonic() < end:
+        if time.monotonic() > said + TELL:
+            said = time.monotonic()
+            least = min(sum(row) / len(row) for row in speeds)
+            tell(f"{end - said:.0f} s to go, least {least:.3f} of real time so far")
         target = 500 - target
         for page in pages:
             await page.type("target", str(target))
@@ -87,14 +95,14 @@ async def to_and_fro(pages, speeds, seconds):
 
 
 @pytest.mark.slow
-def test_a_class_keeps_real_time(tmp_path):
+def test_a_class_keeps_real_time(tmp_path, tell):
     async def go(server):
-        pages = await class_of(server, PUPILS)
+        pages = await class_of(server, PUPILS, tell)
         speeds = [[] for _ in pages]
-        await to_and_fro(pages, [[] for _ in pages], 10)
+        await to_and_fro(pages, [[] for _ in pages], 10, tell)
         before, used, begin = memory(server.process), processor_time(server.process), time.time()
         pictures = sum(page.pictures for page in pages)
-        await to_and_fro(pages, speeds, 60 * MINUTES)
+        await to_and_fro(pages, speeds, 60 * MINUTES, tell)
         passed = time.time() - begin
         share = (processor_time(server.process) - used) / passed
         pictures = (sum(page.pictures for page in pages) - pictures) / passed / len(pages)
@@ -118,10 +126,13 @@ def test_a_class_keeps_real_time(tmp_path):
 # ----------------------------------------------------------------------------- monkeys
 
 
-async def monkey(page, drawn, seconds):
+async def monkey(page, drawn, seconds, tell):
     """Press and type whatever there is, in any order."""
-    end, done = time.monotonic() + seconds, 0
+    end, done, said = time.monotonic() + seconds, 0, time.monotonic()
     while time.monotonic() < end:
+        if time.monotonic() > said + TELL:
+            said = time.monotonic()
+            tell(f"{end - said:.0f} s to go, {done} presses of the first monkey")
         links = page.named("click")
         fields = page.named("update:value", "nicegui-input")
         name = drawn.choice(links)
@@ -186,33 +197,80 @@ def position(page):
     return float(page.text("header-position").replace("−", "-"))
 
 
-def monkeys(tmp_path, count, seconds, seed):
+PRESSABLE = """() => [...document.querySelectorAll(
+    "button[data-test], .q-btn[data-test], [role=switch][data-test]")].filter(
+    e => e.offsetParent && !e.disabled).map(e => e.dataset.test)"""
+PRESS = "name => document.querySelector(`[data-test=${name}]`)?.click()"
+
+
+def in_a_browser(server, seed, seconds):
+    """A monkey in Chromium with the wall beside it; -> presses, what the consoles say is wrong."""
+    drawn, done = random.Random(seed), 0
+    with sync_api.sync_playwright() as playwright:
+        browser = chromium(playwright)
+        wall, page = teacher(browser, server), come(browser, server, "Chromium")
+        shows(page, "control", "In control")
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            names = [name for name in page.evaluate(PRESSABLE) if not NOT.search(name)]
+            page.evaluate(PRESS, drawn.choice(names))
+            page.wait_for_timeout(drawn.uniform(0, 150))
+            done += 1
+        if page.locator(".q-dialog__inner").count():
+            page.keyboard.press("Escape")
+        while at(page, "control").inner_text() != "In control":
+            at(page, "control").click()
+            page.wait_for_timeout(500)
+        page.evaluate(PRESS, "quick-stop")
+        open_page(page, "objects")
+        at(page, "search").fill("6041h:00")
+        at(page, "search").press("Enter")
+        page.wait_for_timeout(3000)
+        live = at(page, "live")
+        expect(live).to_have_text(re.compile(r"\d"))
+        shows(page, "state", state_of(int(live.inner_text().split()[0])))
+        shows(wall, "count", re.compile(" of "))
+        browser.close()
+        return done, browser.errors
+
+
+def monkeys(tmp_path, count, seconds, seed, tell, real=False):
     async def go(server):
         pages = [pupil.Page(server.url) for _ in range(count)]
         for number, page in enumerate(pages):
             await page.enter(WORD, f"Monkey {number}")
             await page.until(lambda page: page.text("control") == "In control")
+        beside = asyncio.to_thread(in_a_browser, server, seed, seconds) if real else None
+        beside = beside and asyncio.ensure_future(beside)
         done = await asyncio.gather(*(
-            monkey(page, random.Random(seed + number), seconds)
+            monkey(page, random.Random(seed + number), seconds, tell if not number else silent)
             for number, page in enumerate(pages)
         ))
+        tell("all stand; what is shown is compared with the drives")
         for page in pages:
             await shown_is_drive(page)
             await page.leave()
+        pressed, errors = await beside if real else (0, [])
         print(
-            f"\n{count} monkeys, {seconds:.0f} s, {sum(done)} presses, seed {seed}, "
-            f"{sum(page.drops for page in pages)} lines cut"
+            f"\n{count} monkeys, {seconds:.0f} s, load {os.getloadavg()[0]:.1f}, {sum(done)} "
+            f"presses, seed {seed}, {sum(page.drops for page in pages)} lines cut; {pressed} "
+            f"presses in Chromium, errors in its consoles: {len(errors)}"
         )
+        assert errors == []
         assert min(done) > seconds
 
-    with served(tmp_path) as server:
+    with served(tmp_path, "--pupils", str(count + real)) as server:
         asyncio.run(go(server))
 
 
-def test_monkeys_in_a_class_leave_no_traceback_and_what_is_shown_is_the_drive(tmp_path):
-    monkeys(tmp_path, 3, 10.0, 1)
+def silent(text):
+    """Nothing is told."""
+
+
+def test_monkeys_in_a_class_leave_no_traceback_and_what_is_shown_is_the_drive(tmp_path, tell):
+    monkeys(tmp_path, 3, 10.0, 1, tell)
 
 
 @pytest.mark.slow
-def test_monkeys_in_a_class_for_long(tmp_path):
-    monkeys(tmp_path, PUPILS, 60 * MINUTES, int(time.time()))
+def test_monkeys_in_a_class_for_long(tmp_path, tell):
+    monkeys(tmp_path, PUPILS, 60 * MINUTES, int(time.time()), tell, real=CHROMIUM is not None)
