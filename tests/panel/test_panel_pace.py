@@ -1,6 +1,6 @@
 """How the panel keeps up: real time and answers with a page open, no growth, any text in any field.
 
-    pytest -m slow -s tests/panel/test_panel_pace.py -k real_time    # half a minute, prints figures
+    pytest -m slow -s tests/panel/test_panel_pace.py -k "real_time or first_move"   # two minutes
     pytest -m slow -s tests/panel/test_panel_pace.py -k growth       # ten minutes
 
 The server has one core of its own. The figures say how loaded the machine was: those of a machine
