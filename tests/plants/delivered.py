@@ -367,10 +367,11 @@ then moved over the stroke at its full profile. An axis *moves* if the following
 window, the profile velocity is reached, the axis comes to rest in the position window, and all
 loops keep 6 dB and 35°, by the model and as `servogym bode` measures them. A refusal states in one
 sentence which load this motor and this drive can move; that load was tested as well. An inverter
-has no position control: it is enabled and turns to and fro.
+has no position control: it is enabled and turns to and fro. With `--some`, `bode` and `tune` are
+run with the usual and the heaviest load only, or with the load that a refusal names instead.
 
 ```sh
-python tests/plants/delivered.py docs/results/commissioning.md
+python tests/plants/delivered.py docs/results/commissioning.md --some
 ```
 
 """
