@@ -115,9 +115,15 @@ class LockStep(Pace):
 class DriveSide(Protocol):
     """Drives on a bus, with process images of a task: `CanDrives`, `EtherCatDrives`."""
 
-    port: Port
     pace: Pace
-    envelopes: Mapping[str, Envelope]  # by name; of a drive not named here, what it has itself
+
+    @property
+    def port(self) -> Port:
+        """Where a master's requests go."""
+
+    @property
+    def envelopes(self) -> Mapping[str, Envelope]:
+        """Limits by name; of a drive not named here, what it has itself."""
 
     def awake(self) -> None:
         """See that process data are exchanged, before an episode."""
