@@ -26,6 +26,12 @@ WRAPPED = """() => [...document.querySelectorAll(
   return e.offsetHeight > 1.6 * lines;
 }).map(e => e.textContent)"""
 
+ADDRESSES = """() => [...document.querySelectorAll(".page.open .objects td:first-child")].map(e => {
+  const text = document.createRange();
+  text.selectNodeContents(e);
+  return new Set([...text.getClientRects()].map(line => Math.round(line.top))).size;
+}).filter(lines => lines)"""
+
 
 @pytest.fixture(scope="module")
 def server():
@@ -170,6 +176,8 @@ def test_targets_are_large_enough_and_nothing_is_beside_a_narrow_or_zoomed_windo
         assert needed <= room, name
         assert page.evaluate(SMALL) == [], name
         assert page.evaluate(WRAPPED) == [], name
+        if name == "objects":
+            assert set(page.evaluate(ADDRESSES)) == {1}, "an address in two lines"
     page.set_viewport_size({"width": 1280, "height": 800})
 
 
