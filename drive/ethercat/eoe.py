@@ -38,11 +38,13 @@ class Eoe:
 
 
 def announced(parameters: bytes) -> bytes:
-    """The ARP frame for the address of Set IP; empty without MAC and IP address."""
+    """The ARP frame for the address of Set IP; empty without a MAC or an IP address."""
     flags = parameters[0] if parameters else 0
     if flags & (WITH_MAC | WITH_IP) != WITH_MAC | WITH_IP or len(parameters) < 14:
         return b""
     mac, address = parameters[4:10], parameters[13:9:-1]  # least significant byte first
+    if not any(address):
+        return b""
     head = b"\xff" * 6 + mac + struct.pack("!H", ARP_TYPE)
     arp = ARP.pack(ETHERNET, IPV4, 6, 4, REQUEST, mac, address, bytes(6), address)
     return (head + arp).ljust(SHORTEST, b"\0")

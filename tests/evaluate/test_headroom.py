@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.training import cli
 from servogym.training.evaluate import headroom
 from servogym.training.evaluate.metrics import METRICS
@@ -26,9 +27,11 @@ def test_the_command_writes_page_and_values_and_no_row_is_above_100_percent(tmp_
         for line in page.splitlines() if line.count("|") == 10 and " % |" in line
         for cell in line.split(" | ")[3:4]
     ]
-    assert len(shares) == 6
-    assert max(shares) <= 100.0
     rows = (tmp_path / "headroom.csv").read_text().splitlines()
+    played = {line.split(",")[1] for line in rows if line.startswith("Commissioning-v0,")}
+    assert played == {"hold", "random", "learned", *CommissioningEnv.POLICIES} - {"bound"}
+    assert len(shares) == len(played)
+    assert max(shares) <= 100.0
     assert any(line.startswith("Commissioning-v0,plc,0,1,settling_time,") for line in rows)
 
 

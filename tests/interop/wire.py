@@ -34,6 +34,7 @@ ATTEMPTS = 10
 LATE = (
     "WkcError", "ConfigMapError", "did not go on in time",
     "Bus.cc:795: Timeout", "error while checking mailboxes", "OP is not reached",
+    "SdoInfoError",
 )
 
 
