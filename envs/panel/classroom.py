@@ -31,7 +31,7 @@ from .log import plain
 from .session import Session
 
 MOST = 24
-CYCLES = 4  # position cycles an exchange: 2 ms at a position cycle of 0.5 ms
+CYCLES = 8  # position cycles an exchange: 4 ms at a position cycle of 0.5 ms
 NAP = 0.016  # s: many threads that wake seldom cost less than many that wake often
 LONGEST = 32  # characters of a name
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none is taken for another one
