@@ -89,6 +89,8 @@ def messages(log: Path) -> Iterator[can.Message]:
         reason = " ".join(str(error).split())
         if isinstance(error, UnicodeError):
             reason = "it is not a text"
+        elif lines and not _is_ours(error):  # a reader stumbles in words of its own
+            reason = f"not a frame: {lines.text.strip()[:40]!r}"
         where = f"{log}, line {lines.number}" if lines else f"{log}"
         raise ValueError(
             f"{where}: damaged or cut off, no further frame can be read ({reason})"
@@ -97,12 +99,20 @@ def messages(log: Path) -> Iterator[can.Message]:
         library.removeFilter(_refuse)
 
 
+def _is_ours(error: Exception) -> bool:
+    """Whether it was raised in this file."""
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    return last is not None and last.tb_frame.f_globals is globals()
+
+
 class _Lines:
     """The lines of a text log for a reader of python-can: counted, none longer than any frame."""
 
     def __init__(self, log: Path, packed: bool):
         self._file = gzip.open(log, "rt") if packed else log.open()  # noqa: SIM115
-        self.number = 0
+        self.number, self.text = 0, ""
         self.open_end = False
 
     def __iter__(self) -> "_Lines":
@@ -112,7 +122,7 @@ class _Lines:
         line = self._file.readline(LONGEST + 1)
         if not line:
             raise StopIteration
-        self.number += 1
+        self.number, self.text = self.number + 1, line
         if len(line) > LONGEST:
             raise ValueError(f"it has more than {LONGEST} characters")
         self.open_end = not line.endswith("\n")
