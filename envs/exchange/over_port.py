@@ -674,7 +674,7 @@ class PortLine:
     def _command(self, images: np.ndarray) -> None:
         for axis, image in zip(self._axes, images, strict=True):
             values = {name: image[name].item() for name in self._rpdo.names or ()}
-            if values["controlword"] == ENABLED:
+            if values["controlword"] & ENABLED == ENABLED:  # whatever else it asks for
                 self.guards[axis].command(values)
             if self.dry:
                 values["controlword"] = 0

@@ -227,6 +227,17 @@ def test_no_policy_gets_past_the_guard(bus, name):
         env.step(0.0 * env.action_space.high)
 
 
+@pytest.mark.parametrize("word", [0x0F, 0x1F, 0x3F, 0x010F])
+def test_whatever_else_a_controlword_asks_for_its_set_point_is_guarded(word):
+    served = CanBus(LINEAR, 5)
+    side = served.side(envelopes={"x": Envelope(0.05, 0.45, 3.0)})
+    line = gym.make(LINEAR, port=side).unwrapped.line
+    image = np.zeros(1, line._rpdo)
+    image["controlword"], image["target_position"] = word, 900_000
+    with pytest.raises(Stopped, match=r"out of 0\.05\.\.0\.45"):
+        line._command(image)
+
+
 @pytest.mark.parametrize("bus", BUSES)
 def test_a_lost_link_stops_with_its_name(bus):
     served = BUSES[bus](LINEAR, 5, drive=DRIVE[bus])
