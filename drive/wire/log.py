@@ -3,13 +3,11 @@
 import contextlib
 import gzip
 import logging
-import math
 import re
 import sqlite3
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +15,8 @@ import can
 from can.io.player import MESSAGE_READERS
 
 from ..model.files import regular
+from .text_log import LONGEST, TEXTS, Damaged
 
-TEXT_LOGS = (".log", ".txt", ".asc", ".trc", ".csv")  # a frame a line
-OF_CANDUMP = (".log", ".txt")  # what it writes with -l, and what it prints
-APART = 1e-3  # s between frames of a text without times (inferred: an order is all it tells)
-LOOK_AHEAD = 1000  # lines in which times that go back show that they are differences
-# a line that candump prints: (time), channel, TX or RX and flags (-x), identifier, length, the rest
-_PRINTED = re.compile(
-    r"\s*(?:\((?P<time>[^)]*)\)\s+)?(?P<channel>[A-Za-z][\w.-]*)\s+(?:[TR]X\s+[B-]\s+[E-]\s+)?"
-    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+\[(?P<length>\d{1,2})\](?P<rest>.*)"
-)
-# what stands around it in a terminal: prompts, comments, "...", Ctrl-C
-_AROUND = re.compile(r"\s*(?:[$#>]|\.{2,}|…|\^C|```|\S+@\S+|(?:sudo )?candump\b)")
-LONGEST = 1 << 16  # characters of a line; the readers would hold any at once, unpacked ones too
 LARGEST_BLOCK = 1 << 24  # bytes of a block of a .blf, unpacked, and of what has no frame in it
 BLOCK_TYPE = 12  # place of an object's type in its header of 16 bytes (Vector BLF)
 CONTAINER, PACKED = 10, 2  # type of an object, and its method
@@ -57,9 +44,7 @@ def messages(log: Path) -> Iterator[can.Message]:
         known = " ".join(sorted({*readers} - {*HELD_WHOLE}))
         raise ValueError(f"{log}: unknown suffix, use one of {known}, also with .gz behind it")
     size = regular(log)  # also because the reader of .db makes a file that is not there
-    lines = None
-    if plain[0] in TEXT_LOGS:
-        lines = (_Printed if plain[0] in OF_CANDUMP else _Lines)(log, packed)
+    lines = TEXTS[plain[0]](log, packed) if plain[0] in TEXTS else None
     blocks = _Blocks(log, packed) if plain[0] == ".blf" else None
     source: Any = lines or blocks or log
     reads: Any = readers[plain[0]]
@@ -80,7 +65,7 @@ def messages(log: Path) -> Iterator[can.Message]:
             if blocks and not packed and size < reader.file_size:
                 raise ValueError(f"{size} bytes of {reader.file_size} are there")
             if lines and lines.open_end:  # the readers take what is left of a frame for a short one
-                raise ValueError("it has no end and may be wrong")
+                raise Damaged("it has no end and may be wrong")
     except gzip.BadGzipFile as error:
         raise ValueError(f"{log}: {error}") from None
     except OSError:
@@ -89,7 +74,7 @@ def messages(log: Path) -> Iterator[can.Message]:
         reason = " ".join(str(error).split())
         if isinstance(error, UnicodeError):
             reason = "it is not a text"
-        elif lines and not _is_ours(error):  # a reader stumbles in words of its own
+        elif lines and not isinstance(error, Damaged):  # a reader stumbles in words of its own
             reason = f"not a frame: {lines.text.strip()[:40]!r}"
         where = f"{log}, line {lines.number}" if lines else f"{log}"
         raise ValueError(
@@ -97,101 +82,6 @@ def messages(log: Path) -> Iterator[can.Message]:
         ) from None
     finally:
         library.removeFilter(_refuse)
-
-
-def _is_ours(error: Exception) -> bool:
-    """Whether it was raised in this file."""
-    last = error.__traceback__
-    while last is not None and last.tb_next is not None:
-        last = last.tb_next
-    return last is not None and last.tb_frame.f_globals is globals()
-
-
-class _Lines:
-    """The lines of a text log for a reader of python-can: counted, none longer than any frame."""
-
-    def __init__(self, log: Path, packed: bool):
-        self._file = gzip.open(log, "rt") if packed else log.open()  # noqa: SIM115
-        self.number, self.text = 0, ""
-        self.open_end = False
-
-    def __iter__(self) -> "_Lines":
-        return self
-
-    def __next__(self) -> str:
-        line = self._file.readline(LONGEST + 1)
-        if not line:
-            raise StopIteration
-        self.number, self.text = self.number + 1, line
-        if len(line) > LONGEST:
-            raise ValueError(f"it has more than {LONGEST} characters")
-        self.open_end = not line.endswith("\n")
-        return line
-
-    def close(self) -> None:
-        """As a file."""
-        self._file.close()
-
-
-class _Printed(_Lines):
-    """Text that candump prints (also -t a, A, d, z, -x, -a, -e), as it writes logs (-l).
-
-    Terminals' prompts and comments around it are left out. Times of `-t A` are taken as UTC;
-    frames without times are `APART`.
-    """
-
-    def __init__(self, log: Path, packed: bool):
-        self._frames = 0
-        self._elapsed = 0.0
-        self._differences = _are_differences(_Lines(log, packed))
-        super().__init__(log, packed)
-
-    def __next__(self) -> str:
-        line = super().__next__()
-        while _AROUND.match(line):
-            line = super().__next__()
-        printed = _PRINTED.fullmatch(line.rstrip("\r\n"))
-        return self._as_logged(printed) if printed else line
-
-    def _as_logged(self, printed: re.Match[str]) -> str:
-        length, rest = int(printed["length"]), printed["rest"].strip()
-        data = "".join(rest.split()[:length])
-        if rest.startswith("remote request"):
-            data = f"R{length}"
-        elif len(data) != 2 * length or not re.fullmatch(r"[0-9A-Fa-f]*", data):
-            raise ValueError(f"{length} bytes are announced, {rest[:40]!r} follows")
-        elif len(printed["length"]) == 2:  # a length of two digits is that of CAN FD
-            data = f"#0{data}"
-        self._frames += 1
-        seconds = self._frames * APART if printed["time"] is None else _seconds(printed["time"])
-        if self._differences:
-            self._elapsed = seconds = self._elapsed + seconds
-        return f"({seconds:.6f}) {printed['channel']} {printed['id']}#{data}\n"
-
-
-def _seconds(text: str) -> float:
-    """A time as candump prints it, with a date too."""
-    if "-" in text:
-        return datetime.fromisoformat(text.strip()).replace(tzinfo=UTC).timestamp()
-    return float(text)
-
-
-def _are_differences(lines: _Lines) -> bool:
-    """Whether the times are those from frame to frame (-t d): then they go back."""
-    before = -math.inf
-    try:
-        for line, _ in zip(lines, range(LOOK_AHEAD), strict=False):
-            printed = _PRINTED.match(line)
-            if printed and printed["time"] is not None:
-                seconds = _seconds(printed["time"])
-                if seconds < before:
-                    return seconds < 1e6  # a clock that was set back shows other numbers
-                before = seconds
-    except (ValueError, OSError, EOFError):
-        pass  # it is told where the frame is read
-    finally:
-        lines.close()
-    return False
 
 
 class _Blocks:
@@ -243,7 +133,7 @@ def _look_through(log: Path) -> None:
 def _refuse(record: logging.LogRecord) -> bool:
     """Readers only warn of a line they do not understand; an empty one may stay."""
     if record.args != ("",):
-        raise ValueError(record.getMessage())
+        raise Damaged(record.getMessage())
     return False
 
 

@@ -92,8 +92,7 @@ def read(file: str | Path) -> Iterator[Packet]:
 def _classic(stream: BinaryIO) -> Iterator[Packet]:
     order, unit = CLASSIC[stream.read(4)]
     *_, link = struct.unpack(order + "HHiIII", stream.read(20))
-    if link != ETHERNET:
-        raise ValueError(f"link type {link}: frames of Ethernet are type {ETHERNET}")
+    _of_ethernet(link)
     while head := stream.read(16):
         seconds, fraction, length, _ = struct.unpack(order + "IIII", head)
         frame = _read(stream, length)
@@ -139,11 +138,18 @@ def _blocks(stream: BinaryIO) -> Iterator[Packet]:
             yield Packet(0, 0, body[4 : 4 + min(length, len(body) - 8)])
 
 
+def _of_ethernet(link: int) -> None:
+    if link != ETHERNET:
+        raise ValueError(
+            f"link type {link}: a capture of EtherCAT has type {ETHERNET}, Ethernet; record a CAN "
+            "bus with `candump -l`"
+        )
+
+
 def _unit(order: str, body: bytes) -> tuple[int, int]:
     """Unit of an interface's times as a fraction of ns."""
     (link,) = struct.unpack_from(order + "H", body)
-    if link != ETHERNET:
-        raise ValueError(f"link type {link}: frames of Ethernet are type {ETHERNET}")
+    _of_ethernet(link)
     at = 8
     while at + 4 <= len(body) - 4:
         code, length = struct.unpack_from(order + "HH", body, at)

@@ -9,7 +9,7 @@ import zlib
 import can
 import pytest
 
-from servogym.drive.wire import log, pcapng
+from servogym.drive.wire import log, pcapng, text_log
 
 FRAME = "(1.000000) can0 181#3702\n"
 
@@ -25,7 +25,7 @@ def consumed(read):
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("suffix", [*log.TEXT_LOGS, *(f"{s}.gz" for s in log.TEXT_LOGS)])
+@pytest.mark.parametrize("suffix", [*text_log.TEXTS, *(f"{s}.gz" for s in text_log.TEXTS)])
 def test_a_line_without_end_is_refused_and_not_held(tmp_path, suffix):
     file = tmp_path / f"bus{suffix}"
     with gzip.open(file, "wb") if suffix.endswith(".gz") else file.open("wb") as target:
@@ -34,7 +34,7 @@ def test_a_line_without_end_is_refused_and_not_held(tmp_path, suffix):
             target.write(b"0" * 2**20)
     peak, says = consumed(log.messages(file))
     assert f"{file}, line 2: " in says
-    assert f"more than {log.LONGEST} characters" in says
+    assert f"more than {text_log.LONGEST} characters" in says
     assert peak < 4 * 2**20
 
 
