@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import can
 
-from .bus import TROUBLE, CanPort
+from .bus import TROUBLE, CanPort, Echoes
 
 QUEUE = 256  # messages that wait for the bus; then the oldest is lost
 PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus anew
@@ -41,6 +41,7 @@ class Adapter:
         self._waiting: deque[tuple[float, can.Message]] = deque()
         self._trouble_since: float | None = None
         self._opened_at = 0.0
+        self._echoes = Echoes(bus)
 
     def send(self, message: can.Message) -> None:
         """Send a message as soon as the bus accepts it."""
@@ -60,6 +61,7 @@ class Adapter:
         except TROUBLE as error:
             self._failed(error)
             return False
+        self._echoes.sent(message)
         self._works()
         return True
 
@@ -76,7 +78,7 @@ class Adapter:
                 return
 
     def receive(self, timeout: float) -> can.Message | None:
-        """Return the next message, None after `timeout` (s)."""
+        """Return the next message of others, None after `timeout` (s) or an own one."""
         if self._waiting:
             self.flush()
         try:
@@ -85,9 +87,11 @@ class Adapter:
             self._failed(error)
             time.sleep(timeout)
             return None
-        if message is not None and not message.is_error_frame:
+        if message is None:
+            return None
+        if not message.is_error_frame:
             self._works()
-        return message
+        return None if self._echoes.own(message) else message
 
     def _failed(self, error: Exception) -> None:
         now = time.monotonic()

@@ -5,9 +5,11 @@
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 
 import can
+from can.interfaces.udp_multicast import UdpMulticastBus
 
 from ..canopen.frame import Frame
 from ..master.errors import BusError
@@ -15,6 +17,7 @@ from ..master.errors import BusError
 TROUBLE = (can.CanError, OSError)  # what the back-ends of python-can raise
 PATIENCE = 0.5  # s, for a full transmit buffer to empty
 AGAIN = 0.002  # s, until it is tried again
+ECHOES = 1024  # messages that may be on their way back
 
 
 def to_message(frame: Frame) -> can.Message:
@@ -58,6 +61,37 @@ def give(send: Callable[[can.Message], None], message: can.Message) -> None:
             time.sleep(AGAIN)
 
 
+class Echoes:
+    """Tells what a bus gives back to its sender from what others have sent.
+
+    Interfaces mark such a message as sent (`can.Message.is_rx`); ``udp_multicast`` gives every
+    message back without a mark, so those are remembered.
+
+    Args:
+        bus: of python-can.
+    """
+
+    def __init__(self, bus: can.BusABC):
+        unmarked = isinstance(bus, UdpMulticastBus)
+        self._sent: deque[Frame] | None = deque(maxlen=ECHOES) if unmarked else None
+
+    def sent(self, message: can.Message) -> None:
+        """A message goes out."""
+        if self._sent is not None and (frame := to_frame(message)):
+            self._sent.append(frame)
+
+    def own(self, message: can.Message) -> bool:
+        """Whether a received message is one of those that went out."""
+        if not message.is_rx:
+            return True
+        frame = to_frame(message)
+        if not self._sent or frame not in self._sent:
+            return False
+        while self._sent.popleft() != frame:
+            pass  # they come in their order, so what was sent before it is lost
+        return True
+
+
 class CanPort:
     """The port of a python-can bus for a master, in real time.
 
@@ -81,6 +115,7 @@ class CanPort:
         log: Callable[[can.Message], object] | None = None,
     ):
         self._send, self._receive, self.patience, self._log = bus.send, bus.recv, wait, log
+        self._echoes = Echoes(bus)
 
     def now(self) -> float:
         """The clock (s)."""
@@ -90,6 +125,7 @@ class CanPort:
         """Send `frames`, -> what has been received since."""
         for frame in frames:
             message = to_message(frame)
+            self._echoes.sent(message)
             give(self._send, message)
             if self._log is not None:
                 message.timestamp, message.is_rx = time.time(), False
@@ -98,9 +134,10 @@ class CanPort:
         try:
             heard = self._receive(self.patience)
             while heard is not None:
-                if self._log is not None:
-                    self._log(heard)
-                received.append(to_frame(heard))
+                if not self._echoes.own(heard):
+                    if self._log is not None:
+                        self._log(heard)
+                    received.append(to_frame(heard))
                 heard = self._receive(0)
         except TROUBLE as error:
             raise BusError(

@@ -6,7 +6,7 @@ import can
 
 from ..canopen.frame import Frame
 from ..canopen.link import Link
-from .bus import give, to_frame, to_message
+from .bus import Echoes, give, to_frame, to_message
 from .log import LogFile
 
 
@@ -21,17 +21,20 @@ class CanLink:
     def __init__(self, bus: can.BusABC, wait: float = 0.0):
         self._bus = bus
         self._wait = wait
+        self._echoes = Echoes(bus)
 
     def send(self, frame: Frame, time: int) -> None:
         """Send a frame at once. Raises BusError if the bus does not accept it."""
-        give(self._bus.send, to_message(frame))
+        message = to_message(frame)
+        self._echoes.sent(message)
+        give(self._bus.send, message)
 
     def receive(self, time: int) -> Iterator[Frame]:
         """Return all classical data and remote frames received so far."""
         message = self._bus.recv(self._wait)
         while message is not None:
             frame = to_frame(message)
-            if frame is not None:
+            if frame is not None and not self._echoes.own(message):
                 yield frame
             message = self._bus.recv(0)
 

@@ -1,7 +1,6 @@
 """Drives as CANopen nodes on a bus of python-can, in real time: what `servogym node` runs."""
 
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +16,6 @@ from .log import LogFile
 SDO_REQUESTS = range(0x601, 0x680)
 INITIATE = (1, 2)  # command specifiers of a download and an upload that begins
 WAIT = 0.0005  # s for a frame; what has a period of 1 ms is then in time
-ECHO_TIME = 100_000  # µs in which a bus gives a frame back to its sender, if at all
 
 
 def arrival(message: can.Message | None) -> float:
@@ -47,7 +45,7 @@ class Server:
     Simulated time follows the clock; where the machine cannot keep up, it skips and counts it. A
     frame acts at the time at which it came to this computer, where the bus tells it (`arrival`), so
     a server that other programs hold up answers late but moves nothing else. The nodes hear each
-    other; what a bus gives back of the server's own frames is dropped. A bus that fails is tried
+    other. A bus that fails is tried
     again, see `adapter`.
 
     Args:
@@ -77,7 +75,6 @@ class Server:
         self._begin = self._at = time.monotonic()
         self._stopped = False
         self._cycles_at_request = -1
-        self._sent: deque[tuple[int, Frame]] = deque()  # that may still come back
 
     @property
     def bus(self) -> can.BusABC:
@@ -103,8 +100,6 @@ class Server:
         self._advance(at)
         now = int((at - self._begin) * 1e6)
         frame = to_frame(message) if message else None
-        if frame and self._is_echo(frame, now):
-            frame = None
         if frame and SDO_REQUESTS.start <= frame.id < SDO_REQUESTS.stop:
             self._pass_a_cycle()
             if frame.data and frame.data[0] >> 5 in INITIATE:
@@ -117,25 +112,14 @@ class Server:
                 node.receive(frame, now)
         for node in self.nodes:
             for answer in node.poll(now):
-                self._send(answer, now)
+                self._send(answer)
                 for other in self.nodes:
                     if other is not node:
                         other.receive(answer, now)
         if self.log is not None:
             self.log.flush()
 
-    def _is_echo(self, frame: Frame, now: int) -> bool:
-        """Whether the server itself has just sent this message."""
-        for i, (_, sent) in enumerate(self._sent):
-            if sent == frame:
-                del self._sent[i]
-                return True
-        return False
-
-    def _send(self, frame: Frame, now: int) -> None:
-        while self._sent and self._sent[0][0] < now - ECHO_TIME:
-            self._sent.popleft()
-        self._sent.append((now, frame))
+    def _send(self, frame: Frame) -> None:
         message = to_message(frame)
         message.is_rx = False
         self.adapter.send(message)

@@ -156,7 +156,8 @@ class _Beating:
 
     def __init__(self, bus: FramePort, real: bool):
         self._bus, self._real, self._next, self._synced = bus, real, 0.0, 0.0
-        self._syncs, self._heard = 0, bus.now()
+        self._syncs = 0
+        self._quiet = self._in_vain = 0.0  # s without an answer; of it, beyond `SILENT`, in all
         self.silent = not real  # no SYNC, so no time passes, until an episode is to begin
         self.answers: set[int] = set()  # identifiers that follow a SYNC
         self.guarded: list[int] = []  # node-ids that are asked for their state (node guarding)
@@ -169,7 +170,7 @@ class _Beating:
         """
         if self._real:
             return self._bus.now()
-        return self._syncs * A_STEP + max(self._bus.now() - self._heard - SILENT, 0.0)
+        return self._syncs * A_STEP + self._in_vain
 
     def wait(self, seconds: float | None = None) -> None:
         """How long an exchange waits for the first frame (s); the usual time if not given."""
@@ -195,17 +196,20 @@ class _Beating:
         if SYNC in given:
             self._syncs += 1
             self._synced = now
-        received = self._exchanged(given)
-        while owed := owed - {frame.id for frame in received}:
-            if self._bus.now() > self._heard + SILENT:
-                break  # none comes any more
-            received += self._exchanged([])
+        received = self._exchanged(given, owed)
+        while (owed := owed - {frame.id for frame in received}) and self._quiet <= SILENT:
+            received += self._exchanged([], owed)
         return received
 
-    def _exchanged(self, frames: Iterable[Frame]) -> list[Frame]:
+    def _exchanged(self, frames: Iterable[Frame], owed: set[int]) -> list[Frame]:
+        """What comes; a bus is quiet while none of the answers that are owed is among it."""
+        begin = self._bus.now()
         received = [*self._bus.exchange(frames)]
-        if received:
-            self._heard = self._bus.now()
+        passed = self._bus.now() - begin
+        heard = not owed.isdisjoint(frame.id for frame in received) if owed else received
+        self._quiet = 0.0 if heard else self._quiet + passed
+        if self._quiet > SILENT:
+            self._in_vain += passed
         return received
 
 

@@ -11,13 +11,14 @@ import time
 
 import can
 import pytest
+from can.interfaces.udp_multicast import UdpMulticastBus
 
 from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.remote import CanOpenPort
 from servogym.drive.kernel.words import Mode, State
 from servogym.drive.master import BusError, Master, ServoError
 from servogym.drive.wire.bus import CanPort, to_frame, to_message
-from servogym.drive.wire.can_link import CanLink
+from servogym.drive.wire.can_link import CanLink, Traced
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
 from servogym.training.cli.node import Line
@@ -26,12 +27,15 @@ GROUP = "239.74.163.78"
 PORT = 40_000 + os.getpid() % 20_000  # one port, one bus, whatever the group; pytest -n has several
 
 
-class Echoing:
+class Echoing(UdpMulticastBus):
     """A bus that gives every frame back to its sender, as a multicast group does."""
 
-    def __init__(self):
+    def __init__(self):  # opens nothing
         self.sent = []
         self.waiting = []
+
+    def shutdown(self):
+        pass
 
     def send(self, message):
         self.sent.append(str(to_frame(message)))
@@ -55,7 +59,7 @@ def serve(server, text=None):
     """Serve a frame and all that comes of it."""
     server.serve(to_message(parse(text)) if text else None)
     while server.bus.waiting:
-        server.serve(server.bus.recv())
+        server.serve(server.adapter.receive(0.0))
 
 
 def test_a_server_drops_what_it_has_sent_itself_and_logs_each_frame_once():
@@ -68,6 +72,24 @@ def test_a_server_drops_what_it_has_sent_itself_and_logs_each_frame_once():
     assert (server.statistics.received, server.statistics.sent) == (2, 3)
     assert [str(to_frame(m))[:3] for m in log] == ["701", "601", "581", "601", "581"]
     assert [m.is_rx for m in log] == [False, True, False, True, False]
+
+
+def test_in_a_multicast_group_nobody_hears_himself_and_each_frame_is_logged_once(tmp_path):
+    options = {"interface": "udp_multicast", "channel": GROUP, "port": PORT, "fd": False}
+    frames = [parse(text) for text in ("080#", "601#4041600000000000", "080#")]
+    log = Lines()
+    with can.Bus(**options) as here, can.Bus(**options) as there:
+        master, link = CanPort(here, 1.0, log), Traced(CanLink(there, 1.0), tmp_path / "all.log")
+        assert master.exchange(frames) == []
+        assert [*link.receive(0)] == frames
+        link.send(parse("080#"), 0)  # as the master's
+        link.send(parse("581#4F01100000000000"), 0)
+        assert master.exchange([]) == [parse("080#"), parse("581#4F01100000000000")]
+        assert [*link.receive(0)] == []
+        link.close()
+    told = can.LogReader(tmp_path / "all.log")
+    assert [message.is_rx for message in log] == [False] * 3 + [True] * 2
+    assert [message.is_rx for message in told] == [True] * 3 + [False] * 2
 
 
 def test_what_comes_later_than_an_echo_is_taken():

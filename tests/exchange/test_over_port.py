@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from servogym import assets
+from servogym.drive.canopen.frame import Frame
 from servogym.drive.canopen.node import Node
 from servogym.drive.ethercat.bus import Bus
 from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
 from servogym.drive.kernel.words import State
+from servogym.drive.master import ServoError
 from servogym.drive.model.model import load
 from servogym.envs import TASKS
 from servogym.envs.environment.deployed import play
@@ -30,6 +32,7 @@ NAMES = {task.ID: task for task in TASKS}
 LINEAR, TRACKING, CONTOUR = (
     "servogym/LinearAxis-v0", "servogym/LinearAxisTracking-v0", "servogym/GantryContour-v0",
 )
+ENDLESS = 200.0  # s
 DRIVE = {"can": "generic", "ethercat": load("generic", "ethercat")}
 
 
@@ -70,6 +73,7 @@ class CanBus(Served):
     def __init__(self, *arguments, **others):
         super().__init__(*arguments, **others)
         self.nodes = [Node(drive) for drive in self.drives]
+        self.others = []  # frames of other nodes, with every exchange of drives that are dead
         self._poll()
 
     def _poll(self):
@@ -83,7 +87,8 @@ class CanBus(Served):
     def exchange(self, frames):
         if self.dead:
             self.time += 1e-3
-            return []
+            assert self.time < ENDLESS
+            return self.others
         for frame in frames:
             for node in self.nodes:
                 node.receive(frame, round(self.time * 1e6))
@@ -254,6 +259,26 @@ def test_a_lost_link_stops_with_its_name(bus):
     for _ in range(400):  # nobody is there any more: the drive's own watchdog
         served.passed_alone()
     assert served.drives[0].state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("playing", [False, True])
+def test_in_lock_step_a_drive_that_falls_silent_is_given_up_though_others_talk(playing):
+    served = CanBus(LINEAR, 5)
+    env = gym.make(LINEAR, port=served.side()).unwrapped
+    served.passes = True
+    served.others = [Frame(0x702, b"\x05"), Frame(0x282, bytes(8))]  # heartbeat and PDO
+
+    def go_on():
+        if not playing:
+            env.reset(seed=5)
+        for _ in range(10):
+            env.step(np.zeros(1))
+
+    if playing:
+        env.reset(seed=5)
+    served.dead = True
+    with pytest.raises((Stopped, ServoError)):
+        go_on()
 
 
 def test_a_fault_stops_with_its_name():
