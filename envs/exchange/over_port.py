@@ -157,9 +157,10 @@ class _Beating:
     def __init__(self, bus: FramePort, real: bool):
         self._bus, self._real, self._next, self._synced = bus, real, 0.0, 0.0
         self._syncs = 0
-        self._quiet = self._in_vain = 0.0  # s without an answer; of it, beyond `SILENT`, in all
         self.silent = not real  # no SYNC, so no time passes, until an episode is to begin
         self.answers: set[int] = set()  # identifiers that follow a SYNC
+        self._owed: set[int] = set()  # of them, those of the latest SYNC that have not come
+        self._quiet = self._in_vain = 0.0  # s without an answer; of it, beyond `SILENT`, in all
         self.guarded: list[int] = []  # node-ids that are asked for their state (node guarding)
 
     def now(self) -> float:
@@ -192,21 +193,23 @@ class _Beating:
             given = [frame for frame in given if frame != SYNC]
         if self._real and now < self._synced + APART:
             given = [frame for frame in given if frame != SYNC]
-        owed = set(self.answers) if SYNC in given and not self._real else set()
         if SYNC in given:
             self._syncs += 1
             self._synced = now
-        received = self._exchanged(given, owed)
-        while (owed := owed - {frame.id for frame in received}) and self._quiet <= SILENT:
-            received += self._exchanged([], owed)
+            self._owed = set() if self._real else set(self.answers)
+        received = self._exchanged(given)
+        while self._owed and self._quiet <= SILENT:
+            received += self._exchanged([])
         return received
 
-    def _exchanged(self, frames: Iterable[Frame], owed: set[int]) -> list[Frame]:
+    def _exchanged(self, frames: Iterable[Frame]) -> list[Frame]:
         """What comes; a bus is quiet while none of the answers that are owed is among it."""
         begin = self._bus.now()
         received = [*self._bus.exchange(frames)]
         passed = self._bus.now() - begin
-        heard = not owed.isdisjoint(frame.id for frame in received) if owed else received
+        came = {frame.id for frame in received}
+        heard = self._owed & came if self._owed else came
+        self._owed -= came
         self._quiet = 0.0 if heard else self._quiet + passed
         if self._quiet > SILENT:
             self._in_vain += passed
