@@ -3,8 +3,15 @@
 import json
 import re
 
+import numpy as np
+import pytest
+
+from servogym.envs.environment.registry import task
 from servogym.training import cli
-from servogym.training.evaluate import results
+from servogym.training.evaluate import compare, results
+from servogym.training.evaluate.episodes import Evaluation
+from servogym.training.evaluate.metrics import metrics
+from servogym.training.evaluate.tables import best, differences, summaries
 from servogym.training.policies import SHIPPED
 
 
@@ -46,6 +53,47 @@ def test_the_committed_page_is_what_the_command_writes():
     assert results.page(SHIPPED) == committed, "run `servogym results assets/policies`"
     for target in re.findall(r"\]\(([^)#]+)\)", committed):
         assert (SHIPPED / target).is_file(), target
+
+
+COMPARED = sorted(path.parent for path in SHIPPED.glob("*/compare.json"))
+
+
+def evaluations(path):
+    """The data of a comparison, and its results as they were before they were written."""
+    data = json.loads((path / "compare.json").read_text(encoding="utf-8"))
+    known = metrics(task(data["env"]))
+    return data, [
+        Evaluation(
+            name, data["seeds"],
+            {metric: np.array(values, float) for metric, values in one["episodes"].items()},
+            one["faults"], None, one["trainings"], known,
+        )
+        for name, one in data["policies"].items()
+    ]
+
+
+@pytest.mark.parametrize("path", COMPARED, ids=lambda path: path.name)
+def test_the_pairs_on_a_committed_page_are_those_of_its_data(path):
+    data, found = evaluations(path)
+    metric = task(data["env"]).METRIC
+    text = compare._pairs_page(found, data["against"], metric, metrics(task(data["env"]))[metric])
+    assert text in (path / "compare.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", COMPARED, ids=lambda path: path.name)
+def test_the_tables_of_a_committed_page_are_those_of_its_data(path):
+    data, found = evaluations(path)
+    metric = task(data["env"]).METRIC
+    table, names = summaries(found), [one.policy for one in found]
+    against = best(table, names, metric, metrics(task(data["env"]))[metric].better)
+    assert against == data["against"]
+    page = (path / "compare.md").read_text(encoding="utf-8")
+    for name, columns in table.items():
+        cells = " | ".join(compare._cell(name, one) for one in columns)
+        assert f" | {cells} |" in page, name
+    apart = differences(found, against)
+    assert compare._sections(["metric", *names], found, table, apart, against, metric) in page
 
 
 def test_a_row_is_bold_only_where_the_paired_difference_leaves_0_out(tmp_path):

@@ -166,3 +166,26 @@ def test_the_episodes_needed_are_those_of_a_paired_t_test():
     found = paired(base + apart, base, "low").needed
     plain = ((1.96 + 0.8416) * 3.0 / 1.0) ** 2
     assert plain < found < 1.5 * plain  # 1 / 0.84: what trimming a quarter costs at a normal
+
+
+def test_with_the_episodes_needed_four_of_five_experiments_see_the_difference():
+    """Played out: experiments of as many episodes, each with a bootstrap written here."""
+    generator = np.random.default_rng(9)
+    base = np.full((1, 200), 10.0)
+    found = paired(base + generator.normal(0.0, 3.0, (1, 200)), base, "low").needed
+    n, seen = round(found), 0
+    for _ in range(150):
+        apart = generator.normal(1.0, 3.0, n)  # a tenth of 10
+        drawn = np.sort(apart[generator.integers(0, n, (300, n))], axis=1)
+        seen += np.percentile(drawn[:, n // 4 : n - n // 4].mean(axis=1), 2.5) > 0.0
+    assert 0.65 < seen / 150 < 0.95
+
+
+def test_no_number_of_episodes_makes_up_for_trainings_that_differ():
+    generator = np.random.default_rng(10)
+    base = np.full((1, 50), 10.0)
+    noise = generator.normal(0.0, 0.5, (5, 50))
+    apart = np.array([[-4.0], [-2.0], [0.0], [2.0], [4.0]])
+    assert paired(base + noise, base, "low").needed < 50
+    assert paired(base + apart + noise, base, "low").needed == np.inf
+    assert paired(base, base, "low").needed == 2.0, "a single one shows no spread"

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from ...envs.view.about import Metric
@@ -218,7 +219,8 @@ def _pairs_page(results: Sequence[Evaluation], against: str, metric: str, row: M
         found = paired(values, base, row.better)
         interval = f"{number(found.iqm)} [{number(found.low)}, {number(found.high)}]"
         shares = (f"{100 * share:.0f} %" for share in (found.improved, found.probability))
-        rows.append([column_of(result.policy), interval, *shares, f"{found.needed:.0f}"])
+        needed = f"{found.needed:.0f}" if np.isfinite(found.needed) else "more trainings"
+        rows.append([column_of(result.policy), interval, *shares, needed])
     heading = (
         "policy", "mean of the differences", "episodes improved", "probability of improvement",
         f"episodes to see {100 * SEEN:.0f} %",

@@ -19,6 +19,7 @@ from ...envs.environment.servo_env import ServoEnv
 from ...envs.view.about import Metric
 from ..policies import LEARNED, POLICIES, SHIPPED, names, needed
 from ..policies.bound import BOUNDS, INFERRED
+from ..policies.numbers import tuned
 from ..report import markdown, number, origin, write_csv, write_page
 from ..scale.work import ALONE, Work
 from ..setup import Setup
@@ -101,13 +102,13 @@ def run(
             text += lines
             shares[short(env.ID)] = rows
             table += [
-                {"task": short(env.ID), "row": row.name, "training": k, "episode": i,
+                {"task": short(env.ID), "row": name, "training": k, "episode": i,
                  "metric": env.METRIC, "value": float(value)}
-                for row in rows
-                for k, values in enumerate(_values(row.found, env.METRIC))
+                for name in (BOUND, *(row.name for row in rows))
+                for k, values in enumerate(_values(own[name], env.METRIC))
                 for i, value in enumerate(values)
             ]
-        text += across(shares)
+        text += across(shares) + gained([short(env.ID) for env in kinds])
         write_csv(path.with_suffix(".csv"), source, table)
         write_page(path.with_suffix(".md"), "What is possible", text, source, NOTES)
         console.print(f"{path}.md, .csv")
@@ -216,3 +217,21 @@ def across(shares: Mapping[str, Sequence[Row]]) -> str:
             f"{len(improvement)} tasks, is {np.mean(improvement):.2f}.\n"
         )
     return text
+
+
+def gained(tasks: Sequence[str]) -> str:
+    """What the tuner gained in some tasks, from the file that it wrote."""
+    heading = ("row", "task", "metric", "untuned", "tuned", "steps", "chosen by hand")
+    lines = [
+        [f"`{policy}`", task, one["metric"], number(one["untuned"]), number(one["tuned"]),
+         f"{one['steps']:,}", one["choices"]]
+        for policy, found in tuned().items()
+        for task, one in found.items() if task in tasks
+    ]
+    if not lines:
+        return ""
+    return (
+        "\n## What the tuner gained\n\nThe table shows the interquartile mean on the 48 training "
+        "episodes by which `servogym tune-policy` judges, with the untuned and with the tuned "
+        f"numbers:\n\n{markdown(heading, lines)}"
+    )

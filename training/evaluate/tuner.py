@@ -68,9 +68,8 @@ def offered() -> list[str]:
 
 
 def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict[str, Any]:
-    """-> its numbers for a task, the metric with them and untuned, and the budget taken."""
-    begin, steps = time.process_time(), 0
-    metric = env.METRIC
+    """-> its numbers for a task, the metric with them and untuned, and the steps taken."""
+    steps, metric = 0, env.METRIC
     sign = -1.0 if metrics(env)[metric].better == "high" else 1.0
 
     def tried(
@@ -105,9 +104,7 @@ def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict
     return {
         "numbers": {name: round(value, 6) for name, value in numbers.items()},
         "metric": metric, "tuned": sign * best, "untuned": sign * last[0][0][1],
-        "steps": steps, "points": len(first),
-        "cpu_seconds": round(time.process_time() - begin, 1),
-        "choices": f"ranges of {len(kind.RANGES)} numbers",
+        "steps": steps, "points": len(first), "choices": f"ranges of {len(kind.RANGES)} numbers",
     }
 
 
@@ -165,7 +162,11 @@ def _fit(policy: str, own: type[ServoEnv], episodes: int | None, out: Path) -> s
 
 
 def _tune(policy: str, kind: type[Tunable], own: type[ServoEnv], budget: int, out: Path) -> str:
+    begin = time.process_time()
     found = tune(kind, own, budget)
+    seconds = time.process_time() - begin
+    command = f"servogym tune-policy {policy} --task {short(own.ID)}"
+    found["command"] = command + (f" --budget {budget}" if budget != BUDGET else "")
     known = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
     known.setdefault(policy, {})[short(own.ID)] = found
     write_bytes(out, (json.dumps(known, indent=1, sort_keys=True) + "\n").encode())
@@ -173,5 +174,5 @@ def _tune(policy: str, kind: type[Tunable], own: type[ServoEnv], budget: int, ou
     return (
         f"{policy} on {short(own.ID)}: {numbers}; {found['metric']} {found['untuned']:.4g} -> "
         f"{found['tuned']:.4g}; {found['points']} points, {found['steps']:,} steps, "
-        f"{found['cpu_seconds']:.0f} CPU-seconds"
+        f"{seconds:.0f} CPU-seconds"
     )
