@@ -1,5 +1,6 @@
 """Serve the panel of a session, or a classroom, by default only on the loopback interface."""
 
+import asyncio
 import os
 import secrets
 import socket
@@ -78,16 +79,13 @@ def serve(
     async def root() -> None:
         await build(clock, pictures)
 
-    def begin() -> None:
-        clock.start()
-        tell(f"panel of {session.title} on {address(host, port)}?token={token}")
-        if not is_loopback(host):
-            tell(
-                f"open to whoever reaches {host} and knows the token: they command the machine, "
-                "read and write its parameters; nothing is encrypted"
-            )
-
-    _run(root, Owner(token), begin, clock.stop, host=host, port=port,
+    lines = [f"panel of {session.title} on {address(host, port)}?token={token}"]
+    if not is_loopback(host):
+        lines.append(
+            f"open to whoever reaches {host} and knows the token: they command the machine, "
+            "read and write its parameters; nothing is encrypted"
+        )
+    _run(root, Owner(token), lines, tell, clock.stop, begin=clock.start, host=host, port=port,
          title=f"servogym panel · {session.title}", browser=browser, token=token)
 
 
@@ -115,16 +113,14 @@ def serve_class(
     async def root() -> None:
         await pages.show_class(room, door, where)
 
-    def begin() -> None:
-        tell(f"the teacher's wall: {where}?token={token}")
-        tell(f"pupils open {where} and give the code {room.word} and a name")
-        if is_loopback(host):
-            tell("only this computer reaches it; for pupils on others: --host 0.0.0.0")
-        else:
-            tell(f"open to whoever reaches {host}; nothing is encrypted, see docs/how-to/class.md")
-
-    _run(root, door, begin, room.end, host=host, port=port, title="servogym classroom",
-         browser=browser, token=token)
+    lines = [
+        f"the teacher's wall: {where}?token={token}",
+        f"pupils open {where} and give the code {room.word} and a name",
+        "only this computer reaches it; for pupils on others: --host 0.0.0.0" if is_loopback(host)
+        else f"open to whoever reaches {host}; nothing is encrypted, see docs/how-to/class.md",
+    ]
+    _run(root, door, lines, tell, room.end, host=host, port=port,
+         title="servogym classroom", browser=browser, token=token)
 
 
 def address(host: str, port: int) -> str:
@@ -146,13 +142,23 @@ def _pages() -> Any:
 
 
 def _run(
-    root: Callable[[], Any], door: Door, begin: Callable[[], None], end: Callable[[], None], *,
-    host: str, port: int, title: str, browser: bool, token: str,
+    root: Callable[[], Any], door: Door, lines: list[str], tell: Callable[[str], object],
+    end: Callable[[], None], *, host: str, port: int, title: str, browser: bool, token: str,
+    begin: Callable[[], None] = lambda: None,
 ) -> None:
     from nicegui import app, ui
+    from nicegui.server import Server
+
+    async def listening() -> None:
+        """Say where the page is once the port is open; uvicorn has no event for that."""
+        while not Server.instance.started:
+            await asyncio.sleep(0.01)
+        for line in lines:
+            tell(line)
 
     free(host, port)
     app.on_startup(begin)
+    app.on_startup(listening)
     app.on_shutdown(end)
     app.add_middleware(Guard, door=door, name=f"servogym_panel_{port}")
     ui.run(

@@ -1,6 +1,5 @@
 """The panel in a real browser, for its tests: a server, a tab, clicks by name."""
 
-import contextlib
 import io
 import os
 import re
@@ -8,7 +7,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -63,20 +61,9 @@ class Server:
         for line in self.process.stdout:
             if found := re.search(rf"{self.url}\?token=(\S+)", line):
                 self.token = found[1]
-                self._listens()
                 return
         self.process.stdout.close()
         raise AssertionError(f"the server ended with {self.process.wait()}")
-
-    def _listens(self):
-        """Wait until it does: the address is printed a moment before."""
-        end = time.monotonic() + 30
-        while time.monotonic() < end:
-            with contextlib.suppress(OSError):
-                socket.create_connection(("127.0.0.1", self.port), 1).close()
-                return
-            time.sleep(0.05)
-        raise AssertionError(f"the server does not listen on {self.port}")
 
     def kill(self):
         self.process.kill()

@@ -7,6 +7,7 @@ events of those with a name (`data-test`), and answers each picture as soon as i
 
 import ast
 import asyncio
+import contextlib
 import json
 import re
 import uuid
@@ -31,7 +32,11 @@ class Page:
 
     async def enter(self, word, name):
         """Come in as a pupil."""
-        self.http = aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True))
+        self.http = aiohttp.ClientSession(
+            cookie_jar=aiohttp.CookieJar(unsafe=True),
+            # as a browser, no web socket on a connection that has carried pages: uvicorn closes it
+            connector=aiohttp.TCPConnector(force_close=True),
+        )
         form = {"word": word, "name": name, "own": ""}
         async with self.http.post(f"{self.url}join", data=form) as answer:
             status, page = answer.status, await answer.text()
@@ -91,13 +96,18 @@ class Page:
         props = element.get("props", {})
         return str(element.get("text") or props.get("label") or "")
 
-    async def send(self, test, kind, *arguments):
-        """An event of an element; as a browser, the page loads anew where the line was cut."""
-        if not self.socket.connected:
-            self.drops, self.elements = self.drops + 1, {}
-            async with self.http.get(self.url) as answer:
+    async def _again(self):
+        """Load the page anew, as a browser does where the line was cut."""
+        self.drops, self.elements = self.drops + 1, {}
+        async with self.http.get(self.url) as answer:
+            with contextlib.suppress(socketio.exceptions.ConnectionError):
                 await self._connect(await answer.text())
-            await self.until(lambda page: page.find("state"))
+        await self.until(lambda page: not page.socket.connected or page.find("state"))
+
+    async def send(self, test, kind, *arguments):
+        """An event of an element."""
+        while not self.socket.connected:
+            await self._again()
         number, element = self.find(test)
         for event in element.get("events", ()):
             if event["type"] == kind:
