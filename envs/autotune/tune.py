@@ -22,7 +22,7 @@ from .trial import Friction, Trial, friction, trial
 
 TRIES = 3  # with less gain each, where what was measured afterwards is less than asked for
 EASE = 0.8
-WORSE = 1.1  # times the following error it had: then gains that keep the margins stay
+WORTH = 0.9  # of the following error that it had: gains that keep the margins stay for no less
 FEED_FORWARD = "acceleration_feed_forward"
 
 
@@ -161,7 +161,7 @@ def tune(
             ease *= EASE
         trial_after = trial(stand, move)
         reason = "" if reached else why_not(after, asked)
-        if refusal := _no_better(asked, before, trial_before, trial_after):
+        if refusal := _no_better(asked, before, trial_before, after, trial_after):
             reached, reason = asked.kept(before), refusal
             objects = original
             stand.machine.restore(had)
@@ -178,23 +178,34 @@ def tune(
         stand.put_back()
 
 
-def _no_better(asked: Asked, before: Response, had: Trial, found: Trial) -> str:
+def _no_better(
+    asked: Asked, before: Response, had: Trial, after: Response, found: Trial
+) -> str:
     """Why the gains that the drive had are kept; empty where they are not."""
     if math.isinf(found.following_error) > math.isinf(had.following_error):
         return (
             f"the move is not made with them ({found.note}), so the drive keeps what it "
             "had; what was measured is not a guide, as with much backlash or little excitation"
         )
-    if asked.kept(before) and found.following_error > WORSE * had.following_error:
+    if asked.kept(before) and not _worth(before, had, after, found):
         return (
-            f"what the drive had keeps the margins and follows better ({_micro(had)} against "
-            f"{_micro(found)} µm), so it keeps it"
+            "what the drive had keeps the margins, and what was found follows no better "
+            f"({_micro(found)}, it had {_micro(had)}), so it keeps it"
         )
     return ""
 
 
+def _worth(before: Response, had: Trial, after: Response, found: Trial) -> bool:
+    """Whether gains that were found do clearly more; the stiffer, where no move is made."""
+    if math.isinf(had.following_error) and math.isinf(found.following_error):
+        return before.gains.stiffness < WORTH * after.gains.stiffness
+    return found.following_error < WORTH * had.following_error
+
+
 def _micro(trial: Trial) -> str:
-    return f"{1e6 * trial.following_error:.0f}"
+    if math.isinf(trial.following_error):
+        return "not moved"
+    return f"{1e6 * trial.following_error:.0f} µm or µrad"
 
 
 def _look(

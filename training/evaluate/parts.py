@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.environment.servo_env import ServoEnv
 from ..pictures.recording import Recording
 from ..policies import label, make, trainings
 from ..policies.file import SUFFIX
@@ -22,7 +23,9 @@ from .metrics import metrics
 PART = 10  # episodes of a job
 OURS = "servogym."
 
-_last: dict[str, Evaluator] = {}  # what a process played in; the next job may want the same
+# what a process made last; the next job or cell often wants the same
+_last: dict[str, Evaluator] = {}
+_example: dict[str, ServoEnv] = {}
 
 
 def play(
@@ -70,11 +73,10 @@ class Episodes:
         options: Sequence[dict[str, Any]] = (),
     ):
         self._policy, self._seeds, self._setup = policy, list(seeds), setup
-        first = setup.make()
+        first = example(setup)
         make(policy, first)
         self._words, self._channels = first.DONE, first.channels()
         self.duration = first.STEPS * first.step_time
-        first.close()
         folders = trainings(policy, setup.task.ID)
         parts = math.ceil(len(self._seeds) / PART)
         edges = np.linspace(0, len(self._seeds), parts + 1).astype(int).tolist()
@@ -122,6 +124,20 @@ class Episodes:
             label(self._policy), self._channels, self._words, part["time"], part["samples"],
             part["done"], part["ended"],
         )
+
+
+def example(setup: Setup) -> ServoEnv:
+    """An environment to look at, not to step; the one made last is kept.
+
+    Raises ValueError as the task does.
+    """
+    key = repr(setup)
+    if key not in _example:
+        for env in _example.values():
+            env.close()
+        _example.clear()
+        _example[key] = setup.make()
+    return _example[key]
 
 
 def warm(setup: Setup) -> Job:

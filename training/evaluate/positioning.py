@@ -150,9 +150,9 @@ def cells(
         (name, payload, condition, strategy)
         for name in mechanics or (QUICK_FAMILY if quick else (*FAMILY, SPRING))
         for payload in payloads or (QUICK_PAYLOADS if quick else PAYLOADS)
-        for strategy in dict.fromkeys((*STRATEGIES, *strategies))
-        for condition in conditions
+        for condition in conditions  # of each its strategies: they play in the same environments
         if condition == NOMINAL or payload == CHANGED_PAYLOAD or payloads
+        for strategy in dict.fromkeys((*STRATEGIES, *strategies))
     ):
         with grid.tried(key):
             try:
