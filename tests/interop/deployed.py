@@ -13,6 +13,7 @@ import threading
 import time
 
 import numpy as np
+from wire import say_where_it_hangs
 
 CAN = {"interface": "udp_multicast", "channel": "239.74.163.9"}
 TASKS = {
@@ -49,6 +50,7 @@ def _serve(pipe, task, bus, clock):
     from servogym.envs.environment.registry import task as named
     from servogym.envs.serve.laboratory import Laboratory
 
+    say_where_it_hangs(250)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     laboratory, kept = Laboratory(_rows(task, bus, clock)), b""
     with laboratory:

@@ -8,6 +8,7 @@ forks a process with a network of its own, which forks the server. So nobody wai
 import atexit
 import contextlib
 import ctypes
+import faulthandler
 import functools
 import importlib
 import json
@@ -97,7 +98,7 @@ def on_the_wire(
     if reason := why_not():
         pytest.skip(reason)
     task = {"module": module, "scenario": scenario, "server": server, "ports": ports,
-            "arguments": arguments}
+            "arguments": arguments, "timeout": timeout}
     for _ in range(ATTEMPTS):
         status, said = _helper().do(task, timeout)
         if status == 0 and in_time(result := json.loads(said.splitlines()[-1])):
@@ -190,9 +191,15 @@ def _say_to(file) -> None:
         stream.reconfigure(line_buffering=True)
 
 
+def say_where_it_hangs(seconds) -> None:
+    """Let this process print the stacks of its threads, if it is still there by then."""
+    faulthandler.dump_traceback_later(seconds, file=sys.__stderr__)
+
+
 def _play(task) -> None:
     """A scenario in a network of its own; the last line is its result."""
     os.setsid()
+    say_where_it_hangs(0.9 * task["timeout"])
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(NEW_NETWORK):
         raise OSError(ctypes.get_errno(), "no network of its own")
