@@ -111,6 +111,56 @@ def test_homing_takes_drives_axes_a_payload_methods_runs_and_parameters(here):
     assert time(plain, "mine.py:home") == pytest.approx(time(plain, "17"), abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("ruckg", "ruckg"), ("mine.py:gone", "there is no Python file"), ("lqr", "lqr")],
+)
+def test_a_strategy_that_can_move_no_axis_is_refused_not_left_out(here, capsys, name, said):
+    words = f"benchmark positioning --mechanics rigid --payload 5 --quick --policy {name}"
+    assert cli.main(words.split()) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+BAD = """
+class Policy:
+    def __init__(self, datasheet, seed):
+        pass
+
+def two(master, other):
+    master.home(17)
+
+def lost(master):
+    pass
+
+def astray(master):
+    master.home(17)
+
+astray.reference = 35
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Policy", "it is a class; a homing method is a function"),
+        ("two", "missing a required argument: 'other'"),
+        ("astray", "reference = 35: give the method whose home it should find"),
+    ],
+)
+def test_what_is_no_homing_method_is_refused_before_the_first_run(here, capsys, name, said):
+    (here / "bad.py").write_text(BAD)
+    assert cli.main(["benchmark", "homing", "--quick", "--policy", f"bad.py:{name}"]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_method_that_does_not_home_is_named_with_its_reason_and_claims_nothing(here):
+    (here / "bad.py").write_text(BAD)
+    _, page = benchmark(here, "homing --mechanics rigid --runs 2 --policy bad.py:lost")
+    assert "Method bad.py:lost on rigid does not home in 2 of 2 runs: it ended without" in page
+    assert "(– to –)" not in page
+    assert "does not change beyond" not in page
+
+
 @pytest.mark.slow
 def test_homing_takes_a_drive(here):
     found, page = benchmark(here, "homing --mechanics rigid --runs 2 --drive kollmorgen_akd")

@@ -21,25 +21,25 @@ def add(benchmark: argparse.ArgumentParser) -> None:
     benchmark.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
     benchmark.add_argument("--quick", action="store_true", help="run only a small part")
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="output folder (out)")
-    own = benchmark.add_argument_group("homing, positioning: cells other than those of the page")
+    own = benchmark.add_argument_group("homing, positioning: other cells than those of the page")
     own.add_argument("--mechanics", help="mechanics of the family, separated by commas (all)")
     own.add_argument("--payload", help="payload (kg); for positioning, several separated by commas")
     own.add_argument(
         "--distance", help="positioning: distances (m), separated by commas (0.01,0.05,0.2)"
     )
     own.add_argument("--method", help="homing: further methods, separated by commas")
+    own.add_argument(
+        "--policy",
+        help="positioning: strategies of your own beside those of the page, by name or "
+        "FILE.py:name; homing: FILE.py:function, which is called with a Master of the axis; "
+        f"learned: {arguments.POLICY}, or a folder with one for each task ({POLICY})",
+    )
     own.add_argument("--runs", type=int, help="homing: runs in each cell (50)")
     own.add_argument(
         "--parameter-file", type=Path, help="stored parameters, as `servogym tune` writes them"
     )
     learned = benchmark.add_argument_group("learned: submit a policy to a suite")
     learned.add_argument("--suite", help=f"version, or a file of your own ({SUITE})")
-    learned.add_argument(
-        "--policy",
-        help=f"{arguments.POLICY}, or a folder with one for each task ({POLICY}); for homing, "
-        "FILE.py:function, which is called with a Master of the axis and compared with the "
-        "drive's methods",
-    )
     learned.add_argument(
         "--entry", metavar="NAME", help="name on the leaderboard (the policy's own)"
     )

@@ -20,6 +20,7 @@ from ...drive.kernel.words import Mode
 from ...drive.master import Master, ServoError
 from ...drive.model.model import load
 from ...envs import FAMILY, Machine, linear_axis
+from ...envs.engine.checks import misfit
 from ...envs.masters.homing_figures import FIGURES, built_in, look, prepare, true_home
 from ...envs.masters.port import MachinePort
 from ..pictures.homing_gallery import fit_home_switch, home_switch
@@ -102,7 +103,9 @@ def cells(
         raise ValueError(f"drive {model.name!r} has no homing method that searches")
     known_mechanics(mechanics)
     for method in methods:
-        if isinstance(method, int) and method not in known:
+        if isinstance(method, str):
+            own(method, known)
+        elif method not in known:
             raise ValueError(f"--method = {method}: drive {model.name!r} has {known}")
     chosen = [m for m in known if m in (QUICK_METHODS if quick else DEFAULT_METHODS)]
     count = runs or (QUICK_RUNS if quick else RUNS)
@@ -167,14 +170,34 @@ FAILED: Row = {
 }
 
 
-def _own(machine: Machine, name: str, start: float) -> Row:
-    """Run a user's method, ``FILE.py:function``, which is called with a `Master` of the axis.
+def own(name: str, known: Sequence[int]) -> tuple[Callable[[Master], object], int]:
+    """Load a user's method, ``FILE.py:function``, which is called with a `Master` of the axis.
 
     It homes the axis and leaves the drive with a reference. It should find the home of the method
     that its attribute ``reference`` names, or of method 23 if it has none.
+
+    Raises:
+        ValueError: there is none, it cannot be called so, or the reference is not one of `known`.
     """
-    home: Callable[[Master], object] = from_file(name)
-    reference = int(getattr(home, "reference", BESIDE))
+    home = from_file(name)
+    why = "it is a class" if isinstance(home, type) else misfit(home, "master")
+    if why:
+        raise ValueError(
+            f"--policy {name}: {why}; a homing method is a function that is called with a Master "
+            "of the axis, see docs/how-to/homing_method.md"
+        )
+    reference = getattr(home, "reference", BESIDE)
+    if reference not in known:
+        raise ValueError(
+            f"--policy {name}: reference = {reference!r}: give the method whose home it should "
+            f"find, one of {', '.join(map(str, known))}"
+        )
+    return home, reference
+
+
+def _own(machine: Machine, name: str, start: float) -> Row:
+    """Run a user's method once."""
+    home, reference = own(name, machine.drives["x"].model.homing_methods)
     before = machine.snapshot()
     try:
         machine.reset(positions={"x": start})
@@ -248,7 +271,12 @@ def sides(rows: list[Row], edge: float) -> tuple[np.ndarray, np.ndarray]:
 
 def sentences(cells: Sequence[Row]) -> list[str]:
     """Sum up the table in sentences, with the numbers that support them."""
-    told = []
+    told = [
+        f"Method {cell['method']} on {cell['mechanics']} does not home in {cell['failures']} of "
+        f"{cell['runs']} runs: {cell['failure']}"
+        for cell in cells
+        if cell["failures"]
+    ]
     for mechanics in dict.fromkeys(cell["mechanics"] for cell in cells):
         here = [c for c in cells if c["mechanics"] == mechanics]
         as_is = [c for c in here if c["variant"] == AS_DELIVERED and np.isfinite(c["A"])]
@@ -256,24 +284,30 @@ def sentences(cells: Sequence[Row]) -> list[str]:
             best, quick = min(as_is, key=lambda c: c["A"]), min(as_is, key=lambda c: c["time"])
             told.append(
                 f"On {mechanics}, method {best['method']} repeats best, with A = "
-                f"{number(best['A'])} µm ({number(best['A_low'])} to {number(best['A_high'])}) in "
-                f"{best['time']:.2f} s; method {quick['method']} is the quickest, with "
-                f"{quick['time']:.2f} s and A = {number(quick['A'])} µm."
+                f"{number(best['A'])} µm{_between(best)} in {best['time']:.2f} s; method "
+                f"{quick['method']} is the quickest, with {quick['time']:.2f} s and "
+                f"A = {number(quick['A'])} µm."
             )
         base = next((c for c in as_is if c["method"] == str(BESIDE)), None)
-        others = [c for c in here if c["variant"] != AS_DELIVERED and np.isfinite(c["A"])]
-        if base and others:
+        others = [c for c in here if c["variant"] != AS_DELIVERED and np.isfinite(c["A_low"])]
+        if base and others and np.isfinite(base["A_low"]):
             worst = max(others, key=lambda c: c["A"])
             apart = worst["A_low"] > base["A_high"]
             told.append(
                 f"With method {BESIDE} on {mechanics}, A "
                 + ("goes" if apart else "does not change beyond its interval:")
-                + f" from {number(base['A'])} µm ({number(base['A_low'])} to "
-                f"{number(base['A_high'])}) as delivered to {number(worst['A'])} µm "
-                f"({number(worst['A_low'])} to {number(worst['A_high'])}) with {worst['variant']}; "
+                + f" from {number(base['A'])} µm{_between(base)} as delivered to "
+                f"{number(worst['A'])} µm{_between(worst)} with {worst['variant']}; "
                 f"the worst error is {number(base['worst'])} and {number(worst['worst'])} µm."
             )
     return told
+
+
+def _between(cell: Row) -> str:
+    """The interval of A in words; empty with too few runs for one."""
+    if not np.isfinite(cell["A_low"]):
+        return ""
+    return f" ({number(cell['A_low'])} to {number(cell['A_high'])})"
 
 
 def figures(key: Key, runs: list[Row]) -> Row:

@@ -159,6 +159,9 @@ def cells(
                 grid.cells[key] = Moves(drive, key, ways, parameter_file)
             except ValueError as error:
                 raise ValueError(f"{key[0]}, {key[1]:g} kg: {error}") from None
+    for asked in strategies:
+        if not any(strategy == asked for *_, strategy in grid.cells):
+            raise ValueError(next(why for key, why in grid.gaps.items() if key[-1] == asked))
     return grid
 
 
