@@ -20,7 +20,7 @@ def in_range(name: str, value: float, low: float, high: float, unit: str = "") -
     """`value` as a float. Raises ValueError naming it, its range and its unit."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not low <= number <= high:
         raise ValueError(f"{name} = {value!r} is out of range {low:g}..{high:g} {unit}".rstrip())

@@ -4,6 +4,8 @@ The forger has the source: he writes what he likes and seals it as `submission.w
 """
 
 import copy
+import hashlib
+import io
 import json
 import sys
 from dataclasses import replace
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 from test_benchmark import ONE, RESULTS, SMALL, entered, refused
 
+from servogym.drive.model import foreign
 from servogym.envs import TASKS
 from servogym.training import cli
 from servogym.training.evaluate import submission as format_of
@@ -125,6 +128,73 @@ def one_training_as_two(head, files):
     about(files, f"{TASK}/seed_2", seed=2)
 
 
+def reweighed(files, change, place=FIRST):
+    """Other arrays, with the checksum of their file."""
+    name, packed = f"{place}/{WEIGHTS}", io.BytesIO()
+    arrays = foreign.arrays(files[name])
+    change(arrays)
+    np.savez_compressed(packed, **arrays)
+    files[name] = packed.getvalue()
+    about(files, place, sha256=hashlib.sha256(files[name]).hexdigest())
+
+
+def as_two(change):
+    """One training as two, with the right table, the second with weights that play the same."""
+
+    def forged(head, files):
+        one_training_as_two(head, files)
+        reweighed(files, change, f"{TASK}/seed_2")
+        for values in head["table"][TASK].values():
+            values.update({metric: 2 * rows for metric, rows in values.items()})
+
+    forged.__name__ = change.__name__
+    return forged
+
+
+def another_critic(arrays):
+    arrays.update({name: a + 1 for name, a in arrays.items() if "value_net" in name})
+
+
+def an_array_that_nothing_reads(arrays):
+    arrays["network/nothing"] = np.ones(3, np.float32)
+
+
+def neurons_in_another_order(arrays):
+    layer = "network/mlp_extractor.policy_net"
+    for name in (f"{layer}.0.weight", f"{layer}.0.bias"):
+        arrays[name] = arrays[name][::-1]
+    arrays[f"{layer}.2.weight"] = arrays[f"{layer}.2.weight"][:, ::-1]
+
+
+def arrays_of(name, make):
+    def forged(head, files):
+        reweighed(files, lambda arrays: arrays.update(
+            mean=make(int(arrays["shape"][0])), variance=np.ones(int(arrays["shape"][0]))))
+
+    forged.__name__ = name
+    return forged
+
+
+def stated(**words):
+    def forged(head, files):
+        about(files, **words)
+
+    forged.__name__ = f"stated {words}"
+    return forged
+
+
+def named(name):
+    def forged(head, files):
+        head["name"] = name
+
+    forged.__name__ = f"named {name[:10]}"
+    return forged
+
+
+def written_backwards(head, files):
+    head["command"] = "servogym benchmark learned \u202e dewarb"
+
+
 def seed_of_a_suite(head, files):
     for part in (ABOUT, WEIGHTS):
         files[f"{TASK}/seed_{HELD_OUT}/{part}"] = files.pop(f"{FIRST}/{part}")
@@ -233,7 +303,25 @@ FORGERIES = {
     without_the_hard_condition: "its table lacks held_out",
     empty: "its table is empty",
     other_weights: "its table says return",
-    one_training_as_two: "has the weights of LinearAxis-v0/seed_1: each training counts once",
+    one_training_as_two: "plays every episode as another one does, to the bit: each training",
+    as_two(another_critic): "plays every episode as another one does, to the bit",
+    as_two(an_array_that_nothing_reads): "plays every episode as another one does, to the bit",
+    arrays_of("dates", lambda n: np.zeros(n, "M8[D]")): "elements of datetime64[D], no numbers",
+    arrays_of("texts", lambda n: np.full(n, "a")): "elements of <U1, no numbers",
+    arrays_of("complex", lambda n: np.ones(n) * 1j): "elements of complex128, no numbers",
+    arrays_of("too few", lambda n: np.ones(n - 1)): "numbers each",
+    stated(steps=-5): "steps = -5 must be a whole number",
+    stated(steps=10**400): "must be a whole number",
+    stated(cpu_seconds=float("nan")): "cpu_seconds = nan is out of range",
+    stated(cpu_seconds=-5.0): "cpu_seconds = -5.0 is out of range",
+    stated(hyperparameters={"policy_kwargs": {"net_arch": [10**9], "ortho_init": False}}):
+        "a layer has at most 4096 neurons",
+    stated(residual="ruckig", bounds=[1e-300]): "corrects 'ruckig' by nothing",
+    named("ruckig "): "is none that a page could show",
+    named("Ruckig"): "has to be the policy of that name",
+    named("ru\u0441kig"): "is none that a page could show",
+    named("a" * 5000): "is none that a page could show",
+    written_backwards: "is none that a page could show",
     seed_of_a_suite: "meets the episodes of evaluations and suites",
     seed_of_a_suite_in_a_vector: "meets the episodes of evaluations and suites",
     another_seed_than_its_folder: "states the seed 2, its folder another one",
@@ -319,6 +407,22 @@ def test_the_same_policy_under_two_names_is_one_entry(honest, forge, capsys):
     first = format_of.Submission(**honest[0] | {"name": "first"}, files=dict(honest[1]))
     format_of.write(Path("entries") / "a.npz", first)
     assert "plays the same as the entry 'first'" in forge(lambda head, files: None, capsys)
+
+
+def test_a_baseline_corrected_by_zeros_is_that_baseline(honest, forge, capsys):
+    assert entered("ruckig") == 0
+    head = vars(format_of.read(Path("entries") / "ruckig.npz"))
+
+    def zeros(arrays):
+        arrays.update({n: 0 * a for n, a in arrays.items() if n.startswith("network/action_net")})
+
+    def forged(own, files):
+        own["table"] = head["table"]
+        about(files, residual="ruckig", bounds=[0.1])
+        reweighed(files, zeros)
+        Path("entries", "ruckig.npz").rename(Path("entries", "a.npz"))
+
+    assert "plays every episode as the entry 'ruckig' does, to the bit" in forge(forged, capsys)
 
 
 def test_a_correction_of_what_is_told_has_no_rank(honest):

@@ -186,11 +186,17 @@ def rank(
             submission = read(file)
             fits(file, submission, suite)
             for other in entries.values():
-                if submission.name == other.name:
+                if submission.name.casefold() == other.name.casefold():
                     raise ValueError(f"{file}: there is an entry {other.name!r} already")
                 if submission.identity == other.identity:
                     raise ValueError(f"{file} plays the same as the entry {other.name!r}")
-            entries[submission.name] = check(file, submission, suite, console, work, run_code)
+            played = check(file, submission, suite, console, work, run_code)
+            for other in entries.values():
+                if played.table == other.table:
+                    raise ValueError(
+                        f"{file} plays every episode as the entry {other.name!r} does, to the bit"
+                    )
+            entries[submission.name] = played
         except (ValueError, ImportError) as error:
             print(f"servogym results: {' '.join(str(error).split())}", file=sys.stderr)
             status = 2
@@ -227,10 +233,27 @@ def check(
         console.print(f"{file.name}: {', '.join(chosen)}", highlight=False)
         found = play(suite.drawn(submission.identity), chosen, console, work)
     for env, conditions in found.items():
+        _apart(f"{file}, {env}", conditions)
         for condition, values in conditions.items():
             _same(f"{file}, {env}, {condition}", submission, submission.table[env][condition],
                   values, suite.parts[env].setup.task)
     return replace(submission, table=found)
+
+
+def _apart(where: str, conditions: Mapping[str, Mapping[str, list[list[float | None]]]]) -> None:
+    """Refuse one training entered as several, whose intervals would be too narrow.
+
+    It is known by what it plays: files can differ in what does not matter.
+    """
+    tables = [values for row in conditions.values() for values in row.values()]
+    seen: set[str] = set()
+    for training in map(repr, zip(*tables, strict=True)):
+        if training in seen:
+            raise ValueError(
+                f"{where}: one of its trainings plays every episode as another one does, to the "
+                "bit: each training counts once"
+            )
+        seen.add(training)
 
 
 def _same(

@@ -9,7 +9,7 @@ from it; `Submission.hash` covers the whole content of the file.
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -38,7 +38,7 @@ KEYS = {
     "machine": Key(str, True), "table": Key(dict, True), "hash": Key(str, True),
     "fitted": Key(str),
 }
-NAME = r"[\w+-][\w+. -]*"  # of an entry
+NAME = r"(?a:[\w+-]([\w+. -]{0,58}[\w+-])?)"  # of an entry
 WORDS = r"[^`|<>\[\]\x00-\x1f\x7f]*"  # what is shown on a page, and cannot be taken for its markup
 PROGRAM = r"[\w.-]+\.py"
 TRAINED = re.compile(rf"([\w.-]+-v\d+)/(seed_\d+)/({re.escape(ABOUT)}|{re.escape(WEIGHTS)})")
@@ -247,13 +247,15 @@ def _words(path: Path, submission: Submission) -> None:
     """Refuse names and words that a page would show as markup."""
     shown = {"name": NAME, "command": "servogym benchmark learned " + WORDS, "machine": WORDS}
     for key, pattern in shown.items():
-        if not re.fullmatch(pattern, text := getattr(submission, key)):
+        text = getattr(submission, key)
+        if not re.fullmatch(pattern, text) or not text.isprintable():
             raise ValueError(f"{path}: {key} = {text!r:.80} is none that a page could show")
     for package in ("python", *PACKAGES):
         if not re.fullmatch(r"[\w.+-]+", str(submission.versions.get(package, ""))):
             raise ValueError(f"{path}: versions lack {package}, or say no version of it")
     plain = not submission.files and submission.policy.partition(":")[0]
-    if submission.name in (*POLICIES, LEARNED) and submission.name not in (plain, LEARNED):
+    name = submission.name.casefold()
+    if name in (*POLICIES, LEARNED) and submission.name not in (plain, LEARNED):
         raise ValueError(
             f"{path}: an entry {submission.name!r} has to be the policy of that name, this one "
             f"plays {submission.policy!r}: give it another name"
@@ -288,7 +290,6 @@ def _files(path: Path, submission: Submission) -> None:
         places = sorted({n.rpartition("/")[0] for n in submission.files if n.startswith(f"{env}/")})
         for place, about in zip(places, given, strict=True):
             _training(f"{path}, {place}", env, place, about, submission.files)
-        _apart(path, places, submission.files)
 
 
 def _training(
@@ -301,27 +302,11 @@ def _training(
     seed = about.get("seed")
     if place != f"{env}/seed_{seed}":
         raise ValueError(f"{where} states the seed {seed}, its folder another one")
-    if about.get("residual") and not any(about["bounds"]):
+    if about.get("residual") and not np.any(np.float32(about["bounds"])):
         raise ValueError(
             f"{where} corrects {about['residual']!r} by nothing (bounds {about['bounds']}): enter "
             "that policy by its name"
         )
-
-
-def _apart(path: Path, places: Sequence[str], files: Mapping[str, bytes]) -> None:
-    """Refuse one training entered as several: their intervals would be too narrow."""
-    seen: dict[bytes, str] = {}
-    for place in places:
-        arrays = foreign.arrays(files[f"{place}/{WEIGHTS}"], LARGEST, f"{path}, {place}/{WEIGHTS}")
-        content = b"".join(
-            name.encode() + value.tobytes()
-            for name, value in sorted(arrays.items()) if name.startswith("network/")
-        )
-        if content in seen:
-            raise ValueError(
-                f"{path}: {place} has the weights of {seen[content]}: each training counts once"
-            )
-        seen[content] = place
 
 
 def fits(path: Path, submission: Submission, suite: Suite) -> None:

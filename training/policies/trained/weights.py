@@ -23,6 +23,9 @@ Layer = tuple[np.ndarray, np.ndarray]  # weights (outputs, inputs), biases (outp
 PLAIN = {"net_arch", "log_std_init"}  # of policy_kwargs: what changes no more than the widths
 
 
+WIDEST, MOST_LAYERS = 4096, 64  # of a network that a file may ask for: memory is held for it
+
+
 class Kind(NamedTuple):
     """How the networks of an algorithm are built; what their layers do is of `network`."""
 
@@ -61,6 +64,11 @@ class Weights(NamedTuple):
         more = dict(settings.get("policy_kwargs", {}))
         if settings.get("use_sde"):
             more["use_sde"] = True
+        if oversize := [n for n in _numbers(more) if n > WIDEST] or _numbers(more)[MOST_LAYERS:]:
+            raise ValueError(
+                f"{ABOUT}: policy_kwargs ask for {oversize[0]} neurons or more than {MOST_LAYERS} "
+                f"numbers: a layer has at most {WIDEST} neurons"
+            )
         try:
             policy = algorithm.policy_aliases["MlpPolicy"](seen, actions, lambda _: 0.0, **more)
         except Exception as error:  # of any layer that was given what it cannot be built of
@@ -98,6 +106,14 @@ class Weights(NamedTuple):
         clip, epsilon = self.limits
         scaled = (observation - self.mean) / np.sqrt(self.variance + epsilon)
         return np.minimum(np.maximum(scaled, -clip), clip).astype(np.float32)
+
+
+def _numbers(settings: Any) -> list[float]:
+    """All numbers in a table or list, however deep."""
+    if isinstance(settings, dict | list):
+        inner = settings.values() if isinstance(settings, dict) else settings
+        return [number for value in inner for number in _numbers(value)]
+    return [settings] if isinstance(settings, int | float) else []
 
 
 def compiled(
@@ -194,8 +210,14 @@ def load(folder: Path) -> Weights:
         clip, epsilon = map(float, found["limits"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{file} holds no weights of a policy: {error}") from None
+    for name, array in found.items():
+        if array.dtype.kind not in "fiu":
+            raise ValueError(f"{file}: {name} has elements of {array.dtype}, no numbers")
     network = {n.removeprefix(NETWORK): a for n, a in found.items() if n.startswith(NETWORK)}
     mean, variance = found.get("mean"), found.get("variance")
+    shapes = {None if array is None else array.shape for array in (mean, variance)}
+    if shapes not in ({None}, {(seen,)}):
+        raise ValueError(f"{file}: mean and variance are not {seen} numbers each")
     return Weights((seen, actions), network, mean, variance, (clip, epsilon))
 
 
