@@ -10,7 +10,7 @@ It sends frames to anything with `exchange`: a `Bus`, a bare `Segment`, one with
 not answer raises TimeoutError, a state that is refused RuntimeError with the slave's code.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 from ..model.given import whole
@@ -343,8 +343,11 @@ class EtherCatMaster:
         for slave, (outputs, inputs) in zip(self.slaves, images, strict=True):
             slave.outputs, slave.inputs = bytearray(outputs), inputs
 
-    def to_op(self) -> None:
+    def to_op(self, prepare: Callable[[], object] = lambda: None) -> None:
         """Bring all slaves from any AL state to OPERATIONAL, with process data.
+
+        Args:
+            prepare: fills the outputs, before the first of them go out.
 
         Raises:
             RuntimeError: a slave refuses a state; tells which and its code.
@@ -357,6 +360,7 @@ class EtherCatMaster:
             self.map()
         if any(slave.state == AlState.PRE_OPERATIONAL for slave in self.slaves):
             self.to(AlState.SAFE_OPERATIONAL)
+        prepare()
         self.cycle()
         self.to(AlState.OPERATIONAL)
 

@@ -48,8 +48,8 @@ class SegmentMaster(Protocol):
     def to_preop(self) -> None:
         """Open the mailboxes."""
 
-    def to_op(self) -> None:
-        """Process data as they are assigned."""
+    def to_op(self, prepare: Callable[[], object]) -> None:
+        """Process data as they are assigned; `prepare` fills the outputs before they go out."""
 
     def cycle(self) -> bool:
         """Exchange process data."""
@@ -113,9 +113,7 @@ class EtherCatPort:
         for node in self.nodes.values():
             if node.slave.state == AlState.PRE_OPERATIONAL:
                 node.map(outputs, inputs)
-        master.to_op()
-        for node in self.nodes.values():
-            node.find_places()
+        master.to_op(lambda: [node.find_places() for node in self.nodes.values()])
 
     def now(self) -> float:
         """Time (s)."""

@@ -8,7 +8,7 @@ program that moves an emulated drive in memory moves a real one with the same ca
 """
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -16,7 +16,7 @@ from ..ethercat.al import AlState
 from ..ethercat.esi_reader import EsiObject
 from ..objects.abort import SdoAbort
 
-TIMEOUT = 100_000  # µs, for the reply to process data
+TIMEOUT = 0.1  # s, for the reply to process data
 STATE_TIMEOUT = 5_000_000  # µs
 AGAIN = 2  # times that a lost frame is sent anew
 TRIES = 200  # cycles until all are in OPERATIONAL
@@ -75,8 +75,11 @@ class SoemSlave:
 
     @property
     def state(self) -> AlState:
-        """State without the error bit."""
-        self._slave.state_check(0, 0)
+        """State without the error bit; INIT where the slave does not answer."""
+        for _ in range(AGAIN + 1):  # of a lost answer SOEM says the state 0
+            self._slave.state_check(0, 0)
+            if self._slave.state & 0x0F:
+                break
         return AlState(self._slave.state & 0x0F or AlState.INIT)
 
     def request(self, state: int) -> None:
@@ -193,13 +196,15 @@ class SoemMaster:
     Args:
         interface: such as ``eth0``; needs the right of raw sockets.
         second: interface of the second port (redundancy).
+        timeout: for the reply to process data (s); long where slaves let no time pass before it.
 
     Raises:
         ImportError: pysoem is not there.
         ConnectionError: the interface cannot be opened.
     """
 
-    def __init__(self, interface: str, second: str | None = None):
+    def __init__(self, interface: str, second: str | None = None, timeout: float = TIMEOUT):
+        self._timeout = round(1e6 * timeout)  # µs
         try:
             import pysoem
         except ImportError:
@@ -227,9 +232,14 @@ class SoemMaster:
     def to_preop(self) -> None:
         """SOEM's scan has done it."""
 
-    def to_op(self) -> None:
-        """Map process data and go to OPERATIONAL. Raises RuntimeError where a slave refuses."""
+    def to_op(self, prepare: Callable[[], object] = lambda: None) -> None:
+        """Map process data and go to OPERATIONAL. Raises RuntimeError where a slave refuses.
+
+        Args:
+            prepare: fills the outputs, before the first of them go out.
+        """
         if all(slave.state == AlState.OPERATIONAL for slave in self.slaves):
+            prepare()
             return
         self._master.config_map()
         reached = self._master.state_check(self._soem.SAFEOP_STATE, STATE_TIMEOUT)
@@ -237,6 +247,7 @@ class SoemMaster:
             raise RuntimeError(f"SAFE_OP is not reached: {self._told()}")
         for slave in self.slaves:
             slave.sized()
+        prepare()
         self.cycle()
         self._master.state = self._soem.OP_STATE
         self._master.write_state()
@@ -271,7 +282,7 @@ class SoemMaster:
         for slave in self.slaves:
             slave.prepare()
         self._master.send_processdata()
-        right = self._master.receive_processdata(TIMEOUT) == self._master.expected_wkc
+        right = self._master.receive_processdata(self._timeout) == self._master.expected_wkc
         self.wrong += not right
         if right:
             for slave in self.slaves:

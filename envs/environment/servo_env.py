@@ -224,7 +224,9 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             )
         pdos = [mapping(image) for image in self._images]
         names, period = self.drive_names, self.step_time
-        return PortLine(self.machine, names, self._images, pdos, period, self.units, port)
+        return PortLine(
+            self.machine, names, self._images, pdos, period, self.units, port, self.REFERENCED
+        )
 
     def batch(self, n: int) -> Batch:
         """Return empty arrays for `n` environments like this one."""
@@ -283,9 +285,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         A drive named in `believed` is referenced to that position instead of its true one. With
         ``action="pdo"`` the drives stay disabled, otherwise they are enabled in the task's mode.
         """
-        place = getattr(self.line, "place", None)
-        if place is not None:
-            positions = place(positions, self.MODES[0])
+        positions = self.placed(positions)
         self.machine.reset(positions=positions)
         master = Master(MachinePort(self.machine), *positions)
         for name, position in (dict(positions) | dict(believed or {})).items():
@@ -301,6 +301,23 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         if "target_position" in self.RPDO:  # in force until the first RPDO of the agent arrives
             positions_now = [drive.read("position_actual_value") for drive in self.drives]
             self._part.rpdos["target_position"][0] = positions_now
+
+    @property
+    def on_a_bus(self) -> bool:
+        """Whether the drives are on a bus, and this machine only shows what is known of them."""
+        return hasattr(self.line, "place")
+
+    def placed(
+        self, positions: Mapping[str, float], search: tuple[int, float] | None = None
+    ) -> Mapping[str, float]:
+        """Let the master of a bus bring the axes to `positions`; -> where they are.
+
+        In memory these are the positions themselves. `search`: see `PortLine.place`.
+        """
+        if not self.on_a_bus:
+            return positions
+        line: Any = self.line
+        return line.place(positions, self.MODES[0], search)
 
     def normalise(self) -> None:
         """Record the scales of observations: limits of the first drive, following error window."""

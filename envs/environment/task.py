@@ -44,6 +44,7 @@ class Task:
 
     # what it tells of itself, for those who train, judge and draw; this will do for most
     MEMORY_ONLY: ClassVar[str] = ""  # why its drives cannot be on a bus; empty: they can
+    REFERENCED: ClassVar[bool] = True  # whether the drives are, at the beginning of an episode
     POLICIES: tuple[str, ...] = ()  # baselines by name, beside hold and random
     BOUND: ClassVar[str] = ""  # row of `training.policies.bound.BOUNDS`; none: no bound is known
     REFERENCE: ClassVar[str] = ""  # the one whose score is 1, as hold's is 0; none: no score

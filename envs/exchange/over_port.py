@@ -16,12 +16,20 @@ with a frame of process data, and inputs are read alone, so that reading is no n
 What a bus does not tell is taken from what it tells: the load is where the encoder says it is, the
 share of the step at an internal limit is that of its end. The machine of such an environment has
 no time of its own; it keeps what a task reads of its drives.
+
+Drives that begin an episode without a reference, as those of ``Homing-v0``, are homed by the master
+with the method the task imitates. So it knows the start and the true home, each as the encoder and
+that method have it; an interrupted homing then takes the reference away from the drive (6041h,
+mode hm). Where the drive takes a new reference its positions jump, and the master goes on counting
+from the old one: the place found is known to the mean of two velocities. What an impact on an end
+stop costs, no bus tells: it counts as none.
 """
 
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -33,6 +41,7 @@ from ...drive.canopen.port import FramePort
 from ...drive.canopen.remote import SYNC, CanOpenPort
 from ...drive.ethercat.port import EtherCatPort, SegmentMaster
 from ...drive.kernel.words import ENABLED, Mode
+from ...drive.kernel.words import Controlword as C
 from ...drive.kernel.words import Statusword as S
 from ...drive.master.errors import ServoError
 from ...drive.master.master import Master
@@ -58,8 +67,11 @@ PHASE = 0.4  # of a step: until then bus and policy have answered, then set-poin
 LAST = 0.8  # of a step: what a policy has not said by then takes no part in it
 ANSWERS = 0.7  # of that: what is left is for the policy, or to send the last action again
 LOCK_STEP_PATIENCE = 10.0  # s for an answer or an action, where time waits for both
+LOOKS = 300  # at the inputs until a slave counts as silent: of SOEM more than 2 ms each
 NO_LIMIT = 4294967295  # of 60C5h and 60C6h
 REVERSALS = 5.0  # accelerations of the quick stop that set-points may have (inferred)
+SEARCHES = 300.0  # s that a homing may take: slowly from end to end
+FORGETS = 5.0  # s until an interrupted homing stands
 REFERENCED = 0x1000  # statusword in homing mode: homing attained (CiA 402-2)
 IDENTITY = ("vendor_id", "product_code")
 COMPARED = (  # objects that decide what a task's numbers mean, or when a drive gives up
@@ -73,6 +85,11 @@ REST = 0.3  # s that an axis stands before an episode: its integrator has come t
 NEAR = 1e-5  # m or rad from where an episode begins; no motion there
 MISSED = 3  # answers missing one after the other, until the guard stops the drives
 QUICK_STOP = 0x02  # controlword
+GUARDED = {  # objects an agent may command on a bus: those the guard looks at
+    "controlword", "modes_of_operation", "target_position", "target_velocity", "target_torque",
+    "torque_offset", "max_torque",
+}
+BESIDE = 0.01  # m or rad beyond the end stops, that an axis may push itself into them
 
 
 class Pace:
@@ -392,8 +409,14 @@ class EtherCatDrives:
         self.port.exchange()
 
     def sample(self, patience: float) -> bool:
-        """See `DriveSide`; reads the inputs alone."""
-        return self._master.look()
+        """See `DriveSide`; reads the inputs alone, and again where a frame is lost."""
+        pace, looks = self.pace, 1
+        end = pace.now() + patience
+        while not self._master.look():
+            if looks >= LOOKS or (pace.real and pace.now() >= end):
+                return False
+            looks += 1
+        return True
 
 
 def _same(wanted: Sequence[str], given: Any) -> None:
@@ -402,6 +425,18 @@ def _same(wanted: Sequence[str], given: Any) -> None:
             f"port: the task commands the drives {', '.join(wanted)}, the port has "
             f"{', '.join(given)}: give them these names, in this order"
         )
+
+
+def _insist(act: Callable[[], object]) -> None:
+    """Do it whatever happens; Ctrl-C, pressed again, does not take it away."""
+    while True:
+        try:
+            act()
+        except KeyboardInterrupt:
+            continue
+        except BaseException:
+            pass
+        return
 
 
 class PortLine:
@@ -415,20 +450,28 @@ class PortLine:
         period: of the agent's steps (s).
         units: position units per m or rad.
         side: the drives.
+        referenced: whether the drives have a reference at the beginning of an episode. Where they
+            have none, no software limits hold: the guard's are the end stops of `machine`.
 
     Raises:
-        ValueError: a drive that is not the model, or has no limits.
+        ValueError: a drive that is not the model, or has no limits; a set-point without a guard.
     """
 
     def __init__(
         self, machine: Machine, axes: Sequence[str], images: Sequence[np.dtype],
         pdos: Sequence[Sequence[Sequence[str]]], period: float, units: float, side: DriveSide,
+        referenced: bool = True,
     ):
         self._machine, self._axes, self._period, self._units = machine, [*axes], period, units
         self._rpdo, self._tpdo = images
-        self._side = side
+        self._side, self._has_reference = side, referenced
+        self._guardable()
+        self._kept: dict[tuple[str, str], float] = {}  # of the drives, before it was changed here
         side.connect(self._axes, *pdos)
         self.master = Master(side.port, *self._axes)
+        self._home_at: dict[str, float] = {}  # of drives that look for it (m or rad)
+        self._shift = dict.fromkeys(self._axes, 0.0)  # of positions, by a reference taken since
+        self._last = dict.fromkeys(self._axes, (0.0, 0.0))  # position and velocity, a step ago
         self._identify()
         self.differs = [*self._differing()]  # from the task's own drives, in words
         self.guards = {
@@ -450,6 +493,32 @@ class PortLine:
         self.stopped: Stopped | None = None
         self.on_step: Callable[[np.ndarray], object] | None = None  # answers of the drives
 
+    def _guardable(self) -> None:
+        """See that the guard knows what the agent commands."""
+        names = set(self._rpdo.names or ())
+        for name in sorted(names - GUARDED):
+            raise ValueError(
+                f"RPDO has {name}, at which the guard does not look: on a bus an agent may command "
+                f"{', '.join(sorted(GUARDED))}"
+            )
+        if {"target_position", "target_velocity"} <= names:
+            raise ValueError(
+                "RPDO has target_position and target_velocity: the guard follows one of them, "
+                "leave the other out"
+            )
+
+    def _set(self, axis: str, name: str, value: float) -> None:
+        """Change an object of a drive until `_give_back`."""
+        if (axis, name) not in self._kept:
+            self._kept[axis, name] = self._side.port.upload(axis, name)
+        self._side.port.write(axis, name, value)
+
+    def _give_back(self, *names: str) -> None:
+        """Objects, all if none is named, become what they were before `_set`."""
+        for axis, name in [*self._kept]:
+            if not names or name in names:
+                self._side.port.write(axis, name, self._kept.pop((axis, name)))
+
     def _identify(self) -> None:
         """See that the drives are the model; tell them the period of the set-points."""
         for axis in self._axes:
@@ -464,7 +533,7 @@ class PortLine:
                         )
             for name in INTERPOLATION:
                 if name in own.objects.names:
-                    self._side.port.write(axis, name, own.read(name))
+                    self._set(axis, name, own.read(name))
 
     def _differing(self) -> Iterator[str]:
         """What the drives are set to otherwise than those the task has in memory."""
@@ -493,9 +562,13 @@ class PortLine:
         if not most < NO_LIMIT:
             most = REVERSALS * read("quick_stop_deceleration")
         acceleration = most * unit
+        low, high = (read(f"{end}_position_limit") * unit for end in ("min", "max"))
+        if not self._has_reference:
+            stops = self._machine.mechanics[[*self._machine.drives].index(axis)]
+            low, high = float(stops["low"]) - BESIDE, float(stops["high"]) + BESIDE
         return Envelope(
-            read("min_position_limit") * unit, read("max_position_limit") * unit,
-            read("max_profile_velocity") * unit, acceleration, 2.0 * acceleration / self._period,
+            low, high, read("max_profile_velocity") * unit, acceleration,
+            2.0 * acceleration / self._period,
             torque=1e-3 * read("max_torque"),
             following_error=read("following_error_window") * unit,
             following_error_time=1e-3 * read("following_error_time_out", 0.0),
@@ -527,15 +600,24 @@ class PortLine:
         if self._ends == math.inf:
             self._ends = time.monotonic() + self.time_limit
 
-    def place(self, positions: Mapping[str, float], mode: Mode) -> dict[str, float]:
+    def place(
+        self, positions: Mapping[str, float], mode: Mode,
+        search: tuple[int, float] | None = None,
+    ) -> dict[str, float]:
         """Enable the drives and move them to positions (m or rad); -> where they are.
 
         What is not commanded here stands where it is told to.
         Drives that get no power (`dry`) are left where they are.
 
+        Args:
+            positions: by drive.
+            mode: in which the agent moves them.
+            search: homing method by which the drives, that then lose this reference again, find
+                their home, and where that is (m or rad).
+
         Raises:
-            Stopped: a position is out of the envelope.
-            ServoError: a drive does not follow.
+            Stopped: a position is out of the envelope, or a drive does not follow.
+            ValueError: a drive is not referenced, or does not have the method.
         """
         others = {name: at for name, at in positions.items() if name not in self._axes}
         positions = {name: at for name, at in positions.items() if name in self._axes}
@@ -544,14 +626,21 @@ class PortLine:
             if not limits.low <= position <= limits.high:
                 raise self.stop(Stopped(axis, f"the start {position:.4g} is out of the envelope"))
         try:
-            self._referenced()
+            if search is None:
+                self._referenced()
+            else:
+                self._can_search(*search)
             if not self.dry:
-                self._go(positions, mode)
+                self._go(positions, mode, None if search is None else search[0])
         except (ServoError, SdoAbort, TimeoutError) as error:
             raise self.stop(Stopped("", f"on the way to the start: {error}")) from error
+        except BaseException as error:
+            self.stop(error)
+            raise
         here = {axis: self._at(axis) / self._units for axis in self._axes}
         for axis, position in here.items():
             self.guards[axis].begin(position)
+            self._shift[axis], self._last[axis] = 0.0, (position, 0.0)
         self._deadline = self._side.pace.now()
         return others | here
 
@@ -567,11 +656,28 @@ class PortLine:
                     f"{axis} is not referenced: home it with --home METHOD (6098h), once"
                 )
 
-    def _go(self, positions: Mapping[str, float], mode: Mode) -> None:
+    def _can_search(self, method: int, home: float) -> None:
+        """Raises ValueError for a drive without the method; sets where it finds its home."""
+        for axis in self._axes:
+            model = self._side.port.models[axis]
+            if method not in model.homing_methods:
+                raise ValueError(
+                    f"{axis}: drive {model.name!r} does not have the homing method {method} "
+                    "by which the task knows its true home"
+                )
+            self._home_at[axis] = home
+            self._set(axis, "home_offset", -round(home * self._units))
+
+    def _go(self, positions: Mapping[str, float], mode: Mode, search: int | None) -> None:
         self.unwatched = self._side.arm(True)
         self.master.reset_fault()  # of a connection lost before; a cause that stays is told
+        self._give_back("max_torque")  # an agent may have left its own
         self.master.enable()
-        if self.home is not None:
+        if search is not None:
+            for axis in self._axes:
+                self._set(axis, "homing_method", search)
+            self.master.home(timeout=SEARCHES)
+        elif self.home is not None:
             self.master.home(self.home)
             self.home = None
         wanted = {axis: round(place * self._units) for axis, place in positions.items()}
@@ -579,7 +685,11 @@ class PortLine:
             self.master.set_mode(Mode.PROFILE_POSITION)
             with self._gently():
                 self.master.move_to(wanted)
+        if search is not None:
+            self._forget()
         for axis in self._axes:
+            if "max_torque" in (self._rpdo.names or ()):
+                self._set(axis, "max_torque", self._side.port.upload(axis, "max_torque"))
             for name in ("target_position", "target_velocity", "target_torque"):
                 if name in (self._rpdo.names or ()):
                     value = self._at(axis) if name == "target_position" else 0
@@ -593,19 +703,28 @@ class PortLine:
             self._side.send()
             self._side.sample(self._period if pace.real else LOCK_STEP_PATIENCE)
 
+    def _forget(self) -> None:
+        """Begin a homing and interrupt it: a drive then has no reference (CiA 402-2, hm)."""
+        self.master.set_mode(Mode.HOMING)
+        self.master.control(ENABLED | C.NEW_SET_POINT)
+        self.master.control(ENABLED)
+        self.master.wait_until(
+            lambda word: bool(word & S.TARGET_REACHED and not word & REFERENCED), FORGETS,
+            "an interrupted homing takes the reference away",
+        )
+        for axis in self._axes:
+            self._set(axis, "homing_method", self._side.port.models[axis].homes_here)
+
     @contextmanager
     def _gently(self) -> Iterator[None]:
         """A share of the profile's speed and accelerations, as long as this lasts."""
-        port, kept = self._side.port, []
         for axis in self._axes:
             for name in PROFILE:
                 with suppress(SdoAbort, ValueError):
-                    value = port.upload(axis, name)
-                    port.write(axis, name, max(round(APPROACH * value), 1))
-                    kept.append((axis, name, value))
+                    value = self._side.port.upload(axis, name)
+                    self._set(axis, name, max(round(APPROACH * value), 1))
         yield
-        for axis, name, value in kept:
-            port.write(axis, name, value)
+        self._give_back(*PROFILE)
 
     def _at(self, axis: str) -> int:
         return int(self._side.port.upload(axis, "position_actual_value"))
@@ -705,12 +824,30 @@ class PortLine:
         """What a task looks at in its machine."""
         machine, names = self._machine, [*self._machine.drives]
         for axis, image in zip(self._axes, images, strict=True):
-            coupling = machine.couplings[names.index(axis)]
-            position = image["position_actual_value"] / self._units
-            machine._coordinates[0][int(coupling.qpos)] = position
+            n = names.index(axis)
+            if axis in self._home_at:
+                self._take_reference(axis, image, machine.axes[n], machine.couplings[n])
+            position = image["position_actual_value"] / self._units + self._shift[axis]
+            machine._coordinates[0][int(machine.couplings[n].qpos)] = position
         machine.data.qpos[:] = machine._coordinates[0]
         limited = (images["statusword"] & S.INTERNAL_LIMIT_ACTIVE).any()
         machine.world["step_ticks"], machine.world["limited_ticks"] = 1, limited
+
+    def _take_reference(self, axis: str, image: np.void, record: Any, coupling: Any) -> None:
+        """Torque of a drive that looks for its home, and where it has found it."""
+        record.torque = 1e-3 * float(image["torque_actual_value"]) * record.rated_torque
+        position, velocity = (
+            float(image[f"{name}_actual_value"]) / self._units for name in ("position", "velocity")
+        )
+        here = image["modes_of_operation_display"] == Mode.HOMING
+        if here and image["statusword"] & REFERENCED and not record.homed:
+            before, speed = self._last[axis]
+            moved = before + 0.5 * (speed + velocity) * self._period
+            self._shift[axis] = moved - position
+            place = (self._home_at[axis] + self._shift[axis]) * coupling.gear
+            record.zero_counts = round((place + record.home_offset) / record.rad_per_increment)
+            record.homed = 1
+        self._last[axis] = position + self._shift[axis], velocity
 
     def stop(self, error: BaseException) -> Stopped:
         """Quick stop of all drives and power off; -> why, which every further step raises."""
@@ -718,13 +855,13 @@ class PortLine:
             name = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{error}" or f"{error!r}"
             told = error if isinstance(error, Stopped) else Stopped("", name)
             self.stopped = told
-            steps = (
-                lambda: self.master.control(QUICK_STOP), self._side.send, self.master.quick_stop,
-                lambda: self.master.control(0), self._side.send, lambda: self._side.arm(False),
-            )
-            for act in steps:
-                with suppress(BaseException):  # Ctrl-C as well: a stop always stands
-                    act()
+            torque = partial(self._give_back, "max_torque")  # all of it, to brake
+            for act in (
+                torque, partial(self.master.control, QUICK_STOP), self._side.send,
+                self.master.quick_stop, partial(self.master.control, 0), self._side.send,
+                self._give_back, partial(self._side.arm, False),
+            ):
+                _insist(act)
         return self.stopped
 
     def close(self) -> None:

@@ -83,7 +83,7 @@ def environment(
     env: ServoEnv = kind(model, port=side, **given)
     assert isinstance(env.line, over_port.PortLine)
     env.line.home = home
-    if home is None:
+    if home is None and kind.REFERENCED:
         env.line.home = model.homes_here
         for axis in names:
             machine.drives[axis].write("home_offset", -round(places[axis] * env.units))

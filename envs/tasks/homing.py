@@ -106,6 +106,10 @@ def judge(episode, rpdos, tpdos, observation):
     observation.torque = clip(tpdo.torque_actual_value / episode._max_torque)
     observation.velocity_error = clip(behind / episode._max_velocity)
     position = tpdo.position_actual_value / METRE
+    if not episode._seen:
+        episode._seen = True
+        episode._power_on = episode._before = position
+        episode._on = episode._switch >= 0 and (inputs >> episode._switch & 1) != 0
     observation.displacement = clip((position - episode._power_on) / STROKE)
     observation.torque_limit = clip(2.0 * rpdos[0].max_torque / episode._max_torque - 1.0)
     observation.time = episode._time / (episode._time + DURATION)
@@ -221,10 +225,7 @@ the positive one; -1 the negative, 0 none |
     """
 
     ID = "servogym/Homing-v0"
-    MEMORY_ONLY = (
-        "its episodes begin with an axis that is not referenced and switches at random places; "
-        "`servogym homing` compares methods, and servogym.drive.master homes a real drive"
-    )
+    REFERENCED = False
     STEPS = 2000
     RPDO = ("target_velocity", "max_torque")
     TPDO = (
@@ -253,6 +254,7 @@ the positive one; -1 the negative, 0 none |
         ("_power_on", "f8"),  # position actual value (m)
         ("_switch", "i8"),  # bit of 60FDh; -1: none
         ("_on", "?"),
+        ("_seen", "?"),  # whether the first three are of the first look
         ("_edged", "?"),  # whether the switch has changed
         ("_edge", "f8"),  # position actual value of the last one (m)
         ("_limit", "f8"),  # limit switch met last: -1, 1, or 0
@@ -335,12 +337,17 @@ the positive one; -1 the negative, 0 none |
         start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
         offset = options.get("switch_offset", offset)
         offset = in_range("options['switch_offset']", offset, -0.02, 0.02, "m")
+        if self.on_a_bus:
+            offset = 0.0  # its switches are where they are
         coupling, x = self.machine.couplings[0], self.drive
         for ends, places in zip(
             (coupling.switch_from, coupling.switch_to), self._switches, strict=True
         ):
             ends[:] = places + offset
         x.write("max_torque", self._max_torque)  # an agent may have left its own
+        method, switch = REFERENCES[self.reference]
+        home = true_home(self.machine, method)
+        start = self.placed({"x": start}, (method, home))["x"]
         self.machine.reset(positions={"x": start})
         x.write("homing_method", self._here)
         master = Master(MachinePort(self.machine))
@@ -348,18 +355,15 @@ the positive one; -1 the negative, 0 none |
         master.enable()
         if self.face == PDO:
             master.control(0)
-        method, switch = REFERENCES[self.reference]
         episode = self.episode
-        prepare(self.machine, episode, true_home(self.machine, method))
+        prepare(self.machine, episode, home)
         episode.start = start
         episode._left = abs(start - episode._home)
         episode._step_time = self.step_time
         episode._mode = self.MODES[0]
         episode._max_velocity = self.max_velocity
         episode._max_torque = self._max_torque
-        episode._power_on = episode._before = x.read("position_actual_value") / METRE
         episode._switch = -1 if switch is None else switch
-        episode._on = switch is not None and x.read("digital_inputs") >> switch & 1
         episode._tolerance = self.tolerance
         self._part.rpdos["max_torque"] = self._max_torque
 

@@ -6,6 +6,7 @@ import math
 import shutil
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -26,11 +27,14 @@ from servogym.envs import TASKS
 from servogym.envs.environment.deployed import play
 from servogym.envs.exchange.envelope import Envelope, Stopped
 from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep
+from servogym.envs.masters.homing_figures import true_home
+from servogym.envs.serve import in_process
 from servogym.training.policies import make
 
 NAMES = {task.ID: task for task in TASKS}
-LINEAR, TRACKING, CONTOUR = (
+LINEAR, TRACKING, CONTOUR, HOMING = (
     "servogym/LinearAxis-v0", "servogym/LinearAxisTracking-v0", "servogym/GantryContour-v0",
+    "servogym/Homing-v0",
 )
 ENDLESS = 200.0  # s
 DRIVE = {"can": "generic", "ethercat": load("generic", "ethercat")}
@@ -144,7 +148,7 @@ BUSES = {"can": CanBus, "ethercat": EtherCatBus}
 
 
 @pytest.mark.parametrize("bus", BUSES)
-@pytest.mark.parametrize("task", [LINEAR, TRACKING, CONTOUR])
+@pytest.mark.parametrize("task", [LINEAR, TRACKING, CONTOUR, HOMING])
 @pytest.mark.parametrize("acting", ["at random", "by its reference"])
 def test_in_lock_step_an_episode_is_the_one_in_memory_byte_by_byte(bus, task, acting):
     drive = {"drive": DRIVE[bus]}
@@ -164,12 +168,74 @@ def test_in_lock_step_an_episode_is_the_one_in_memory_byte_by_byte(bus, task, ac
         observation, reward, ended, *_ = env.step(action)
         expected, wanted, over, *_ = plain.step(action)
         assert ended == over
-        if task != CONTOUR:  # whose reward is made of the true place of the tool
+        if ended:
+            break
+        if task not in (CONTOUR, HOMING):  # made of the true place of the tool, of the switch
             assert reward == wanted
     assert env.unwrapped.line.lost == 0
     served.passes = True
     env.close()
     assert all(drive.state is not State.OPERATION_ENABLED for drive in served.drives)
+
+
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("reference", ["home_switch", "negative_limit_switch", "stop"])
+def test_an_episode_of_homing_begins_enabled_without_a_reference_and_tells_the_error(
+    bus, reference, monkeypatch
+):
+    machines, made = [], in_process.made
+    given = {"reference": reference}
+    monkeypatch.setattr(in_process, "made", lambda *of: machines.append(made(*of)) or machines[-1])
+    env = in_process.environment(HOMING, bus, parameters=given)
+    (machine, _), = machines
+    drive, axis, coupling = machine.drives["x"], machine.axes[0], machine.couplings[0]
+    before = {name: drive.read(name) for name in ("homing_method", "max_torque")}
+    home = true_home(machine, env.homing_method)
+    for seed, start in ((5, 0.1), (6, 0.4)):
+        seen, info = env.reset(seed=seed, options={"start": start})
+        assert drive.state is State.OPERATION_ENABLED
+        assert not axis.homed
+        assert machine.data.qpos[coupling.qpos] == pytest.approx(info["start"], abs=20e-6)
+        assert info["start"] == pytest.approx(start, abs=1e-3)
+        policy, ended = make("search", env, seed), False
+        policy.reset(seen, info)
+        while not ended:
+            seen, _, ended, _, info = env.step(policy.act(seen))
+        assert info["attained"]
+        assert env.declared()
+        found = (axis.zero_counts * axis.rad_per_increment - axis.home_offset) / coupling.gear
+        assert info["error"] == pytest.approx(found - home, abs=20e-6)
+        assert 0.0 < info["greatest_torque"] <= 1.0
+    env.close()
+    assert drive.state is not State.OPERATION_ENABLED
+    assert before == {name: drive.read(name) for name in before}, "as it was found"
+
+
+def test_a_drive_that_cannot_find_the_true_home_is_refused_before_power():
+    env = in_process.environment(HOMING, "can")
+    model = env.line._side.port.models["x"]
+    others = tuple(number for number in model.homing_methods if number != 23)
+    env.line._side.port.models["x"] = replace(model, homing_methods=others)
+    with pytest.raises(ValueError, match="does not have the homing method 23"):
+        env.reset(seed=5)
+    assert env.line.master.state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(
+    ("rpdo", "said"),
+    [
+        (("target_position", "position_offset"), "position_offset, at which the guard does not"),
+        (("target_velocity", "velocity_offset"), "velocity_offset, at which the guard does not"),
+        (("target_position", "profile_velocity"), "profile_velocity, at which the guard does not"),
+        (("target_position", "target_velocity"), "the guard follows one of them"),
+    ],
+)
+def test_a_set_point_the_guard_does_not_look_at_is_refused(rpdo, said):
+    served = CanBus(LINEAR, 5)
+    with pytest.raises(ValueError, match=said):
+        type("Own", (NAMES[LINEAR],), {"RPDO": property(lambda self: rpdo, lambda self, it: None)})(
+            port=served.side()
+        )
 
 
 def alternating(k, space):

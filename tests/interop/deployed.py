@@ -18,8 +18,11 @@ from wire import say_where_it_hangs
 CAN = {"interface": "udp_multicast", "channel": "239.74.163.9"}
 TASKS = {
     "linear": "servogym/LinearAxis-v0", "tracking": "servogym/LinearAxisTracking-v0",
-    "contour": "servogym/GantryContour-v0",
+    "contour": "servogym/GantryContour-v0", "homing": "servogym/Homing-v0",
 }
+BUSES = ("can", "ethercat")
+REFERENCES = {"linear": "ruckig", "tracking": "feed_forward", "contour": "full_feed",
+              "homing": "search"}
 FAST, LOW, HIGH = 0.6, 0.05, 0.45  # envelope of the hostile policies: m/s, m
 QUIET = 5e-3  # m/s
 EPISODES = 12  # at most: one that creeps reaches an end from some of their starts
@@ -112,12 +115,12 @@ def side_on(bus, axes, lock_step=True, **arguments):
     import can
 
     from servogym.drive.wire.bus import CanPort
-    from servogym.drive.wire.soem import SoemMaster
+    from servogym.drive.wire.soem import TIMEOUT, SoemMaster
     from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep, Pace
 
     arguments["pace"] = LockStep() if lock_step else Pace()
     if bus == "ethercat":
-        master = SoemMaster("vb")
+        master = SoemMaster("vb", timeout=10.0 if lock_step else TIMEOUT)
         try:
             yield EtherCatDrives(master, axes, "generic", **arguments)
         finally:
@@ -208,6 +211,7 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
     _network()
     task = TASKS[task]
     kind, model, plain, axes = _made(task, bus)
+    home = home if kind.REFERENCED else None
     clock = "" if lock_step else {"can": "real", "ethercat": "frame"}[bus]
     deployed, stopped, times = [], "", {}
     with served(task, bus, clock), side_on(bus, axes, lock_step) as side:

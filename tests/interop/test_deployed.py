@@ -3,11 +3,9 @@
 import re
 
 import pytest
-from deployed import HOSTILE, TASKS
+from deployed import BUSES, HOSTILE, REFERENCES, TASKS
 from wire import on_the_wire
 
-BUSES = ("can", "ethercat")
-REFERENCES = {"linear": "ruckig", "tracking": "feed_forward", "contour": "full_feed"}
 SAMPLE = (
     "chatters 2", "NaN at 4", "words at 4", "raises SystemExit", "leaves at once", "kills itself",
     "holds the interpreter", "fills the memory", "creeps 0.2",
@@ -74,8 +72,9 @@ def same(bus, task, count):
 
 
 @pytest.mark.parametrize("bus", BUSES)
-def test_a_homing_the_ways_to_the_start_and_the_episodes_are_those_of_this_process(bus):
-    same(bus, "linear", 2)
+@pytest.mark.parametrize("task", ["linear", "homing"])
+def test_a_homing_the_ways_to_the_start_and_the_episodes_are_those_of_this_process(bus, task):
+    same(bus, task, 2)
 
 
 @pytest.mark.slow

@@ -205,6 +205,10 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
         given = needed(policy) | given
     given.setdefault("randomise", {})  # nothing draws the parameters of the machine on the bus
     options.given, options.twin = given, given.get("twin")
+    if options.home is not None and not kind.REFERENCED:
+        raise ValueError(
+            f"--home: {kind.ID} begins without a reference; the method it imitates finds the start"
+        )
     example = kind(load(options.drive, "ethercat" if options.ethercat else None), **given)
     axes = example.drive_names
     side = _side(options, axes, stack)
@@ -273,13 +277,15 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
         path.parent.mkdir(parents=True, exist_ok=True)
     if options.ethercat:
         from ...drive.wire.capture import Capture
-        from ...drive.wire.soem import SoemMaster
+        from ...drive.wire.soem import TIMEOUT, SoemMaster
+        from ...envs.exchange.over_port import LOCK_STEP_PATIENCE
 
         for path in frames:
             if path.suffix not in CAPTURES:
                 raise ValueError(f"--log {path}: frames of EtherCAT are kept as .pcapng")
             stack.callback(Capture(options.ethercat, path).close)
-        master = SoemMaster(options.ethercat)
+        patience = LOCK_STEP_PATIENCE if options.lock_step else TIMEOUT
+        master = SoemMaster(options.ethercat, timeout=patience)
         stack.callback(master.close)
         return EtherCatDrives(master, axes, options.drive, pace=pace)
     from ...drive.wire.bus import CanPort

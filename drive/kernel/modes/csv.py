@@ -37,6 +37,7 @@ def demand(axis: Axis):
         step = axis.quick_stop_deceleration * axis.position_period
         axis.velocity_demand -= min(max(axis.velocity_demand, -step), step)
         axis.interpolation_target_velocity = axis.velocity_demand
+        axis.interpolation_cycle = axis.interpolation_cycles  # what has been cut off does not go on
         axis.acceleration_demand = 0.0
         return
     arrived = axis.interpolation_cycle >= axis.interpolation_cycles
