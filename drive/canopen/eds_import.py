@@ -21,7 +21,16 @@ from ..kernel.words import MODE_ABBREVIATION, Mode, mode_bit
 from ..model.made import Made, Repair, check_place, line, write
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
-from ..model.rows import FORMATS, LAST_NODE, LENGTHS, SIZES, Cells, Object, read_cells
+from ..model.rows import (
+    FORMATS,
+    LAST_NODE,
+    LENGTHS,
+    SIZES,
+    Cells,
+    Object,
+    read_cells,
+    same_number,
+)
 from ..objects.abort import SdoAbort
 from ..statements import data_sheet
 from .sheet import Entry, Sheet, number, read_sheet
@@ -166,15 +175,15 @@ class _Import:
     def _take(self, entry: Entry) -> None:
         address = entry.index, entry.subindex
         shown = f"{entry.index:04X}h:{entry.subindex:02X} {line(entry.name)}"
-        data_type = self._data_type(entry)
+        known = self._known(entry)
+        data_type = self._data_type(entry, known)
         if data_type is None:
             self.result.left_out.append(shown)
             return
-        known = self._known(entry)
         field = self.cells[address][0]["field"] if known else ""
         if known is not None and data_type != known.data_type:
-            if _lower_bytes(data_type, known.data_type) and field:
-                pass
+            if field and self._is_number_of(data_type, known):
+                pass  # the same number in more or fewer bytes
             elif known.index in NEEDED or known.name in ("modes_of_operation", "target_position"):
                 self.sheet.tell(entry.line, entry.where, data_type, known.data_type,
                                 "the profile has it so, and nothing works without it")
@@ -187,7 +196,14 @@ class _Import:
         if known is None and not 0x1000 <= entry.index < 0x2000:
             self.result.unknown.append(shown)
 
-    def _data_type(self, entry: Entry) -> str | None:
+    def _is_number_of(self, data_type: str, known: Object) -> bool:
+        """Whether a number of the profile can stand in another type, with its sign."""
+        code = FORMATS[data_type]
+        if data_type == "BOOLEAN" or not same_number(code, known.format):
+            return False
+        return SIZES[code] == known.size or code.islower() or int(known.default) >= 0
+
+    def _data_type(self, entry: Entry, known: Object | None) -> str | None:
         """The name of the data type; None: the object is left out, which is told."""
         place = parameter_place(entry.index, entry.subindex)
         if place is not None:
@@ -206,8 +222,10 @@ class _Import:
             return usual or TYPES.get(entry.data_type)
         data_type = TYPES.get(entry.data_type)
         if data_type is None:
+            if known is not None and known.index in NEEDED:
+                data_type = known.data_type
             self.sheet.tell(entry.line, entry.where, f"data type {entry.data_type:02X}h",
-                            "left out", "there is no such type in CiA 301")
+                            data_type or "left out", "there is no such type in CiA 301")
         return data_type
 
     def _row(self, entry: Entry, data_type: str, known: Object | None) -> dict[str, Any]:
@@ -266,10 +284,10 @@ class _Import:
                 self.sheet.tell(entry.line, entry.where, entry.default, "0", "it is not a number")
                 row["default"] = "0"
             return
-        lowest, highest = _span(data_type)
-        default, per_node = self._number(entry, entry.default, data_type, "default value")
-        low, _ = self._number(entry, entry.low, data_type, "low limit")
-        high, _ = self._number(entry, entry.high, data_type, "high limit")
+        span = lowest, highest = _reach(data_type, known)
+        default, per_node = self._number(entry, entry.default, data_type, "default value", span)
+        low, _ = self._number(entry, entry.low, data_type, "low limit", span)
+        high, _ = self._number(entry, entry.high, data_type, "high limit", span)
         if low is not None and high is not None and (low > high or low == high == 0):
             self.sheet.tell(entry.line, entry.where, f"limits {low}..{high}", "none",
                             "no value lies in them")
@@ -277,9 +295,8 @@ class _Import:
         low = lowest if low is None else low
         high = highest if high is None else high
         if default is None:
-            factory = known.default if known is not None else 0
-            default = int(factory) if known is None or low <= factory <= high else 0  # type: ignore
-            default = min(max(default, low), high)
+            default = _held(int(known.default), data_type) if known is not None else 0
+            default = min(max(default if low <= default <= high else 0, low), high)
             per_node = known.per_node if known is not None else False
         elif per_node and default + LAST_NODE > highest:
             self.sheet.tell(entry.line, entry.where, f"{default} and the node-id", str(default),
@@ -290,14 +307,17 @@ class _Import:
                             "limits that have it", "a drive has its own default")
             low, high = min(low, default), max(high, default)
         allowed = ""
-        if known is not None and not per_node:
-            default, low, high, allowed = self._as_profile(entry, known, own, default, low, high)
+        if known is not None and not per_node and _held(default, known.data_type) == default:
+            default, low, high, allowed = self._as_profile(
+                entry, known, own, default, low, high, span
+            )
         row["min"] = allowed or (low if low != lowest else "")
         row["max"] = high if high != highest else ""
         row["default"] = f"{default:#x}+node_id" if per_node else str(default)
 
     def _as_profile(
-        self, entry: Entry, known: Object, own: Any, default: int, low: int, high: int
+        self, entry: Entry, known: Object, own: Any, default: int, low: int, high: int,
+        reach: tuple[int, int],
     ) -> tuple[int, int, int, str]:
         """The range as far as the profile knows the values; 0 often means that none was set."""
         span = _span(known.data_type)
@@ -308,7 +328,7 @@ class _Import:
         if not possible and not unset and (entry.low or entry.high):
             return default, low, high, ""  # the file knows more values than the profile
         if not possible:
-            factory = int(known.default)
+            factory = min(max(int(known.default), reach[0]), reach[1])
             self.sheet.tell(entry.line, entry.where, f"default {default}", str(factory),
                             f"{known.name} of the profile cannot be that")
             low, high, default = min(low, factory), max(high, factory), factory
@@ -321,9 +341,9 @@ class _Import:
         return default, low, high, ""
 
     def _number(
-        self, entry: Entry, text: str, data_type: str, what: str
+        self, entry: Entry, text: str, data_type: str, what: str, span: tuple[int, int]
     ) -> tuple[int | None, bool]:
-        """A number that the data type holds, None where there is none."""
+        """A number that the data type and the drive hold, None where there is none."""
         if not text:
             return None, False
         try:
@@ -333,20 +353,25 @@ class _Import:
                 entry.line, entry.where, f"{what} {text!r}", "none", "it is not a number"
             )
             return None, False
+        if span[0] <= value <= span[1]:
+            return value, per_node
         lowest, highest = _span(data_type)
         if lowest <= value <= highest:
-            return value, per_node
+            taken = min(max(value, span[0]), span[1])
+            self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(taken),
+                            f"the drive holds {span[0]}..{span[1]}")
+            return taken, per_node
         bits = 8 * SIZES[FORMATS[data_type]]
         if lowest < 0 <= value < 1 << bits:  # 65535 of an INTEGER16 is -1
-            signed = value - (1 << bits)
+            signed = max(value - (1 << bits), span[0])
             if not text.lower().startswith("0x"):
                 self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(signed),
                                 f"the bits of an {data_type}")
             return signed, per_node
         if lowest == 0 and -(1 << bits - 1) <= value < 0:
-            taken = value + (1 << bits)
+            taken = min(value + (1 << bits), span[1])
         else:
-            taken = min(max(value, lowest), highest)
+            taken = min(max(value, span[0]), span[1])
         self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(taken),
                         f"an {data_type} has {lowest}..{highest}")
         return taken, per_node
@@ -375,10 +400,12 @@ class _Import:
     def _set(self, index: int, subindex: int, value: int, why: str) -> None:
         """Another default for an object of the factor group."""
         row, entry = self.rows[index, subindex], self.sheet.entries[index, subindex]
+        value = _held(value, row["data_type"])
         self.sheet.tell(entry.line, entry.where, f"default {row['default']}", str(value), why)
         row["default"] = str(value)
-        if row["max"] != "" and value > row["max"]:
-            row["max"] = ""
+        for column, beyond in (("min", -1), ("max", 1)):
+            if isinstance(row[column], int) and beyond * (value - row[column]) > 0:
+                row[column] = ""
 
     def _factors(self) -> None:
         """What the file lacks of the factor group, or says as 1, falls back to the profile's."""
@@ -429,11 +456,12 @@ class _Import:
             return
         if not (self.rows[PERIOD, 1]["field"] and self.rows[PERIOD, 2]["field"]):
             return  # of another type: nothing follows from it
+        index = _held(index, "INTEGER8")
         if index <= 0 and value * 10.0**index <= LONGEST_PERIOD:
             return
         for subindex in (1, 2):
             usual = int(self.base.objects[PERIOD, subindex].default)
-            if self._default(PERIOD, subindex) != usual:
+            if (value, index)[subindex - 1] != usual:
                 self._set(
                     PERIOD, subindex, usual, f"nobody sends set-points every {value}e{index} s"
                 )
@@ -638,11 +666,19 @@ def _span(data_type: str) -> tuple[int, int]:
     return (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
 
 
-def _lower_bytes(data_type: str, of: str) -> bool:
-    """Whether values of a type may be the lower bytes of an object of the profile."""
-    code, known = FORMATS[data_type], FORMATS[of]
-    if not code or not known or "f" in (code, known):
-        return False
-    if SIZES[code] == SIZES[known]:
-        return True
-    return SIZES[code] < SIZES[known] and code.isupper()
+def _reach(data_type: str, known: Object | None) -> tuple[int, int]:
+    """What an object of a type can be, if the drive keeps it as the profile has it."""
+    low, high = _span(data_type)
+    if known is None or SIZES[FORMATS[data_type]] <= known.size:
+        return low, high
+    least, most = _span(known.data_type)
+    return max(low, least), min(high, most)
+
+
+def _held(value: int, data_type: str) -> int:
+    """A number of the profile in a type of the file: the same bits, or the nearest it has."""
+    low, high = _span(data_type)
+    bits = high - low + 1
+    if -bits // 2 <= value < bits:
+        return (value - low) % bits + low
+    return min(max(value, low), high)

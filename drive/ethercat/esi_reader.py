@@ -165,18 +165,24 @@ class _Reader:
         parser.Parse(data, True)
         return builder.close()
 
-    def _number(self, text: str | None, element: Any, what: str, otherwise: int = 0) -> int:
-        """``#x1C12``, ``0x1C12`` or ``7186``; what is none is told."""
+    def _number(
+        self, text: str | None, element: Any, what: str, otherwise: int = 0, bits: int = 16,
+        low: int = 0,
+    ) -> int:
+        """``#x1C12``, ``0x1C12`` or ``7186``; what is none, or has more bits, is told."""
         text = (text or "").strip()
         if not text:
             return otherwise
         try:
-            if text[:2].lower() in ("#x", "0x"):
-                return int(text[2:], 16)
-            return int(text)
+            prefixed = text[:2].lower() in ("#x", "0x")
+            value = int(text[2:], 16) if prefixed else int(text)
         except ValueError:
-            self.tell(element, what, text, otherwise, "it is not a number")
+            self.tell(element, what, text[:40], otherwise, "it is not a number")
             return otherwise
+        if not low <= value < 1 << bits:
+            self.tell(element, what, text[:40], otherwise, f"it is not in {low}..{(1 << bits) - 1}")
+            return otherwise
+        return value
 
     # ----------------------------------------------------------------- devices
 
@@ -242,12 +248,14 @@ class _Reader:
         physics = device.get("Physics") or ""
         by_kind = {manager.kind: manager for manager in managers}
         out, into = by_kind.get(1), by_kind.get(2)
-        size = self._number(device.findtext("Eeprom/ByteSize"), device, "Eeprom/ByteSize", 2048)
+        size = self._number(
+            device.findtext("Eeprom/ByteSize"), device, "Eeprom/ByteSize", 2048, 32
+        )
         return Description(
-            vendor_id=self._number(self.root.findtext("Vendor/Id"), self.root, "Vendor/Id"),
-            product_code=self._number(attributes.get("ProductCode"), kind, "ProductCode"),
-            revision_number=self._number(attributes.get("RevisionNo"), kind, "RevisionNo"),
-            serial_number=self._number(attributes.get("SerialNo"), kind, "SerialNo"),
+            vendor_id=self._number(self.root.findtext("Vendor/Id"), self.root, "Vendor/Id", 0, 32),
+            product_code=self._number(attributes.get("ProductCode"), kind, "ProductCode", 0, 32),
+            revision_number=self._number(attributes.get("RevisionNo"), kind, "RevisionNo", 0, 32),
+            serial_number=self._number(attributes.get("SerialNo"), kind, "SerialNo", 0, 32),
             name=_text(device, "Name") or _text(device, "Type"),
             order=_text(device, "Type"),
             group=_text(device, "GroupType") or "Drive",
@@ -295,8 +303,8 @@ class _Reader:
                 SyncManager(
                     self._number(sm.get("StartAddress"), sm, f"Sm {n}"),
                     self._number(sm.get("DefaultSize"), sm, f"Sm {n}"),
-                    self._number(sm.get("ControlByte"), sm, f"Sm {n}", CONTROL.get(kind, 0)),
-                    self._number(sm.get("Enable"), sm, f"Sm {n}", 1),
+                    self._number(sm.get("ControlByte"), sm, f"Sm {n}", CONTROL.get(kind, 0), 8),
+                    self._number(sm.get("Enable"), sm, f"Sm {n}", 1, 8),
                     kind,
                 )
             )
@@ -318,23 +326,27 @@ class _Reader:
         for line in element.iterfind("Entry"):
             bits = self._number(line.findtext("BitLen"), line, where)
             target = self._number(line.findtext("Index"), line, where)
-            subindex = self._number(line.findtext("SubIndex"), line, where)
+            subindex = self._number(line.findtext("SubIndex"), line, where, 0, 8)
             data_type = self._type(line, _text(line, "DataType"), bits, where) if target else 0
             entries.append(Entry(target, subindex, bits, data_type, _text(line, "Name")))
         return Pdo(
             index, _text(element, "Name"),
-            UNASSIGNED if manager is None else self._number(manager, element, where, UNASSIGNED),
+            UNASSIGNED if manager is None else self._number(
+                manager, element, where, UNASSIGNED, 8
+            ),
             _flag(element, "Fixed", FIXED), tuple(entries),
             tuple(self._number(e.text, e, where) for e in element.iterfind("Exclude")),
         )
 
     def _mode(self, element: ElementTree.Element) -> DcMode:
         def number(path: str) -> int:
-            return self._number(element.findtext(path), element, f"OpMode {path}")
+            return self._number(element.findtext(path), element, f"OpMode {path}", 0, 31, -1 << 31)
 
         def factor(path: str) -> int:
             found = element.find(path)
-            return 0 if found is None else self._number(found.get("Factor"), found, path)
+            return 0 if found is None else self._number(
+                found.get("Factor"), found, path, 0, 15, -1 << 15
+            )
 
         return DcMode(
             _text(element, "Name"), number("AssignActivate"), number("CycleTimeSync0"),

@@ -167,9 +167,10 @@ def _pdos(pdos: tuple[Pdo, ...], number) -> bytes:
 
 
 def unpack(image: bytes) -> Description:
-    """What an image says. Raises ValueError with the place where it cannot be right."""
+    """What an image says. Raises ValueError with the word at which it cannot be right."""
     if len(image) < CATEGORIES + 2:
-        raise ValueError(f"an SII image has {CATEGORIES + 2} bytes or more, not {len(image)}")
+        raise ValueError(f"word {len(image) // 2:04X}h: the SII ends here, it has "
+                         f"{CATEGORIES + 2} bytes or more")
     (
         pdi_control, pdi_configuration, _, _, alias, check,
         vendor, product, revision, serial, _, _, _, _,
@@ -177,15 +178,17 @@ def unpack(image: bytes) -> Description:
         out, out_length, in_, in_length, protocols, size, version,
     ) = _FIXED.unpack_from(image)
     if check & 0xFF != checksum(image[:CONFIGURED]):
-        raise ValueError(
-            f"checksum {check & 0xFF:02X}h of the SII, not {checksum(image[:CONFIGURED]):02X}h"
-        )
-    found = _split(image)
-    texts = _texts(found.get(Category.STRINGS, b"\0"))
+        raise ValueError(f"word {CONFIGURED // 2:04X}h: checksum {check & 0xFF:02X}h of the SII, "
+                         f"not {checksum(image[:CONFIGURED]):02X}h")
+    places = _split(image)
+    found = {kind: image[at:end] for kind, (at, end) in places.items()}
+    texts = _texts(image, *places.get(Category.STRINGS, (0, 0)))
 
     def text(number: int) -> str:
         if number > len(texts):
-            raise ValueError(f"string {number} of {len(texts)} in the SII")
+            at = places.get(Category.STRINGS, (CATEGORIES, 0))[0]
+            raise ValueError(f"word {at // 2:04X}h: {len(texts)} strings of the SII, and string "
+                             f"{number} is named")
         return texts[number - 1] if number else ""
 
     general = _GENERAL.unpack_from(found.get(Category.GENERAL, b"").ljust(_GENERAL.size, b"\0"))
@@ -214,8 +217,8 @@ def unpack(image: bytes) -> Description:
                 _SYNC_MANAGER, found.get(Category.SYNC_MANAGER, b"")
             )
         ),
-        tpdos=_parse_pdos(found.get(Category.TXPDO, b""), text),
-        rpdos=_parse_pdos(found.get(Category.RXPDO, b""), text),
+        tpdos=_parse_pdos(image, *places.get(Category.TXPDO, (0, 0)), text),
+        rpdos=_parse_pdos(image, *places.get(Category.RXPDO, (0, 0)), text),
         dc_modes=tuple(
             DcMode(text(label), activate, cycle, shift0, shift1, factor0, factor1)
             for cycle, shift0, shift1, factor1, activate, factor0, label, _ in _each(
@@ -235,32 +238,35 @@ def unpack(image: bytes) -> Description:
     )
 
 
-def _split(image: bytes) -> dict[int, bytes]:
-    found: dict[int, bytes] = {}
+def _split(image: bytes) -> dict[int, tuple[int, int]]:
+    """Begin and end of each category's content."""
+    found: dict[int, tuple[int, int]] = {}
     at = CATEGORIES
     while True:
+        where = f"word {at // 2:04X}h"
         if at + 2 > len(image):
-            raise ValueError("the SII has no end FFFFh")
+            raise ValueError(f"{where}: the SII has no end FFFFh")
         (kind,) = struct.unpack_from("<H", image, at)
         if kind == END:
             return found
         if at + 4 > len(image):
-            raise ValueError(f"category {kind} of the SII has no length")
+            raise ValueError(f"{where}: category {kind} of the SII has no length")
         (words,) = struct.unpack_from("<H", image, at + 2)
-        content = image[at + 4 : at + 4 + 2 * words]
-        if len(content) < 2 * words:
-            raise ValueError(f"category {kind} of the SII goes beyond its end")
-        found[kind] = content
-        at += 4 + 2 * words
+        end = at + 4 + 2 * words
+        if end > len(image):
+            raise ValueError(f"{where}: category {kind} of the SII goes beyond its end")
+        found[kind] = at + 4, end
+        at = end
 
 
-def _texts(content: bytes) -> list[str]:
-    texts, at = [], 1
-    for _ in range(content[0] if content else 0):
-        if at >= len(content) or at + 1 + content[at] > len(content):
-            raise ValueError("the strings of the SII go beyond their category")
-        texts.append(content[at + 1 : at + 1 + content[at]].decode("latin-1"))
-        at += 1 + content[at]
+def _texts(image: bytes, at: int, end: int) -> list[str]:
+    texts, count = [], image[at] if at < end else 0
+    at += 1
+    for _ in range(count):
+        if at >= end or at + 1 + image[at] > end:
+            raise ValueError(f"word {at // 2:04X}h: strings of the SII go beyond their category")
+        texts.append(image[at + 1 : at + 1 + image[at]].decode("latin-1"))
+        at += 1 + image[at]
     return texts
 
 
@@ -268,20 +274,20 @@ def _each(code: struct.Struct, content: bytes):
     return code.iter_unpack(content[: len(content) // code.size * code.size])
 
 
-def _parse_pdos(content: bytes, text) -> tuple[Pdo, ...]:
-    pdos, at = [], 0
-    while at + _PDO.size <= len(content):
-        index, count, manager, _, name, flags = _PDO.unpack_from(content, at)
-        at += _PDO.size
-        end = at + count * _ENTRY.size
-        if end > len(content):
-            raise ValueError(f"PDO {index:04X}h of the SII goes beyond its category")
+def _parse_pdos(image: bytes, at: int, end: int, text) -> tuple[Pdo, ...]:
+    pdos = []
+    while at + _PDO.size <= end:
+        index, count, manager, _, name, flags = _PDO.unpack_from(image, at)
+        at, behind = at + _PDO.size, at + _PDO.size + count * _ENTRY.size
+        if behind > end:
+            raise ValueError(f"word {at // 2:04X}h: PDO {index:04X}h of the SII goes beyond its "
+                             "category")
         entries = tuple(
             Entry(i, s, bits, data_type, text(label))
-            for i, s, label, data_type, bits, _ in _ENTRY.iter_unpack(content[at:end])
+            for i, s, label, data_type, bits, _ in _ENTRY.iter_unpack(image[at:behind])
         )
         pdos.append(Pdo(index, text(name), manager, flags, entries))
-        at = end
+        at = behind
     return tuple(pdos)
 
 

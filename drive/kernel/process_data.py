@@ -32,7 +32,8 @@ PDO = np.dtype(
         ("mapping", "<u4", (ENTRIES,)),  # index << 16 | subindex << 8 | bits
         ("valid", "u1"),
         ("offset", "<i4", (ENTRIES,)),  # in the AXIS record (byte)
-        ("length", "<i4", (ENTRIES,)),  # (byte)
+        ("length", "<i4", (ENTRIES,)),  # of the entry (byte)
+        ("held", "<i4", (ENTRIES,)),  # of the value in the record (byte), < 0: it has a sign
         ("width", "<i4"),  # of the PDO (byte)
         ("bounded", "u1"),  # some entries have a range of their own
         ("low", "<i8", (ENTRIES,)),  # least and greatest value that is taken over
@@ -113,19 +114,22 @@ def collect(bytes_of_axis, tpdos, image, at):
 def move(source, target, pdo, at, latching):
     """Copy one PDO between the objects of an axis and its place `at` in an image.
 
-    When `latching`, from the image to the objects, else the other way.
-    -> place behind it, if the image were that long.
+    When `latching`, from the image to the objects, else the other way. What is longer where it goes
+    gets zeros or its sign in front. -> place behind it, if the image were that long.
     """
     objects, image = (len(target), len(source)) if latching else (len(source), len(target))
     for e in range(min(pdo.count, ENTRIES)):
         offset, length = pdo.offset[e], max(pdo.length[e], 0)
-        fits = 0 <= offset <= objects - length and at + length <= image
+        held = abs(pdo.held[e])
+        fits = 0 <= offset <= objects - held and at + length <= image and min(length, held) > 0
         if fits and latching and pdo.bounded:
             fits = within(source, at, length, pdo.low[e], pdo.high[e])
         if fits:
             begin, end = (at, offset) if latching else (offset, at)
-            for b in range(length):
-                target[end + b] = source[begin + b]
+            given, taken = (length, held) if latching else (held, length)
+            minus = pdo.held[e] < 0 and source[begin + given - 1] & 0x80
+            for b in range(taken):
+                target[end + b] = source[begin + b] if b < given else 0xFF * (minus != 0)
         at += length
     return at
 

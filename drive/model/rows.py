@@ -79,6 +79,7 @@ class Object:
     per_node: bool = False  # the node-id is added to the default
     where: str = ""  # file and line it was read from
     possible: tuple[int, ...] = ()  # values that its hook lets through, told to who writes another
+    stored: str = ""  # format of its bytes in the record, where they are more or fewer
 
     @property
     def format(self) -> str:
@@ -94,6 +95,17 @@ class Object:
     def code(self) -> struct.Struct:
         """The value as bytes, little-endian; of no size for strings."""
         return struct.Struct("<" + self.format)
+
+    @cached_property
+    def held(self) -> struct.Struct:
+        """The value as the bytes in the drive's memory."""
+        return struct.Struct(f"<{self.stored or self.format}")
+
+    def shown(self, value: int) -> int:
+        """A value of the drive's memory as a number of the data type: its lower bytes."""
+        bits = 8 * self.size
+        value &= (1 << bits) - 1
+        return value - (1 << bits) if self.format.islower() and value >> bits - 1 else value
 
     @property
     def length(self) -> int:
@@ -301,7 +313,7 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
                 raise ValueError(
                     f"{where}: {column} {row[column]!r} is unknown, use one of {', '.join(known)}"
                 )
-        size = SIZES[FORMATS[row["data_type"]]]
+        size, stored = SIZES[FORMATS[row["data_type"]]], ""
         place = parameter_place(index, subindex) if row["access"] != "const" else None
         if place == ("constant", 0) and row["access"] in ("rw", "wo"):  # reserved, yet written to
             place = None
@@ -310,11 +322,11 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
             pass
         elif row["field"].startswith("@"):  # another name for the bytes of an earlier row
             other = objects.get(address(row["field"][1:], where))
-            if other is None or other.size != size:
+            if other is None or other.size != size or other.stored:
                 raise ValueError(f"{where}: {row['field']} is not an earlier row of this size")
             area, offset = other.area, other.offset
         elif row["field"]:
-            offset = _field_offset(row["field"], row["data_type"], where)
+            offset, stored = _field(row["field"], row["data_type"], where)
         elif not FORMATS[row["data_type"]] or row["access"] == "const":
             area = "constant"
         else:
@@ -323,7 +335,7 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
             area = "axis" if fits else "more"
             offset = (record if fits else more).take(size, where)
             mapped -= _own_size((index, subindex), row) if row["pdo"] else 0
-        objects[index, subindex] = _object(row, where, index, subindex, area, offset)
+        objects[index, subindex] = _object(row, where, index, subindex, area, offset, stored)
         names.add(row["name"])
     return objects
 
@@ -355,11 +367,13 @@ def _own_size(address: tuple[int, int], row: dict[str, str]) -> int:
     return SIZES[code] + SIZES[code] - 1 if own and parameter_place(*address) is None else 0
 
 
-def _object(row, where, index, subindex, area, offset) -> Object:
+def _object(row, where, index, subindex, area, offset, stored) -> Object:
     code = FORMATS[row["data_type"]]
     allowed = None
     default, plus, _ = row["default"].partition("+node_id")
     low, high = _type_range(code)
+    if stored:
+        low, high = max(low, _type_range(stored)[0]), min(high, _type_range(stored)[1])
     if row["min"].startswith("{"):
         allowed = _set(row["min"], where)
     elif row["min"]:
@@ -383,6 +397,7 @@ def _object(row, where, index, subindex, area, offset) -> Object:
         index, subindex, row["name"], row["object_type"], row["data_type"], row["access"],
         row["pdo"], row["unit"], low, high, allowed, default, row["storable"] == "yes",
         row["section"], row["note"], area, offset, row["when"], hook, bool(plus), where,
+        stored=stored,
     )
 
 
@@ -424,8 +439,11 @@ def _type_range(code: str) -> tuple[float, float]:
     return float(info.min), float(info.max)
 
 
-def _field_offset(field: str, data_type: str, where: str) -> int:
-    """Byte offset of `name` or `name[i]` in the `od` half of the record."""
+def _field(field: str, data_type: str, where: str) -> tuple[int, str]:
+    """Byte offset of `name` or `name[i]` in the `od` half of the record, and its format.
+
+    The format is empty where the object has as many bytes.
+    """
     match = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", field)
     if not match or match[1] not in OD.fields:  # type: ignore[operator]
         raise ValueError(f"{where}: the record has no field od.{field}")
@@ -433,16 +451,16 @@ def _field_offset(field: str, data_type: str, where: str) -> int:
     base, shape = kind.base, kind.shape
     if bool(shape) != bool(match[2]) or (shape and int(match[2]) >= shape[0]):
         raise ValueError(f"{where}: od.{match[1]} has the shape {shape}, not {field!r}")
-    if not _fits(np.dtype("<" + FORMATS[data_type]), base):
+    code = FORMATS[data_type]
+    if not same_number(code, base.char) and np.dtype(f"<{code}") != base:
         raise ValueError(f"{where}: od.{match[1]} is {base.name}, not {data_type}")
-    return offset + int(match[2] or 0) * base.itemsize
+    stored = "" if SIZES[code] == base.itemsize else base.char
+    return offset + int(match[2] or 0) * base.itemsize, stored
 
 
-def _fits(kind: np.dtype, field: np.dtype) -> bool:
-    """Whether an object's bytes may be the lower bytes of a field: integers, no wider ones."""
-    narrower = kind.kind == "u" and field.kind in "iu" and kind.itemsize < field.itemsize
-    same_size = kind.kind in "iu" and field.kind in "iu" and kind.itemsize == field.itemsize
-    return kind == field or narrower or same_size
+def same_number(code: str, other: str) -> bool:
+    """Whether two formats are whole numbers of at most 32 bits: one can stand for the other."""
+    return {code, other} <= {*"BbHhIi"}
 
 
 def read_faults(path: Path, variant: str = "") -> tuple[Fault, ...]:

@@ -206,12 +206,21 @@ def _mapping(od: Dictionary, row: Object, value: int) -> Abort:
 
 def _range(row: Object | None) -> tuple[int, int]:
     """What process data may bring to the model's own bytes, which no cycle limits: as SDO."""
+    if row is not None and row.stored:  # a value that the record does not hold is not taken over
+        own, other = np.iinfo(f"<{row.stored}"), np.iinfo(f"<{row.format}")
+        return max(int(own.min), int(other.min)), min(int(own.max), int(other.max))
     if row is None or row.area != "axis" or row.offset < VENDOR or row.format in "fQq":
         return ANYTHING
     values = row.allowed or (row.minimum, row.maximum)
     low, high = int(min(values)), int(max(values))
     info = np.iinfo("<" + row.format)
     return ANYTHING if (low, high) == (info.min, info.max) else (low, high)
+
+
+def _held(row: Object, receive: bool) -> int:
+    """Bytes of a value in the record, < 0 where what is put in front of it is its sign."""
+    signed = (row.format if receive else row.stored).islower()
+    return -row.held.size if signed else row.held.size
 
 
 def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> tuple[int, Abort]:
@@ -233,7 +242,7 @@ def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> 
 def _compile(od: Dictionary, pdo, receive: bool, count: int, fixed: bool = False) -> Abort:
     if count > ENTRIES:
         return Abort.PDO_LENGTH
-    offsets, lengths, ranges = [], [], []
+    offsets, lengths, ranges, held = [], [], [], []
     for mapping in pdo.mapping[:count].tolist():
         offset, abort = _target(od, receive, mapping, exact=not fixed)
         if abort:
@@ -241,11 +250,13 @@ def _compile(od: Dictionary, pdo, receive: bool, count: int, fixed: bool = False
         offsets.append(offset)
         lengths.append((mapping & 0xFF) // 8)
         slot = od.slots.get(mapping_entry(mapping)[:2])
-        ranges.append(_range(slot.row if slot is not None and offset != DUMMY else None))
+        row = slot.row if slot is not None and offset != DUMMY else None
+        ranges.append(_range(row))
+        held.append(_held(row, receive) if row is not None and row.stored else lengths[-1])
     if sum(lengths) * 8 > MAX_BITS and not fixed:
         return Abort.PDO_LENGTH
     pdo.offset[:count] = offsets
-    pdo.length[:count] = lengths
+    pdo.length[:count], pdo.held[:count] = lengths, held
     pdo.low[:count], pdo.high[:count] = zip(*ranges, strict=True) if ranges else ((), ())
     pdo.bounded = any(range_ != ANYTHING for range_ in ranges)
     pdo.width = sum(lengths)

@@ -37,7 +37,7 @@ def kept_bytes(model: DriveModel) -> np.ndarray:
     """Where in the record the storable objects of a model are, and what 2100h sets."""
     od = AXIS.fields["od"][1]  # type: ignore[index]
     spans = [
-        (row.offset, row.size)
+        (row.offset, row.held.size)
         for row in all_objects(model)
         if row.storable and row.area == "axis" and row.format
     ]

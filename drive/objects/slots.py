@@ -49,12 +49,13 @@ class Slot:
         """The value as it stands."""
         if self.view is None:
             return self.row.default
-        return self.code.unpack_from(self.view, self.offset)[0]
+        value = self.row.held.unpack_from(self.view, self.offset)[0]
+        return self.row.shown(value) if self.row.stored else value
 
     def put(self, value: int | float) -> None:
         """Store a checked value."""
         assert self.view is not None
-        self.code.pack_into(self.view, self.offset, value)
+        self.row.held.pack_into(self.view, self.offset, value)
 
     @property
     def accepts(self) -> str:

@@ -74,7 +74,7 @@ def read(file: str | Path) -> Iterator[Packet]:
     """The frames of a capture, whoever made it.
 
     Raises:
-        ValueError: no capture of Ethernet frames, or cut off; tells where.
+        ValueError: no capture of Ethernet frames, or cut off; tells the byte.
         OSError: it cannot be opened.
     """
     regular(file)
@@ -83,10 +83,10 @@ def read(file: str | Path) -> Iterator[Packet]:
         stream.seek(0)
         try:
             yield from _classic(stream) if head in CLASSIC else _blocks(stream)
-        except struct.error:
-            raise ValueError(f"{file}: cut off at byte {stream.tell()}") from None
+        except (struct.error, IndexError):
+            raise ValueError(f"{file}, byte {stream.tell()}: cut off") from None
         except ValueError as error:
-            raise ValueError(f"{file}: {error}") from None
+            raise ValueError(f"{file}, byte {stream.tell()}: {error}") from None
 
 
 def _classic(stream: BinaryIO) -> Iterator[Packet]:
@@ -104,7 +104,7 @@ def _classic(stream: BinaryIO) -> Iterator[Packet]:
 def _read(stream: BinaryIO, length: int) -> bytes:
     """So many bytes, or what there is. Raises ValueError for more than memory shall be held for."""
     if length > LONGEST:
-        raise ValueError(f"{length} bytes before byte {stream.tell()}: at most {LONGEST} at once")
+        raise ValueError(f"{length} bytes follow, at most {LONGEST} at once")
     return stream.read(length)
 
 

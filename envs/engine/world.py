@@ -133,5 +133,5 @@ def mapped(places: Mapping[int, int]) -> np.ndarray:
     pdo = process_data.make(1)
     pdo["valid"], pdo["count"], pdo["width"] = 1, len(places), sum(places.values())
     pdo["offset"][0, : len(places)] = [*places]
-    pdo["length"][0, : len(places)] = [*places.values()]
+    pdo["length"][0, : len(places)] = pdo["held"][0, : len(places)] = [*places.values()]
     return pdo
