@@ -21,6 +21,7 @@ from ..engine.machine import Machine
 POSES = 17  # places on the joint's range where its load is looked at
 PEAK = 0.8  # share of the highest torque that a profile may ask for (inferred)
 FAST = 0.9  # share of the highest speed (inferred)
+HALF = 0.5  # of the no-load speed, where a winding gives the most power, at half the stall torque
 
 
 @dataclass(frozen=True)
@@ -111,8 +112,8 @@ class Motor:
 
     @property
     def speed(self) -> float:
-        """Highest speed (rad/s) that has rated torque."""
-        share = max(1.0 - self.rated / self.stall, 0.0)
+        """Highest speed (rad/s) that has rated torque, or the most power if that is less."""
+        share = max(1.0 - self.rated / self.stall, HALF)
         return self.limit if math.isinf(self.no_load) else min(self.limit, share * self.no_load)
 
     def torque(self, speed: float) -> float:
@@ -123,7 +124,7 @@ class Motor:
 
     def __str__(self) -> str:
         speed = self.speed * 30 / math.pi
-        return f"{self.rated:.3g} Nm, {self.highest:.3g} Nm at most, {speed:.0f} 1/min"
+        return f"{self.rated:.3g} Nm, {self.torque(0.0):.3g} Nm at most, {speed:.0f} 1/min"
 
 
 def motor_of(drive: Drive) -> Motor:
@@ -181,9 +182,12 @@ def first(ascending: Sequence[float], takes: Callable[[float], bool]) -> float |
 
 
 def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:
-    """A profile as far as the motor follows it; homing stops behind a switch as soon as wanted."""
+    """A profile as far as the motor follows it; homing stops behind a switch as soon as wanted.
+
+    The acceleration is 0 where it cannot break away.
+    """
     velocity = min(wanted.velocity, FAST * motor.speed)
-    highest = load.acceleration(PEAK * motor.torque(velocity), velocity)
+    highest = max(load.acceleration(PEAK * motor.torque(velocity), velocity), 0.0)
     acceleration = min(wanted.acceleration, highest)
     stop = load.acceleration(0.5 * (1 + PEAK) * motor.torque(velocity), 0.0)
     homing = min(wanted.homing_acceleration, 0.5 * highest)

@@ -37,7 +37,7 @@ from .loops import (
     ranges,
 )
 from .shaft import plant_at_shaft
-from .sizing import Load, Motor, Profile, load_of, motor_of, possible
+from .sizing import PEAK, Load, Motor, Profile, load_of, motor_of, possible
 
 A = 3.0  # larger is softer and better damped
 SEPARATION = 4.0  # velocity crossover over position gain
@@ -155,6 +155,8 @@ def tuned(
     motor, load = motor_of(drive), load_of(machine, name, inertia)
     _bears(drive, motor, load)
     can = possible(load, motor, wanted)
+    if can.acceleration <= 0.0:
+        raise Unmovable(_too_weak(drive, motor, load))
     # what friction and a wrong inertia leave to the controller
     left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
     told = _told(drive, inertia, motor_side)
@@ -228,6 +230,17 @@ def _missing(plants: Sequence[Seen], drive: Drive) -> str:
             out.append(f"{name} = {value * unit:.3g} is out of range {limits}")
     would = "a lower gear ratio" if light else "a stiffer transmission or a higher gear ratio"
     return ", ".join([*out, f"{would} would do"])
+
+
+def _too_weak(drive: Drive, motor: Motor, load: Load) -> str:
+    """A voltage that drives less torque than the load needs to break away and to travel."""
+    needed, ratio = load.peak(0.0, 0.0), load.peak(0.0, 0.0) / (PEAK * motor.torque(0.0))
+    return (
+        f"the DC link of drive {drive.model.name!r} drives {motor.torque(0.0):.3g} Nm at most "
+        f"through the winding, and this load needs {needed:.3g} Nm to break away: a higher "
+        "dc_link_voltage, less motor_resistance or supply_resistance, or a gear ratio "
+        f"{max(math.ceil(10 * ratio) / 10, 1.1):g} times as high would do"
+    )
 
 
 def _bears(drive: Drive, motor: Motor, load: Load) -> None:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from delivered import PLANTS, moves
 
 from servogym.drive.kernel.words import Limit, Mode
 from servogym.drive.master import Master
@@ -153,3 +154,23 @@ def test_a_motor_from_its_parameters_is_sized_with_its_curve():
         master.enable()
         master.home()
         master.move_to(0.45)
+
+
+OWN = {"dc_link_voltage": 48.0, "motor_torque_constant": KT, "motor_resistance": R}
+
+
+@pytest.mark.parametrize(
+    "weak", [{"supply_resistance": 1.0, "payload": 10.0}, {"dc_link_voltage": 20.0},
+             {"supply_resistance": 3.0, "mechanics": "toothed_belt"}], ids=str,
+)
+def test_a_supply_below_the_rated_torque_still_moves_the_axis(weak):
+    """Its profile velocity was 0: enabled, and homing for ever."""
+    machine = linear_axis(**OWN | weak)
+    machine.reset(positions={"x": 0.12})
+    moves(machine, PLANTS["rigid"])
+
+
+def test_a_supply_too_weak_to_break_away_is_refused_with_what_would_do():
+    own = OWN | {"supply_resistance": 6.0, "coulomb_friction": 30.0, "static_friction": 36.0}
+    with pytest.raises(ValueError, match=r"0\.343 Nm at most .* needs 0\.\d* Nm to break away"):
+        linear_axis(**own, mechanics="toothed_belt")
