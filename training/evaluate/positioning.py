@@ -56,6 +56,7 @@ CHANGED_PAYLOAD = 5.0  # kg
 SPRING = "spring_load"  # the axis of the task with a swinging load
 INFORMED = "informed_"  # begins the name of what is no rival
 TOLERANCE = 50e-6  # m
+NOTED = 1e-3  # s, of a settling time: less is not worth a sentence
 FIGURES = {  # name in the CSV: metric
     "settling_s": "settling_time",
     "overshoot_um": "overshoot",
@@ -208,14 +209,14 @@ def sentences(means: Means) -> list[str]:
                 settles = of("settled", mechanics, payload, NOMINAL, s) == 1.0
                 if settles and np.all(np.isfinite([*there, here])):
                     costs[s] = max(there) - here
-            if len(costs) > 1 and max(costs.values()) > 0.0:
+            if len(costs) > 1 and max(costs.values()) >= NOTED:
                 calm, touchy = (
                     min(costs, key=lambda s: costs[s]),
                     max(costs, key=lambda s: costs[s]),
                 )
                 told.append(
                     f"{what} costs `{touchy}` on {mechanics} with {payload:g} kg up to "
-                    f"{1e3 * costs[touchy]:.0f} ms, and `{calm}` {1e3 * costs[calm]:.0f} ms."
+                    f"{round(1e3 * costs[touchy])} ms, and `{calm}` {round(1e3 * costs[calm])} ms."
                 )
     return told
 
