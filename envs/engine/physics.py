@@ -7,6 +7,7 @@ Where arrays lie in its structs, what a step is made of and which functions the 
 what MuJoCo promises, and may change with a release. So one that was not tested is refused.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +79,20 @@ mj_solve_m: Any = _solve_in_python
 mj_get_state: Any = _get_in_python
 mj_set_state: Any = _set_in_python
 _stepping: list[Any] = [_in_python(name) for name in STEPPING]
+
+
+def refuse_incomplete(names: Iterable[str]) -> None:
+    """Raise ImportError where MuJoCo's library lacks a function; a call of it would end Python."""
+    if missing := [name for name in names if llvmlite.binding.address_of_symbol(name) is None]:
+        raise ImportError(
+            f"the library of MuJoCo {mujoco.__version__} has no {', '.join(missing)}: "
+            f"pip install 'mujoco=={TESTED}.*'"
+        )
+
+
 if not jit.DISABLED:
     llvmlite.binding.load_library_permanently(LIBRARY)
+    refuse_incomplete([*STEPPING, "mj_solveM", "mj_getState", "mj_setState"])
     pair = types.void(types.intp, types.intp)
     _stepping = [types.ExternalFunction(name, pair) for name in STEPPING]
     mj_solve_m = types.ExternalFunction(

@@ -37,6 +37,8 @@ bench --repeat -3
 bench --repeat many
 bench --drive nothing
 bench --envs --drive nothing
+bench --workers 0
+bench --workers -1
 bench --out there
 drives nothing
 drives FILE
@@ -52,6 +54,8 @@ node --node-id 1 --node-id 1
 node -i nothing
 node -i socketcan -c nothing0
 node -b fast
+node -b 0 -i virtual
+node -b -1 -i virtual
 node --log FILE/run.log -i virtual
 node --log . -i virtual
 node --drive kollmorgen_akd -i virtual
@@ -65,7 +69,10 @@ ethercat --udp 999.1.1.1
 ethercat --udp 127.0.0.2 --clock sundial
 ethercat --udp 127.0.0.2 --slaves 0
 ethercat --udp 127.0.0.2 --slaves two
+ethercat --udp 127.0.0.2 --seed -1
 ethercat --udp 127.0.0.2 --fault nonsense
+serve LinearAxis-v0 --seed -1 -i virtual
+serve LinearAxis-v0 --node-id 0 -i virtual
 ethercat --udp 127.0.0.2 --fault drop at=never
 ethercat --udp 127.0.0.2 --drive nothing
 ethercat --udp 127.0.0.2 --drive festo_cmms
@@ -236,6 +243,7 @@ benchmark positioning --out FILE
 tune --amplitude 0
 tune --amplitude nan
 tune --seed -1
+bode --seed -1
 tune --out FILE
 tune --gear 3
 tune robot.xml

@@ -38,3 +38,8 @@ def test_a_command_tells_it_in_a_line():
     (line,) = done.stderr.splitlines()
     assert done.returncode == 2
     assert "MuJoCo 4.1.0 is not 4.0" in line
+
+
+def test_a_library_without_a_function_is_refused_before_it_is_called():
+    with pytest.raises(ImportError, match=r"has no mj_stepTwice: pip install 'mujoco==4\.0\.\*'"):
+        physics.refuse_incomplete(["mj_step", "mj_stepTwice"])

@@ -84,4 +84,4 @@ def test_noise_in_a_record_ends_no_process():
 @pytest.mark.slow
 @pytest.mark.parametrize("model", model_names())
 def test_noise_in_a_record_ends_no_process_long(model):
-    run(20_000, model)
+    run(8_000, model)

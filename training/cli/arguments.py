@@ -50,6 +50,18 @@ def real_time(options: argparse.Namespace, console: Console) -> None:
             console.print(f"without {' and '.join(missing)}", highlight=False)
 
 
+def add_seed(parser: argparse.ArgumentParser, of: str) -> None:
+    """Add ``--seed``, which is 0 if it is not given."""
+    parser.add_argument("--seed", type=_seed, default=0, help=f"seed of {of} (0)")
+
+
+def _seed(text: str) -> int:
+    """Parse what NumPy takes as a seed."""
+    if not text.strip().isascii() or not text.strip().isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 on")
+    return int(text)
+
+
 PORT = 8402  # as `envs.panel.server`
 
 

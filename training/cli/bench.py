@@ -47,7 +47,9 @@ def _bench(options: argparse.Namespace, console: Console) -> int:
         raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
     if options.workers is not None:
         from ..bench import workers as worker_bench
+        from ..scale.work import Work
 
+        Work(options.workers)
         return worker_bench.run(
             options.drive, options.workers, options.compare, options.repeat or 1, options.json,
             console,

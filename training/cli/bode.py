@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from . import machines
+from . import arguments, machines
 
 
 def add(bode: argparse.ArgumentParser) -> None:
@@ -22,7 +22,7 @@ def add(bode: argparse.ArgumentParser) -> None:
         "--lowest", type=float, help="lowest frequency in Hz (2, lower for a slow axis)"
     )
     bode.add_argument("--highest", type=float, help="highest frequency in Hz")
-    bode.add_argument("--seed", type=int, default=0, help="seed of the excitation's phases (0)")
+    arguments.add_seed(bode, "the excitation's phases")
     bode.add_argument(
         "--out", type=Path, default=Path("out"), help="folder for bode.png and bode.csv (out)"
     )

@@ -24,6 +24,9 @@ def opened(options: argparse.Namespace):
     import can
     from can.cli import create_bus_from_namespace
 
+    for name in ("bitrate", "data_bitrate"):
+        if (rate := getattr(options, name, 1)) <= 0:
+            raise ValueError(f"--{name.replace('_', '-')} = {rate}: give bit/s, such as 500000")
     given: dict[str, Any] = {}
     if options.bus_config:
         given["config_context"] = options.bus_config

@@ -37,7 +37,7 @@ def _add_episodes(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--episodes", type=int, default=50, help="number of episodes, 1..1000 (50)"
     )
-    command.add_argument("--seed", type=int, default=0, help="seed of the episodes (0)")
+    arguments.add_seed(command, "the episodes")
     command.add_argument("--trace", type=int, default=0, help="episode to draw, counted from 0 (0)")
     arguments.add(command)
     arguments.add_work(command)

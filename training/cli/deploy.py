@@ -37,7 +37,7 @@ def add(deploy: argparse.ArgumentParser) -> None:
         help="node-id of each drive on CAN, in the task's order (1)",
     )
     deploy.add_argument("--episodes", type=int, default=1, help="number of episodes, 1 or more (1)")
-    deploy.add_argument("--seed", type=int, default=0, help="seed of the first reset (0)")
+    arguments.add_seed(deploy, "the first reset")
     deploy.add_argument(
         "--limits", action="append", default=[], metavar="[AXIS=]LOW:HIGH",
         help="position limits of the guard (m or rad) instead of 607Dh; repeatable",

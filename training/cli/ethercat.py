@@ -48,7 +48,7 @@ def add(command: argparse.ArgumentParser) -> None:
         help='inject a fault, such as "drop at=cycle:100 count=3" or "retreat at=op:50 slave=1"; '
         'repeatable',
     )
-    command.add_argument("--seed", type=int, default=0, help="seed of faults with a rate (0)")
+    arguments.add_seed(command, "faults with a rate")
     arguments.add_real_time(command)
     command.set_defaults(run=_ethercat, files=("log",))
 

@@ -28,7 +28,7 @@ def add(command: argparse.ArgumentParser) -> None:
         help="serve on this network interface instead of CAN",
     )
     of_task.add_argument(
-        "--node-id", type=int, default=0, help="node-id of its first drive on CAN (1)"
+        "--node-id", type=int, help="node-id of its first drive on CAN (1)"
     )
     of_task.add_argument(
         "--clock", default="", help="clock: real, sync or sync_end; on EtherCAT frame, dc or real"
@@ -37,7 +37,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "--log", default="", help="log all frames: .pcapng on EtherCAT, .log on CAN"
     )
     arguments.add(of_task)
-    command.add_argument("--seed", type=int, default=0, help="seed of faults with a rate (0)")
+    arguments.add_seed(command, "faults with a rate")
     command.add_argument("--check", action="store_true", help="read the file and build the "
                          "machines, but open no bus")
     arguments.add_real_time(command)
@@ -57,7 +57,7 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
         return arguments.listing(options.file, console)
     if not _is_task(options.file):
         for name in ONLY_OF_TASKS:
-            if getattr(options, name):
+            if getattr(options, name) not in (None, ""):
                 raise ValueError(f"--{name.replace('_', '-')}: it stands in the file")
     description = read(_of_task(options) if _is_task(options.file) else options.file)
     for model in description.drive_models if options.run_code else ():
@@ -104,7 +104,7 @@ def _of_task(options: argparse.Namespace) -> dict[str, Any]:
         }
     machine = {"bus": "bus", "task": options.file, "drive": options.drive or "generic"}
     if not options.ethercat:
-        machine["node_id"] = options.node_id or 1
+        machine["node_id"] = 1 if options.node_id is None else options.node_id
     machine["parameters"] = dict(options.argument or ())
     given = {"clock": options.clock, "log": options.log}
     return {"bus": {"bus": bus | given}, "machine": {"machine": machine}}

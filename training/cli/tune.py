@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from . import machines
+from . import arguments, machines
 
 
 def add(tune: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def add(tune: argparse.ArgumentParser) -> None:
         "--amplitude", type=float, default=0.1,
         help="rms amplitude as a share of the rated torque (0.1)",
     )
-    tune.add_argument("--seed", type=int, default=0, help="seed of the excitation's phases (0)")
+    arguments.add_seed(tune, "the excitation's phases")
     tune.add_argument(
         "--out", type=Path, default=Path("out"),
         help="folder for tune.png and parameters.json (out)",

@@ -14,7 +14,7 @@ def add(watch: argparse.ArgumentParser) -> None:
     watch.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
     watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     watch.add_argument("--episodes", type=int, default=1, help="number of episodes, 1 or more (1)")
-    watch.add_argument("--seed", type=int, default=0, help="seed of the first reset (0)")
+    arguments.add_seed(watch, "the first reset")
     watch.add_argument(
         "--speed", type=float, default=1.0, help="speed of the playback; 1 is real time (1)"
     )
