@@ -15,7 +15,11 @@ from .condition import Look, holds
 from .exercise import Exercise, Step
 
 START_HOMING = 0x10  # bit 4 of the controlword in mode hm
-JUMP = 0.1  # s between two looks; more was not a time that has passed, but another machine
+JUMP = 10  # position cycles between two looks; more have not passed under the judge's eyes
+SHIFT = 2.0  # mm or °: by how much elasticity and noise may move the reference
+# by these an exercise is measured: home offset, polarity, units, rated values, standstill
+RULER = frozenset((0x606F, 0x6070, 0x6075, 0x6076, 0x607C, 0x607E, *range(0x6089, 0x6098), 0x60A8,
+                   0x60A9, 0x60AA, 0x60AB))
 # what a look depends on: fields of the record, and variables of the object dictionary
 DISCRETE = ("state", "mode", "fault", "refused_command", "homed", "standstill")
 WORDS = ("controlword", "homing_method")
@@ -23,6 +27,7 @@ MEASURED = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
     "following_error_actual_value",
 )
+REFERENCE = frozenset(("homed", "homing"))  # keys of a goal in which an axis gets its reference
 
 
 class Observer:
@@ -48,6 +53,7 @@ class Observer:
             and not slot.row.name.startswith(("controlword", "target_", "modes_of_operation"))
         ]
         self._slots = {slot.row.name: slot for slot in slots}
+        self.ruler = {slot.row.name: slot.row for slot in slots if slot.row.index in RULER}
         sizes = [(slot.row.name, slot.offset, slot.code.size) for slot in slots]
         self._places = np.concatenate([np.arange(at, at + size) for _, at, size in sizes])
         self._owner = np.repeat(np.arange(len(sizes)), [size for *_, size in sizes])
@@ -55,6 +61,8 @@ class Observer:
         self._bytes = np.frombuffer(slots[0].view, np.uint8)
         # the record's own attributes take a microsecond each, columns a tenth
         axes, self._index = np.asarray(self.drive.axes), self.drive.index
+        number = [*machine.drives].index(axis)
+        self._joint, self._scale = int(machine.couplings[number].qpos), scale
         self._axes = [axes[name] for name in DISCRETE]
         self._words = [axes["od"][name] for name in WORDS]
         self._measured = [axes["od"][name] for name in MEASURED]
@@ -87,6 +95,10 @@ class Observer:
             self.machine.time, *self._told, position * self._position, velocity * self._velocity,
             torque, self._peak, error * self._position, written, self._values,
         )
+
+    def datum(self, look: Look) -> float:
+        """Where the joint is when the drive shows 0 (mm or °), until something shifts it."""
+        return float(self.machine.data.qpos[self._joint]) * self._scale - look.position
 
     def _tell(self) -> tuple[str, str, str, str, str, bool, int, bool]:
         """The part of a look that consists of names, which changes rarely."""
@@ -152,9 +164,11 @@ class Attempt:
         self._tell = tell
         self._predicted = False
         self._time = 0.0  # s that the looks before counted
+        self._datum: float | None = None  # of the reference that the exercise has asked for
         exercise.begin.act(machine, axis)
         machine.step(2)
         self._observer = Observer(machine, axis)
+        self._ruler = self._observer.ruler.keys() - exercise.asked_for
         self._last = machine.time
         self._enter()
 
@@ -218,11 +232,14 @@ class Attempt:
             return
         now = self.machine.time
         passed, self._last = now - self._last, now
-        if not 0.0 <= passed < JUMP:
+        if not 0.0 <= passed <= JUMP * self.machine.cycle_time:
             self.lose("The machine was switched off and on: what had happened is lost.")
             return
         self._time += passed
         look = self._observer.look()
+        if why := self._measured_otherwise(look):
+            self.lose(why)
+            return
         for when, say in present.wrong:
             if holds(look, when):
                 self.lose(say)
@@ -231,6 +248,8 @@ class Attempt:
             self.lose(f"This has to hold all the time: {_words(present.throughout)}.")
             return
         if holds(look, present.goal[self._reached]):
+            if not REFERENCE.isdisjoint(present.goal[self._reached]):
+                self._datum = self._observer.datum(look)
             self._reached += 1
         if self._reached < len(present.goal):
             return
@@ -241,6 +260,23 @@ class Attempt:
         self.step += 1
         self._tell(f"step {self.step} of {self.exercise.title!r} is done")
         self._enter()
+
+    def _measured_otherwise(self, look: Look) -> str:
+        """Why the numbers of the drive mean something else than they did; empty if they do not."""
+        if changed := look.written & self._ruler:
+            row = self._observer.ruler[min(changed)]
+            return (
+                f"You changed {row.index:04X}h, {row.name.replace('_', ' ')}: the exercise is "
+                "measured by it, so leave it as it was."
+            )
+        present = self.present
+        if self._datum is None or present is None or any(
+            not REFERENCE.isdisjoint(goal) for goal in present.goal[self._reached :]
+        ):
+            return ""
+        if abs(self._observer.datum(look) - self._datum) <= SHIFT:
+            return ""
+        return "You made another place the reference: positions here count from the first one."
 
     def lose(self, why: str) -> None:
         """End the attempt and say why; an attempt that has already ended stays as it is."""

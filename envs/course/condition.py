@@ -79,7 +79,7 @@ def _truth(key: str, value: Any) -> str:
 
 
 def _whole(key: str, value: Any) -> str:
-    whole = all(isinstance(each, int) and not isinstance(each, bool) for each in _any(value))
+    whole = all(isinstance(each, int) and not isinstance(each, bool) for each in any_of(value))
     return "" if whole else f"{key} = {value!r} is not a whole number"
 
 
@@ -113,7 +113,8 @@ def _text(key: str, value: Any) -> str:
     return "" if fine else f"{key} = {value!r}: name objects"
 
 
-def _any(value: Any) -> list[Any]:
+def any_of(value: Any) -> list[Any]:
+    """A list of one or several."""
     return value if isinstance(value, list) else [value]
 
 
@@ -125,20 +126,20 @@ CAUSES = {"": None} | {cause.name.lower(): cause for cause in Cause if cause}
 
 # key: what is wrong with a value of it, and whether it holds at a look
 KEYS: dict[str, tuple[Callable[[str, Any], str], Callable[[Look, Any], bool]]] = {
-    "state": (_named(State.__members__), lambda look, want: look.state in _any(want)),
-    "command": (_named(Command.__members__), lambda look, want: look.command in _any(want)),
-    "mode": (_named(Mode.__members__), lambda look, want: look.mode in _any(want)),
-    "fault": (_named(CAUSES), lambda look, want: look.fault in _any(want)),
-    "refused": (_named(Command.__members__), lambda look, want: look.refused in _any(want)),
+    "state": (_named(State.__members__), lambda look, want: look.state in any_of(want)),
+    "command": (_named(Command.__members__), lambda look, want: look.command in any_of(want)),
+    "mode": (_named(Mode.__members__), lambda look, want: look.mode in any_of(want)),
+    "fault": (_named(CAUSES), lambda look, want: look.fault in any_of(want)),
+    "refused": (_named(Command.__members__), lambda look, want: look.refused in any_of(want)),
     "homed": (_truth, lambda look, want: look.homed == want),
-    "homing": (_whole, lambda look, want: look.homing in _any(want)),
+    "homing": (_whole, lambda look, want: look.homing in any_of(want)),
     "moving": (_truth, lambda look, want: look.moving == want),
     "position": (_range, lambda look, want: _within(look.position, want)),
     "velocity": (_range, lambda look, want: _within(look.velocity, want)),
     "torque": (_range, lambda look, want: _within(look.torque, want)),
     "peak_torque": (_range, lambda look, want: _within(look.peak_torque, want)),
     "following_error": (_range, lambda look, want: _within(look.following_error, want)),
-    "written": (_text, lambda look, want: not look.written.isdisjoint(_any(want))),
+    "written": (_text, lambda look, want: not look.written.isdisjoint(any_of(want))),
     "objects": (
         _ranges,
         lambda look, want: all(

@@ -7,6 +7,10 @@ An exercise is a file::
     unit = 1                            # of the course
     axis = "linear"                     # kind of machine it is made for
 
+    [[wrong]]                           # a way that is not meant in any step
+    when = { written = "following_error_window" }
+    say = "That hides the cause."
+
     [begin]                             # what is done to a fresh machine, all optional
     positions = { x = 0.12 }            # m or rad
     write = { profile_velocity = 200000 }
@@ -32,7 +36,9 @@ An exercise is a file::
 
 ``goal`` is a list of conditions (`condition`) that have to hold one after the other; the step is
 done when the last one holds. A wrong way ends the exercise, which then begins anew with a fresh
-machine.
+machine. So does a change of what the exercise is measured by (units, polarity, home offset, rated
+values, standstill), unless a goal names that object, and another reference after the one that a
+goal asks for.
 """
 
 import tomllib
@@ -44,7 +50,7 @@ from typing import Any
 from ...drive.model.files import content
 from ...drive.model.names import hint
 from ..engine.machine import Machine
-from .condition import check
+from .condition import any_of, check
 
 SHIPPED = Path(__file__).parent / "exercises"
 
@@ -162,6 +168,14 @@ class Exercise:
     begin: Begin
     steps: tuple[Step, ...]
 
+    @property
+    def asked_for(self) -> set[str]:
+        """The objects that its goals name."""
+        return {
+            name for step in self.steps for goal in step.goal
+            for name in (*any_of(goal.get("written", [])), *goal.get("objects", ()))
+        }
+
 
 def load(path: str | Path) -> Exercise:
     """Read an exercise from a file.
@@ -172,14 +186,14 @@ def load(path: str | Path) -> Exercise:
     path = Path(path)
     try:
         data = tomllib.loads(content(path, "an exercise").decode())
-        _known(data, ("title", "about", "unit", "axis", "begin", "step"), "")
-        rows = _required(data, "step")
+        _known(data, ("title", "about", "unit", "axis", "begin", "wrong", "step"), "")
+        rows, wrong = _required(data, "step"), _wrong(data)
         if not isinstance(rows, list) or not rows:
             raise ValueError("it has no step: add [[step]]")
         return Exercise(
             path.stem, _text(data, "title"), str(data.get("about", "")), int(data.get("unit", 0)),
             str(data.get("axis", "linear")), _begin(data.get("begin", {})),
-            tuple(_step(number, row) for number, row in enumerate(rows, 1)),
+            tuple(_step(number, row, wrong) for number, row in enumerate(rows, 1)),
         )
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, TypeError, ValueError) as error:
         raise ValueError(f"exercise {path}: {error}") from None
@@ -203,23 +217,27 @@ def named(name: str, folder: str | Path = SHIPPED) -> Exercise:
     return load(known[name])
 
 
-def _step(number: int, row: Any) -> Step:
+def _wrong(row: Mapping[str, Any]) -> tuple[tuple[dict[str, Any], str], ...]:
+    """The wrong ways of an exercise or a step."""
+    rows = row.get("wrong", [])
+    for each in rows:
+        _known(each, ("when", "say"), "wrong: ")
+    return tuple((check(_required(each, "when")), _text(each, "say")) for each in rows)
+
+
+def _step(number: int, row: Any, wrong: tuple[tuple[dict[str, Any], str], ...]) -> Step:
     try:
         known = ("text", "goal", "hints", "throughout", "wrong", "predict", "begin")
         _known(row, known, "step: ")
         goal = _required(row, "goal")
         if not isinstance(goal, list) or not goal:
             raise ValueError("goal: give at least one condition")
-        wrong = []
-        for each in row.get("wrong", []):
-            _known(each, ("when", "say"), "wrong: ")
-            wrong.append((check(_required(each, "when")), _text(each, "say")))
         hints = row.get("hints", [])
         if not isinstance(hints, list) or not all(isinstance(hint, str) for hint in hints):
             raise ValueError(f"hints = {hints!r}: give a list of sentences")
         return Step(
             _text(row, "text"), tuple(check(each) for each in goal), tuple(hints),
-            check(row["throughout"]) if "throughout" in row else {}, tuple(wrong),
+            check(row["throughout"]) if "throughout" in row else {}, (*_wrong(row), *wrong),
             _prediction(row["predict"]) if "predict" in row else None,
             _begin(row.get("begin", {})),
         )

@@ -119,13 +119,18 @@ def position_gain(lab):
     lab.wait(3.0)
 
 
-def gently(lab, before=lambda lab: None):
+def gentle(lab):
+    """Enabled and referenced, with a gentle profile."""
     lab.master.enable()
     lab.master.home(35)
     for name in ("profile_acceleration", "profile_deceleration"):
         lab.drive.write(name, 2_000_000)
     lab.wait(0.01)
     lab.drive.write("motion_profile_type", 3)
+
+
+def gently(lab, before=lambda lab: None):
+    gentle(lab)
     before(lab)
     lab.master.move_to(0.42)
     lab.master.jog(-0.1)
@@ -244,8 +249,270 @@ def power_cycled(solve):
     return cheat
 
 
+def changed(solve, *writes):
+    """A solution on a drive in which something was changed before."""
+
+    def cheat(lab):
+        for name, value in writes:
+            lab.drive.write(name, value)
+        solve(lab)
+
+    return cheat
+
+
+def fault_stops_it(lab):
+    under_way(lab)
+    lab.predict(1)
+    lab.drive.write("following_error_window", 1)
+    lab.wait_until(lambda: lab.drive.state.name in ("FAULT_REACTION_ACTIVE", "FAULT"))
+    lab.drive.write("controlword", 0x02)
+    lab.wait(0.5)
+    lab.control(0x80)
+    lab.wait(0.1)
+
+
+def fault_cuts_the_power(lab):
+    powered((0x0F,), (0x06,), (0x07, 0x0F))(lab)
+    lab.predict(1)
+    supply = lab.drive.read("undervoltage")
+    lab.drive.write("undervoltage", 400_000)
+    lab.wait(0.1)
+    lab.drive.write("undervoltage", supply)
+    lab.control(0x02, 0x80)
+    lab.wait(0.1)
+    lab.control(0x06, 0x07, 0x0F)
+
+
+def overvoltage_ignored(*writes):
+    def cheat(lab):
+        lab.master.enable()
+        lab.wait(0.02)
+        lab.predict(1)
+        lab.control(0x00, 0x80)
+        for name, value in writes:
+            lab.drive.write(name, value)
+        lab.control(0x00, 0x80, 0x06, 0x07, 0x0F)
+
+    return cheat
+
+
+def offset_instead_of_the_move(lab):
+    lab.predict(1)
+    lab.master.enable()
+    lab.master.home(17)
+    lab.drive.write("speed_during_search_for_switch", 50_000)
+    lab.drive.write("home_offset", 250_000)
+    lab.master.home(17)
+    lab.master.set_mode(Mode.PROFILE_POSITION)
+    lab.wait(0.1)
+    lab.master.home(17)
+
+
+def speed_halved_by_its_unit(lab):
+    lab.predict(1)
+    lab.master.enable()
+    lab.master.home(17)
+    lab.master.move_to(0.25)
+    lab.control(0x06)
+    lab.drive.write("velocity_factor_divisor", 2)
+    lab.control(0x07, 0x0F)
+    lab.drive.write("speed_during_search_for_switch", 50_000)
+    lab.master.home(17)
+
+
+def method_switched_under_way(lab):
+    lab.predict(1)
+    lab.master.enable()
+    lab.drive.write("homing_method", 17)
+    lab.master.set_mode(Mode.HOMING)
+    lab.control(0x0F, 0x1F)
+    lab.drive.write("homing_method", 37)
+    lab.control(0x0F, 0x1F)
+    lab.master.move_to(0.25)
+    lab.drive.write("speed_during_search_for_switch", 50_000)
+    lab.master.home(17)
+
+
+def offset_near_the_target(lab):
+    tripped(lab)
+    lab.master.reset_fault()
+    lab.drive.write("home_offset", 399_500)
+    lab.master.enable()
+    lab.master.home(17)
+    lab.master.move_to(0.4)
+
+
+def inched(lab):
+    tripped(lab)
+    lab.master.reset_fault()
+    lab.master.enable()
+    at = lab.master.position
+    while at < 0.4:
+        at = min(at + 0.002, 0.4)
+        lab.master.move_to(at)
+
+
+def while_nobody_looks(lab):
+    """The machine advances a little beside the judge, with a wide window each time."""
+    tripped(lab)
+    lab.master.reset_fault()
+    lab.master.enable()
+    lab.master.set_mode(Mode.PROFILE_POSITION)
+    lab.drive.write("target_position", 400_000)
+    lab.control(0x0F)
+    lab.drive.write("controlword", 0x1F)
+    for _ in range(100):
+        lab.drive.write("following_error_window", 1_000_000)
+        lab.machine.step(180)
+        lab.drive.write("following_error_window", 1000)
+        lab.wait(lab.machine.cycle_time)
+
+
+def time_turned_back(lab):
+    kept = lab.machine.snapshot()
+    tripped(lab)
+    lab.machine.restore(kept)
+    lab.master.enable()
+    lab.master.home(17)
+    lab.master.move_to(0.4)
+
+
+def offset_is_75(lab):
+    lab.master.enable()
+    lab.drive.write("home_offset", 75_000)
+    lab.master.home(37)
+    lab.master.set_mode(Mode.PROFILE_POSITION)
+    lab.wait(0.1)
+    lab.drive.write("profile_velocity", 40_000)
+    reach(lab, 0)
+
+
+def referenced_on_the_way_back(lab):
+    lab.master.enable()
+    lab.master.home(37)
+    reach(lab, 75)
+    lab.drive.write("profile_velocity", 40_000)
+    start(lab, 0)
+    lab.wait(0.5)
+    lab.control(0x10F)
+    lab.wait(0.2)
+    lab.master.home(37)
+    lab.wait(0.1)
+
+
+def jogged_back(lab):
+    lab.master.enable()
+    lab.master.home(37)
+    reach(lab, 75)
+    lab.drive.write("profile_velocity", 40_000)
+    lab.master.jog(-0.04)
+    lab.wait_until(lambda: lab.master.position < 0.0001)
+    lab.master.jog(0.0)
+    lab.wait(0.3)
+
+
+def raised_and_lowered(before=(), after=(), move=lambda lab: reach(lab, 0)):
+    """The gain is high for an instant only."""
+
+    def cheat(lab):
+        lab.predict(1)
+        lab.master.enable()
+        lab.master.home(37)
+        for name, value in before:
+            lab.drive.write(name, value)
+        reach(lab, 300)
+        lab.drive.write("position_control_gain", 80_000)
+        lab.control(0x06)  # units change without power
+        for name, value in (("position_control_gain", 15_000), *after):
+            lab.drive.write(name, value)
+        lab.control(0x07, 0x0F)
+        move(lab)
+
+    return cheat
+
+
+def by_velocity(lab):
+    lab.master.jog(-0.4)
+    lab.wait_until(lambda: lab.master.position < 0.008)
+    lab.master.jog(0.0)
+    lab.wait(0.3)
+
+
+def last_part_in_csp(lab):
+    gentle(lab)
+    start(lab, 420_000)
+    lab.wait_until(lambda: lab.master.position > 0.4)
+    follow(lab, 420_000)
+    lab.master.jog(-0.1)
+    lab.wait_until(lambda: lab.master.position < 0.122)
+    lab.master.jog(0.0)
+    lab.wait(0.5)
+
+
+def follow(lab, target, step=50):
+    """Lead the axis to a target in csp (drive units)."""
+    lab.drive.write("target_position", lab.drive.read("position_actual_value"))
+    lab.master.set_mode(Mode.CYCLIC_SYNC_POSITION)
+    at = lab.drive.read("position_actual_value")
+    while at != target:
+        at += max(-step, min(step, target - at))
+        lab.drive.write("target_position", at)
+        lab.wait(1e-3)
+    lab.wait(0.2)
+
+
+def led_back(lab):
+    gently_there(lab)
+    lab.master.jog(-0.1)
+    lab.wait(0.3)
+    lab.master.jog(0.0)
+    lab.wait(0.3)
+    follow(lab, 120_000)
+    lab.master.jog(0.0)
+    lab.wait(0.3)
+
+
+def referenced_again(lab):
+    gently_there(lab)
+    lab.master.jog(-0.1)
+    lab.wait(0.3)
+    lab.master.jog(0.0)
+    lab.wait(0.3)
+    lab.master.home(35)
+    lab.master.jog(0.0)
+    lab.wait(0.3)
+
+
+def gently_there(lab):
+    """The exercise up to its way back."""
+    gentle(lab)
+    lab.master.move_to(0.42)
+
+
+def at_once(*writes):
+    """One large step of 607Ah, which the drive is made to take slowly."""
+
+    def cheat(lab):
+        lab.predict(2)
+        lab.master.enable()
+        lab.master.home(37)
+        lab.drive.write("target_position", lab.drive.read("position_actual_value"))
+        lab.master.set_mode(Mode.CYCLIC_SYNC_POSITION)
+        lab.wait(0.1)
+        for name, value in writes:
+            lab.drive.write(name, value)
+        lab.drive.write("target_position", 10_000)
+        lab.wait(2.0)
+
+    return cheat
+
+
 WRONG = {
     "11_power": {
+        "disable operation, and then the quick stop": powered(
+            (0x0F,), (0x06,), (0x07, 0x0F), (0x07, 0x02), (0x06, 0x07, 0x0F)),
+        "the quick stop is another one": changed(power, ("quick_stop_option_code", 0)),
+        "a fault cuts the power": fault_cuts_the_power,
         "enabled properly instead of refused": powered((0x06, 0x07, 0x0F)),
         "000Fh from Ready to switch on": powered((0x0F,), (0x06,), (0x0F,)),
         "quick stop by 0000h": powered((0x0F,), (0x06,), (0x07, 0x0F), (0x00,), (0x06, 0x07, 0x0F)),
@@ -254,6 +521,10 @@ WRONG = {
         "nothing is sent": lambda lab: lab.wait(1.0),
     },
     "12_stop_it": {
+        "the quick stop lets it coast": changed(stop_it, ("quick_stop_option_code", 0)),
+        "the quick stop on another ramp": changed(stop_it, ("quick_stop_option_code", 1)),
+        "a fault stops it": fault_stops_it,
+        "any position is at rest": changed(stop_by(0x11F), ("velocity_threshold", 65_535)),
         "disable voltage": stop_by(0x00),
         "shutdown": stop_by(0x06),
         "switch on": stop_by(0x07),
@@ -263,6 +534,9 @@ WRONG = {
         "no prediction": lambda lab: (under_way(lab), lab.control(0x02), lab.wait(1.0)),
     },
     "13_overvoltage": {
+        "more voltage is allowed": overvoltage_ignored(("overvoltage", 900_000)),
+        "more voltage is allowed from the start": changed(
+            overvoltage_ignored(), ("overvoltage", 900_000)),
         "no reset tried": lambda lab: (lab.master.enable(), lab.wait(0.1), lab.predict(1),
                                        lab.drive.clear_injected(), lab.control(0x80, 6, 7, 15)),
         "bit 7 held": lambda lab: (lab.control(0x06, 0x07, 0x8F), lab.wait(0.2), lab.predict(1),
@@ -273,6 +547,9 @@ WRONG = {
                                       lab.drive.clear_injected(), lab.control(0, 128, 6, 7, 15)),
     },
     "21_home_to_a_switch": {
+        "a home offset instead of the move": offset_instead_of_the_move,
+        "half the speed by another unit": speed_halved_by_its_unit,
+        "another method under way": method_switched_under_way,
         "method 35": homed_by(35),
         "method 37": homed_by(37),
         "method 18": homed_by(18),
@@ -281,6 +558,12 @@ WRONG = {
         "power off and on": power_cycled(home_to_a_switch),
     },
     "31_find_why_it_trips": {
+        "a home offset near the target": offset_near_the_target,
+        "another reaction": after_trip(("reaction_to_following_error", 0)),
+        "another reaction before": changed(find_why_it_trips, ("reaction_to_following_error", 1)),
+        "inched": inched,
+        "while nobody looks": while_nobody_looks,
+        "time turned back": time_turned_back,
         "a wider window": after_trip(("following_error_window", 1_000_000)),
         "the window off": after_trip(("following_error_window", 0xFFFFFFFF)),
         "a longer time-out": after_trip(("following_error_time_out", 60_000)),
@@ -298,6 +581,13 @@ WRONG = {
         "power off and on": power_cycled(find_why_it_trips),
     },
     "32_units": {
+        "the home offset is 75": offset_is_75,
+        "the gear": changed(units, ("gear_motor_revolutions", 2)),
+        "the feed": changed(units, ("feed", 30_000)),
+        "the other direction": changed(units, ("polarity", 0x80)),
+        "always at rest": changed(units, ("velocity_threshold", 65_535)),
+        "referenced on the way back": referenced_on_the_way_back,
+        "jogged back": jogged_back,
         "75": lambda lab: (lab.master.enable(), lab.master.home(37), reach(lab, 0.075)),
         "as fast as before": lambda lab: (lab.master.enable(), lab.master.home(37),
                                           reach(lab, 75), reach(lab, 0)),
@@ -311,6 +601,10 @@ WRONG = {
             lab.master.enable(), lab.master.home(37), lab.drive.write("feed", 60), reach(lab, 75)),
     },
     "41_position_gain": {
+        "high for an instant, and by velocity": raised_and_lowered(move=by_velocity),
+        "high for an instant, with feed-forward from before": raised_and_lowered(
+            before=(("velocity_feed_forward", 1000),)),
+        "high for an instant, in other units": raised_and_lowered(after=(("feed", 6000),)),
         "slower": gain_and(("profile_velocity", 50_000)),
         "gentler": gain_and(("position_control_gain", 40_000), ("profile_acceleration", 100_000)),
         "feed-forward": gain_and(("velocity_feed_forward", 1000)),
@@ -320,6 +614,11 @@ WRONG = {
             ("position_control_gain", 80_000), ("velocity_control_time", 4000)),
     },
     "51_gently": {
+        "a jerk without limit": lambda lab: gently(lab, lambda lab: [
+            lab.drive.write(f"profile_jerk_{n}", 4_000_000_000) for n in (1, 2, 3, 4)]),
+        "the last part in csp": last_part_in_csp,
+        "led back in csp": led_back,
+        "a reference instead of the way back": referenced_again,
         "jerk-limited after the move": lambda lab: (
             lab.master.enable(), lab.master.home(35),
             lab.drive.write("profile_acceleration", 2_000_000),
@@ -342,6 +641,12 @@ WRONG = {
             lab.master.move_to(0.12)),
     },
     "61_no_jump": {
+        "a soft loop": at_once(
+            ("following_error_window", 1_000_000), ("position_control_gain", 3000)),
+        "a slow motor": at_once(("following_error_window", 1_000_000), ("max_motor_speed", 40)),
+        "a drive that interpolates": at_once(
+            ("following_error_window", 1_000_000), ("interpolation_time_period_value", 200)),
+        "a weak motor": at_once(("following_error_window", 1_000_000), ("max_torque", 30)),
         "the target far away": lambda lab: (
             lab.predict(2), lab.master.enable(), lab.master.home(37),
             lab.drive.write("target_position", 50_000),

@@ -99,6 +99,8 @@ class Page:
     async def _again(self):
         """Load the page anew, as a browser does where the line was cut."""
         self.drops, self.elements = self.drops + 1, {}
+        if (line := self.socket.eio.ws) is not None:
+            await line.close()
         async with self.http.get(self.url) as answer:
             with contextlib.suppress(socketio.exceptions.ConnectionError):
                 await self._connect(await answer.text())

@@ -212,10 +212,15 @@ def in_a_browser(server, seed, seconds):
         shows(page, "control", "In control")
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            names = [name for name in page.evaluate(PRESSABLE) if not NOT.search(name)]
-            page.evaluate(PRESS, drawn.choice(names))
+            try:
+                names = [name for name in page.evaluate(PRESSABLE) if not NOT.search(name)]
+                page.evaluate(PRESS, drawn.choice(names or ["quick-stop"]))
+                done += 1
+            except sync_api.Error as error:  # a line that was cut for long loads the page anew
+                if "navigation" not in str(error):
+                    raise
+                page.wait_for_load_state()
             page.wait_for_timeout(drawn.uniform(0, 150))
-            done += 1
         if page.locator(".q-dialog__inner").count():
             page.keyboard.press("Escape")
         while at(page, "control").inner_text() != "In control":
