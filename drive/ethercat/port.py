@@ -113,7 +113,11 @@ class EtherCatPort:
         for node in self.nodes.values():
             if node.slave.state == AlState.PRE_OPERATIONAL:
                 node.map(outputs, inputs)
-        master.to_op(lambda: [node.find_places() for node in self.nodes.values()])
+        master.to_op(self._find_places)
+
+    def _find_places(self) -> None:
+        for node in self.nodes.values():
+            node.find_places()
 
     def now(self) -> float:
         """Time (s)."""

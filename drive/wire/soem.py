@@ -17,6 +17,7 @@ from ..ethercat.esi_reader import EsiObject
 from ..objects.abort import SdoAbort
 
 TIMEOUT = 0.1  # s, for the reply to process data
+ANSWER = 2e-3  # s, for the reply to any other frame; SOEM then gives it up, and reuses its number
 STATE_TIMEOUT = 5_000_000  # µs
 AGAIN = 2  # times that a lost frame is sent anew
 TRIES = 200  # cycles until all are in OPERATIONAL
@@ -63,9 +64,9 @@ class SoemMailbox:
 class SoemSlave:
     """One slave as SOEM found it."""
 
-    def __init__(self, soem: Any, slave: Any):
+    def __init__(self, soem: Any, slave: Any, answer: int = round(1e6 * ANSWER)):
         self._soem = soem
-        self._slave = slave
+        self._slave, self._answer = slave, answer  # µs
         self.emergencies: list[Any] = []  # since the beginning; else a reading would raise them
         slave.add_emergency_callback(self.emergencies.append)
         self.mailbox = SoemMailbox(soem, slave)
@@ -118,7 +119,7 @@ class SoemSlave:
         """Registers of the slave controller. Raises TimeoutError where it does not answer."""
         for _ in range(AGAIN + 1):
             try:
-                return bytes(self._slave._fprd(address, size))
+                return bytes(self._slave._fprd(address, size, self._answer))
             except self._soem.WkcError:
                 continue
         raise TimeoutError(f"the slave does not answer at {address:04X}h")
@@ -196,7 +197,9 @@ class SoemMaster:
     Args:
         interface: such as ``eth0``; needs the right of raw sockets.
         second: interface of the second port (redundancy).
-        timeout: for the reply to process data (s); long where slaves let no time pass before it.
+        timeout: for the reply to process data (s); more than `TIMEOUT` where slaves let no time
+            pass before it. No other frame is given up before either: 16 frames later its reply
+            would count as that of another one.
 
     Raises:
         ImportError: pysoem is not there.
@@ -205,11 +208,13 @@ class SoemMaster:
 
     def __init__(self, interface: str, second: str | None = None, timeout: float = TIMEOUT):
         self._timeout = round(1e6 * timeout)  # µs
+        self._answer = round(1e6 * ANSWER) if timeout <= TIMEOUT else self._timeout
         try:
             import pysoem
         except ImportError:
             raise ImportError("pysoem is not installed: pip install pysoem") from None
         self._soem = pysoem
+        pysoem.settings.timeouts.ret = self._answer  # of the process
         self._master = pysoem.Master()
         self.slaves: list[SoemSlave] = []
         self.wrong = 0  # cycles with a working counter that was not expected
@@ -226,7 +231,7 @@ class SoemMaster:
         for _ in range(AGAIN + 1):  # a scan whose first frame is lost finds nothing
             if self._master.config_init() > 0:
                 break
-        self.slaves = [SoemSlave(self._soem, slave) for slave in self._master.slaves]
+        self.slaves = [SoemSlave(self._soem, s, self._answer) for s in self._master.slaves]
         return self.slaves
 
     def to_preop(self) -> None:

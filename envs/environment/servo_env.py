@@ -224,9 +224,14 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
             )
         pdos = [mapping(image) for image in self._images]
         names, period = self.drive_names, self.step_time
-        return PortLine(
+        line = PortLine(
             self.machine, names, self._images, pdos, period, self.units, port, self.REFERENCED
         )
+        args, arguments = self._arguments
+        plain = type(self)(*args, **arguments | {"port": None})
+        plain.reset(seed=0)  # what is compiled is loaded now: drives with power do not wait for it
+        plain.step(np.zeros(plain.action_space.shape))
+        return line
 
     def batch(self, n: int) -> Batch:
         """Return empty arrays for `n` environments like this one."""

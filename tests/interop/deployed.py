@@ -13,7 +13,6 @@ import threading
 import time
 
 import numpy as np
-from wire import say_where_it_hangs
 
 CAN = {"interface": "udp_multicast", "channel": "239.74.163.9"}
 TASKS = {
@@ -53,7 +52,6 @@ def _serve(pipe, task, bus, clock):
     from servogym.envs.environment.registry import task as named
     from servogym.envs.serve.laboratory import Laboratory
 
-    say_where_it_hangs(250)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     laboratory, kept = Laboratory(_rows(task, bus, clock)), b""
     with laboratory:
@@ -234,6 +232,30 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
     return {
         "deployed": deployed, "memory": memory, "stopped": stopped, "times": times,
         "steps": sum(map(len, there)), "equal": equal,
+    }
+
+
+def bring_up(bus, clock, seed=3):
+    """Homed and at its start in real time: the state and place there, and after the end."""
+    from servogym.envs.exchange.envelope import Stopped
+
+    _network()
+    task = TASKS["linear"]
+    kind, model, _, axes = _made(task, bus)
+    with served(task, bus, clock) as ask, side_on(bus, axes, lock_step=False) as side:
+        env = kind(model, port=side, randomise={})
+        env.line.home, stopped = 17, ""
+        try:
+            env.reset(seed=seed)
+        except Stopped as error:
+            stopped = f"{error}"
+        ((state, position, _),) = ask("look")
+        believed = float(env.machine.data.qpos[0])
+        env.close()
+        ((after, _, _),) = ask("look")
+    return {
+        "state": state, "position": position, "believed": believed, "after": after,
+        "stopped": stopped,
     }
 
 

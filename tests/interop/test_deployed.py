@@ -52,6 +52,20 @@ def test_none_of_all_hostile_policies_does(bus):
     check(told)
 
 
+@pytest.mark.parametrize(("bus", "clock"), [
+    ("can", "real"), ("ethercat", "real"), ("ethercat", "dc"),
+])
+def test_in_real_time_an_episode_begins_on_each_clock_that_follows_it(bus, clock):
+    def in_time(result):  # the drive's watchdog waits 0.1 or 0.2 s for this process
+        return not result["stopped"]
+
+    result = over(bus, "bring_up", clock=clock, in_time=in_time)
+    assert result["stopped"] == ""
+    assert result["state"] == "OPERATION_ENABLED"
+    assert result["position"] == pytest.approx(result["believed"], abs=1e-3)
+    assert result["after"] != "OPERATION_ENABLED"
+
+
 @pytest.mark.parametrize("bus", BUSES)
 def test_where_the_deploying_process_is_killed_the_drive_stops_by_its_own_watchdog(bus):
     result = over(bus, "killed")

@@ -28,6 +28,7 @@ import pytest
 
 HERE = Path(__file__).parent
 UNSHARE = ["unshare", "-Ur"]
+WHERE = signal.SIGUSR1  # asks for the stacks of all threads
 NEW_NETWORK = 0x40000000  # CLONE_NEWNET of unshare(2)
 FROM_PYPI = ("pysoem", "kickcat")  # masters, each with modules that begin with its name
 # masters give a frame up after 2 ms, or a scan; where the machine has other things to do, again
@@ -191,15 +192,11 @@ def _say_to(file) -> None:
         stream.reconfigure(line_buffering=True)
 
 
-def say_where_it_hangs(seconds) -> None:
-    """Let this process print the stacks of its threads, if it is still there by then."""
-    faulthandler.dump_traceback_later(seconds, file=sys.__stderr__)
-
-
 def _play(task) -> None:
     """A scenario in a network of its own; the last line is its result."""
     os.setsid()
-    say_where_it_hangs(0.9 * task["timeout"])
+    # a timer of faulthandler would lock up the copies of this process; they all have this signal
+    faulthandler.register(WHERE, file=sys.__stderr__)
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(NEW_NETWORK):
         raise OSError(ctypes.get_errno(), "no network of its own")
@@ -228,6 +225,11 @@ def _fork(task) -> int:
         finally:
             sys.stdout.flush()
             os._exit(status)
+    alive = os.pidfd_open(child)
+    if not select.select([alive], [], [], 0.9 * task["timeout"])[0]:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, WHERE)  # it hangs: it and its copies say where
+    os.close(alive)
     _, status = os.waitpid(child, 0)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)
