@@ -25,7 +25,6 @@ SMOOTH = 1 << 24  # increments a revolution: derivatives of what they round are 
 UNITS = ("rad_per_position_unit", "rad_s_per_velocity_unit", "velocity_gain_unit",
          "position_gain_unit")
 UNLIMITED = (2**31 - 1, 32767)  # 1/min, the first that the model takes
-SHIFT, ROUNDS = 3, 3  # cycles either way that a motion may begin beside its stamp, and how often
 MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
 
 
@@ -58,6 +57,7 @@ class Candidates:
         if not self.coarse:
             _smooth(self.machines[0], self.drive)
         self.smooth = 2 * np.pi / float(axis.rad_per_increment) >= SMOOTH / 2
+        self._new = [machine.snapshot() for machine in self.machines]
         self.runs = 0
         self._starts: dict[int, tuple[Experiment, list[bytes], np.ndarray]] = {}
 
@@ -83,7 +83,9 @@ class Candidates:
             kept = self._starts[id(experiment)] = (experiment, [], images)
         _, starts, images = kept
         begin = self._begin(experiment) if len(starts) < count else 0.0
-        for machine in self.machines[len(starts) : count]:
+        for machine, new in zip(self.machines[len(starts) : count], self._new[len(starts) :],
+                                strict=False):
+            machine.restore(new)  # nothing is left of what it ran with before, such as its noise
             starts.append(_stand(machine, self.drive, begin, experiment, self.smooth))
         return starts, images
 
@@ -138,44 +140,6 @@ class Candidates:
             fine -= 0.5 * self.increment
         behind = 1.0 - float(axis.velocity_period) / experiment.cycle
         return Simulated(_at(fine, at - behind), *(_at(column, at) for column in (torque, demand)))
-
-
-def timed(
-    candidates: Candidates, experiment: Experiment, values: Mapping[str, float]
-) -> Experiment:
-    """An experiment whose motions begin in the position cycles that its samples show.
-
-    A logger stamps a frame to some tenths of a millisecond, and an RPDO waits for the next cycle of
-    the drive: of a set-point sent on occasion this is as much as the axis travels in a cycle. One
-    delay is common to all of them, `LAG`; what differs is a whole number of cycles for each.
-    """
-    if experiment.events is None or not experiment.events.begins.any():
-        return experiment
-    count = int(np.count_nonzero(experiment.events.begins))
-    shifts = np.arange(-SHIFT, SHIFT + 1)
-    for _ in range(ROUNDS):
-        events = experiment.events
-        at = (events.at[events.begins] - experiment.begins) * experiment.cycle
-        which = np.searchsorted(at + values.get(LAG, 0.0), experiment.time, "right")
-        errors = np.zeros((len(shifts), count + 1))
-        for row, shift in zip(errors, shifts, strict=True):
-            run = candidates.simulate(experiment.moved(np.full(count, shift)), [values])
-            row += np.bincount(which, (experiment.position - run.position[0]) ** 2, count + 1)
-        errors = errors[:, 1:]
-        best = np.clip(np.argmin(errors, axis=0), 1, len(shifts) - 2)
-        below, here, above = (errors[best + n, np.arange(count)] for n in (-1, 0, 1))
-        bend = above - 2 * here + below
-        seen = bend > 1e-3 * np.nanmax(bend)
-        if not seen.any():
-            break
-        wanted = shifts[best] + np.clip(0.5 * (below - above) / np.where(seen, bend, 1.0), -2, 2)
-        turn = np.exp(2j * np.pi * wanted[seen]).mean()
-        cycles = np.round(wanted - np.angle(turn) / (2 * np.pi)).astype(int)
-        cycles = np.where(seen, cycles - round(float(np.median(cycles[seen]))), 0)
-        if not cycles.any():
-            break
-        experiment = experiment.moved(cycles)
-    return experiment
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:

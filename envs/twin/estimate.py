@@ -24,6 +24,7 @@ TRIES = (0.03, 1.0, 30.0)  # of the damping, side by side
 SMALL = 1e-4  # of the cost, a step that gains less is the last one of a search from far away
 CLOSE = 0.05  # of the sum of squares of white residuals; near the end the same
 GRAINS = 20  # shortest difference of what is rounded
+REACH = 10  # standard errors a derivative is taken over, either way
 FINEST = 1e-5  # shortest difference of a derivative, of the value or of the first difference
 REPLICAS = 24
 CORRECTIONS = 2  # of the bias that noise brings
@@ -73,13 +74,15 @@ class Free:
         return self.share * (math.log1p(self.step) if self.log else 1.0)
 
     def finer(self, error: float) -> "Free":
-        """With differences as long as the standard error, in which the machine is linear.
+        """With differences of some standard errors, in which the machine is linear.
 
-        They stay long enough to be seen behind what the drive rounds.
+        Shorter ones would be of single events: where an axis sticks, and where a gap closes, is
+        another place for each value, and what this leaves is worth about seven standard errors,
+        however short the difference. They also stay longer than what the drive rounds.
         """
         full = math.log1p(self.step) if self.log else 1.0
         least = max(FINEST, GRAINS * self.grain) / self.step
-        return replace(self, share=min(max(error / full, least), 1.0))
+        return replace(self, share=min(max(REACH * error / full, least), 1.0))
 
 
 @dataclass
@@ -99,27 +102,35 @@ class Noise:
         return left @ self.inverse.T
 
 
-def colour(residuals: Sequence[np.ndarray], order: int = ORDER) -> Noise:
-    """Fit the autoregression to residuals ``(n, 2)`` of several experiments."""
-    both = np.concatenate(residuals)
-    scales = np.maximum(np.sqrt(np.mean(both**2, axis=0)), 1e-12)
+def colour(
+    residuals: Sequence[np.ndarray], moving: Sequence[np.ndarray], order: int = ORDER
+) -> Noise:
+    """Fit the autoregression to residuals ``(n, 2)`` of several experiments.
+
+    It is that of the motion: at rest dry friction keeps what noise has left, which looks like a
+    noise of very low frequency, and would hide a torque that is wrong all the time.
+    """
     ahead, behind = [], []
-    for each in residuals:
-        scaled = each / scales
-        if len(scaled) <= 4 * order:
+    for each, on in zip(residuals, moving, strict=True):
+        if len(each) <= 4 * order:
             continue
-        ahead.append(scaled[order:])
-        behind.append(np.concatenate([scaled[order - k : -k] for k in range(1, order + 1)], axis=1))
-    if not ahead:
-        return Noise((float(scales[0]), float(scales[1])))
-    y, x = np.concatenate(ahead), np.concatenate(behind)
+        run = np.lib.stride_tricks.sliding_window_view(on, order + 1).all(axis=1)
+        ahead.append(each[order:][run])
+        behind.append(
+            np.concatenate([each[order - k : -k] for k in range(1, order + 1)], axis=1)[run])
+    both = np.concatenate([each[on] for each, on in zip(residuals, moving, strict=True)])
+    scales = np.maximum(np.sqrt(np.mean(both**2, axis=0)), 1e-12)
+    noise = Noise((float(scales[0]), float(scales[1])))
+    if sum(map(len, ahead)) < 10 * order:
+        return noise
+    y, x = np.concatenate(ahead) / scales, np.concatenate(behind) / np.tile(scales, order)
     gram = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1])
     solution = np.linalg.solve(gram, x.T @ y)
     left = y - x @ solution
     covariance = left.T @ left / max(len(y) - x.shape[1], 1) + 1e-9 * np.eye(2)
-    coefficients = solution.T.reshape(2, order, 2).transpose(1, 0, 2)
-    inverse = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Noise((float(scales[0]), float(scales[1])), coefficients, inverse)
+    noise.coefficients = solution.T.reshape(2, order, 2).transpose(1, 0, 2)
+    noise.inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+    return noise
 
 
 @dataclass
@@ -181,24 +192,38 @@ class Search:
         self.fixed = dict(fixed or {})
         self.told = told
 
-    def residuals(self, values: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
-        """Measured minus simulated, for each experiment, shape ``(len(values), m, 2)``."""
+    def residuals(
+        self, values: Sequence[Mapping[str, float]], as_logged: bool = False
+    ) -> list[np.ndarray]:
+        """Measured minus simulated, for each experiment, shape ``(len(values), m, 2)``.
+
+        Args:
+            values: of each candidate.
+            as_logged: simulated values are rounded as those of the log are.
+        """
         found = []
         for experiment in self.experiments:
             run = self.candidates.simulate(experiment, [self.fixed | dict(v) for v in values])
-            found.append(
-                np.stack(
-                    [experiment.position - run.position, experiment.torque - run.torque], axis=-1
-                )
-            )
+            simulated = np.stack([run.position, run.torque], axis=-1)
+            if as_logged:
+                quanta = np.maximum(experiment.quanta, 1e-12)
+                simulated = np.round(simulated / quanta) * quanta
+            measured = np.stack([experiment.position, experiment.torque], axis=-1)
+            found.append(measured - simulated)
         return found
 
-    def white(self, values: Sequence[Mapping[str, float]], noise: Noise) -> list[np.ndarray]:
+    def white(
+        self, values: Sequence[Mapping[str, float]], noise: Noise, as_logged: bool = False
+    ) -> list[np.ndarray]:
         """White residuals of the samples of motion."""
         return [
             noise.white(r)[:, moving]
-            for r, moving in zip(self.residuals(values), self._moving, strict=True)
+            for r, moving in zip(self.residuals(values, as_logged), self._moving, strict=True)
         ]
+
+    def noise(self, values: Mapping[str, float]) -> Noise:
+        """The colour of what some values leave over."""
+        return colour([each[0] for each in self.residuals([values])], self._moving)
 
     def start_noise(self) -> Noise:
         """Before anything is known: what high differences of the measured values leave.
@@ -271,13 +296,13 @@ class Search:
         return Estimate(values, best, covariance, free, noise, jacobian)
 
     def replicate(self, estimate: Estimate, deviation: float, count: int = REPLICAS) -> Estimate:
-        """Where noise of the encoder takes the estimate: a parametric bootstrap, linearised.
+        """Where noise and rounding take the estimate: a parametric bootstrap, linearised.
 
         The machine that was found repeats the experiments with noise of its own, `count` times,
-        side by side; a step of Gauss and Newton says what would have been found from each. Where
-        their mean is not what was measured, noise has taken the estimate away, as dry friction is
-        not linear, and it is put right; their spread is the covariance (Efron, Tibshirani 1993,
-        chapter 6).
+        side by side, logged in the units of the log; a step of Gauss and Newton says what would
+        have been found from each. Where their mean is not what was measured, noise has taken the
+        estimate away, as dry friction is not linear, and it is put right; their spread is the
+        covariance (Efron, Tibshirani 1993, chapter 6).
 
         Args:
             estimate: of this search.
@@ -292,7 +317,7 @@ class Search:
         inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
         values, spread = dict(estimate.values), np.zeros_like(gram)
         for _ in range(CORRECTIONS):
-            noisy = self.white([values | each for each in seeds], estimate.noise)
+            noisy = self.white([values | each for each in seeds], estimate.noise, as_logged=True)
             away = np.concatenate([part.reshape(count, -1) for part in noisy], axis=1)
             steps = -(away @ jacobian) @ inverse
             spread = np.cov(steps.T).reshape(len(free), len(free)) * (1 + 1 / count)

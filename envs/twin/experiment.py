@@ -17,7 +17,7 @@ from ...drive.drive import Drive
 from ...drive.kernel.words import Mode
 from ...drive.wire.recording import Signal
 from ..engine.machine import Machine
-from .set_points import PROFILE, SI, Events, cyclic_rows, filled, occasional
+from .set_points import PROFILE, SI, Events, Lost, cyclic_rows, filled, occasional
 
 CYCLIC = {  # mode -> the set-point that comes once a bus cycle
     Mode.CYCLIC_SYNC_POSITION: "target_position", Mode.CYCLIC_SYNC_VELOCITY: "target_velocity",
@@ -63,6 +63,7 @@ class Experiment:
     notes: tuple[str, ...] = ()
     lost: float = 0.0  # share of the frames
     events: Events | None = None  # that the rows come from, where set-points are not cyclic
+    missed: Lost | None = None  # cyclic set-points that are not in the log
 
     def moved(self, cycles: np.ndarray) -> "Experiment":
         """With the motions of its `events` beginning so many rows later."""
@@ -219,11 +220,11 @@ def experiment(
     per = round(period / step) if cyclic else 1
     lead = math.ceil((SETTLING + _brake(drive)) / (per * step)) * per
     count = lead + math.ceil((float(time[-1]) + 5 * samples.period) / step) + per
-    events = None
+    events = missed = None
     if cyclic:
         if np.count_nonzero((raw.time >= begin) & (raw.time <= end)) < 4:
             raise Unusable(f"{log}: too few set-points while the drive was enabled: record longer")
-        rows, arrives = cyclic_rows(
+        rows, arrives, missed = cyclic_rows(
             signals, raw, clock(places.even), target, used, clock, step, per, lead, count
         )
     else:
@@ -263,6 +264,7 @@ def experiment(
     return Experiment(
         log, used, step, period, rows, arrives, lead, float(measured[0]), time, measured, torques,
         (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0), events,
+        missed,
     )
 
 

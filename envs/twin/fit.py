@@ -10,10 +10,11 @@ import numpy as np
 from ...drive.model.model import DriveModel
 from ..engine import parameters
 from ..plants.tuning import inertia_at_shaft
-from .candidates import LAG, Candidates, Simulated, timed
-from .estimate import Estimate, Free, Noise, Search, colour
+from .candidates import LAG, Candidates, Simulated
+from .estimate import Estimate, Free, Noise, Search
 from .experiment import Experiment, Unusable
 from .families import AUTO, GAINS, Family, family
+from .reconstruction import restored, timed
 from .regression import Rough, regress
 
 HELD_OUT = 0.35  # of one log, its end; of several logs the last one
@@ -149,7 +150,9 @@ def fit(
         experiments = [timed(candidates, each, best) for each in experiments]
         search.experiments = _split(experiments)[0]
         for steps in () if candidates.coarse else (4, 8):
-            noise = colour([each[0] for each in search.residuals([best])])
+            noise = search.noise(best)
+            experiments = [restored(candidates, each, best, noise) for each in experiments]
+            search.experiments = _split(experiments)[0]
             estimate = search.descend(estimate.finer(candidates.smooth), best, noise, steps,
                                       close=True)
             best = estimate.values
@@ -164,11 +167,11 @@ def fit(
         try:
             all_of_it = Search(candidates, experiments, told=search.told)
             if not candidates.coarse:
-                noise = colour([each[0] for each in all_of_it.residuals([best])])
+                noise = all_of_it.noise(best)
             estimate = all_of_it.descend(
                 estimate.finer(candidates.smooth), best, noise, 6, close=True
             )
-            if held[-1] > 0.0:
+            if not candidates.coarse:
                 estimate = all_of_it.replicate(estimate, held[-1])
             estimate = replace(estimate, covariance=estimate.covariance * worse)
         except KeyboardInterrupt:

@@ -20,6 +20,7 @@ PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "
 SI = ("m", "rad", "m/s", "rad/s", "Nm")  # units that are none of a drive
 ENABLE = (0x0006, 0x0007, 0x000F)  # controlwords
 NEW_SET_POINT = INTERPOLATE = 0x10  # in pp, in ip
+MIDDLE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # of five, off the cubic through the others
 APART = 5e-3  # s from one controlword to the next, on the way to an enabled drive
 
 
@@ -47,8 +48,29 @@ class Events:
         return replace(self, at=np.maximum.accumulate(at))
 
 
+@dataclass(frozen=True)
+class Lost:
+    """Cyclic set-points that the logger missed, and what is known of them.
+
+    In the log each lies on a cubic through its neighbours. How far off that is, the set-points
+    that were logged tell, each of them left out in turn.
+    """
+
+    at: np.ndarray  # first row of each, shape (k,)
+    per: int  # rows that it holds
+    target: str  # variable
+    error: float  # of the cubic, rms (drive units)
+
+    def rows(self, rows: Mapping[str, np.ndarray], off: np.ndarray) -> dict[str, np.ndarray]:
+        """The rows with so much more (drive units) in each of them, shape ``(k,)``."""
+        column = rows[self.target].copy()
+        for at, more in zip(self.at, off, strict=True):
+            column[at : at + self.per] += more
+        return {**rows, self.target: column}
+
+
 def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count):
-    """Cyclic set-points by position cycle, and which of them come with a process image."""
+    """Cyclic set-points by position cycle, which come with a process image, which were lost."""
     written = {
         "controlword": np.full(count, ENABLE[-1] | INTERPOLATE * (mode == 7)),
         "modes_of_operation": np.full(count, mode),
@@ -60,7 +82,7 @@ def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count)
     number, at = np.unique(have[inside], return_index=True)
     values = raw.value[inside][at]
     cycles = np.arange(len(bus))
-    every = _between(number, values, cycles)
+    every, missing, error = _between(number, values, cycles)
     every[cycles > number[-1]] = values[-1]
     every[cycles < number[0]] = values[0]
     column = np.repeat(every, per)[: count - lead]
@@ -77,7 +99,7 @@ def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count)
         written["controlword"][at : at + max(per, 1) * max(round(APART / (per * step)), 1)] = word
         arrives[at] = 1
     written["controlword"][: arrives.nonzero()[0][1]] = ENABLE[0]
-    return written, arrives
+    return written, arrives, Lost(lead + missing * per, per, target, error)
 
 
 def occasional(signals, target, mode, clock, step, lead, drive) -> Events:
@@ -143,8 +165,14 @@ def _curve(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
     return scipy("interpolate").PchipInterpolator(x, y, extrapolate=True)(np.clip(at, x[0], x[-1]))
 
 
-def _between(number: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Cyclic set-points with those that are missing from the log on a cubic through four others."""
+def _between(
+    number: np.ndarray, values: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Cyclic set-points, those that are missing from the log on a cubic through four others.
+
+    Returns:
+        The set-points, the numbers of the missing ones, the error of the cubic (rms).
+    """
     every = np.interp(at, number, values)
     missing = np.setdiff1d(at[(at > number[0]) & (at < number[-1])], number)
     for k in missing:
@@ -155,7 +183,12 @@ def _between(number: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
             every[k] = np.polynomial.polynomial.polyval(
                 0.0, np.linalg.solve(np.vander(x - k, 4, increasing=True), y)
             )
-    return every
+    if len(values) < len(MIDDLE):
+        return every, missing, 0.0
+    five = np.lib.stride_tricks.sliding_window_view(values, len(MIDDLE))
+    known = (np.ptp(five, axis=1) > 0) & (number[4:] - number[:-4] == 4)
+    off = five[known] @ MIDDLE
+    return every, missing, float(np.sqrt(np.mean(off**2))) if len(off) else 0.0
 
 
 def _lead(first: float, speed: float, lead: int, per: int, step: float) -> np.ndarray:

@@ -1,15 +1,17 @@
 """Twins of machines with hidden parameters, drawn wide: how near they come, and what it costs.
 
-    python tests/twin/campaign.py FAMILY FIRST LAST [known] [10ms] [true=FAMILY] [drive=MODEL]
+    python tests/twin/campaign.py ROWS.jsonl [SERIES[:COUNT] ...]
 
-A line a seed, and the sums. The log has 0.5 % of its frames missing, stamps that jitter by 0.2 ms
-and an encoder with noise of 0.2 to 1 µm. `true` is the family the log comes from, where another one
-is fitted to it.
+plays what is missing in the rows, of all series or of some, and adds a line for each machine. A log
+has 0.5 % of its frames missing, stamps that jitter by 0.2 ms and an encoder with noise of 0.2 to
+1 µm. `page.py` makes docs/results/twin.md of the rows.
 """
 
+import json
 import math
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 from machines import hide, moves
@@ -29,17 +31,17 @@ NAMES = ("position_actual_value", "torque_actual_value", "statusword")
 
 def draw(machine, family, rng, known):
     """Give it hidden parameters; -> their values."""
-    hidden = hide(machine, rng, [family.mass, *HIDDEN])
+    hidden = hide(machine, rng, [family.mass, *HIDDEN], drive=family.axis)
     if family.spring:
         stiffness, damping = family.spring
         low, high = (8e3, 4e5) if stiffness[0] == "l" else (5e4, 1e6)
         k = math.exp(rng.uniform(math.log(low), math.log(high)))
         ratio = rng.uniform(0.01, 0.1)
         spring = {stiffness: k, damping: 2 * ratio * math.sqrt(k * hidden[family.mass])}
-        parameters.put(machine, spring)
+        parameters.put(machine, spring, family.axis)
         hidden |= spring
     if not known:
-        hidden |= hide(machine, rng, GAINS, 0.3)
+        hidden |= hide(machine, rng, GAINS, 0.3, family.axis)
     return hidden
 
 
@@ -76,8 +78,31 @@ def stream(machine, name, set_points, period, rng, *, dropped=0.005, jitter=2e-4
     return signals
 
 
+# series -> what is fitted, how the log was made, first seed, machines
+SERIES = {
+    "rigid, gains unknown": ("rigid", {"known": False}, 1000, 20),
+    "rigid": ("rigid", {}, 1100, 20),
+    "load on a spring": ("spring", {}, 1200, 20),
+    "a spring as rigid": ("rigid", {"truth": "spring"}, 1300, 20),
+    "toothed belt": ("toothed_belt", {}, 1400, 5),
+    "ball screw": ("ball_screw", {}, 1410, 5),
+    "vertical": ("vertical", {}, 1420, 5),
+    "rotary table": ("rotary_table", {}, 1430, 5),
+    "conveyor": ("conveyor", {}, 1440, 5),
+    "gantry.x": ("gantry.x", {}, 1450, 5),
+    "gantry.y": ("gantry.y", {}, 1460, 5),
+    "rack and pinion": ("rack_pinion", {}, 1470, 5),
+    "linear motor": ("linear_motor", {}, 1480, 5),
+    "rigid, 10 ms": ("rigid", {"period": 1e-2}, 1490, 5),
+    "rigid, kollmorgen_akd": ("rigid", {"drive": "kollmorgen_akd"}, 1500, 5),
+}
+
+
 def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic", seconds=4.0):
-    """One machine: a log, a fit, and what they have in common."""
+    """One machine, its log, its twin; -> the twin, what was hidden, the noise floor (m), CPU-s.
+
+    The floor is what the machine with the hidden parameters leaves of its own log, without noise.
+    """
     rng = np.random.default_rng(seed)
     family = FAMILIES[truth or fitted_as]
     machine = family.make(drive)
@@ -93,59 +118,57 @@ def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic"
     begin = time.process_time()
     twin = fit([found], drive, chosen, gains_known=known)
     cost = time.process_time() - begin
-    errors, covered = {}, {}
+    if truth is not None:
+        return twin, {}, math.nan, cost
+    whole = twin.whole[0]
+    quiet = twin.candidates.simulate(whole, [hidden | {"lag": twin.values["lag"]}])
+    held = whole.time >= twin.cuts[0]
+    floor = float(np.sqrt(np.mean((quiet.position[0] - whole.position)[held] ** 2)))
+    return twin, hidden, floor, cost
+
+
+def row(series, seed):
+    """What is kept of one machine."""
+    fitted_as, arguments, _, _ = SERIES[series]
+    kept = {"series": series, "seed": seed}
+    try:
+        twin, hidden, floor, cost = one(seed, fitted_as, **arguments)
+    except Unusable as error:
+        return kept | {"verdict": "unusable", "said": str(error)}
+    found = {}
     for name, value in hidden.items():
-        if truth is None and name in twin.values:
-            low, high = twin.estimate.interval(name)
-            errors[name] = twin.values[name] / value - 1
-            covered[name] = low <= value <= high
-    floor = math.nan
-    if truth is None:
-        quiet = twin.candidates.simulate(found, [hidden | {"lag": twin.values["lag"]}])
-        held = found.time >= twin.cuts[0]
-        floor = float(np.sqrt(np.mean((quiet.position[0] - found.position)[held] ** 2)))
-    return twin, errors, covered, floor, cost
+        low, high = twin.estimate.interval(name)
+        found[name] = {"true": _short(value), "found": _short(twin.values[name]),
+                       "low": _short(low), "high": _short(high)}
+    return kept | {
+        "verdict": twin.verdict, "held_out": _short(twin.held_position),
+        "floor": _short(twin.floor_position if floor != floor else floor),
+        "cpu": round(cost, 1), "parameters": found,
+    }
+
+
+def _short(value):
+    return float(f"{value:.6g}")
+
+
+def rows(file):
+    """The rows of a file."""
+    text = file.read_text(encoding="utf-8") if file.exists() else ""
+    return [json.loads(line) for line in text.splitlines()]
 
 
 def main(words):
-    family, first, last = words[0], int(words[1]), int(words[2])
-    more = dict(word.split("=") for word in words if "=" in word)
-    arguments = {
-        "known": "known" in words, "period": 1e-2 if "10ms" in words else 1e-3,
-        "truth": more.get("true"), "drive": more.get("drive", "generic"),
-    }
-    all_errors, all_covered, ratios, verdicts, costs = {}, [], [], [], []
-    for seed in range(first, last):
-        try:
-            twin, errors, covered, floor, cost = one(seed, family, **arguments)
-        except Unusable as error:
-            verdicts.append("unusable")
-            print(seed, error, flush=True)
-            continue
-        floor = floor if floor == floor else twin.floor_position
-        ratios.append(twin.held_position / floor)
-        verdicts.append(twin.verdict)
-        costs.append(cost)
-        all_covered += covered.values()
-        for name, error in errors.items():
-            all_errors.setdefault(name, []).append(abs(error))
-        shown = ", ".join(
-            f"{n} {100 * e:+.1f} %{'' if covered[n] else ' !'}" for n, e in errors.items()
-        )
-        print(
-            f"{seed} {family}: held out {1e6 * twin.held_position:.2f} µm, {ratios[-1]:.2f} of the "
-            f"floor, {twin.verdict}, {cost:.1f} s: {shown}", flush=True,
-        )
-    print(f"{family} {arguments}: {len(verdicts)} machines")
-    print({verdict: verdicts.count(verdict) for verdict in dict.fromkeys(verdicts)})
-    if ratios:
-        print(f"of the floor: within 1.3 {np.mean(np.array(ratios) <= 1.3):.2f}, within 2 "
-              f"{np.mean(np.array(ratios) <= 2):.2f}, largest {max(ratios):.2f}")
-        print(f"processor time: median {np.median(costs):.1f} s, largest {max(costs):.1f} s")
-    for name, values in all_errors.items():
-        print(f"{name}: median {100 * np.median(values):.2f} %, largest {100 * max(values):.1f} %")
-    if all_covered:
-        print(f"95 % intervals cover {np.mean(all_covered):.3f} of {len(all_covered)} parameters")
+    file = Path(words[0])
+    wanted = [word.rpartition(":") if word.rpartition(":")[2].isdigit() else (word, "", "")
+              for word in words[1:]]
+    for name, _, most in wanted or [(name, "", "") for name in SERIES]:
+        _, _, first, count = SERIES[name]
+        there = {(each["series"], each["seed"]) for each in rows(file)}
+        for seed in range(first, first + (int(most) if most else count)):
+            if (name, seed) in there:
+                continue
+            with file.open("a", encoding="utf-8") as out:
+                out.write(json.dumps(row(name, seed), ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":

@@ -114,11 +114,11 @@ class Node:
         return self.file
 
 
-def hide(machine, rng, names, spread=1.0):
-    """Give a machine other parameters, each by a factor; -> what they are."""
-    nominal = parameters.get(machine, names)
+def hide(machine, rng, names, spread=1.0, drive=None):
+    """Give a drive of a machine other parameters, each by a factor; -> what they are."""
+    nominal = parameters.get(machine, names, drive)
     hidden = {name: v * float(np.exp(rng.uniform(-spread, spread))) for name, v in nominal.items()}
-    parameters.put(machine, hidden)
+    parameters.put(machine, hidden, drive)
     return hidden
 
 

@@ -19,11 +19,12 @@ from servogym.drive.model.model import load
 from servogym.drive.wire.recording import Signal, Source
 from servogym.envs import linear_axis
 from servogym.envs.twin import logs
-from servogym.envs.twin.candidates import LAG, Candidates, timed
+from servogym.envs.twin.candidates import LAG, Candidates
 from servogym.envs.twin.estimate import Free, Search
 from servogym.envs.twin.experiment import experiment
 from servogym.envs.twin.families import FAMILIES
 from servogym.envs.twin.fit import best_lag
+from servogym.envs.twin.reconstruction import timed
 
 EACH = [(model, bus, mode) for model, bus, modes in CELLS for mode in modes]
 SAMPLE = [("generic", "can", "pp"), ("kollmorgen_akd", "ethercat", "pp"),

@@ -392,7 +392,7 @@ def test_whitening_takes_the_colour_of_an_autoregression():
     shocks = rng.normal(size=made_up.shape) * [1.0, 0.3]
     for n in range(1, len(made_up)):
         made_up[n] = np.array([[0.8, 0.1], [-0.2, 0.5]]) @ made_up[n - 1] + shocks[n]
-    noise = colour([made_up])
+    noise = colour([made_up], [np.ones(len(made_up), bool)])
     white = noise.white(made_up)[50:]
     assert np.cov(white.T) == pytest.approx(np.eye(2), abs=0.05)
     assert abs(np.mean(white[1:] * white[:-1])) < 0.02

@@ -1,0 +1,108 @@
+"""Set-points as the axis shows them, where a log does not.
+
+A logger stamps frames late, and misses some of them. The drive got them all, in time, and its
+motion shows what they were.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .candidates import LAG, Candidates
+from .estimate import Noise
+from .experiment import Experiment
+
+SHIFT, ROUNDS = 3, 3  # cycles either way that a motion may begin beside its stamp, and how often
+ANSWER = 0.15  # s, that an axis takes to answer a set-point that is off
+
+
+def timed(
+    candidates: Candidates, experiment: Experiment, values: Mapping[str, float]
+) -> Experiment:
+    """An experiment whose motions begin in the position cycles that its samples show.
+
+    A logger stamps a frame to some tenths of a millisecond, and an RPDO waits for the next cycle of
+    the drive: of a set-point sent on occasion this is as much as the axis travels in a cycle. One
+    delay is common to all of them, `LAG`; what differs is a whole number of cycles for each.
+    """
+    if experiment.events is None or not experiment.events.begins.any():
+        return experiment
+    count = int(np.count_nonzero(experiment.events.begins))
+    shifts = np.arange(-SHIFT, SHIFT + 1)
+    for _ in range(ROUNDS):
+        events = experiment.events
+        at = (events.at[events.begins] - experiment.begins) * experiment.cycle
+        which = np.searchsorted(at + values.get(LAG, 0.0), experiment.time, "right")
+        errors = np.zeros((len(shifts), count + 1))
+        for row, shift in zip(errors, shifts, strict=True):
+            run = candidates.simulate(experiment.moved(np.full(count, shift)), [values])
+            row += np.bincount(which, (experiment.position - run.position[0]) ** 2, count + 1)
+        errors = errors[:, 1:]
+        best = np.clip(np.argmin(errors, axis=0), 1, len(shifts) - 2)
+        below, here, above = (errors[best + n, np.arange(count)] for n in (-1, 0, 1))
+        bend = above - 2 * here + below
+        seen = bend > 1e-3 * np.nanmax(bend)
+        if not seen.any():
+            break
+        wanted = shifts[best] + np.clip(0.5 * (below - above) / np.where(seen, bend, 1.0), -2, 2)
+        turn = np.exp(2j * np.pi * wanted[seen]).mean()
+        cycles = np.round(wanted - np.angle(turn) / (2 * np.pi)).astype(int)
+        cycles = np.where(seen, cycles - round(float(np.median(cycles[seen]))), 0)
+        if not cycles.any():
+            break
+        experiment = experiment.moved(cycles)
+    return experiment
+
+
+def restored(
+    candidates: Candidates, experiment: Experiment, values: Mapping[str, float], noise: Noise
+) -> Experiment:
+    """An experiment with the set-points that were lost from its log.
+
+    Each is the sum of what the curve through its neighbours says and of what is left of the motion
+    behind it, weighed by the error of such curves in this log and by the noise (maximum a
+    posteriori). Lost ones that lie apart are looked at side by side.
+    """
+    lost = experiment.missed
+    if lost is None or not len(lost.at) or lost.error == 0.0:
+        return experiment
+
+    def white(experiment: Experiment) -> np.ndarray:
+        run = candidates.simulate(experiment, [values])
+        left = [experiment.position - run.position[0], experiment.torque - run.torque[0]]
+        return noise.white(np.stack(left, axis=-1))
+
+    def off(amounts: np.ndarray) -> Experiment:
+        return replace(experiment, rows=lost.rows(experiment.rows, amounts))
+
+    left = white(experiment)
+    begins = (lost.at - experiment.begins) * experiment.cycle + values.get(LAG, 0.0)
+    ends = begins + max(ANSWER, 4 * lost.per * experiment.cycle)
+    step = max(round(lost.error), 1)
+    slopes = np.zeros((len(lost.at), *left.shape))
+    for group in _apart(begins, ends):
+        amounts = np.zeros(len(lost.at), int)
+        amounts[group] = step
+        slope = (left - white(off(amounts))) / step
+        for n in group:
+            inside = (experiment.time >= begins[n] - experiment.period) & (
+                experiment.time < ends[n])
+            slopes[n, inside] = slope[inside]
+    flat = slopes.reshape(len(slopes), -1)
+    scale = max(float(np.mean(left[experiment.moving] ** 2)), 1e-12)
+    gram = flat @ flat.T / scale + np.eye(len(flat)) / lost.error**2
+    amounts = np.linalg.solve(gram, flat @ left.ravel() / scale)
+    return off(np.round(amounts).astype(int))
+
+
+def _apart(begins: np.ndarray, ends: np.ndarray) -> Sequence[list[int]]:
+    """Groups of intervals none of which overlap."""
+    groups: list[list[int]] = []
+    for n in np.argsort(begins):
+        free = [group for group in groups if ends[group[-1]] <= begins[n]]
+        (free[0] if free else groups.append([]) or groups[-1]).append(int(n))  # type: ignore
+    return groups
+
+
+__all__ = ["restored", "timed"]
