@@ -7,6 +7,7 @@ curve through its neighbours. What is sent on occasion, as a set-point of profil
 its time, to the next position cycle.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -29,6 +30,8 @@ OCCASIONAL = {
     Mode.PROFILE_TORQUE: "target_torque",
 }
 STATE, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
+MODES = ("modes_of_operation_display", "modes_of_operation")  # the first that is in a log
+OFF = -1000  # no mode of any drive
 LONGEST_GAP = 0.25  # s without a frame that is taken as a hole in the log
 SETTLING = 0.25  # s that a machine stands enabled before the log begins
 SHORTEST = 0.3  # s of a log
@@ -142,7 +145,7 @@ class Scale:
 def experiment(
     signals: Mapping[str, Signal], machine: Machine, name: str, *, log: str = "log",
     mode: int | None = None, torque_constant: float | None = None, cycle: float | None = None,
-    hold: bool = False,
+    hold: bool = False, span: tuple[float, float] | None = None,
 ) -> Experiment:
     """Make an experiment from the part of a log that belongs to one drive.
 
@@ -155,6 +158,7 @@ def experiment(
         torque_constant: Nm/A, for a log that has the current in A instead of a torque.
         cycle: of the master (s), where the log was sampled more seldom than set-points came.
         hold: set-points are steps, from sample to sample, not points on a curve.
+        span: from when to when (s), one of `spans`; the longest if not given.
 
     Raises:
         Unusable: what is missing, and how to record it.
@@ -163,7 +167,7 @@ def experiment(
     notes: list[str] = []
     position, quantum_p = _measured_position(signals, scale, log)
     torque, quantum_t = _measured_torque(signals, drive, scale, torque_constant, log)
-    begin, end = _enabled(signals, position, log)
+    begin, end = span or max(spans(signals, log), key=lambda each: each[1] - each[0])
     used = _mode(signals, mode, log, begin, end)
     target = (CYCLIC | OCCASIONAL)[Mode(used)]
     if target not in signals and used == Mode.PROFILE_POSITION and "target_position" not in signals:
@@ -180,6 +184,9 @@ def experiment(
     raw = _in_units(signals[target], scale, target)
     cyclic = Mode(used) in CYCLIC
     step = machine.cycle_time
+    position, torque = (_inside(each, begin, end) for each in (position, torque))
+    if cyclic:
+        raw = _inside(raw, begin, end)
     samples = _regular(position.time, log)
     if cyclic:
         places = _regular(raw.time, log)
@@ -202,6 +209,7 @@ def experiment(
     if cyclic:
         origin = places.nearest(origin)
     inside = (samples.even >= origin - 1e-9) & (samples.even <= end)
+    inside &= np.append(np.diff(samples.even) > 0.5 * samples.period, True)  # one a cycle
     time = clock(samples.even[inside])
     if len(time) < 20 or time[-1] - time[0] < SHORTEST:
         raise Unusable(
@@ -401,28 +409,50 @@ def _measured_torque(
     )
 
 
-def _enabled(signals: Mapping[str, Signal], position: Signal, log: str) -> tuple[float, float]:
-    """The longest time that the drive was enabled (s)."""
-    first, last = float(position.time[0]), float(position.time[-1])
+def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, float]]:
+    """From when to when (s) the drive was enabled in one mode of operation.
+
+    A deployment homes the axis and brings it to a start in other modes, episode after episode. Of
+    several modes that in which it was enabled longest counts.
+
+    Raises:
+        Unusable: it was never enabled.
+    """
+    if "position_actual_value" not in signals:
+        return [(0.0, math.inf)]
+    time = signals["position_actual_value"].time
+    first, last = float(time[0]), float(time[-1])
     if "statusword" not in signals:
-        return first, last
+        return [(first, last)]
     word = signals["statusword"]
     on = (word.value.astype(int) & STATE) == ENABLED
     if not on.any():
         raise Unusable(
             f"{log}: the drive is never enabled in it: begin the record, enable, make the moves"
         )
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(int), [0]])))
-    spans = [
-        (float(word.time[a]), float(word.time[b - 1]) if b < len(on) else last)
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    ]
-    begin, end = max(spans, key=lambda span: span[1] - span[0])
-    begin = max(begin, first)
-    after = position.time[position.time >= begin]
-    if len(after) == 0:
-        raise Unusable(f"{log}: no position while the drive was enabled: record longer")
-    return float(after[0]), min(end, last)
+    mode = np.zeros(len(on), int)
+    shown = next((signals[name] for name in MODES if name in signals), None)
+    if shown is not None:
+        last_shown = np.searchsorted(shown.time, word.time, "right") - 1
+        mode = shown.value.astype(int)[np.clip(last_shown, 0, None)]
+    kind = np.where(on, mode, OFF)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
+    found: dict[int, list[tuple[float, float]]] = {}
+    for a, b in itertools.pairwise(edges):
+        if kind[a] == OFF:
+            continue
+        begin = max(float(word.time[a]), first)
+        end = min(float(word.time[b - 1]) if b < len(on) else last, last)
+        after = time[(time >= begin) & (time <= end)]
+        found.setdefault(int(kind[a]), []).append(
+            (float(after[0]) if len(after) else begin, max(begin, end)))
+    return max(found.values(), key=lambda each: sum(end - begin for begin, end in each))
+
+
+def _inside(signal: Signal, begin: float, end: float) -> Signal:
+    """The part of a signal between two times (s)."""
+    inside = (signal.time >= begin - 1e-9) & (signal.time <= end + 1e-9)
+    return Signal(signal.time[inside], signal.value[inside], signal.unit)
 
 
 def _mode(
@@ -430,7 +460,7 @@ def _mode(
 ) -> int:
     if given is not None:
         return given
-    for name in ("modes_of_operation_display", "modes_of_operation"):
+    for name in MODES:
         if name in signals:
             s = signals[name]
             at = np.searchsorted(s.time, [begin + 0.5 * (end - begin)], "right")[0] - 1

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ...drive.drive import Drive
 from ...drive.kernel.record import AXIS, OD
 from ...drive.model.model import DriveModel
 from ...drive.wire.recording import Signal, Source
 from ..engine.machine import Machine
-from .experiment import Experiment, Unusable, experiment
+from .experiment import Experiment, Unusable, experiment, spans
 
 NEEDED = ("position_actual_value",)
 
@@ -51,14 +52,30 @@ def read(
                 "meant with --axis"
             )
         signals = _by_variable(source.signals(source.drive(who, NEEDED)), machine.drives[name])
-        found.append(experiment(
+        found += _parts(
             signals, machine, name, log=log.name, mode=mode, torque_constant=torque_constant,
             cycle=cycle, hold=hold,
-        ))
+        )
     cycles = {each.period for each in found}
     if len(cycles) > 1:
         raise Unusable(f"logs of different bus cycles ({cycles} s): make a twin of each")
     return found
+
+
+def _parts(signals: Mapping[str, Signal], machine: Machine, name: str, **more: Any) -> list[
+        Experiment]:
+    """An experiment of each part of a log, of several those that are usable."""
+    parts: list[Experiment] = []
+    said: Unusable | None = None
+    several = spans(signals, more["log"])
+    for span in several:
+        try:
+            parts.append(experiment(signals, machine, name, span=span, **more))
+        except Unusable as error:
+            said = said or error
+    if said is not None and not parts:
+        raise said
+    return parts
 
 
 def _by_variable(signals: Mapping[str, Signal], drive: Drive) -> dict[str, Signal]:

@@ -211,6 +211,7 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
         )
     example = kind(load(options.drive, "ethercat" if options.ethercat else None), **given)
     axes = example.drive_names
+    options.period = example.step_time
     side = _side(options, axes, stack)
     made: Any = gymnasium.make(
         kind.ID, drive=example.drive.model, port=side, disable_env_checker=True, **given
@@ -288,6 +289,7 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
         master = SoemMaster(options.ethercat, timeout=patience)
         stack.callback(master.close)
         return EtherCatDrives(master, axes, options.drive, pace=pace)
+    from ...drive.canopen.frame import Base
     from ...drive.wire.bus import CanPort
     from ...drive.wire.log import LogFile
 
@@ -298,7 +300,13 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
     for log in logs:
         stack.callback(log.stop)
 
+    cycles = 0
+
     def keep(message: Any) -> None:
+        nonlocal cycles
+        if options.lock_step:  # the time of the machine: a cycle passes with each SYNC
+            cycles += message.arbitration_id == Base.SYNC and not message.is_rx
+            message.timestamp = cycles * options.period
         for log in logs:
             log(message)
             log.flush()
