@@ -36,6 +36,8 @@ SCALES = {  # units of a column, and what one of them is in SI
 SI = {"s": "s", "ms": "s", "us": "s", "µs": "s", "m": "m", "mm": "m", "um": "m", "µm": "m",
       "rad": "rad", "deg": "rad", "m/s": "m/s", "mm/s": "m/s", "rad/s": "rad/s", "Nm": "Nm",
       "mNm": "Nm", "A": "A", "mA": "A", "1": ""}
+SHARES = {"% rated": 10.0}  # units of a scope that are a multiple of the drive's: per mille
+HERE = ":"  # between an axis and its object, in a table of several
 CAPTURES = (".pcapng", ".pcap")
 TRACES = (".csv", ".npz")  # of `Trace.save`; a .csv may be a log of python-can as well
 Heard = Callable[[str, Object, float], None]
@@ -76,7 +78,9 @@ class Source:
         if columns is not None:
             self._columns = chosen_columns(log, columns)
         if self._columns:
-            self.units[log.name] = {name: unit for name, unit, _ in self._columns[1:]}
+            for name, unit, _ in self._columns[1:]:
+                axis, _, name = name.rpartition(HERE)
+                self.units.setdefault(axis or log.name, {})[name] = unit
             return
         for _ in self._frames(self._note):
             pass
@@ -112,9 +116,9 @@ class Source:
     def groups(self, who: str) -> Iterator[tuple[float, Group]]:
         """Time (s) and values of each frame of a drive that has some."""
         if self._columns:
-            names = [name for name, _, _ in self._columns]
-            for time, *row in zip(*(samples for _, _, samples in self._columns), strict=True):
-                yield float(time), dict(zip(names[1:], row, strict=True))
+            time, samples = self._of(who)
+            for at, *row in zip(time, *samples.values(), strict=True):
+                yield float(at), dict(zip(samples, row, strict=True))
             return
         group: Group = {}
 
@@ -130,8 +134,8 @@ class Source:
     def signals(self, who: str) -> dict[str, Signal]:
         """Everything recorded of a drive, by object."""
         if self._columns:
-            time = self._columns[0][2]
-            found = {name: (time, samples) for name, _, samples in self._columns[1:]}
+            time, columns = self._of(who)
+            found = {name: (time, samples) for name, samples in columns.items()}
         else:
             rows: dict[str, tuple[list[float], list[float]]] = {}
             for at, group in self.groups(who):
@@ -142,6 +146,14 @@ class Source:
             found = {name: (np.array(t), np.array(v)) for name, (t, v) in rows.items()}
         units = self.units[who]
         return {name: Signal(t, v, units.get(name, "")) for name, (t, v) in found.items()}
+
+    def _of(self, who: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Time and samples of one axis of a table, by object."""
+        axes = {name: name.rpartition(HERE) for name, _, _ in self._columns[1:]}
+        return self._columns[0][2], {
+            axes[name][2]: samples for name, _, samples in self._columns[1:]
+            if (axes[name][0] or self._log.name) == who
+        }
 
     def often(self, who: str, most: int) -> list[str]:
         """The most frequent objects of a drive, up to a number."""
@@ -284,14 +296,18 @@ def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]
     """Name, unit and samples in SI of the columns of a CSV that are named, the time first.
 
     Args:
-        log: the file; its first line has the headings.
+        log: the file; its first line has the headings. Between columns stands a comma, or a
+            semicolon or a tabulator, and numbers may then have a decimal comma.
         columns: ``time=t:ms,target_position=x:mm``, see `Source`.
 
     Raises:
         ValueError: a heading or unit that is none, what is not a number, no time.
     """
     with log.open(newline="", encoding="utf-8", errors="replace") as file:
-        reader = csv.reader(file)
+        first = file.readline()
+        comma = max(",;\t", key=first.count)
+        file.seek(0)
+        reader = csv.reader(file, delimiter=comma)
         head = [each.strip() for each in next(reader, [])]
         lines = [(n, line) for n, line in enumerate(reader, 2) if any(map(str.strip, line))]
     found = []
@@ -308,7 +324,8 @@ def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]
         samples = np.zeros(len(lines))
         for row, (number, line) in enumerate(lines):
             try:
-                samples[row] = float(line[at])
+                text = line[at] if comma == "," else line[at].replace(",", ".")
+                samples[row] = float(text)
             except (ValueError, IndexError):
                 raise ValueError(f"{log}, line {number}: no number in {heading!r}") from None
         found.append((name, SI.get(unit, ""), samples * SCALES.get(unit or "1", 1.0)))
@@ -336,5 +353,9 @@ def _columns(log: Path) -> list[tuple[str, str, np.ndarray]]:
             raise ValueError(f"{log}: {error}") from None
     if table.shape[0] == 0 or table.shape[1] != len(head):
         raise ValueError(f"{log}: {table.shape[1]} columns of {len(head)}, or no samples")
-    named = (text.rstrip(")").partition(" (") for text in head)
-    return [(name, unit, table[:, n]) for n, (name, _, unit) in enumerate(named)]
+    found = []
+    for column, text in zip(table.T, head, strict=True):
+        name, _, unit = text.rstrip(")").partition(" (")
+        factor = SCALES.get(unit) or SHARES.get(unit, 1.0)
+        found.append((name, "" if unit in SHARES else SI.get(unit, unit), column * factor))
+    return found

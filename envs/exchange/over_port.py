@@ -492,6 +492,7 @@ class PortLine:
         self.dry = False  # all but the power: controlwords stay 0
         self.stopped: Stopped | None = None
         self.on_step: Callable[[np.ndarray], object] | None = None  # answers of the drives
+        self.sent: np.ndarray | None = None  # the last commands
 
     def _guardable(self) -> None:
         """See that the guard knows what the agent commands."""
@@ -807,6 +808,7 @@ class PortLine:
             for name, value in values.items():
                 self._side.port.write(axis, name, value)
         self._side.send()
+        self.sent = images.copy()
 
     def _answer(self, tpdos: np.ndarray) -> None:
         images = tpdos.view(self._tpdo).reshape(-1)

@@ -146,13 +146,14 @@ class Estimate:
     residuals: list[np.ndarray] = field(default_factory=list)
 
     def finer(self, smooth: bool = True) -> list[Free]:
-        """What is looked for, with differences as long as the standard errors.
+        """What is looked for, with differences of some standard errors, all others held.
 
         As they were where the machine is not `smooth`: its increments hide short differences.
         """
         if not smooth:
             return self.free
-        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        sizes = np.maximum(np.linalg.norm(self.jacobian, axis=0), 1e-300)
+        errors = math.sqrt(self.cost) / sizes
         return [f.finer(float(error)) for f, error in zip(self.free, errors, strict=True)]
 
     def interval(self, name: str, quantile: float = 2.07) -> tuple[float, float]:

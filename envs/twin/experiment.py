@@ -39,6 +39,8 @@ REST = 0.02  # s without motion, from which an experiment in profile position ma
 MOTION = 1e-3  # m/s or rad/s
 ALIKE = 1.6  # most that set-points travel farther than the axis, or less far
 UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrator brought along
+SATURATED = 0.25  # share of the motion at the torque limit, above which a log tells too little
+BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
 DRIFT = 5e-4  # share that the clock of a logger may be off, where nothing is sent cyclically
 
 
@@ -255,12 +257,6 @@ def experiment(
             f"{log}: the torque does not change in it: map torque_actual_value (6077h), or "
             "current_actual_value (6078h), into a TPDO and record again"
         )
-    if target == "target_position":
-        asked = np.interp(time, clock(raw.time), raw.value * scale.position)
-        if not cyclic:  # a set-point holds until the next one
-            held = np.searchsorted(clock(raw.time), time, "right") - 1
-            asked = raw.value[np.clip(held, 0, None)] * scale.position
-        _fitting(asked, measured, quantum_p, log)
     low, high = machine.range(name)
     if not (low <= measured.min() and measured.max() <= high):
         notes.append(
@@ -269,11 +265,38 @@ def experiment(
     lost = 1.0 - len(time) / max(
         round(float(time[-1] - time[0]) / (samples.period * stretch)) + 1, 1
     )
-    return Experiment(
+    found = Experiment(
         log, used, step, period, rows, arrives, lead, float(measured[0]), time, measured, torques,
         (quantum_p, quantum_t), _written(signals, drive), tuple(notes), max(lost, 0.0), events,
         missed,
     )
+    _within_limits(found, drive)
+    if target == "target_position":
+        asked = np.interp(time, clock(raw.time), raw.value * scale.position)
+        if not cyclic:  # a set-point holds until the next one
+            held = np.searchsorted(clock(raw.time), time, "right") - 1
+            asked = raw.value[np.clip(held, 0, None)] * scale.position
+        _fitting(asked, measured, quantum_p, log)
+    return found
+
+
+def _within_limits(found: Experiment, drive: Drive) -> None:
+    """Whether the loops were closed: an axis at its torque limit may be anywhere."""
+    axis = drive.axis
+    limit = 0.995 * min(float(axis.torque_limit_positive), float(axis.torque_limit_negative))
+    beyond = float(np.abs(found.torque).max()) / max(limit, 1e-12)
+    if beyond > BEYOND:
+        raise Unusable(
+            f"{found.name}: a torque of {beyond:.2g} times the limit of the drive is in it: give "
+            "its rated torque (6076h), or its current with --torque-constant; record again if the "
+            "limit itself is another"
+        )
+    at_limit = float(np.mean(np.abs(found.torque[found.moving]) >= limit))
+    if at_limit > SATURATED:
+        raise Unusable(
+            f"{found.name}: the torque is at its limit in {100 * at_limit:.0f} % of the motion, "
+            "so the loops are open there: record moves with less acceleration"
+        )
 
 
 def _fitting(asked: np.ndarray, measured: np.ndarray, quantum: float, log: str) -> None:
@@ -413,7 +436,7 @@ def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, 
     """From when to when (s) the drive was enabled in one mode of operation.
 
     A deployment homes the axis and brings it to a start in other modes, episode after episode. Of
-    several modes that in which it was enabled longest counts.
+    several modes a cyclic one counts, then that in which it was enabled longest.
 
     Raises:
         Unusable: it was never enabled.
@@ -433,8 +456,9 @@ def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, 
     mode = np.zeros(len(on), int)
     shown = next((signals[name] for name in MODES if name in signals), None)
     if shown is not None:
-        last_shown = np.searchsorted(shown.time, word.time, "right") - 1
-        mode = shown.value.astype(int)[np.clip(last_shown, 0, None)]
+        mode = _last(shown, word.time)
+    if "controlword" in signals:  # from the command on that takes its power
+        on &= _last(signals["controlword"], word.time) & 0x0F == 0x0F
     kind = np.where(on, mode, OFF)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
     found: dict[int, list[tuple[float, float]]] = {}
@@ -446,7 +470,17 @@ def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, 
         after = time[(time >= begin) & (time <= end)]
         found.setdefault(int(kind[a]), []).append(
             (float(after[0]) if len(after) else begin, max(begin, end)))
-    return max(found.values(), key=lambda each: sum(end - begin for begin, end in each))
+    lengths = {mode: sum(end - begin for begin, end in parts) for mode, parts in found.items()}
+    return found[max(found, key=lambda mode: (
+        mode in [*CYCLIC, *OCCASIONAL], mode in [*CYCLIC] and lengths[mode] > SHORTEST,
+        lengths[mode],
+    ))]
+
+
+def _last(signal: Signal, at: np.ndarray) -> np.ndarray:
+    """The values, whole numbers, that were the last at some times."""
+    last = np.searchsorted(signal.time, at, "right") - 1
+    return signal.value.astype(int)[np.clip(last, 0, None)]
 
 
 def _inside(signal: Signal, begin: float, end: float) -> Signal:

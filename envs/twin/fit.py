@@ -19,7 +19,6 @@ from .regression import Rough, regress
 
 HELD_OUT = 0.35  # of one log, its end; of several logs the last one
 GOOD, FAIR = 1.3, 2.0  # held-out position error over the noise floor
-SATURATED = 0.25  # share of the motion at the torque limit, above which a log tells too little
 STIFFNESS, PER_DECADE = (2e3, 4e6), 11  # N/m where springs are sought, and how densely
 TURNING = (1 / 30, 30)  # the same of a rotary axis, times the nominal
 DAMPINGS = (0.03, 0.1)  # ratios a spring begins with
@@ -37,7 +36,6 @@ SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of
 UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
 NOTHING = 0.1  # the same where the inertia that comes out could be one
 SELDOM = 4e-3  # s between samples, above which the closed form is no judge
-BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
 LIGHT = 0.6  # least inertia over that of the motor and what is known to be on it
 
 
@@ -210,22 +208,6 @@ def refuse(
 ) -> None:
     """Raise Unusable, with one line, for logs with too little information or a mismatch."""
     name = experiments[0].name
-    axis = joint.drive.axis
-    limit = 0.995 * min(float(axis.torque_limit_positive), float(axis.torque_limit_negative))
-    for each in experiments:
-        at_limit = float(np.mean(np.abs(each.torque[each.moving]) >= limit))
-        if at_limit > SATURATED:
-            raise Unusable(
-                f"{each.name}: the torque is at its limit in {100 * at_limit:.0f} % of the motion, "
-                "so the loops are open there: record moves with less acceleration"
-            )
-        beyond = float(np.abs(each.torque).max()) / max(limit, 1e-12)
-        if beyond > BEYOND:
-            raise Unusable(
-                f"{each.name}: a torque of {beyond:.2g} times the limit of the drive is in it: "
-                "give its rated torque (6076h), or its current with --torque-constant; record "
-                "again if the limit itself is another"
-            )
     if rough.one_way:
         raise Unusable(
             f"{name}: the axis moves in one direction only, so friction and a constant load look "

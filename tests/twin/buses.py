@@ -168,6 +168,9 @@ def record(machine, file, rng, mode, period, *, fieldbus="can", name="x", droppe
     parameters.put(machine, {"encoder_noise": noise}, name)
     machine.couplings["noise_state"] = int(rng.integers(1, 2**62))
     here = 0.5 * (low + high)
+    if mode == "ip":  # saved, and the drive reset: some take another period then only (Festo 7.4.2)
+        drive.commission({"interpolation_time_index": -3})
+        drive.commission({"interpolation_time_period_value": round(period * 1e3)})
     machine.reset({name: here})
     machine.step()
     gear = machine.joint(name)[0]

@@ -7,6 +7,7 @@ has 0.5 % of its frames missing, stamps that jitter by 0.2 ms and an encoder wit
 1 µm. `page.py` makes docs/results/twin.md of the rows.
 """
 
+import hashlib
 import json
 import math
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from machines import hide, moves
 
+import servogym.envs.twin
 from servogym.drive.wire.recording import Signal
 from servogym.envs.engine import parameters
 from servogym.envs.engine.replay import Replay
@@ -130,7 +132,7 @@ def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic"
 def row(series, seed):
     """What is kept of one machine."""
     fitted_as, arguments, _, _ = SERIES[series]
-    kept = {"series": series, "seed": seed}
+    kept = {"series": series, "seed": seed, "code": CODE}
     try:
         twin, hidden, floor, cost = one(seed, fitted_as, **arguments)
     except Unusable as error:
@@ -145,6 +147,15 @@ def row(series, seed):
         "floor": _short(twin.floor_position if floor != floor else floor),
         "cpu": round(cost, 1), "parameters": found,
     }
+
+
+def code():
+    """What the twins were made by: a hash of the estimator's files."""
+    files = sorted(Path(servogym.envs.twin.__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
+
+
+CODE = code()
 
 
 def _short(value):

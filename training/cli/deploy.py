@@ -377,7 +377,10 @@ def _tell_times(timing: Any, console: Console) -> None:
 
 
 class _Log:
-    """Writes every answer of the drives as a line; written lines stay, whatever happens next."""
+    """Writes every answer of the drives as a line, with the last command.
+
+    Written lines stay, whatever happens next.
+    """
 
     def __init__(self, path: Path, line: Any):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -387,12 +390,15 @@ class _Log:
         line.on_step = self._write
 
     def _write(self, images: Any) -> None:
-        names = images.dtype.names
+        if self._line.sent is None:  # before the first command
+            return
+        both = self._line.sent, images
         if not self._headed:
-            heads = [f"{axis}.{name}" for axis in self._line.guards for name in names]
-            self._rows.writerow(["time", *heads])
+            heads = [f"{axis}:{name}" for each in both for axis in self._line.guards
+                     for name in each.dtype.names]
+            self._rows.writerow(["time (s)", *heads])
             self._headed = True
-        values = [image[name].item() for image in images for name in names]
+        values = [row[name].item() for each in both for row in each for name in each.dtype.names]
         self._rows.writerow([f"{self._line.time:.6f}", *values])
 
     def close(self) -> None:
