@@ -100,9 +100,8 @@ def _apart(begins: np.ndarray, ends: np.ndarray) -> Sequence[list[int]]:
     """Groups of intervals none of which overlap."""
     groups: list[list[int]] = []
     for n in np.argsort(begins):
-        free = [group for group in groups if ends[group[-1]] <= begins[n]]
-        (free[0] if free else groups.append([]) or groups[-1]).append(int(n))  # type: ignore
+        group = next((each for each in groups if ends[each[-1]] <= begins[n]), None)
+        if group is None:
+            groups.append(group := [])
+        group.append(int(n))
     return groups
-
-
-__all__ = ["restored", "timed"]

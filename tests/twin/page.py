@@ -1,8 +1,8 @@
-"""docs/results/twin.md of its parts: the rows of `campaign.py`, and what was measured by hand else.
+"""The table of machines in docs/results/twin.md, from the rows of `campaign.py` alone.
 
     python tests/twin/page.py ROWS.jsonl docs/results/twin.md
 
-Writes the table of machines anew, from the rows alone; the rest of the page stays.
+The rest of the page stays.
 """
 
 import sys
