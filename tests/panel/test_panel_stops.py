@@ -13,6 +13,7 @@ from servogym.envs.panel import control
 from servogym.envs.panel.clock import Clock
 from servogym.envs.panel.control import NotInControl
 from servogym.envs.panel.pages.desk import Desk, over
+from servogym.envs.panel.pages.motion import Choice
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.gantry import gantry
 from servogym.envs.plants.linear_axis import linear_axis
@@ -236,3 +237,26 @@ def test_a_stop_takes_the_machine_back_from_an_agent(room):
             room.desks["there"].stop(lambda s, b=button: getattr(s, b)(*["x"] * (b[0] == "d")))
         )
         assert room.session.agent is None
+
+
+def test_a_list_keeps_what_was_chosen_until_the_drive_shows_it():
+    """The mode before was shown again for a moment; chosen anew then, it was no change: lost."""
+    old, new, third = Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.PROFILE_TORQUE
+    choice = Choice()
+    assert not choice.keeps(old, 10.0)
+    assert choice.is_new(new, old)
+    assert choice.keeps(old, 50.0), "on its way, however long that takes"
+    choice.arrived(50.0)
+    assert choice.keeps(old, 50.1), "what is shown is older than the answer"
+    assert choice.is_new(old, old), "back to the one before is a change as well"
+    choice.arrived(50.2)
+    assert choice.is_new(third, old)
+    assert choice.keeps(old, 60.0)
+    assert choice.keeps(new, 60.0)
+    assert not choice.keeps(third, 60.0)
+    assert not choice.is_new(third, third), "what the list shows by itself is not a command"
+    choice.arrived(60.1)
+    assert choice.is_new(new, third)
+    choice.arrived(70.0)
+    assert choice.keeps(third, 70.5)
+    assert not choice.keeps(third, 71.5), "a refused one goes from the list"

@@ -1,5 +1,6 @@
 """Motion: power, mode, jog, moves, homing, and the parameters that shape them."""
 
+import time
 from typing import Any
 
 from nicegui import ui
@@ -31,7 +32,40 @@ PARAMETERS = {
         "velocity_filter_time", "velocity_feed_forward", "acceleration_feed_forward",
     ),
 }
+SHOWN_WITHIN = 1.0  # s, in which a drive that has taken a mode shows it
 FASTEST = ("max_profile_velocity", "profile_velocity")  # not every model has the first
+
+
+class Choice:
+    """What was chosen in a list, until the drive shows it.
+
+    The value before, shown again for a moment, could be chosen anew without a word to the drive.
+    """
+
+    def __init__(self) -> None:
+        self._wanted: int | None = None
+        self._under_way = 0
+        self._arrived = 0.0  # s
+
+    def is_new(self, value: int, present: int) -> bool:
+        """Whether a value has to go to the drive, which shows another one, or is to get one."""
+        if value == (present if self._wanted is None else self._wanted):
+            return False
+        self._wanted = value
+        self._under_way += 1
+        return True
+
+    def arrived(self, now: float) -> None:
+        """Note that the drive has taken or refused a value."""
+        self._under_way -= 1
+        self._arrived = now
+
+    def keeps(self, present: int, now: float) -> bool:
+        """Whether the list keeps what was chosen, although the drive shows another value."""
+        given_up = not self._under_way and now > self._arrived + SHOWN_WITHIN
+        if present == self._wanted or given_up:
+            self._wanted = None
+        return self._wanted is not None
 
 
 class MotionPage:
@@ -43,7 +77,7 @@ class MotionPage:
         self.desk = desk
         axis = desk.axis
         self.model = desk.bench.model(axis)
-        self._changing = 0  # modes that are on their way to the drive
+        self._choice = Choice()
         self.names = {row.name: row for row in desk.bench.rows(axis)}
         self.unit, self.scale = desk.bench.unit(axis)
         with ui.element("div").classes("columns motion-columns"):
@@ -172,12 +206,12 @@ class MotionPage:
 
     async def _mode(self, mode: int | None) -> None:
         """What was chosen, not what the list shows by now: it follows the drive meanwhile."""
-        if mode is not None and mode != self.desk.status["mode"]:
-            self._changing += 1
-            try:
-                await self._go("set_mode", int(mode))
-            finally:
-                self._changing -= 1
+        if mode is None or not self._choice.is_new(mode, self.desk.status["mode"]):
+            return
+        try:
+            await self._go("set_mode", int(mode))
+        finally:
+            self._choice.arrived(time.monotonic())
 
     async def _go(self, what: str, *arguments: Any, at_once: bool = False) -> None:
         axis, desk = self.desk.axis, self.desk
@@ -234,8 +268,8 @@ class MotionPage:
             "A bus does not tell whether the axis is referenced." if seen["homed"] is None
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."
         )
-        known = seen["mode"] in self.mode.options
-        if not self._changing and known and self.mode.value != seen["mode"]:
+        keeps = self._choice.keeps(seen["mode"], time.monotonic())
+        if not keeps and seen["mode"] in self.mode.options and self.mode.value != seen["mode"]:
             self.mode.set_value(seen["mode"])
         if self.method.value is None and seen["homing_method"] in self.method.options:
             self.method.set_value(seen["homing_method"])
