@@ -238,9 +238,11 @@ class EtherCatDecoder:
     ) -> list[str]:
         writes = back.command not in READS
         data = sent.data if writes else back.data
+        what = "write" if writes else "read"
         if not back.wkc:
-            what = "write" if writes else "read"
             return [f"{name}: {what} {_place(back.ado)} had no effect (working counter 0)"]
+        if not data:
+            return [f"{name}: {what} {_place(back.ado)} of no bytes"]
         if writes and back.ado == R.EEPROM_CONTROL and slave is None and len(data) >= 2:
             everyone = _Slave(name, None)
             for each in (everyone, *self._stations.values()):

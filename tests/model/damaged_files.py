@@ -29,6 +29,7 @@ from servogym.drive.canopen import eds
 from servogym.drive.canopen.eds_import import _Import, import_eds
 from servogym.drive.canopen.sheet import read_sheet
 from servogym.drive.ethercat import esi, sii
+from servogym.drive.ethercat.decode import EtherCatDecoder
 from servogym.drive.model.model import load
 from servogym.drive.wire import log, pcapng
 from servogym.drive.wire.ethercat_import import import_esi, import_sii
@@ -349,7 +350,8 @@ def _log(file: Path, folder: Path, whole: bool) -> object:
 
 
 def _capture(file: Path, folder: Path, whole: bool) -> object:
-    return Source(file, "generic") if whole else [*pcapng.read(file)]
+    decoder = EtherCatDecoder("generic")
+    return [decoder.decode(packet.frame) if whole else packet for packet in pcapng.read(file)]
 
 
 def _own_sheets(suffix: str) -> list[bytes]:

@@ -363,6 +363,10 @@ def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
                     from ..report import writable
 
                     writable(f"--{name.replace('_', '-')}", Path(path), file=kind == "files")
+        for name in getattr(options, "inputs", ()):  # before anything is loaded or built for them
+            path = getattr(options, name)
+            if path is not None and not path.exists():
+                raise ValueError(f"--{name.replace('_', '-')} {path}: there is no such file")
         consent(options)
         return options.run(options, console)
     except BrokenPipeError:  # the reader has closed the pipe, as `head` does

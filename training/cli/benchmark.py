@@ -51,7 +51,9 @@ def add(benchmark: argparse.ArgumentParser) -> None:
     possible.add_argument("--episodes", type=int, help="episodes of each task (20)")
     possible.add_argument("--seed", type=int, help="seed of the episodes (0)")
     arguments.add_work(benchmark)
-    benchmark.set_defaults(run=_benchmark, folders=("out",))
+    benchmark.set_defaults(
+        run=_benchmark, folders=("out",), inputs=("parameter_file",)
+    )
 
 
 def _benchmark(options: argparse.Namespace, console: Console) -> int:
@@ -85,8 +87,6 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
     if given := [name for name in foreign if getattr(options, name) is not None]:
         other = "homing" if positioning else "positioning"
         raise ValueError(f"--{given[0]} is for `servogym benchmark {other}`")
-    if options.parameter_file is not None and not options.parameter_file.is_file():
-        raise ValueError(f"--parameter-file = {options.parameter_file}: there is no such file")
     payloads = _numbers("payload", options.payload)
     chosen: dict[str, Any] = {
         "mechanics": arguments.listed(options.mechanics), "parameter_file": options.parameter_file,

@@ -27,7 +27,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "before, pupils have their places again",
     )
     arguments.add_page(command, pictures=5, most=25)
-    command.set_defaults(run=_classroom)
+    command.set_defaults(run=_classroom, inputs=("lessons",))
 
 
 def _classroom(options: argparse.Namespace, console: Console) -> int:

@@ -23,7 +23,7 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--json", action="store_true", help="print a line of JSON for each solution"
     )
-    command.set_defaults(run=_course)
+    command.set_defaults(run=_course, inputs=("lessons",))
 
 
 def _course(options: argparse.Namespace, console: Console) -> int:

@@ -33,7 +33,7 @@ def add_machines(machines: argparse.ArgumentParser) -> None:
 def _machines(options: argparse.Namespace, console: Console) -> int:
     from ...envs.plants.sheet import size
 
-    if options.machine is not None:
+    if options.machine is not None or options.twin is not None:
         machine, name = made(options)
         for each in [name] if options.axis else machine.drives:
             print(size(machine, each))
@@ -91,6 +91,7 @@ def add(parser: argparse.ArgumentParser, others: str = "") -> None:
         "--parameter-file", type=Path,
         help="the drive's stored parameters, as `servogym tune` writes them",
     )
+    parser.set_defaults(inputs=("twin", "parameter_file"))
 
 
 def _value(text: str) -> tuple[str, Any]:
@@ -117,8 +118,6 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     if name not in machine.drives:
         raise ValueError(f"--axis = {name!r}: the machine has {', '.join(machine.drives)}")
     if options.parameter_file is not None:
-        if not options.parameter_file.is_file():
-            raise ValueError(f"--parameter-file = {options.parameter_file}: there is no such file")
         machine.drives[name].use_parameter_file(options.parameter_file)
     if options.at is not None:
         machine.reset(positions={name: options.at})

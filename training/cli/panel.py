@@ -59,7 +59,7 @@ def add(panel: argparse.ArgumentParser) -> None:
         "--lessons", type=Path, help="folder with .toml files of your own exercises"
     )
     arguments.add_page(panel, pictures=25, most=60)
-    panel.set_defaults(run=_panel)
+    panel.set_defaults(run=_panel, inputs=("twin", "lessons"))
 
 
 def _machine(options: argparse.Namespace):

@@ -49,7 +49,7 @@ def add(train: argparse.ArgumentParser) -> None:
         "--evaluate-every", type=int,
         help="steps between evaluations (25000; there is also one at the end)",
     )
-    train.set_defaults(run=_train, folders=("out",))
+    train.set_defaults(run=_train, folders=("out",), inputs=("start",))
 
 
 def add_curves(curves: argparse.ArgumentParser) -> None:
