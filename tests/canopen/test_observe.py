@@ -231,3 +231,38 @@ def test_a_slave_of_another_stack_is_observed():
     assert any(d.where == "605Ah:00h" and d.what == "values" for d in differences), "nor ranges"
     identity = {f"1018h:{n:02X}h" for n in range(5)}
     assert not identity & {d.where for d in differences}
+
+
+@pytest.mark.slow
+def test_what_is_planted_in_a_foreign_node_is_found_by_the_commands(tmp_path, capsys):
+    """`canopen.LocalNode` of an EDS with changes, against the model made from the EDS, over UDP."""
+    import canopen
+
+    sheet, mine, out = tmp_path / "drive.eds", tmp_path / "mine", tmp_path / "drive.json"
+    assert main(["eds", "generic", "-o", str(sheet)]) == 0
+    assert main(["drives", "--from-eds", str(sheet), "-o", str(mine)]) == 0
+    node = canopen.LocalNode(5, str(sheet))
+    del node.object_dictionary[0x6083]  # an object that it does not have
+    node.object_dictionary[0x6065].data_type = canopen.objectdictionary.UNSIGNED16
+    changed = {(0x6081, 0): b"\x39\x30\0\0", (0x1018, 3): b"\7\0\0\0", (0x6065, 0): b"\x39\x30",
+               (0x607D, 2): b"\x11\x11\0\0", (0x605A, 0): b"\5\0"}
+    for (index, subindex), data in changed.items():
+        node.data_store.setdefault(index, {})[subindex] = data
+    network = canopen.Network()
+    network.connect(interface="udp_multicast", channel="239.74.163.32", port=43132)
+    network.add_node(node)
+    there = ["-i", "udp_multicast", "-c", "239.74.163.32", "--bus-kwargs", "port=43132"]
+    try:
+        assert main(["observe", "--node-id", "5", "-o", str(out), *there]) == 0
+    finally:
+        network.disconnect()
+    assert json.loads(out.read_text())["sha256"]
+    for (index, subindex), data in changed.items():
+        assert node.data_store[index][subindex] == data, "what was written is put back"
+    capsys.readouterr()
+    assert main(["observe", "--compare", str(out), "--drive", str(mine)]) == 1
+    told = capsys.readouterr().out
+    for index, subindex in (*changed, (0x6083, 0)):
+        assert f"{index:04X}h:{subindex:02X}h" in told
+    for same in ("1018h:01h: value", "1018h:02h: value", "607Ah:00h: value", "6084h:00h: value"):
+        assert same not in told
