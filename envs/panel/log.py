@@ -52,4 +52,4 @@ class Log:
 
 def plain(text: str) -> str:
     """Make a text safe for a cell, so that a spreadsheet does not take it for a formula."""
-    return f"'{text}" if text[:1] in "=+-@" else text
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

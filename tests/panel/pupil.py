@@ -41,7 +41,10 @@ class Page:
         async with self.http.post(f"{self.url}join", data=form) as answer:
             status, page = answer.status, await answer.text()
         assert status == 200, page[:200]
-        await self._connect(page)
+        with contextlib.suppress(socketio.exceptions.ConnectionError):
+            await self._connect(page)
+        while not self.socket.connected:
+            await self._again()
 
     async def _connect(self, page):
         found = re.search(r"query: (\{.*?\}),\n", page)

@@ -181,9 +181,13 @@ async def shown_is_drive(page):
     await settled(page)
     for address in ("6041h:00", "6064h:00"):
         await page.type("search", address)
+        await page.until(lambda page, address=address: page.text("object").startswith(address))
         await asyncio.sleep(2.0)
+        await page.until(lambda page: page.text("live").split())
         if address == "6041h:00":
-            assert page.text("state") == state_of(int(page.text("live").split()[0]))
+            await page.until(
+                lambda page: page.text("state") == state_of(int(page.text("live").split()[0]))
+            )
             continue
         shown, read = [], []
         for _ in range(8):  # an axis that monkeys have tuned may swing, one without friction drifts

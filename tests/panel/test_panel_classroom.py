@@ -28,6 +28,7 @@ from servogym.envs.panel import journal, lessons, reception
 from servogym.envs.panel.classroom import CYCLES, Classroom
 from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
 from servogym.envs.panel.guard import Guard
+from servogym.envs.panel.log import plain
 from servogym.envs.panel.reception import Reception
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import fresh
@@ -51,6 +52,14 @@ def room(tmp_path):
 def seat(room, name):
     """The place of who comes in with the code of the class, opened by their browser."""
     return room.person(room.enter(name, WORD))
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [("=1+1", "'=1+1"), ("+1", "'+1"), ("-1", "'-1"), ("@A1", "'@A1"), ("", ""), ("Ada", "Ada")],
+)
+def test_a_cell_is_no_formula_and_an_empty_one_stays_empty(text, cell):
+    assert plain(text) == cell
 
 
 # ------------------------------------------------------------------- who comes in

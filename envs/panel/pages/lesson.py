@@ -27,6 +27,7 @@ class LessonPage:
                     item.classes("lesson").on("click", lambda _, n=number: self._start(n))
                     with item:
                         Tag("b", f"{number + 1}. {lesson.title}")
+                        Tag("small", lesson.name).classes("mono")  # as the pages of the course say
                         Tag("span", lesson.about)
             with card("Exercise", "exercise"):
                 self.head = ui.label("Choose an exercise.").classes("verdict")

@@ -59,6 +59,7 @@ class ObjectsPage:
             with ui.element("div").classes("stack"):
                 with card("Object", "object-card"):
                     self.head = ui.label("Choose an object.").classes("verdict")
+                    self.head.props("data-test=object")
                     self.about = ui.label("").classes("prose quiet")
                     self.live = ui.label("").classes("readout-value").props("data-test=live")
                     self.hexadecimal = ui.label("").classes("mono quiet").props("data-test=hex")

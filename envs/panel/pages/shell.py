@@ -293,7 +293,9 @@ class Shell:
             now = f"{lesson.step + 1}. {lesson.text}" if lesson.text else "done"
             if lesson.asks:
                 now += " First answer the question on the page Lessons."
-            self.task_text.set_text(f"{lesson.title} · {lesson.wrong or now}")
+            if lesson.wrong:
+                now = f"{lesson.wrong} Begin again on the page Lessons."
+            self.task_text.set_text(f"{lesson.title} · {now}")
         self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
         if self.speed.value != clock.speed:
             self.speed.set_value(clock.speed)
