@@ -24,6 +24,9 @@ TRIES = 3  # with less gain each, where what was measured afterwards is less tha
 EASE = 0.8
 WORTH = 0.9  # of the following error that it had: gains that keep the margins stay for no less
 FEED_FORWARD = "acceleration_feed_forward"
+# of the inertia that the drive had: it is measured while the motor pushes, and what a gear then
+# loses it gives back while the load pushes
+NEAR = 0.1
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,10 @@ def tune(
             gains = fit(after, asked, ease, ranges(own))
             if gains is None:
                 break
-            objects = in_units(own, gains) | {FEED_FORWARD: round(after.inertia * 1e9)}
+            objects = in_units(own, gains) | {FEED_FORWARD: original[FEED_FORWARD]}
+            inertia = round(after.inertia * 1e9)
+            if abs(inertia - original[FEED_FORWARD]) > NEAR * original[FEED_FORWARD]:
+                objects[FEED_FORWARD] = inertia
             stand.commission(objects)
             stand.keep()
             after, _ = _look(stand, amplitude, seed + 1, ride=False, earlier=after)
