@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,34 @@ def test_a_submission_is_checked_from_its_weights_and_ranked(entries):
     page = (entries / "README.md").read_text(encoding="utf-8")
     assert re.findall(r"^\| (mine|hold) \| (\d) \|", page, re.M) == [("mine", "1"), ("hold", "2")]
     assert made.identity[:12] in page
+
+
+def test_a_stranger_checks_an_entry_of_one_training_folder_from_the_file_alone(
+    tmp_path, monkeypatch, capsys
+):
+    """Episodes of its own, the training gone, another folder, nothing but the entry and suite."""
+    hidden = SMALL.replace("seed = 181", 'seed = "of_submission"')
+    hidden = hidden.replace('"nominal", "held_out"]', '"nominal"]')
+    author, stranger = tmp_path / "author", tmp_path / "stranger"
+    for place in (author, stranger):
+        place.mkdir()
+        (place / "small.toml").write_text(hidden, encoding="utf-8")
+    monkeypatch.chdir(author)
+    shutil.copytree(ONE, "my_run")
+    assert entered("my_run", "--entry", "mine", out="sent") == 0
+    shutil.copytree(author / "sent", stranger / "received")
+    shutil.rmtree(author)
+    monkeypatch.chdir(stranger)
+    capsys.readouterr()
+    words = ["results", "received", "--suite", "small.toml", "-o", "board.md"]
+    assert cli.main(words) == 0, capsys.readouterr().err
+    made = read(stranger / "received" / "mine.npz")
+    board = Path("board.md").read_text(encoding="utf-8")
+    assert "drawn for each entry from its hash" in board
+    assert f"`{made.identity[:12]}`" in board
+    row = next(line for line in board.splitlines() if line.startswith("| mine | 1 |"))
+    value = np.mean(made.table["LinearAxis-v0"]["nominal"]["episode_return"])
+    assert f" {value:.0f} " in row or f" {value:.1f} " in row
 
 
 def test_weights_that_give_other_numbers_are_told_and_the_others_ranked(entries, capsys):

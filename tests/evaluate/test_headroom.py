@@ -1,11 +1,19 @@
 """The page of what is possible: the bound, the rows as shares of it, and limits kept."""
 
-import numpy as np
+import json
+import re
+from pathlib import Path
 
-from servogym.envs.tasks.commissioning import CommissioningEnv
+import numpy as np
+import pytest
+
 from servogym.training import cli
 from servogym.training.evaluate import headroom
 from servogym.training.evaluate.metrics import METRICS
+from servogym.training.policies import SHIPPED
+
+ROOT = Path(__file__).parents[2]
+PLC = SHIPPED / "Commissioning-v0" / "compare.json"
 
 
 def test_the_share_of_what_is_possible_is_1_at_the_bound_and_less_behind_it():
@@ -17,25 +25,61 @@ def test_the_share_of_what_is_possible_is_1_at_the_bound_and_less_behind_it():
     assert headroom.share_of(np.array([[0.0]]), np.array([0.0]), low).tolist() == [[1.0]]
 
 
-def test_the_command_writes_page_and_values_and_no_row_is_above_100_percent(tmp_path, capsys):
-    words = ["benchmark", "headroom", "--tasks", "Commissioning-v0", "--episodes", "2"]
-    assert cli.main([*words, "--out", str(tmp_path)]) == 0
+def test_the_committed_page_is_what_its_command_writes(tmp_path, monkeypatch):
+    """From the committed comparisons: nothing is played."""
+    committed = (ROOT / "docs" / "results" / "headroom.md").read_text(encoding="utf-8")
+    [command] = re.findall(r"^servogym (benchmark headroom .*)$", committed, re.M)
+    monkeypatch.chdir(ROOT)
+    assert cli.main([*command.split(), "--out", str(tmp_path)]) == 0
+    again = (tmp_path / "headroom.md").read_text(encoding="utf-8")
+    assert again.splitlines()[:-1] == committed.splitlines()[:-1], f"run servogym {command}"
+    assert len(re.findall(r"^## \w+-v\d: ", committed, re.M)) == 8
+
+
+def test_shares_profile_and_probability_are_those_of_the_episodes(tmp_path):
+    """By plain loops over the values of a comparison with several trainings."""
+    assert cli.main(["benchmark", "headroom", str(PLC), "--out", str(tmp_path)]) == 0
     page = (tmp_path / "headroom.md").read_text()
-    assert "Mean bound (proven)" in page
-    shares = [
-        float(cell.removesuffix(" %"))
-        for line in page.splitlines() if line.count("|") == 10 and " % |" in line
-        for cell in line.split(" | ")[3:4]
-    ]
-    rows = (tmp_path / "headroom.csv").read_text().splitlines()
-    played = {line.split(",")[1] for line in rows if line.startswith("Commissioning-v0,")}
-    assert played == {"hold", "random", "learned", *CommissioningEnv.POLICIES}
-    assert len(shares) == len(played - {"bound"})
-    assert max(shares) <= 100.0
-    assert any(line.startswith("Commissioning-v0,plc,0,1,settling_time,") for line in rows)
+    policies = json.loads(PLC.read_text())["policies"]
+    time = {name: one["episodes"]["settling_time"] for name, one in policies.items()}
+    mean = {name: sum(values) / len(values) for name, values in time.items()}
+    rows, cells = (
+        {line.split(" | ")[0][2:]: line.split(" | ") for line in part.splitlines()}
+        for part in page.split("## Over the tasks")
+    )
+    for name in time.keys() - {"bound"}:
+        assert rows[name][3] == f"{100 * mean['bound'] / mean[name]:.0f} %", name
+    shares = {
+        name: [time["bound"][i % len(time["bound"])] / value for i, value in enumerate(values)]
+        for name, values in time.items()
+    }
+    for key, name in (("best row", "plc"), ("learned", "learned"), ("best told", "informed_plc")):
+        for cell, step in zip(cells[key][1:], (0.2, 0.4, 0.6, 0.8, 0.9), strict=False):
+            share = sum(one >= step for one in shares[name]) / len(shares[name])
+            assert cell == f"{100 * share:.0f} %", (key, step)
+    wins = [(one > two) + 0.5 * (one == two) for one in shares["learned"] for two in shares["plc"]]
+    assert f"is {sum(wins) / len(wins):.2f}." in page
 
 
-def test_a_task_without_a_bound_is_refused(capsys, tmp_path):
-    words = ["benchmark", "headroom", "--tasks", "RotaryAxis-v0", "--out", str(tmp_path)]
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda data: data["policies"].pop("plc"), "lacks 'plc'"),
+        (lambda data: data.pop("policies"), "is no comparison"),
+        (lambda data: data.update(env="own_module:Task-v0"), "own_module:Task-v0"),
+    ],
+)
+def test_what_is_no_comparison_is_refused(change, says, capsys, tmp_path):
+    data = json.loads(PLC.read_text())
+    change(data)
+    (tmp_path / "compare.json").write_text(json.dumps(data))
+    words = ["benchmark", "headroom", str(tmp_path / "compare.json"), "--out", str(tmp_path)]
     assert cli.main(words) == 2
-    assert "no bound is known" in capsys.readouterr().err
+    assert says in capsys.readouterr().err
+
+
+def test_no_comparison_and_two_of_one_task_are_refused(capsys, tmp_path):
+    assert cli.main(["benchmark", "headroom", "--out", str(tmp_path)]) == 2
+    assert "name one compare.json" in capsys.readouterr().err
+    assert cli.main(["benchmark", "headroom", str(PLC), str(PLC), "--out", str(tmp_path)]) == 2
+    assert "already" in capsys.readouterr().err

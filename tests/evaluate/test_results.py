@@ -2,17 +2,17 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from servogym.envs.environment.registry import task
 from servogym.training import cli
-from servogym.training.evaluate import compare, results
-from servogym.training.evaluate.episodes import Evaluation
+from servogym.training.evaluate import compare, results, tuner
 from servogym.training.evaluate.metrics import metrics
 from servogym.training.evaluate.tables import best, differences, summaries
-from servogym.training.policies import SHIPPED
+from servogym.training.policies import POLICIES, SHIPPED
 
 
 def summary(iqm, low, high):
@@ -55,40 +55,64 @@ def test_the_committed_page_is_what_the_command_writes():
         assert (SHIPPED / target).is_file(), target
 
 
-COMPARED = sorted(path.parent for path in SHIPPED.glob("*/compare.json"))
+PAGES = Path(__file__).parents[2] / "docs" / "results"
+COMPARED = [*sorted(SHIPPED.glob("*/compare.json")), PAGES / "gantry_sync.json"]
+NAMES = [path.parent.name if path.stem == "compare" else path.stem for path in COMPARED]
 
 
 def evaluations(path):
     """The data of a comparison, and its results as they were before they were written."""
-    data = json.loads((path / "compare.json").read_text(encoding="utf-8"))
-    known = metrics(task(data["env"]))
-    return data, [
-        Evaluation(
-            name, data["seeds"],
-            {metric: np.array(values, float) for metric, values in one["episodes"].items()},
-            one["faults"], None, one["trainings"], known,
-        )
-        for name, one in data["policies"].items()
-    ]
+    return json.loads(path.read_text(encoding="utf-8")), [*compare.read(path)[1].values()]
 
 
-@pytest.mark.parametrize("path", COMPARED, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", COMPARED, ids=NAMES)
 def test_the_pairs_on_a_committed_page_are_those_of_its_data(path):
     data, found = evaluations(path)
     metric = task(data["env"]).METRIC
     text = compare._pairs_page(found, data["against"], metric, metrics(task(data["env"]))[metric])
-    assert text in (path / "compare.md").read_text(encoding="utf-8")
+    assert text in path.with_suffix(".md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", COMPARED, ids=NAMES)
+def test_a_committed_comparison_has_every_kind_of_row(path):
+    """Doing nothing, chance, three of motion control, one tuned, one told, the limit, learning."""
+    _, found = evaluations(path)
+    names = {one.policy for one in found}
+    rivals = {n for n in names & POLICIES.keys() if not POLICIES[n].told} - {"hold", "random"}
+    assert {"hold", "random", "bound"} <= names
+    assert len(rivals) >= 3
+    assert rivals & (tuner.FITTED.keys() | set(tuner.offered()))
+    assert any(POLICIES[name].told for name in names & POLICIES.keys() - {"bound"})
+    why = "**Why there is no row `learned`.**"
+    assert "learned" in names or why in path.with_suffix(".md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", COMPARED, ids=NAMES)
+def test_no_row_of_a_committed_comparison_is_above_its_bound_in_any_episode(path):
+    data, found = evaluations(path)
+    [bound] = (one for one in found if one.policy == "bound")
+    compared = 0
+    for metric, limit in bound.values.items():
+        if metric == "score" or not np.isfinite(limit).any():
+            continue
+        sign = -1.0 if bound.metrics[metric].better == "low" else 1.0
+        for one in (one for one in found if one is not bound and metric in one.values):
+            apart = sign * (one.by_training(metric) - limit)
+            faulted = np.array([fault != "" for fault in one.faults]).reshape(apart.shape)
+            assert not (apart[~faulted] > 1e-9).any(), (one.policy, metric)
+            compared += apart.size
+    assert compared >= 6 * len(data["seeds"])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", COMPARED, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", COMPARED, ids=NAMES)
 def test_the_tables_of_a_committed_page_are_those_of_its_data(path):
     data, found = evaluations(path)
     metric = task(data["env"]).METRIC
     table, names = summaries(found), [one.policy for one in found]
     against = best(table, names, metric, metrics(task(data["env"]))[metric].better)
     assert against == data["against"]
-    page = (path / "compare.md").read_text(encoding="utf-8")
+    page = path.with_suffix(".md").read_text(encoding="utf-8")
     for name, columns in table.items():
         cells = " | ".join(compare._cell(name, one) for one in columns)
         assert f" | {cells} |" in page, name

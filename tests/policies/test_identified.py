@@ -7,13 +7,14 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from servogym.envs import TASKS
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.training import cli
 from servogym.training.evaluate import tuner
 from servogym.training.policies import make
-from servogym.training.policies.numbers import tuned
+from servogym.training.policies.numbers import FILE, tuned
 from servogym.training.policies.profiles import TunedRuckig
 
 TOLD = {CompliantAxisEnv: "informed_ruckig+zvd", GantrySwayEnv: "informed_ruckig+zv"}
@@ -103,6 +104,28 @@ def test_the_tuner_takes_no_numbers_that_fail_where_the_untuned_ones_do_not():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Risky, "RANGES", untuned)
         assert tuner.tune(Risky, LinearAxisEnv, 40_000)["numbers"]["share"] <= 0.6
+
+
+@pytest.mark.slow
+def test_the_committed_numbers_of_the_cheapest_row_are_what_its_command_writes(tmp_path):
+    """Byte by byte, into a copy of the file without them: 216,648 steps."""
+    again, committed = tmp_path / "tuned.json", FILE.read_bytes()
+    rows = json.loads(committed)
+    command = rows.pop("tuned_search")["Homing-v0"]["command"]
+    again.write_text(json.dumps(rows), encoding="utf-8")
+    assert cli.main([*command.split()[1:], "--out", str(again)]) == 0
+    assert again.read_bytes() == committed
+
+
+def test_the_committed_file_has_every_row_and_task_of_the_tuner_with_its_command():
+    offering = {(row, t.ID) for row in tuner.offered() for t in TASKS if row in t.POLICIES}
+    found = {(row, f"servogym/{t}") for row, own in tuned().items() for t in own}
+    assert found == offering
+    for row, own in tuned().items():
+        for name, one in own.items():
+            assert one["command"] == f"servogym tune-policy {row} --task {name}"
+    text = json.dumps(tuned(), indent=1, sort_keys=True) + "\n"
+    assert text == FILE.read_text(encoding="utf-8")
 
 
 def test_a_row_plays_with_the_numbers_that_come_with_the_laboratory():

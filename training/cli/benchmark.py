@@ -10,7 +10,7 @@ from rich.console import Console
 
 from . import arguments
 
-SUITE, POLICY, EPISODES = "v1", "learned", 20
+SUITE, POLICY = "v1", "learned"
 OF_SUITES = ("suite", "entry", "tasks", "conditions")
 OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file")
 
@@ -47,9 +47,11 @@ def add(benchmark: argparse.ArgumentParser) -> None:
         "--tasks", help="tasks of the suite, separated by commas (all that the policy fits)"
     )
     learned.add_argument("--conditions", help="try only these conditions; no submission is written")
-    possible = benchmark.add_argument_group("headroom: every row compared with what is possible")
-    possible.add_argument("--episodes", type=int, help="episodes of each task (20)")
-    possible.add_argument("--seed", type=int, help="seed of the episodes (0)")
+    benchmark.add_argument(
+        "comparison", nargs="*", type=Path,
+        help="headroom: compare.json of each task, which `servogym compare` wrote; every row is "
+        "compared with what is possible",
+    )
     arguments.add_work(benchmark)
     benchmark.set_defaults(
         run=_benchmark, folders=("out",), inputs=("parameter_file",)
@@ -57,10 +59,12 @@ def add(benchmark: argparse.ArgumentParser) -> None:
 
 
 def _benchmark(options: argparse.Namespace, console: Console) -> int:
-    if options.what == "learned":
-        return _learned(options, console)
     if options.what == "headroom":
         return _headroom(options, console)
+    if options.comparison:
+        raise ValueError(f"{options.comparison[0]} is for `servogym benchmark headroom`")
+    if options.what == "learned":
+        return _learned(options, console)
     if given := [name for name in OF_SUITES if getattr(options, name) is not None]:
         raise ValueError(f"--{given[0]} is for `servogym benchmark learned`")
     drive = options.drive or "generic"
@@ -113,12 +117,10 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
 def _headroom(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import headroom
 
-    for name in ("drive", "quick", "suite", "policy", "entry", "conditions", *OF_AXES):
+    for name in ("drive", "quick", "policy", *OF_SUITES, *OF_AXES):
         if getattr(options, name):
             raise ValueError(f"--{name.replace('_', '-')} is not for `servogym benchmark headroom`")
-    tasks, work = arguments.listed(options.tasks), arguments.work(options)
-    episodes, seed = options.episodes or EPISODES, options.seed or 0
-    return headroom.run(tasks, episodes, seed, options.out, console, work)
+    return headroom.run(options.comparison, options.out, console)
 
 
 def _learned(options: argparse.Namespace, console: Console) -> int:

@@ -24,6 +24,11 @@ def add(results: argparse.ArgumentParser) -> None:
         "CPU-seconds",
     )
     results.add_argument(
+        "--costs", nargs="?", const="", metavar="WORDS",
+        help="in a checkout: list every committed result with its command and CPU-seconds, and "
+        "first repeat those whose command contains WORDS",
+    )
+    results.add_argument(
         "--suite",
         help="check the submissions in the folder for this suite and write the leaderboard",
     )
@@ -42,6 +47,10 @@ def add(results: argparse.ArgumentParser) -> None:
 def _results(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import results
 
+    if options.costs is not None:
+        from ..evaluate import costs
+
+        return costs.run(options.folder or Path(), options.costs, console)
     if options.suite is not None:
         return _leaderboard(options, console)
     if options.train is not None:

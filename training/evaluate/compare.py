@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from ...envs.environment.registry import task
+from ...envs.environment.servo_env import ServoEnv
 from ...envs.view.about import Metric
 from .. import report
 from ..pictures.recording import Recording
@@ -31,8 +33,9 @@ from ..setup import Setup
 from .comparison import ZERO, BackgroundSummary, Comparison, Request, quoted
 from .episodes import Evaluation
 from .grid import played
-from .metrics import METRICS, RESAMPLES, SEEN, Difference, Summary, paired
+from .metrics import METRICS, RESAMPLES, SEEN, Difference, Summary, metrics, paired
 from .parts import warm
+from .repeat import table_of
 from .tables import IDLE, SCORE, SHARES, ahead, best, column_of, differences, summaries
 
 ARROWS = {"high": " →", "low": " ←", "": ""}
@@ -283,3 +286,25 @@ def _data(source, setup: Setup, results, table, against, apart) -> dict[str, Any
             for i, result in enumerate(results)
         },
     }
+
+
+def read(path: Path) -> tuple[type[ServoEnv], dict[str, Evaluation]]:
+    """Read the results of a comparison back from its JSON file, by policy.
+
+    Raises ValueError if it is no such file, or names a program.
+    """
+    data = table_of(path.parent, path.name, "servogym compare")
+    try:
+        env = task(data["env"])
+        known, empty = metrics(env), np.full(len(data["seeds"]), np.nan)
+        return env, {
+            name: Evaluation(
+                name, data["seeds"],
+                {metric: np.tile(empty, one["trainings"]) for metric in known}
+                | {metric: np.array(own, float) for metric, own in one["episodes"].items()},
+                one["faults"], None, one["trainings"], known,
+            )
+            for name, one in data["policies"].items()
+        }
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is no comparison of `servogym compare` ({error!r})") from None

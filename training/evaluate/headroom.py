@@ -1,6 +1,7 @@
 """`servogym benchmark headroom`: every row of every task compared with what is possible.
 
-For each task the page shows the bound, the best result that any row played in each episode, and
+Nothing is played: the values are those of comparisons, the JSON files of `servogym compare`. For
+each task the page shows the bound, the best result that any row played in each episode, and
 each row as a share of both. It says which rows keep the limits of following error, I²t and jerk.
 Over all tasks it shows performance profiles and probabilities of improvement (Agarwal et al. 2021,
 Deep reinforcement learning at the edge of the statistical precipice).
@@ -13,20 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from ...envs import TASKS
 from ...envs.environment.registry import short
 from ...envs.environment.servo_env import ServoEnv
 from ...envs.view.about import Metric
-from ..policies import LEARNED, POLICIES, SHIPPED, names, needed
-from ..policies.bound import BOUNDS, INFERRED
+from ..policies import LEARNED, POLICIES
+from ..policies.bound import INFERRED
 from ..policies.numbers import tuned
-from ..report import markdown, number, origin, write_csv, write_page
-from ..scale.work import ALONE, Work
-from ..setup import Setup
-from .episodes import Evaluation, fixed
-from .grid import Grid, played
+from ..report import markdown, number, origin, write_page
+from .compare import read
+from .episodes import Evaluation
 from .metrics import metrics, summarise
-from .parts import Episodes, warm
 
 BOUND = "bound"
 STEPS = (0.2, 0.4, 0.6, 0.8, 0.9)  # of what is possible, in the profile
@@ -53,65 +50,38 @@ class Row(NamedTuple):
     share: np.ndarray  # of what is possible, by training and episode; empty without a bound
 
 
-def rows_of(env: type[ServoEnv]) -> list[str]:
-    """The policies of a task in its own way to command, the bound first."""
-    one = env()
-    found = [name for name in names(one) if name != BOUND and not needed(name)]
-    one.close()
-    learned = [LEARNED] if (SHIPPED / short(env.ID)).is_dir() else []
-    bound = [BOUND] if BOUND in env.POLICIES else []
-    return [*bound, *(name for name in found if name in POLICIES), *learned]
+def run(files: Sequence[Path], out: Path, console: Console) -> int:
+    """Write the page from comparisons; -> exit status.
 
+    Args:
+        files: JSON files of `servogym compare`, one for each task.
+        out: folder of the page.
+        console: prints the name of the page.
 
-def chosen(tasks: Sequence[str]) -> list[type[ServoEnv]]:
-    """Those of a list of ids without name space; all with a bound if it is empty."""
-    bounded: list[type[ServoEnv]] = [
-        env for env in TASKS if env.BOUND in BOUNDS and BOUND in env.POLICIES
-    ]
-    known = {short(env.ID): env for env in bounded}
-    for name in tasks:
-        if name not in known:
-            raise ValueError(f"--tasks {name}: no bound is known there, only of {', '.join(known)}")
-    return [known[name] for name in tasks] or bounded
-
-
-def run(
-    tasks: Sequence[str], episodes: int, seed: int, out: Path, console: Console,
-    work: Work = ALONE,
-) -> int:
-    """Play all rows, and write a page and a CSV; -> exit status."""
-    kinds = chosen(tasks)
-    grid: Grid[tuple[str, str], Evaluation] = Grid()
-    for env in kinds:
-        setup = Setup.of(env)
-        for name in rows_of(env):
-            with grid.tried((short(env.ID), name)):
-                cell = Episodes(setup.having(needed(name)), name, fixed(seed, episodes))
-                grid.cells[short(env.ID), name] = cell
-    command = "servogym benchmark headroom"
-    command += f" --tasks {','.join(tasks)}" if tasks else ""
-    source = origin(f"{command} --episodes {episodes} --seed {seed}")
-    warming = [warm(Setup.of(env)) for env in kinds]
-    path = out / "headroom"
-    with played(grid, work, console, out, warm=warming) as found:
-        text, table = "", []
-        shares: dict[str, list[Row]] = {}
-        for env in kinds:
-            own = {name: one for (task, name), one in found.items() if task == short(env.ID)}
-            lines, rows = section(env, own)
-            text += lines
-            shares[short(env.ID)] = rows
-            table += [
-                {"task": short(env.ID), "row": name, "training": k, "episode": i,
-                 "metric": env.METRIC, "value": float(value)}
-                for name in (BOUND, *(row.name for row in rows))
-                for k, values in enumerate(_values(own[name], env.METRIC))
-                for i, value in enumerate(values)
-            ]
-        text += across(shares) + gained([short(env.ID) for env in kinds])
-        write_csv(path.with_suffix(".csv"), source, table)
-        write_page(path.with_suffix(".md"), "What is possible", text, source, NOTES)
-        console.print(f"{path}.md, .csv")
+    Raises:
+        ValueError: there is no file, one is damaged, or two are of one task.
+    """
+    if not files:
+        raise ValueError("name one compare.json or several, as `servogym compare` writes them")
+    compared: dict[str, tuple[type[ServoEnv], dict[str, Evaluation]]] = {}
+    for path in files:
+        env, found = read(path)
+        if short(env.ID) in compared:
+            raise ValueError(f"{path}: there is a comparison of {short(env.ID)} already")
+        if env.REFERENCE not in found:
+            raise ValueError(
+                f"{path} lacks {env.REFERENCE!r}, whose jerk counts: compare with it as well"
+            )
+        compared[short(env.ID)] = env, found
+    text, shares = "", {}
+    for name, (env, found) in compared.items():
+        lines, shares[name] = section(env, found)
+        text += lines
+    text += across(shares) + gained(list(compared))
+    source = origin(f"servogym benchmark headroom {' '.join(path.as_posix() for path in files)}")
+    path = out / "headroom.md"
+    write_page(path, "What is possible", text, source, NOTES)
+    console.print(f"{path}", soft_wrap=True)
     return 0
 
 
@@ -139,7 +109,7 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
     """The table of a task, best first, and its rows."""
     name, known = env.METRIC, metrics(env)
     metric = known[name]
-    limit = found[BOUND].by_training(name)
+    limit = found[BOUND].by_training(name) if BOUND in found else None
     rivals = {n: one for n, one in found.items() if n != BOUND}
     sign = -1.0 if metric.better == "high" else 1.0
     every = [row for one in rivals.values() for row in sign * _values(one, name)]

@@ -311,9 +311,11 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
     ]
     heading = ["entry", "policy", "trainings", "stated budget", "hash", "command"]
     text += "## Entries\n\n" + markdown(heading, rows)
+    versions = {", ".join(f"{n} {one.versions[n]}" for n in DECIDING) for one in entries.values()}
     return text + (
         "\nAll numbers were reproduced from the weights by `servogym results "
-        f"{folder.as_posix()} --suite {suite.asked}`, which wrote this page.\n"
+        f"{folder.as_posix()} --suite {suite.asked}`, which wrote this page, with "
+        f"{'; '.join(sorted(versions))}. Other versions refuse these entries.\n"
     )
 
 

@@ -77,16 +77,18 @@ def plan(folder: Path, out: Path, *, run_code: bool = False) -> list[Training]:
 
     Raises ValueError if a folder has no `trainings.json`, or an invalid one.
     """
-    found = []
-    for path in folders(folder):
-        data = table_of(path, FILE, MAKER, run_code=run_code)
-        try:
-            found += list(_trainings(path, data, out))
-        except (KeyError, TypeError, IndexError, AttributeError) as error:
-            raise ValueError(
-                f"{path / FILE} says no trainings ({error!r}): commands, steps"
-            ) from None
-    return found
+    return [
+        training for path in folders(folder) for training in trainings(path, out, run_code=run_code)
+    ]
+
+
+def trainings(path: Path, out: Path, *, run_code: bool = False) -> list[Training]:
+    """List the trainings behind the folder of a task. Raises ValueError as `plan` does."""
+    data = table_of(path, FILE, MAKER, run_code=run_code)
+    try:
+        return list(_trainings(path, data, out))
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise ValueError(f"{path / FILE} says no trainings ({error!r}): commands, steps") from None
 
 
 def _trainings(path: Path, data: dict[str, Any], out: Path) -> Iterator[Training]:

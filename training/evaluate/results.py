@@ -16,11 +16,14 @@ from rich.console import Console
 from ...envs.environment.registry import task
 from ...envs.view.about import Metric
 from ..policies import LEARNED, POLICIES, SHIPPED
+from ..policies.trained.saved import read
 from ..report import markdown, number
 from . import repeat
+from .headroom import ROUGHER
 from .metrics import METRICS, Difference, Summary, metrics, paired
 from .repeat import folders, table_of, text
 from .tables import SHARES, ahead
+from .tuner import BUDGET
 
 FILE, PAGE, HONEST = "compare.json", "README.md", "**Where the baseline is better**"
 PICTURES = {  # as far as they are there
@@ -52,6 +55,19 @@ given the randomly drawn parameters or rehearses. Such a law is not a limit: lea
 baselines are ahead of some. Only the last value is one: no controller can be better than `bound`.
 
 """
+WIN = f"""## What is missing for a win
+
+A learned policy wins against the strongest row if the interval of the mean of the differences of
+pairs lies on the better side of 0, at no more than {ROUGHER} times the jerk of that row, and if
+each training took at most {BUDGET:,} steps, the budget of the tuner. It also has to stay ahead off
+nominal and on other drives, which the comparisons here do not show. The table lists the attempts
+of this page; `servogym results --train` prints and repeats their commands.
+
+"""
+ATTEMPT = (
+    "task", "trained", "trainings × steps at most", "CPU-s", "strongest row", "of pairs", "jerk",
+    "missing",
+)
 ENDS, LIMIT, TOLD = ("hold", "random"), "bound", "informed"  # beside the best baseline
 AGAIN = """## Repeat all trainings
 
@@ -72,7 +88,7 @@ def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
     Raises:
         ValueError: there are none, or one lacks a file, the policy `learned` or the paragraph.
     """
-    rows, room, sections = [], [], []
+    rows, room, attempts, sections = [], [], [], []
     for path in folders(folder):
         data = table_of(path, FILE, "servogym compare", run_code=run_code)
         kind = task(data["env"])
@@ -83,6 +99,8 @@ def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
         room.append(
             [path.name, known[kind.METRIC].heading, *_room(data, baseline, kind.METRIC, sign)]
         )
+        if (path / repeat.FILE).is_file():
+            attempts.append(_attempt(path, own, baseline, known[kind.METRIC].better, kind.METRIC))
         sections.append(
             _section(
                 path, path.name if at == "." else f"{at}/{path.name}", data, own, baseline, known
@@ -92,6 +110,7 @@ def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
     tables += (
         markdown(("task", "metric", *ENDS, "best baseline", TOLD, LIMIT, LEARNED), room) + "\n"
     )
+    tables += WIN + markdown(ATTEMPT, attempts) + "\n" if attempts else ""
     return HEAD + tables + "".join(sections) + _again(folder) + FOOT
 
 
@@ -142,6 +161,31 @@ def _pairs(own: _Policy, baseline: _Policy, better: str) -> list[str]:
     text = f"{number(found.iqm)} [{number(found.low)}, {number(found.high)}]"
     sure = ahead(Difference(found.iqm, found.low, found.high), better)
     return [f"**{text}**" if sure else text, f"{100 * found.improved:.0f} %"]
+
+
+def _attempt(
+    path: Path, own: _Policy, baseline: _Policy, better: str, metric: str
+) -> list[str]:
+    """What was trained for a task, what that took, and what it lacks against the strongest row."""
+    trainings = list(repeat.trainings(path, Path("out")))
+    about = read(path / f"seed_{trainings[0].seed}")
+    how = "from demonstrations" if about.get("demonstrate") else "from rewards"
+    how = f"correction of `{about['residual']}`" if about.get("residual") else how
+    took, steps = sum(one.cpu_seconds for one in trainings), max(one.steps for one in trainings)
+    most = "at most " if any(one.inferred for one in trainings) else ""
+    missing, (pairs, _) = [], _pairs(own, baseline, better)
+    if not pairs.startswith("**"):
+        missing.append("not ahead")
+    jerks = [one.summary["rms_jerk"].iqm for one in (own, baseline) if "rms_jerk" in one.summary]
+    ratio = jerks[0] / jerks[1] if len(jerks) == 2 else None
+    if ratio is not None and ratio > ROUGHER:
+        missing.append("jerk")
+    if steps > BUDGET:
+        missing.append("budget")
+    return [
+        path.name, how, f"{len(trainings)} × {steps:,}", f"{most}{took:.0f}", f"`{baseline.name}`",
+        pairs, "–" if ratio is None else f"{number(ratio)} ×", ", ".join(missing) or "off nominal",
+    ]
 
 
 def _values(policy: Mapping[str, Any], metric: str) -> np.ndarray | None:

@@ -1,0 +1,172 @@
+"""`servogym results --costs`: every committed result, the command that makes it, and what it takes.
+
+Results name their commands themselves, so nothing is listed twice: the pages in docs/results, the
+comparisons, the numbers of the tuner, the trainings and the entries of the suites. The processor
+time of a command is measured when this command repeats it, and kept in a JSON file beside the page.
+"""
+
+import json
+import os
+import re
+import resource
+import shlex
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from ...drive.model import foreign
+from ..report import markdown, number, origin, write_json, write_text
+from . import repeat
+from .submission import ENDING, read
+
+PAGE = Path("docs", "results", "repeat.md")
+OWN = re.compile(  # the command of a page, the last one on it
+    r"^```sh\n((?:servogym|python) [^\n#]*[^\n# ])[^\n]*\n```$"
+    r"|`(servogym [^`]+)`, which wrote this page", re.M,
+)
+HEADING = ("result", "command", "CPU-seconds", "load", "the same again")
+NOTES = """*CPU-seconds* are those of the process and its children, all threads together, with start
+and import. A command takes up to twice as many on a loaded machine; *load* is the load average when
+it ended. *The same again* says whether the command wrote the committed files once more, byte by
+byte (of `tuned.json` the entry of the row). Trainings state their processor time in their
+checkpoints."""
+
+
+class Result(NamedTuple):
+    """A committed result."""
+
+    file: str  # relative to the checkout
+    command: str  # that makes it; empty for a page that is written by hand
+
+
+def results(root: Path) -> list[Result]:
+    """List the committed results of a checkout, without the trainings.
+
+    Raises ValueError if `root` is no checkout.
+    """
+    if not (root / PAGE.parent).is_dir():
+        raise ValueError(f"{root} has no {PAGE.parent}: name the folder of a checkout")
+    found = []
+    for path in sorted((root / PAGE.parent).glob("*.md")):
+        if path != root / PAGE:
+            commands = OWN.findall(path.read_text(encoding="utf-8"))
+            data = path.with_suffix(".json")  # beside a page that has words of its own
+            source = data if data.is_file() else path
+            found.append((source, "".join(commands[-1]) if commands else ""))
+    policies = root / "assets" / "policies"
+    for path in sorted(policies.glob("*/*.json")):
+        if command := foreign.table(path).get("command"):
+            found.append((path, command))
+    for tasks in foreign.table(policies / "tuned.json").values():
+        found += [(policies / "tuned.json", one["command"]) for one in tasks.values()]
+    found.append((policies / "basis_feed_forward.npz", "servogym tune-policy basis_feed_forward"))
+    for path in sorted((root / "assets" / "suites").glob(f"*/*{ENDING}")):
+        found.append((path, read(path).command))
+    return [Result(path.relative_to(root).as_posix(), command) for path, command in found]
+
+
+def run(root: Path, pattern: str, console: Console) -> int:
+    """Repeat the results whose command contains `pattern`, if there is one, and write the page.
+
+    Each command runs in a folder of its own in out/repeat. Its cost is kept as soon as it ends.
+
+    Args:
+        root: of the checkout.
+        pattern: part of a command, or empty to repeat nothing.
+        console: prints what was done.
+    """
+    every, kept = results(root), (root / PAGE).with_suffix(".json")
+    known: dict[str, Any] = foreign.table(kept) if kept.is_file() else {}
+    commands = dict.fromkeys(one.command for one in every if one.command.startswith("servogym "))
+    chosen = [command for command in commands if pattern and pattern in command]
+    if pattern and not chosen:
+        raise ValueError(f"--costs {pattern!r}: no command of a committed result contains that")
+    for command in chosen:
+        out = root / "out" / "repeat" / re.sub(r"[^\w]+", "_", command)[-80:]
+        console.print(command, soft_wrap=True, highlight=False)
+        known[command] = _measured(command, out)
+        files = [root / one.file for one in every if one.command == command]
+        known[command]["same"] = all(_same(file, out) for file in files)
+        write_json(kept, dict(sorted(known.items())))
+    write_text(root / PAGE, page(root, every, known))
+    console.print(f"{root / PAGE}", soft_wrap=True)
+    return 0
+
+
+def _measured(command: str, out: Path) -> dict[str, Any]:
+    """Run a command in a folder -> what it took. Raises ValueError if it fails."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in ("assets", "docs"):  # for commands that read committed files
+        if not (out / name).is_symlink():
+            (out / name).symlink_to(Path(*[".."] * 3, name))
+
+    def spent() -> float:
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
+
+    before = spent()
+    words = [sys.executable, "-m", "servogym.training.cli", *shlex.split(command)[1:]]
+    if status := subprocess.run(words, cwd=out).returncode:
+        raise ValueError(f"`{command}` ended with {status}")
+    return {
+        "cpu_seconds": round(spent() - before, 1), "load": round(os.getloadavg()[0], 1),
+        "machine": origin("")["machine"],
+    }
+
+
+def _same(committed: Path, out: Path) -> bool:
+    """Whether a command wrote a file once more; of a JSON file it may be a part."""
+    if committed.suffix == ".json":
+        whole = json.loads(committed.read_bytes())
+        made = (json.loads(path.read_bytes()) for path in (out / "out").rglob("*.json"))
+        return any(_within(part, whole) for part in made if part)
+    made_again = (path.read_bytes() for path in (out / "out").rglob(committed.name))
+    return committed.read_bytes() in made_again
+
+
+def _within(part: Any, whole: Any) -> bool:
+    if isinstance(part, Mapping) and isinstance(whole, Mapping):
+        return all(name in whole and _within(one, whole[name]) for name, one in part.items())
+    return bool(part == whole)
+
+
+def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
+    """The table of all results, with the sum."""
+    rows, told = [], set()
+    for one in every:
+        own = known.get(one.command)
+        first = one.command not in told
+        told.add(one.command)
+        cost = ["written by hand", "", ""] if not one.command else ["not measured", "", ""]
+        if own and first:
+            same = "yes" if own["same"] else "no"
+            cost = [number(own["cpu_seconds"]), f"{own.get('load', '–')}", same]
+        elif own:
+            cost = ["see above", "", ""]
+        rows.append([f"`{one.file}`", f"`{one.command}`" if one.command else "–", *cost])
+    trainings = repeat.plan(root / "assets" / "policies", Path("out"))
+    for task in dict.fromkeys(each.task for each in trainings):
+        own = [each for each in trainings if each.task == task]
+        most = "at most " if any(each.inferred for each in own) else ""
+        took = sum(each.cpu_seconds for each in own)
+        place = f"`assets/policies/{task}/seed_*`"
+        rows.append([place, "`servogym results --train out/again`", f"{most}{took:.0f}", "", ""])
+    measured = sum(known[command]["cpu_seconds"] for command in told if command in known)
+    missing = sum(1 for command in told if command and command not in known)
+    trained = sum(each.cpu_seconds for each in trainings)
+    total = measured + trained
+    text = (
+        f"{markdown(HEADING, rows)}\nThe {len(told & known.keys())} measured commands took "
+        f"{measured:.0f} CPU-seconds and the trainings at most {trained:.0f}, together "
+        f"{total / 60 / repeat.CORES:.0f} minutes of {repeat.CORES} cores. "
+        f"{missing} commands were not measured.\n"
+    )
+    return (
+        f"# What it takes to repeat the results\n\n{text}\n{NOTES}\n\n`servogym results --costs` "
+        "writes this page from what was measured; `servogym results --costs WORDS` first repeats "
+        "the results whose command contains WORDS.\n"
+    )
