@@ -8,6 +8,7 @@ and `Bound` for the best that anything could be.
 
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import metadata, resources
 from pathlib import Path
 from types import MappingProxyType
@@ -45,15 +46,13 @@ from .pd import Proportional, ProportionalDifferential
 from .plc import TunedTimed, plc_policy, timed_policy
 from .predictive import Predictive
 from .profiles import (
+    Profile,
     SCurve,
     Trapezoid,
     TunedRuckig,
-    jerk_limited_policy,
-    ruckig_ei_policy,
-    ruckig_notch_policy,
-    ruckig_policy,
-    ruckig_zv_policy,
-    ruckig_zvd_policy,
+    extra_insensitive,
+    notched,
+    of_the_profile,
 )
 from .repeated import repeated
 from .trained.learned import Learned
@@ -85,23 +84,29 @@ class Baseline(NamedTuple):
 POLICIES: dict[str, Baseline] = {
     "hold": Baseline(Hold, "action 0"),
     "random": Baseline(Chance, "uniform actions from the seed"),
-    "trapezoid": Baseline(Trapezoid, "pp profile of the drive, 6086h = 0"),
-    "jerk_limited": Baseline(jerk_limited_policy, "pp profile of the drive, 6086h = 3"),
-    "ruckig": Baseline(ruckig_policy, "time-optimal at the drive's limits"),
+    "trapezoid": Baseline(
+        partial(Trapezoid, bounds=of_the_profile), "pp profile of the drive, 6086h = 0"
+    ),
+    "jerk_limited": Baseline(
+        partial(Profile, bounds=of_the_profile), "pp profile of the drive, 6086h = 3"
+    ),
+    "ruckig": Baseline(Profile, "time-optimal at the drive's limits"),
     "ruckig+zv": Baseline(
-        ruckig_zv_policy, "the same, shaped for the nominal resonance", shapes=True
+        partial(Profile, shapers=1), "the same, shaped for the nominal resonance", shapes=True
     ),
     "ruckig+zvd": Baseline(
-        ruckig_zvd_policy, "shaped twice, less particular about it", shapes=True
+        partial(Profile, shapers=2), "shaped twice, less particular about it", shapes=True
     ),
     "ruckig+ei": Baseline(
-        ruckig_ei_policy, "extra-insensitive: 5 % are allowed, over more of it", shapes=True
+        partial(Profile, shapers=1, shape=extra_insensitive),
+        "extra-insensitive: 5 % are allowed, over more of it", shapes=True,
     ),
     "s_curve": Baseline(
         SCurve, "pp profile with the jerk time of one period of the resonance", shapes=True
     ),
     "ruckig+notch": Baseline(
-        ruckig_notch_policy, "through a notch filter at that resonance", shapes=True
+        partial(Profile, shapers=1, shape=notched),
+        "through a notch filter at that resonance", shapes=True,
     ),
     "tuned_ruckig": Baseline(TunedRuckig, "ruckig with torque and jerk fitted by the tuner"),
     "identified+zv": Baseline(

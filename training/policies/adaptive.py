@@ -69,9 +69,7 @@ class Identified(Regulated):
 
     def act(self, seen: Any) -> float:
         """Return the velocity of the set-point (m/s)."""
-        deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
-        rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
-        state = np.array([self._place, self._velocity, deflection, rate, self._last])
+        state = self.state(seen)
         measured = float(seen.velocity) * self._axis.fastest
         if self._step:
             pull = (measured - self._measured) / self._dt  # acceleration of the axis (m/s²)
@@ -85,15 +83,8 @@ class Identified(Regulated):
         now = min(self._step, len(self._times) - 1)
         expected = self._expectations[now, k]
         planned = self._plans[k, now] - expected[1]
-        change = planned - float(self._gains[k] @ (state - expected))
-        change = min(max(change, -self._change), self._change)
-        top = self._axis.speed
-        velocity = min(max(self._velocity + change, -top), top)
-        self._last = velocity - self._velocity
-        self._velocity = velocity
-        self._place += velocity * self._dt
         self._step += 1
-        return velocity
+        return self.changed(planned - float(self._gains[k] @ (state - expected)))
 
 
 class AdaptiveLqr(Lqr):

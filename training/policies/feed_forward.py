@@ -7,7 +7,7 @@ import numpy as np
 
 from ...drive.kernel.modes.csp import SMOOTHING
 from .datasheet import Axis, Datasheet
-from .profiles import Profile, of_the_drive
+from .profiles import Profile
 
 REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), by which friction changes its sign without a jump
 
@@ -78,7 +78,7 @@ class RuckigFeedForward(Profile):
     """
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
-        super().__init__(datasheet, of_the_drive)
+        super().__init__(datasheet)
         if datasheet.axis.offset <= 0.0:
             raise ValueError(
                 f"policy 'ruckig+ff' commands torque: make {datasheet.task} with a torque_range "

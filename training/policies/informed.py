@@ -5,6 +5,7 @@ no limit of what is possible: a law of another kind may be better, and some that
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,7 @@ from .datasheet import Datasheet, datasheet
 from .gantry import Squaring
 from .lqr import Lqr
 from .plc import chain
-from .profiles import (
-    of_the_drive,
-    ruckig_policy,
-    ruckig_zv_policy,
-    ruckig_zvd_policy,
-    time_optimal,
-)
+from .profiles import Profile, of_the_drive, time_optimal
 from .script import Script
 
 SPARE = 0.95  # of the top speed of a homing, the rest holds the path
@@ -116,19 +111,16 @@ class KnownHome:
         )
 
 
-def known_outage(env: ServoEnv, seed: int) -> Script:
-    """The step chain, given the time at which the cause clears: it resets in that very step."""
-    return Script(lambda: chain(datasheet(env), gone=int(env.episode.outage) - 1))
-
-
 INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is told
     "adaptive_feed_forward": KnownMass,
     "squaring": KnownSkew,
-    "lqr": lambda env, seed: InformedPolicy(Lqr, env, seed),
-    "ruckig": lambda env, seed: InformedPolicy(ruckig_policy, env, seed),
-    "ruckig+zv": lambda env, seed: InformedPolicy(ruckig_zv_policy, env, seed),
-    "ruckig+zvd": lambda env, seed: InformedPolicy(ruckig_zvd_policy, env, seed),
+    "lqr": partial(InformedPolicy, Lqr),
+    "ruckig": partial(InformedPolicy, Profile),
+    "ruckig+zv": partial(InformedPolicy, partial(Profile, shapers=1)),
+    "ruckig+zvd": partial(InformedPolicy, partial(Profile, shapers=2)),
     "search": KnownHome,
-    "plc": known_outage,
+    "plc": lambda env, seed: Script(  # told when the cause clears, it resets in that very step
+        lambda: chain(datasheet(env), gone=int(env.episode.outage) - 1)
+    ),
 }
 PREFIX = "informed_"  # of their names

@@ -102,21 +102,26 @@ class Regulated:
     def act(self, seen: Any) -> float:
         """Return the velocity of the set-point (m/s)."""
         wanted = self._steps[self._step] if self._step < len(self._steps) else 0.0
-        deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
-        rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
-        state = np.array([self._place, self._velocity, deflection, rate, self._last])
         planned = wanted - self._expected[1]
-        change = planned - float(self._gain @ (state - self._expected))
-        change = min(max(change, -self._change), self._change)
-        top = self._axis.speed
-        velocity = min(max(self._velocity + change, -top), top)
-        self._last = velocity - self._velocity
-        self._velocity = velocity
-        self._place += self._velocity * self._dt
+        change = planned - float(self._gain @ (self.state(seen) - self._expected))
         a, b = self._model
         self._expected = a @ self._expected + b[:, 0] * planned
         self._step += 1
-        return self._velocity
+        return self.changed(change)
+
+    def state(self, seen: Any, origin: float = 0.0) -> np.ndarray:
+        """The state as observed, shape ``(5,)``, its set-point as seen from an origin (m)."""
+        deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
+        rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
+        return np.array([self._place - origin, self._velocity, deflection, rate, self._last])
+
+    def changed(self, change: float) -> float:
+        """The velocity of the set-point after a change of it, within the limits (m/s)."""
+        change, top = min(max(change, -self._change), self._change), self._axis.speed
+        velocity = min(max(self._velocity + change, -top), top)
+        self._last, self._velocity = velocity - self._velocity, velocity
+        self._place += velocity * self._dt
+        return velocity
 
 
 class Lqr:

@@ -70,23 +70,16 @@ class Predicted(Regulated):
 
     def act(self, seen: Any) -> float:
         """Velocity of the set-point (m/s)."""
-        deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
-        rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
-        state = np.array([self._place - self._way, self._velocity, deflection, rate, self._last])
-        top = self._axis.speed
+        state, top = self.state(seen, self._way), self._axis.speed
         self._solver.update(
             q=self._scale * (self._linear @ state),
             l=np.concatenate([-self._most, np.full(HORIZON, -top - self._velocity)]),
             u=np.concatenate([self._most, np.full(HORIZON, top - self._velocity)]),
         )
         found = self._solver.solve(raise_error=False).x
-        change = float(found[0]) if found is not None and np.isfinite(found[0]) else 0.0
-        change = min(max(change, -self._change), self._change)
-        velocity = min(max(self._velocity + change, -top), top)
-        self._last = velocity - self._velocity
-        self._velocity = velocity
-        self._place += velocity * self._dt
-        return velocity
+        return self.changed(
+            float(found[0]) if found is not None and np.isfinite(found[0]) else 0.0
+        )
 
 
 class Predictive(Lqr):

@@ -156,13 +156,15 @@ class Profile:
 
     Args:
         datasheet: of the environment.
+        seed: of nothing.
         bounds: axis -> what the path keeps to.
         shapers: how often it goes through a shaper for the nominal resonance.
         shape: the shaper: of a path, frequency and damping ratio.
     """
 
     def __init__(
-        self, datasheet: Datasheet, bounds: Callable[[Axis], Bounds], shapers: int = 0,
+        self, datasheet: Datasheet, seed: int = 0, *,
+        bounds: Callable[[Axis], Bounds] = of_the_drive, shapers: int = 0,
         shape: Callable[[Path, float, float], Path] = shaped,
     ):
         self._shape = shape
@@ -214,28 +216,15 @@ class SCurve(Profile):
             velocity, acceleration = axis.profile[:2]
             return Bounds(velocity, acceleration, acceleration / period)
 
-        super().__init__(datasheet, fitted)
+        super().__init__(datasheet, bounds=fitted)
 
 
 class Trapezoid(Profile):
     """The drive's pp profile without jerk limit."""
 
-    def __init__(self, datasheet: Datasheet, seed: int = 0):
-        super().__init__(datasheet, of_the_profile)
-
     def plan(self, way: float, bounds: Bounds) -> Path:
         """Without jerk limit."""
         return trapezoid(way, bounds)
-
-
-def jerk_limited_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """The drive's pp profile with jerk limit."""
-    return Profile(datasheet, of_the_profile)
-
-
-def ruckig_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """Time-optimal at the drive's limits."""
-    return Profile(datasheet, of_the_drive)
 
 
 class TunedRuckig(Profile, Tunable):
@@ -254,7 +243,7 @@ class TunedRuckig(Profile, Tunable):
     }
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
-        super().__init__(datasheet, of_the_profile)
+        super().__init__(datasheet, bounds=of_the_profile)
         self._fine = FINE * datasheet.tolerance
 
     def chosen(self, way: float) -> dict[str, float]:
@@ -285,23 +274,3 @@ class TunedRuckig(Profile, Tunable):
         velocity = np.float32(min(max(wanted / self._farthest[0], -1.0), 1.0))
         self._place[0] += float(velocity) * self._farthest[0]
         return self._known.action(velocity=velocity)
-
-
-def ruckig_zv_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """Follow a ruckig trajectory through a ZV shaper."""
-    return Profile(datasheet, of_the_drive, shapers=1)
-
-
-def ruckig_zvd_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """Shaped twice."""
-    return Profile(datasheet, of_the_drive, shapers=2)
-
-
-def ruckig_ei_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """Through an extra-insensitive shaper."""
-    return Profile(datasheet, of_the_drive, shapers=1, shape=extra_insensitive)
-
-
-def ruckig_notch_policy(datasheet: Datasheet, seed: int = 0) -> Profile:
-    """Through a notch filter."""
-    return Profile(datasheet, of_the_drive, shapers=1, shape=notched)

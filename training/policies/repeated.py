@@ -26,6 +26,14 @@ GAIN, LEAD, NEIGHBOUR = 0.5, 1, 0.05
 OTHER_NOISE = 0x9E3779B97F4A7C15  # added to the state of a generator
 
 
+def corrected(table: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """The next table, from the errors at the end of each step; both of shape ``(steps, k)``."""
+    ahead = np.concatenate([errors[LEAD:], np.repeat(errors[-1:], LEAD, axis=0)])
+    wider = np.pad(table + GAIN * ahead, ((1, 1), (0, 0)), "edge")
+    sides = NEIGHBOUR * (wider[:-2] + wider[2:])
+    return np.clip((1.0 - 2.0 * NEIGHBOUR) * wider[1:-1] + sides, -1.0, 1.0)
+
+
 class Repeated:
     """A law and a table of corrections of its set-points, learned on a twin before each episode."""
 
@@ -53,15 +61,8 @@ class Repeated:
                 errors[step] = self._errors(seen)
                 if terminated:
                     break
-            self.learn(errors)
+            self.table = corrected(self.table, errors)
         self._begin(observation, info)
-
-    def learn(self, errors: np.ndarray) -> None:
-        """One iteration, of the errors at the end of each step."""
-        ahead = np.concatenate([errors[LEAD:], np.repeat(errors[-1:], LEAD, axis=0)])
-        table = np.pad(self.table + GAIN * ahead, ((1, 1), (0, 0)), "edge")
-        sides = NEIGHBOUR * (table[:-2] + table[2:])
-        self.table = np.clip((1.0 - 2.0 * NEIGHBOUR) * table[1:-1] + sides, -1.0, 1.0)
 
     def _begin(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         self._step = 0
