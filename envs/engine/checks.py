@@ -6,6 +6,7 @@ import math
 import os
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import field, fields
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,24 @@ def in_range(name: str, value: float, low: float, high: float, unit: str = "") -
     if not low <= number <= high:
         raise ValueError(f"{name} = {value!r} is out of range {low:g}..{high:g} {unit}".rstrip())
     return number
+
+
+def ranged(default: float | None, low: float, high: float, unit: str) -> Any:
+    """A number of a dataclass of parameters with its range; see `check_fields`."""
+    return field(default=default, metadata={"range": (low, high, unit)})
+
+
+def check_fields(parameters: Any) -> None:
+    """See that `ranged` fields are in their range, or None where that is the default, others flags.
+
+    Raises ValueError naming field, value, range and unit.
+    """
+    for each in fields(parameters):
+        value = getattr(parameters, each.name)
+        if each.metadata and not (value is None and each.default is None):
+            in_range(each.name, value, *each.metadata["range"])
+        elif not each.metadata and not isinstance(value, bool):
+            raise ValueError(f"{each.name} = {value!r}: use True or False")
 
 
 def whole(name: str, value: float, low: int, high: int) -> int:

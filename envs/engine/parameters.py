@@ -152,26 +152,25 @@ def _always(joint: Joint) -> bool:
     return True
 
 
-def _field(name: str, factor: float = 1.0) -> tuple[Callable, Callable]:
+def _at(
+    place: Callable[[Joint], tuple[Any, Any]], factor: Callable[[Joint], float] = lambda joint: 1.0
+) -> tuple[Callable, Callable]:
+    """A number in an array or record, ``place(joint) = (array, index)``, in units of `factor`."""
+
+    def get(joint: Joint) -> float:
+        array, index = place(joint)
+        return float(array[index]) / factor(joint)
+
+    def put(joint: Joint, value: float) -> None:
+        array, index = place(joint)
+        array[index] = value * factor(joint)
+
+    return get, put
+
+
+def _field(name: str) -> tuple[Callable, Callable]:
     """A field of MECHANICS."""
-
-    def get(joint: Joint) -> float:
-        return float(joint.mechanics[name]) * factor
-
-    def put(joint: Joint, value: float) -> None:
-        joint.mechanics[name] = value / factor
-
-    return get, put
-
-
-def _of_coupling(name: str) -> tuple[Callable, Callable]:
-    def get(joint: Joint) -> float:
-        return float(joint.coupling[name])
-
-    def put(joint: Joint, value: float) -> None:
-        joint.coupling[name] = value
-
-    return get, put
+    return _at(lambda joint: (joint.mechanics, name))
 
 
 def _body(name: str) -> tuple[Callable, Callable, Callable]:
@@ -182,14 +181,6 @@ def _body(name: str) -> tuple[Callable, Callable, Callable]:
     )
 
 
-def _viscous(joint: Joint) -> float:
-    return float(joint.model.dof_damping[joint.coupling.dof])
-
-
-def _set_viscous(joint: Joint, value: float) -> None:
-    joint.model.dof_damping[joint.coupling.dof] = value
-
-
 def _spring(name: str, damping: bool) -> tuple[Callable, Callable, Callable]:
     def place(joint: Joint) -> tuple[np.ndarray, int]:
         number, model = joint.spring(name), joint.model
@@ -197,23 +188,18 @@ def _spring(name: str, damping: bool) -> tuple[Callable, Callable, Callable]:
             return model.dof_damping, int(model.jnt_dofadr[number])
         return model.jnt_stiffness, number
 
-    def get(joint: Joint) -> float:
-        array, at = place(joint)
-        return float(array[at]) if joint.spring(name) >= 0 else 0.0
+    get, put = _at(place)
 
-    def put(joint: Joint, value: float) -> None:
-        array, at = place(joint)
-        array[at] = value
+    def there(joint: Joint) -> bool:
+        return joint.spring(name) >= 0
 
-    return get, put, lambda joint: joint.spring(name) >= 0
+    return lambda joint: get(joint) if there(joint) else 0.0, put, there
 
 
-def _rotor(joint: Joint) -> float:
-    return float(joint.model.dof_armature[joint.coupling.dof]) / joint.gear**2
-
-
-def _set_rotor(joint: Joint, value: float) -> None:
-    joint.model.dof_armature[joint.coupling.dof] = value * joint.gear**2
+# as it is seen from the motor
+_rotor, _set_rotor = _at(
+    lambda joint: (joint.model.dof_armature, joint.coupling.dof), lambda joint: joint.gear**2
+)
 
 
 def _static(joint: Joint) -> float:
@@ -223,10 +209,6 @@ def _static(joint: Joint) -> float:
 def _set_static(joint: Joint, value: float) -> None:
     coulomb = float(joint.coupling.friction)
     joint.mechanics.static_ratio = max(value / coulomb, 1.0) if coulomb > 0.0 else 1.0
-
-
-def _set_coulomb(joint: Joint, value: float) -> None:
-    joint.coupling.friction = value
 
 
 def _feed(joint: Joint) -> float:
@@ -265,22 +247,6 @@ def _set_efficiency(joint: Joint, value: float) -> None:
     joint.mechanics.gear_loss = 1.0 / value - 1.0
 
 
-def _inertia(joint: Joint) -> float:
-    return float(joint.model.body_inertia[joint.turning, 2])
-
-
-def _set_inertia(joint: Joint, value: float) -> None:
-    joint.model.body_inertia[joint.turning, 2] = value
-
-
-def _constant(joint: Joint) -> float:
-    return float(joint.model.actuator_gainprm[joint.coupling.ctrl, 0])
-
-
-def _set_constant(joint: Joint, value: float) -> None:
-    joint.model.actuator_gainprm[joint.coupling.ctrl, 0] = value
-
-
 def _object(name: str, scale: Callable[[Any], float]) -> tuple[Callable, Callable, Callable]:
     """A variable of the drive that counts in units of `scale`, whole ones."""
 
@@ -310,6 +276,10 @@ def _set_delay(joint: Joint, value: float) -> None:
     joint.machine.world["delay"] = round(value * joint.machine.physics_steps)
 
 
+def _noise(joint: Joint) -> float:
+    return float(joint.coupling.noise)
+
+
 def _set_noise(joint: Joint, value: float) -> None:
     joint.coupling.noise = value
     if joint.coupling.noise_state == 0:  # from which its generator would never get away
@@ -324,13 +294,17 @@ PARAMETERS: dict[str, Parameter] = {
     "payload": Parameter("kg", 1e-3, 1e4, *_body(PAYLOAD), True),
     "carriage_mass": Parameter("kg", 1e-3, 1e4, *_body(CARRIAGE), True),
     "inertia": Parameter(
-        "kg·m²", 1e-9, 1e6, _inertia, _set_inertia, lambda joint: joint.turning >= 0, True
+        "kg·m²", 1e-9, 1e6, *_at(lambda joint: (joint.model.body_inertia, (joint.turning, 2))),
+        lambda joint: joint.turning >= 0, True,
     ),
     "rotor_inertia": Parameter("kg·m²", 0.0, 10.0, _rotor, _set_rotor, _always, True),
     "coulomb_friction": Parameter(
-        "N", 0.0, 1e5, _of_coupling("friction")[0], _set_coulomb, _always
+        "N", 0.0, 1e5, *_at(lambda joint: (joint.coupling, "friction")), _always
     ),
-    "viscous_friction": Parameter("N·s/m", 0.0, 1e6, _viscous, _set_viscous, _always),
+    "viscous_friction": Parameter(
+        "N·s/m", 0.0, 1e6, *_at(lambda joint: (joint.model.dof_damping, joint.coupling.dof)),
+        _always,
+    ),
     "static_friction": Parameter("N", 0.0, 1e5, _static, _set_static, _always),
     "stribeck_velocity": Parameter("m/s", 1e-5, 10.0, *_field("stribeck_velocity"), _always),
     "inclination": Parameter("degree", -90.0, 90.0, _inclination, _set_inclination, _along_x),
@@ -350,7 +324,10 @@ PARAMETERS: dict[str, Parameter] = {
     "ripple_order": Parameter("periods a revolution", 0.0, 1e4, *_field("ripple_order"), _always),
     "chain_drag": Parameter("N", 0.0, 1e4, *_field("chain_drag"), _always),
     "chain_drag_growth": Parameter("N/m", 0.0, 1e5, *_field("chain_drag_growth"), _always),
-    "torque_constant": Parameter("share", 0.1, 10.0, _constant, _set_constant, _always),
+    "torque_constant": Parameter(
+        "share", 0.1, 10.0,
+        *_at(lambda joint: (joint.model.actuator_gainprm, (joint.coupling.ctrl, 0))), _always,
+    ),
     "velocity_gain": Parameter(
         "Nm·s/rad", 0.0, 1e6,
         *_object("velocity_control_gain", lambda axis: float(axis.velocity_gain_unit)),
@@ -382,7 +359,7 @@ PARAMETERS: dict[str, Parameter] = {
     "supply_voltage": Parameter("V", 1.0, 2e3, *_object("supply_voltage", lambda axis: 1e-3)),
     "torque_time_constant": Parameter("s", 0.0, 0.1, _lag, _set_lag, _always),
     "delay": Parameter("position cycles", 0.0, 1000.0, _delay, _set_delay, _always),
-    "encoder_noise": Parameter("m", 0.0, 1e-2, _of_coupling("noise")[0], _set_noise, _always),
+    "encoder_noise": Parameter("m", 0.0, 1e-2, _noise, _set_noise, _always),
 }
 
 

@@ -6,53 +6,10 @@ Values marked `inferred` are of the size catalogues give for axes of this class,
 from dataclasses import dataclass, fields, replace
 
 from ...drive.model.names import hint
-from ..engine.checks import in_range
+from ..engine.checks import check_fields, ranged
+from .motor import MotorParameters
 
-# lowest, highest, unit
-RANGES = {
-    "payload": (0.0, 100.0, "kg"),
-    "carriage_mass": (1e-3, 100.0, "kg"),
-    "feed_constant": (1e-5, 1.0, "m per motor revolution"),
-    "rotor_inertia": (0.0, 1.0, "kg·m²"),
-    "transmission_inertia": (0.0, 1.0, "kg·m² at the shaft"),
-    "coulomb_friction": (0.0, 1e5, "N"),
-    "static_friction": (0.0, 1e5, "N"),
-    "stribeck_velocity": (1e-4, 1.0, "m/s"),
-    "viscous_friction": (0.0, 1e6, "N·s/m"),
-    "chain_drag": (0.0, 100.0, "N"),
-    "chain_drag_growth": (0.0, 1000.0, "N per m of travel"),
-    "cogging_torque": (0.0, 10.0, "Nm at the shaft"),
-    "cogging_order": (0.0, 1000.0, "periods per motor revolution"),
-    "torque_ripple": (0.0, 0.5, "share of the motor torque"),
-    "ripple_order": (0.0, 1000.0, "periods per motor revolution"),
-    "max_velocity": (1e-3, 10.0, "m/s"),
-    "max_acceleration": (1e-2, 200.0, "m/s²"),
-    "max_jerk": (1.0, 4000.0, "m/s³"),
-    "stiffness": (0.0, 1e8, "N/m"),
-    "structural_damping": (0.0, 1e5, "N·s/m"),
-    "transmission_stiffness": (0.0, 1e9, "N/m"),
-    "transmission_damping": (0.0, 1e6, "N·s/m"),
-    "backlash": (0.0, 0.01, "m"),
-    "efficiency": (0.1, 1.0, "share"),
-    "dc_link_voltage": (1.0, 2000.0, "V"),
-    "motor_torque_constant": (1e-6, 4000.0, "Nm/A"),
-    "motor_voltage_constant": (1e-6, 4000.0, "V·s/rad"),
-    "motor_resistance": (0.0, 4000.0, "Ohm"),
-    "motor_inductance": (0.0, 4.0, "H"),
-    "supply_resistance": (0.0, 4000.0, "Ohm"),
-    "motor_winding_loss": (0.0, 1e5, "W"),
-    "motor_thermal_resistance": (0.0, 1e3, "K/W"),
-    "motor_thermal_time": (1.0, 65535.0, "s"),
-    "motor_temperature_limit": (0.0, 300.0, "degC"),
-    "home_switch": (0.0, 0.47, "m"),
-    "switch_offset": (-0.01, 0.01, "m"),
-    "switch_scatter": (0.0, 0.01, "m"),
-    "inclination": (-90.0, 90.0, "degree"),
-    "brake_torque": (0.0, 100.0, "Nm"),
-}
-
-
-SWITCHES = ("load_encoder", "speed_torque_curve")  # True or False
+HEAVIEST = 100.0  # kg, payload
 
 
 @dataclass(frozen=True)
@@ -63,68 +20,51 @@ class Joints:
 
 
 @dataclass(frozen=True)
-class LinearAxisParameters:
+class LinearAxisParameters(MotorParameters):
     """One linear axis. Raises ValueError naming field, value, range and unit.
 
     An effect is off where its parameter is 0, `static_friction` also where it is the Coulomb one.
     With a `transmission_stiffness` the carriage moves against the motor side: the drive sees the
-    motor; friction, end stops and switches are the carriage's.
+    motor; friction, end stops and switches are the carriage's. The `efficiency` of the gear is a
+    friction in proportion to what it carries. `transmission_inertia` is that of pulleys, coupling
+    and spindle. Orders of 24: 12 slots and 8 poles have such a cogging, 4 pole pairs such a ripple.
+    The friction has come down by 63 % at the `stribeck_velocity` (inferred). Switches are mounted
+    to the right by their offset and scatter by a standard deviation.
     """
 
-    payload: float = 5.0  # kg, on the carriage
-    carriage_mass: float = 1.5  # kg
-    feed_constant: float = 0.06  # m per motor revolution
-    rotor_inertia: float | None = None  # kg·m²; None: of the drive model's motor
-    transmission_inertia: float = 0.0  # kg·m² at the shaft, of pulleys, coupling, spindle
-    coulomb_friction: float = 12.0  # N
-    static_friction: float = 0.0  # N, at standstill; not below the Coulomb friction, or 0
-    stribeck_velocity: float = 0.01  # m/s, where friction has come down by 63 %; inferred
-    viscous_friction: float = 20.0  # N·s/m
-    chain_drag: float = 0.0  # N, of a cable chain
-    chain_drag_growth: float = 0.0  # N/m, with the travel from the left end stop
-    cogging_torque: float = 0.0  # Nm at the shaft, amplitude
-    cogging_order: float = 24.0  # periods a revolution; 24: of 12 slots and 8 poles
-    torque_ripple: float = 0.0  # share of the motor torque, amplitude
-    ripple_order: float = 24.0  # periods a revolution; 24: six times 4 pole pairs
-    max_velocity: float = 1.0  # m/s, profile velocity
-    max_acceleration: float = 10.0  # m/s², profile acceleration and deceleration
-    max_jerk: float = 1000.0  # m/s³, profile jerk
-    stiffness: float = 0.0  # N/m, between carriage and payload; 0: rigid
-    structural_damping: float = 0.0  # N·s/m, between carriage and payload
-    transmission_stiffness: float = 0.0  # N/m, between motor side and carriage; 0: rigid
-    transmission_damping: float = 0.0  # N·s/m, between motor side and carriage
-    backlash: float = 0.0  # m, whole gap between motor side and carriage
-    efficiency: float = 1.0  # of a gear at the motor; friction in proportion to what it carries
+    payload: float = ranged(5.0, 0.0, HEAVIEST, "kg")  # on the carriage
+    carriage_mass: float = ranged(1.5, 1e-3, 100.0, "kg")
+    feed_constant: float = ranged(0.06, 1e-5, 1.0, "m per motor revolution")
+    rotor_inertia: float | None = ranged(None, 0.0, 1.0, "kg·m²")  # None: of the drive model
+    transmission_inertia: float = ranged(0.0, 0.0, 1.0, "kg·m² at the shaft")
+    coulomb_friction: float = ranged(12.0, 0.0, 1e5, "N")
+    static_friction: float = ranged(0.0, 0.0, 1e5, "N")  # 0, or not below Coulomb's
+    stribeck_velocity: float = ranged(0.01, 1e-4, 1.0, "m/s")
+    viscous_friction: float = ranged(20.0, 0.0, 1e6, "N·s/m")
+    chain_drag: float = ranged(0.0, 0.0, 100.0, "N")  # of a cable chain
+    chain_drag_growth: float = ranged(0.0, 0.0, 1000.0, "N per m of travel")  # from the left
+    cogging_torque: float = ranged(0.0, 0.0, 10.0, "Nm at the shaft")  # amplitude
+    cogging_order: float = ranged(24.0, 0.0, 1000.0, "periods per motor revolution")
+    torque_ripple: float = ranged(0.0, 0.0, 0.5, "share of the motor torque")  # amplitude
+    ripple_order: float = ranged(24.0, 0.0, 1000.0, "periods per motor revolution")
+    max_velocity: float = ranged(1.0, 1e-3, 10.0, "m/s")  # profile velocity
+    max_acceleration: float = ranged(10.0, 1e-2, 200.0, "m/s²")  # of the profile
+    max_jerk: float = ranged(1000.0, 1.0, 4000.0, "m/s³")  # profile jerk
+    stiffness: float = ranged(0.0, 0.0, 1e8, "N/m")  # between carriage and payload; 0: rigid
+    structural_damping: float = ranged(0.0, 0.0, 1e5, "N·s/m")  # between carriage and payload
+    transmission_stiffness: float = ranged(0.0, 0.0, 1e9, "N/m")  # to the carriage; 0: rigid
+    transmission_damping: float = ranged(0.0, 0.0, 1e6, "N·s/m")  # between motor side and carriage
+    backlash: float = ranged(0.0, 0.0, 0.01, "m")  # whole gap between motor side and carriage
+    efficiency: float = ranged(1.0, 0.1, 1.0, "share")  # of a gear at the motor
     load_encoder: bool = False  # the position is measured at the carriage: dual-loop control
-    home_switch: float = 0.2  # m, left edge of the home switch, which is 30 mm long
-    switch_offset: float = 0.0  # m, all switches are mounted this much farther right
-    switch_scatter: float = 0.0  # m, standard deviation of where a switch answers
-    inclination: float = 0.0  # degree; 90: vertical, the positive direction is upwards
-    brake_torque: float = 0.0  # Nm at the shaft, of the holding brake; 0: there is none
-    # the motor as a DC motor on the DC link; None: of the drive model
-    speed_torque_curve: bool = False  # what is not given below comes from the rated data (inferred)
-    dc_link_voltage: float | None = None  # V
-    motor_torque_constant: float | None = None  # Nm/A
-    motor_voltage_constant: float | None = None  # V·s/rad; the torque constant in SI
-    motor_resistance: float | None = None  # Ohm; 0: the voltage limits no torque
-    motor_inductance: float | None = None  # H; over the resistance the electrical time constant
-    supply_resistance: float | None = None  # Ohm, before the DC link, which sags by it
-    # the motor as one thermal mass; None: of the drive model
-    motor_winding_loss: float | None = None  # W, copper loss at rated torque
-    motor_thermal_resistance: float | None = None  # K/W, winding to ambient
-    motor_thermal_time: float | None = None  # s
-    motor_temperature_limit: float | None = None  # degC, a fault above it; 0: none
+    home_switch: float = ranged(0.2, 0.0, 0.47, "m")  # its left edge; 30 mm long
+    switch_offset: float = ranged(0.0, -0.01, 0.01, "m")
+    switch_scatter: float = ranged(0.0, 0.0, 0.01, "m")
+    inclination: float = ranged(0.0, -90.0, 90.0, "degree")  # 90: vertical, upwards
+    brake_torque: float = ranged(0.0, 0.0, 100.0, "Nm")  # at the shaft, holding; 0: none
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is None and field.default is None:
-                continue
-            if isinstance(field.default, bool):
-                if not isinstance(value, bool):
-                    raise ValueError(f"{field.name} = {value!r}: use True or False")
-                continue
-            in_range(field.name, value, *RANGES[field.name])
+        check_fields(self)
         if self.static_friction and not 0.0 < self.coulomb_friction <= self.static_friction:
             raise ValueError(
                 f"static_friction = {self.static_friction:g} N needs a coulomb_friction above "
@@ -142,6 +82,7 @@ class LinearAxisParameters:
             )
 
 
+NAMES = [each.name for each in fields(LinearAxisParameters)]
 # 16 mm belt, both spans in parallel, at the middle of the stroke: Gates, Synchroflex: specific
 # stiffness of AT5 with steel tension members about 1e5 N per unit strain and spans of 0.5 m:
 # 4e5 N/m (inferred). Damping ratio 2 %, pulleys 0.1e-4 kg·m², repeatability of a proximity switch
@@ -250,8 +191,8 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
     if mechanics not in FAMILY:
         raise ValueError(f"mechanics = {mechanics!r} is unknown: {hint(str(mechanics), FAMILY)}")
     for name in values:
-        if name not in RANGES and name not in SWITCHES:
-            raise ValueError(f"a linear axis has no parameter {name!r}: {hint(name, RANGES)}")
+        if name not in NAMES:
+            raise ValueError(f"a linear axis has no parameter {name!r}: {hint(name, NAMES)}")
     return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
 
 

@@ -8,7 +8,7 @@ gripper, or hangs from it on a cable.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import mujoco
 
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
+from ..engine.checks import check_fields, ranged
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units
@@ -35,54 +36,32 @@ MAX_SKEW = 0.03  # m; small angles, and more would tear the joints of the bridge
 VIBRATING_MASS = 1.0
 # axis: (end of the stroke (m), homing method)
 AXES = {"x": (0.8, 17), "x1": (0.8, 17), "x2": (0.8, 17), "y": (0.5, 17), "z": (-0.3, 18)}
-# lowest, highest, unit
-RANGES = {
-    "x_drives": (1, 2, "drives in X, 1 or 2"),
-    "payload": (0.0, 10.0, "kg"),
-    "coulomb_friction": (0.0, 200.0, "N"),
-    "viscous_friction": (0.0, 2000.0, "N·s/m"),
-    "max_velocity": (1e-3, 5.0, "m/s"),
-    "max_acceleration": (1e-2, 50.0, "m/s²"),
-    "coupling_stiffness": (1e5, 2e7, "N/m"),
-    "coupling_damping": (0.0, 1e4, "N·s/m"),
-    "skew_stiffness": (0.0, 1e6, "Nm/rad"),
-    "skew_damping": (0.0, 1e3, "Nm·s/rad"),
-    "squaring_offset": (-0.004, 0.004, "m"),
-    "cable_length": (0.0, 10.0, "m, 0 or at least 0.05"),
-    "sway_damping": (0.0, 10.0, "Nm·s/rad"),
-}
 
 
 @dataclass(frozen=True)
 class GantryParameters:
     """What can be chosen about a gantry. Raises ValueError naming field, value, range and unit."""
 
-    x_drives: int = 1
-    payload: float = 2.0  # kg
-    coulomb_friction: float = 12.0  # N, of each driven axis
-    viscous_friction: float = 20.0  # N·s/m, of each driven axis
-    max_velocity: float = 0.5  # m/s, profile velocity
-    max_acceleration: float = 5.0  # m/s², profile acceleration and deceleration
+    x_drives: int = ranged(1, 1, 2, "drives in X, 1 or 2")
+    payload: float = ranged(2.0, 0.0, 10.0, "kg")
+    coulomb_friction: float = ranged(12.0, 0.0, 200.0, "N")  # of each driven axis
+    viscous_friction: float = ranged(20.0, 0.0, 2000.0, "N·s/m")  # of each driven axis
+    max_velocity: float = ranged(0.5, 1e-3, 5.0, "m/s")  # profile velocity
+    max_acceleration: float = ranged(5.0, 1e-2, 50.0, "m/s²")  # of the profile
     # N/m and N·s/m, between each carriage and its end of the bridge. inferred: about 5 % damping of
     # the bridge against its carriages, in the way of motion, at some 200 Hz
-    coupling_stiffness: float = 4e6
-    coupling_damping: float = 300.0
+    coupling_stiffness: float = ranged(4e6, 1e5, 2e7, "N/m")
+    coupling_damping: float = ranged(300.0, 0.0, 1e4, "N·s/m")
     # Nm/rad and Nm·s/rad, of the joints that hold the bridge square. inferred: flexure joints, in
     # which the friction of the guides can hold the bridge skew by 2 mm, as a pinned bridge does
-    skew_stiffness: float = 2000.0
-    skew_damping: float = 5.0
-    squaring_offset: float = 0.0  # m, how far the switches of x2 lie ahead of those of x1
-    cable_length: float = 0.0  # m, from gripper to the middle of the payload; 0: in the gripper
-    sway_damping: float = 0.01  # Nm·s/rad. inferred: 0.2 % of critical for 2 kg on 0.5 m
+    skew_stiffness: float = ranged(2000.0, 0.0, 1e6, "Nm/rad")
+    skew_damping: float = ranged(5.0, 0.0, 1e3, "Nm·s/rad")
+    squaring_offset: float = ranged(0.0, -0.004, 0.004, "m")  # of x2's switches, ahead
+    cable_length: float = ranged(0.0, 0.0, 10.0, "m, 0 or at least 0.05")  # 0: held
+    sway_damping: float = ranged(0.01, 0.0, 10.0, "Nm·s/rad")  # inferred: 0.2 % of critical
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            low, high, unit = RANGES[field.name]
-            if not (isinstance(value, int | float) and low <= value <= high):
-                raise ValueError(
-                    f"{field.name} = {value!r} is out of range {low:g}..{high:g} {unit}"
-                )
+        check_fields(self)
         if self.x_drives not in (1, 2):
             raise ValueError(f"x_drives = {self.x_drives!r}: use 1 or 2 drives in X")
         if 0.0 < self.cable_length < 0.05:

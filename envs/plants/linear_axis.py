@@ -15,7 +15,7 @@ from ...drive.model.model import DriveModel, load
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units, tuning, twins
-from .axis_parameters import RANGES, LinearAxisParameters, chosen, family
+from .axis_parameters import HEAVIEST, LinearAxisParameters, chosen, family
 from .motor import MOTOR, motor_and_encoder
 from .sizing import Profile, first, largest, least
 from .transmission import MOTOR_SIDE_MASS, TooFast, drive_elastically, slow_enough, spring
@@ -228,7 +228,7 @@ def _would_do(model: DriveModel, p: LinearAxisParameters, refusal: Unmovable) ->
         return True
 
     if isinstance(refusal, TooLight):
-        mass = least(lambda payload: moves(payload=payload), p.payload, RANGES["payload"][1])
+        mass = least(lambda payload: moves(payload=payload), p.payload, HEAVIEST)
         return f"it takes {mass:.3g} kg and more" if mass < math.inf else "it takes no payload"
     mass = largest(lambda payload: moves(payload=payload), p.payload)
     finer = first(FINER, lambda factor: moves(feed_constant=p.feed_constant / factor))

@@ -1,8 +1,10 @@
 """The motor of an axis: its rated data, and the winding and heat that follow from them."""
 
+from dataclasses import dataclass
 from typing import Any
 
 from ...drive.drive import Drive
+from ..engine.checks import ranged
 
 # a 400 W servo motor: mA, mNm, per mille
 MOTOR = {
@@ -27,6 +29,29 @@ THERMAL = {
     "motor_temperature_limit": 10,
 }
 LINK = {"undervoltage": 200, "chopper_voltage": 390, "overvoltage": 430}  # V, of one of 325 V
+
+
+@dataclass(frozen=True)
+class MotorParameters:
+    """What can be chosen about the motor of any axis; None: of the drive model.
+
+    A motor is a DC motor on the DC link, which sags by the resistance of its supply, and one
+    thermal mass. The voltage constant is the torque constant if not given, both in SI; the
+    inductance over the resistance is the electrical time constant. A resistance of 0 limits no
+    torque. Above the temperature limit is a fault, 0 is none.
+    """
+
+    speed_torque_curve: bool = False  # what is not given below comes from the rated data (inferred)
+    dc_link_voltage: float | None = ranged(None, 1.0, 2000.0, "V")
+    motor_torque_constant: float | None = ranged(None, 1e-6, 4000.0, "Nm/A")
+    motor_voltage_constant: float | None = ranged(None, 1e-6, 4000.0, "V·s/rad")
+    motor_resistance: float | None = ranged(None, 0.0, 4000.0, "Ohm")  # 0: limits no torque
+    motor_inductance: float | None = ranged(None, 0.0, 4.0, "H")
+    supply_resistance: float | None = ranged(None, 0.0, 4000.0, "Ohm")  # before the DC link
+    motor_winding_loss: float | None = ranged(None, 0.0, 1e5, "W")  # copper loss at rated torque
+    motor_thermal_resistance: float | None = ranged(None, 0.0, 1e3, "K/W")  # winding to ambient
+    motor_thermal_time: float | None = ranged(None, 1.0, 65535.0, "s")
+    motor_temperature_limit: float | None = ranged(None, 0.0, 300.0, "degC")
 
 
 def rated_winding(rated_torque: float, rated_current: float, loss: float) -> dict[str, float]:

@@ -16,7 +16,6 @@ from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint
 from ..engine import parameters
 from ..engine.machine import Machine
-from .axis_parameters import RANGES as LINEAR_RANGES
 from .axis_parameters import LinearAxisParameters, family
 from .rotary_parameters import ROTARY_FAMILY, RotaryParameters
 
@@ -82,7 +81,7 @@ class Twin:
         if self.builder != "linear_axis":
             return None
         preset = family(self.arguments["mechanics"], **given)
-        known = {n: v for n, v in values.items() if n in LINEAR_RANGES}
+        known = {n: v for n, v in values.items() if hasattr(preset, n)}
         if preset.static_friction and "static_friction" not in known:
             ratio = preset.static_friction / preset.coulomb_friction
             known["static_friction"] = ratio * known.get("coulomb_friction", 0.0)
