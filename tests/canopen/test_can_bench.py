@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from rich.console import Console
 
+from servogym.training import cli
 from servogym.training.bench import can as can_bench
 from servogym.training.bench import sdo as sdo_bench
 
@@ -29,7 +29,7 @@ def test_drives_in_lock_step_are_enabled_and_exchange_all_frames():
 
 
 def test_the_results_come_as_json(capsys):
-    assert can_bench.run(1, True, Console()) == 0
+    assert cli.main(["bench", "--can", "--repeat", "1", "--json"]) == 0
     results = json.loads(capsys.readouterr().out)
     assert results["canopen"] == canopen.__version__
     assert results["lockstep"]["drives"] == 8

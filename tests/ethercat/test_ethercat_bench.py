@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from rich.console import Console
 
+from servogym.training import cli
 from servogym.training.bench import ethercat as bench
 
 
@@ -14,7 +14,8 @@ def test_42_the_rows_of_the_bench_come_as_json(capsys, monkeypatch):
     monkeypatch.setattr(bench, "CYCLES", 400)
     monkeypatch.setattr(bench, "CLOCK_FRAMES", 400)
     for _ in range(5):  # SOEM gives up after 2 ms; where the machine has other things to do, again
-        assert bench.run(1, True, Console()) == 0  # raises where a working counter is wrong
+        # raises where a working counter is wrong
+        assert cli.main(["bench", "--ethercat", "--repeat", "1", "--json"]) == 0
         results = json.loads(capsys.readouterr().out)
         if results["pysoem"]["1 none"].get("in_op", True):
             break

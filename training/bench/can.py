@@ -1,6 +1,5 @@
 """`servogym bench --can`: drives in lock-step on one bus, and SDO servers side by side."""
 
-import json
 import platform
 import struct
 import time
@@ -10,7 +9,6 @@ from typing import Any
 import can
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ...drive.canopen.bit_time import length
 from ...drive.canopen.frame import Base, Frame
@@ -19,6 +17,7 @@ from ...drive.canopen.node import NmtCommand
 from ...drive.kernel.words import TO_ENABLED, Mode, State
 from ...envs.engine.machine import Machine
 from ...envs.plants.linear_axis import linear_axis
+from . import Tell, show_table
 from . import sdo as sdo_bench
 
 DRIVES = 8
@@ -31,6 +30,9 @@ TPDOS = [
     ["statusword", "position_actual_value", "torque_actual_value"],
     ["velocity_actual_value", "following_error_actual_value"],
 ]
+SERVERS = (  # as `sdo.measure` has them
+    "handling alone", "raw loop, a thread each", "SdoClient, a thread each", "raw loop, one thread"
+)
 STATES = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
 
 
@@ -98,43 +100,30 @@ def lockstep(drives: int, syncs: int) -> dict[str, Any]:
     }
 
 
-def measure(repeat: int) -> dict[str, Any]:
-    """Both measurements: `repeat` blocks of requests, and ten times as many SYNCs."""
-    return {"sdo": sdo_bench.measure(repeat), "lockstep": lockstep(DRIVES, 10 * repeat)}
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    return {
+        "sdo": sdo_bench.measure(options.repeat),
+        "lockstep": lockstep(DRIVES, 10 * options.repeat),
+        "python": platform.python_version(),
+        "python_can": can.__version__,
+        "canopen": version("canopen"),
+    }
 
 
-def run(repeat: int, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("measuring ..."):
-        results = {
-            **measure(repeat),
-            "python": platform.python_version(),
-            "python_can": can.__version__,
-            "canopen": version("canopen"),
-        }
-    if as_json:
-        console.file.write(json.dumps(results, indent=1) + "\n")
-    else:
-        _show(results, console)
-    return 0
-
-
-def _show(results: dict[str, Any], console: Console) -> None:
-    table = Table(title="SDO requests per second, expedited, half uploads and half downloads")
-    for column in ("", "servogym", "canopen", "ratio", "client, bus, threads"):
-        table.add_column(column, justify="right" if column else "left")
-    for key, name in (
-        ("handling", "handling alone"),
-        ("raw_loop", "raw loop, a thread each"),
-        ("sdo_client", "SdoClient, a thread each"),
-        ("one_thread", "raw loop, one thread"),
-    ):
-        r = results["sdo"][key]
-        table.add_row(
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
+    rows = [
+        (
             name, f"{r['servogym_per_s']:.0f}", f"{r['canopen_per_s']:.0f}", f"{r['ratio']:.2f}",
             f"{r['servogym_others_share']:.0%}, {r['canopen_others_share']:.0%}",
         )
-    console.print(table)
+        for name, r in zip(SERVERS, results["sdo"].values(), strict=True)
+    ]
+    show_table(
+        console, "SDO requests per second, expedited, half uploads and half downloads",
+        ("", "servogym", "canopen", "ratio", "client, bus, threads"), rows,
+    )
     r = results["lockstep"]
     low, high = r["single_periods_quartiles"]
     console.print(

@@ -7,7 +7,6 @@ Kernels are compiled, and the graph is captured, in steps that do not count.
 """
 
 import importlib.metadata
-import json
 import platform
 import time
 from typing import Any
@@ -15,9 +14,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ...envs import POINT_TO_POINT
+from . import Tell, show_table
 
 ID = POINT_TO_POINT.ID
 MANY = {"cpu": (2, 16), "cuda": (256, 4096, 16_384)}  # machines
@@ -98,36 +97,35 @@ def _apart(vector: Any, peer: Any) -> dict[str, float]:
     return away
 
 
-def run(drive: str, device: str, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("measuring ..."):
-        rows, beside = measure(drive, device)
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    rows, beside = measure(options.drive, options.gpu)
     packages = ("mujoco-warp", "warp-lang", "numba", "torch")
-    results = {
-        "drive": drive, "device": device, "python": platform.python_version(),
+    return {
+        "drive": options.drive, "device": options.gpu, "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in packages}, "rows": rows,
         "beside": beside,
     }
-    if as_json:
-        console.file.write(json.dumps(results, indent=1) + "\n")
-        return 0
-    table = Table(title=f"{ID}, drive {drive}, on the device {device}")
-    for column in (
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
+    table = []
+    for row in results["rows"]:
+        table.append([f"{row[key]:,.0f}" for key in ("machines", "cycles_per_s")])
+        table[-1].append(f"{row['step_ms']:,.2f}" if row["in_graphs"] else "no graph")
+        table[-1].append(f"{row['step_ms_no_graph']:,.2f}")
+        table[-1] += [f"{row[key]:,.0f}" for key in ("cycles_per_s_whole", "steps_per_s")]
+    title = f"{ID}, drive {results['drive']}, on the device {results['device']}"
+    heading = (
         "machines", "drive cycles/s\nwith physics", "ms a step\nin graphs", "without",
         "drive cycles/s\nwhole step", "steps/s",
-    ):
-        table.add_column(column, justify="right")
-    for row in rows:
-        shown = [f"{row[key]:,.0f}" for key in ("machines", "cycles_per_s")]
-        shown.append(f"{row['step_ms']:,.2f}" if row["in_graphs"] else "no graph")
-        shown.append(f"{row['step_ms_no_graph']:,.2f}")
-        shown += [f"{row[key]:,.0f}" for key in ("cycles_per_s_whole", "steps_per_s")]
-        table.add_row(*shown)
-    console.print(table)
+    )
+    show_table(console, title, heading, table, texts=())
+    beside = results["beside"]
     console.print(
         f"on the cores, {beside['machines']} machines: {beside['cycles_per_s']:,.0f} drive "
         f"cycles/s; after {beside['after_steps']} steps under the same actions the device is "
         f"{beside['position_um']:.3g} µm, {beside['velocity_um_s']:.3g} µm/s and "
         f"{beside['torque_mNm']:.3g} mNm away from them at most"
     )
-    return 0

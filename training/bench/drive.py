@@ -12,7 +12,6 @@ there; and with no friction on either side, where the solver has the same to do 
 """
 
 import copy
-import json
 import os
 import platform
 import subprocess
@@ -26,7 +25,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from rich.console import Console
-from rich.table import Table
 
 from ...drive.kernel.jit import entry
 from ...drive.kernel.words import Mode
@@ -37,6 +35,7 @@ from ...envs.engine.machine import NO_IMAGES, Machine
 from ...envs.engine.physics import STATE, addresses, mj_step
 from ...envs.masters.port import MachinePort
 from ...envs.plants.linear_axis import linear_axis
+from . import Tell, show_table
 
 CYCLES = 600  # position cycles a block
 ROWS: tuple[tuple[str, str, bool, bool], ...] = (  # key, name, each step, with friction
@@ -196,41 +195,41 @@ def start_times() -> dict[str, float]:
     return {"cold_start_s": times[0], "warm_start_s": times[1]}
 
 
-def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("measuring ..."):
-        results = {
-            "drive": drive,
-            "python": platform.python_version(),
-            "mujoco": mujoco.__version__,
-            **{key: measure(drive, repeat, *arguments) for key, _, *arguments in ROWS},
-            "two_threads_over_one": two_threads(drive, max(repeat // 5, 3)),
-            **start_times(),
-        }
-    if as_json:
-        console.file.write(json.dumps(results, indent=1) + "\n")
-        return 0
-    table = Table(title=f"drive {drive}, one axis, moving; MuJoCo {mujoco.__version__}")
-    for column in ("", "mj_step\n(ns)", "drive + mj_step\n(ns)", "ratio\n(median)", "quartiles"):
-        table.add_column(column, justify="right" if column else "left")
-    for key, name, *_ in ROWS:
-        r: Any = results[key]
-        low, high = r["ratio_quartiles"]
-        table.add_row(
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    drive, repeat = options.drive, options.repeat
+    return {
+        "drive": drive,
+        "python": platform.python_version(),
+        "mujoco": mujoco.__version__,
+        **{key: measure(drive, repeat, *arguments) for key, _, *arguments in ROWS},
+        "two_threads_over_one": two_threads(drive, max(repeat // 5, 3)),
+        **start_times(),
+    }
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
+    title = f"drive {results['drive']}, one axis, moving; MuJoCo {results['mujoco']}"
+    rows = [
+        (
             name, f"{r['mj_step_ns']:.0f}", f"{r['drive_and_mj_step_ns']:.0f}",
-            f"{r['ratio']:.3f}", f"{low:.3f} .. {high:.3f}",
+            f"{r['ratio']:.3f}", " .. ".join(f"{each:.3f}" for each in r["ratio_quartiles"]),
         )
-    console.print(table)
+        for name, r in ((name, results[key]) for key, name, *_ in ROWS)
+    ]
+    heading = ("", "mj_step\n(ns)", "drive + mj_step\n(ns)", "ratio\n(median)", "quartiles")
+    show_table(console, title, heading, rows)
     console.print(
         "friction: of mj_step by its constraint solver, ours outside of it, which is part of the "
         "difference; no friction: on neither side"
     )
-    rates: Any = results["rates_of_the_model"]
+    rates = results["rates_of_the_model"]
     console.print(
         "MuJoCo's clock stands still in both; where it is read for MjData.timer, mj_step takes "
         f"{rates['mj_step_with_clock_ns']:.0f} ns"
     )
-    threads: Any = results["two_threads_over_one"]
+    threads = results["two_threads_over_one"]
     console.print(
         f"two machines on two threads over one: {threads['machines']:.2f} times the steps "
         f"(mujoco.batch in the same run: {threads['mujoco_batch']:.2f})"
@@ -239,4 +238,3 @@ def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
         f"start to first cycle: cold {results['cold_start_s']:.1f} s (compiling), "
         f"warm {results['warm_start_s']:.1f} s"
     )
-    return 0

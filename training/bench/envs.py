@@ -6,7 +6,6 @@ not installed are left out: ``pip install gym-electric-motor`` in an environment
 
 import ctypes
 import gc
-import json
 import platform
 import time
 import warnings
@@ -18,9 +17,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ...envs import POINT_TO_POINT, TASKS
+from . import Tell, show_table
 
 ID = POINT_TO_POINT.ID
 STEPS = 190  # a block: less than an episode, so that resets stay out
@@ -127,38 +126,38 @@ def _step(env: gym.Env) -> None:
         env.reset()
 
 
-def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("measuring ..."):
-        results: dict[str, Any] = {
-            "drive": drive,
-            "python": platform.python_version(),
-            "versions": {name: version(name) for name in ("gymnasium", "mujoco", "numba")},
-            "memory_kb": memory(drive),
-            "one": overhead(drive, repeat),
-            "vector": vectors(drive, max(repeat // 3, 3), 2),
-            "peers": peers(repeat),
-        }
-    if as_json:
-        console.file.write(json.dumps(results, indent=1, default=float) + "\n")
-        return 0
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    drive, repeat = options.drive, options.repeat
+    return {
+        "drive": drive,
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in ("gymnasium", "mujoco", "numba")},
+        "memory_kb": memory(drive),
+        "one": overhead(drive, repeat),
+        "vector": vectors(drive, max(repeat // 3, 3), 2),
+        "peers": peers(repeat),
+    }
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
     one, vector = results["one"], results["vector"]
     console.print(
-        f"{ID}, drive {drive}: a step takes {one['step_us']:.1f} µs, {one['loop_us']:.1f} of them "
-        f"drive and physics, {one['overhead_us']:.1f} all else"
+        f"{ID}, drive {results['drive']}: a step takes {one['step_us']:.1f} µs, "
+        f"{one['loop_us']:.1f} of them drive and physics, {one['overhead_us']:.1f} all else"
     )
     console.print(
         f"{MANY} of them on {vector['threads']} threads: {vector['ours']:,.0f} steps/s, "
         f"{vector['ratio']:.1f} times the {vector['sync_vector_env']:,.0f} of SyncVectorEnv of "
         f"{FEW}; {results['memory_kb']:.0f} kB a machine"
     )
-    table = Table(title="one environment, random actions, resets included")
-    for column in ("environment", "step (ms)", "steps/s", "simulated time / real time"):
-        table.add_column(column, justify="left" if column == "environment" else "right")
-    for row in results["peers"]:
-        table.add_row(
+    rows = [
+        (
             row["id"], f"{row['step_s'] * 1e3:g}", f"{row['steps_per_s']:,.0f}",
             f"{row['times_real_time']:,.1f}",
         )
-    console.print(table)
-    return 0
+        for row in results["peers"]
+    ]
+    heading = ("environment", "step (ms)", "steps/s", "simulated time / real time")
+    show_table(console, "one environment, random actions, resets included", heading, rows)

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ...drive.ethercat.al import AlState
 from ...drive.ethercat.bus import Bus, Clock
@@ -27,6 +26,7 @@ from ...drive.ethercat.frame import Command as C
 from ...drive.ethercat.frame import logical, pack
 from ...drive.ethercat.master import EtherCatMaster
 from ...envs.plants.catalogue import ethercat_line
+from . import Tell, show_table
 
 MODEL = "kollmorgen_akd"
 SLAVES = (1, 2, 8, 32)
@@ -189,35 +189,35 @@ def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
             "in_op": state == pysoem.OP_STATE}
 
 
-def run(repeat: int, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("measuring ..."):
-        results: dict[str, Any] = {
-            "python": platform.python_version(),
-            "controller_us": {n: controllers(n, 10 * repeat) for n in SLAVES},
-            "clocks": clocks(CLOCK_FRAMES, ROWS),
-            "pysoem": {
-                f"{n} {axis}": on_the_wire(n, axis, CYCLES if axis == "none" else CYCLES // 10)
-                for n, axis in ON_THE_WIRE
-            },
-        }
-    if as_json:
-        console.file.write(json.dumps(results, indent=1) + "\n")
-        return 0
-    table = Table(title=f"an LRW frame through {MODEL} in OPERATIONAL (µs)")
-    for column in ("slaves", "best", "median"):
-        table.add_column(column, justify="right")
-    for n, row in results["controller_us"].items():
-        table.add_row(str(n), f"{row['best']:.2f}", f"{row['median']:.2f}")
-    console.print(table)
-    table = Table(title="a frame of process data and 2 ms of a linear axis, in memory")
-    for column in ("clock", "µs", "to that of frame", "frames", "wrong"):
-        table.add_column(column, justify="right")
-    for name, row in results["clocks"].items():
-        table.add_row(
-            name, f"{row['us']:.1f}", f"{row['ratio']:.2f}", str(row["frames"]), str(row["wrong"])
-        )
-    console.print(table)
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    return {
+        "python": platform.python_version(),
+        "controller_us": {n: controllers(n, 10 * options.repeat) for n in SLAVES},
+        "clocks": clocks(CLOCK_FRAMES, ROWS),
+        "pysoem": {
+            f"{n} {axis}": on_the_wire(n, axis, CYCLES if axis == "none" else CYCLES // 10)
+            for n, axis in ON_THE_WIRE
+        },
+    }
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
+    rows = [
+        (str(n), f"{row['best']:.2f}", f"{row['median']:.2f}")
+        for n, row in results["controller_us"].items()
+    ]
+    title = f"an LRW frame through {MODEL} in OPERATIONAL (µs)"
+    show_table(console, title, ("slaves", "best", "median"), rows, texts=())
+    timed = [
+        (name, f"{row['us']:.1f}", f"{row['ratio']:.2f}", str(row["frames"]), str(row["wrong"]))
+        for name, row in results["clocks"].items()
+    ]
+    show_table(
+        console, "a frame of process data and 2 ms of a linear axis, in memory",
+        ("clock", "µs", "to that of frame", "frames", "wrong"), timed, texts=(),
+    )
     for name, row in results["pysoem"].items():
         slaves, axis = name.split()
         what = f"pysoem, clock = frame, {slaves} slaves, axis {axis}"
@@ -228,7 +228,6 @@ def run(repeat: int, as_json: bool, console: Console) -> int:
                 f"{what}: {row['median']:.0f} cycles/s (best row {row['best']:.0f}), "
                 f"{row['wrong']} wrong working counters"
             )
-    return 0
 
 
 if __name__ == "__main__":

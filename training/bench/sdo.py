@@ -50,12 +50,6 @@ def _dictionary() -> Any:
     return dictionary
 
 
-def _serve(bus: can.BusABC, node: Node, stop: threading.Event) -> None:
-    """Our node in a thread: every frame it receives is handled at once."""
-    while not stop.is_set():
-        _answer(bus, node, 0.05)
-
-
 @contextmanager
 def _raw_client(channel: str) -> Iterator[Client]:
     """A loop over python-can's own send and recv; the nodes have threads."""

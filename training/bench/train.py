@@ -5,14 +5,12 @@ differs, so the ratio of the rollouts is what our vector is worth. Blocks altern
 that grows slower meanwhile slows all.
 """
 
-import json
 import time
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ..learn import sb3  # first: tells what has to be installed
 
@@ -23,6 +21,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from ...envs import POINT_TO_POINT
 from ..learn import checkpoint, hyperparameters
+from . import Tell, show_table
 
 ENV = POINT_TO_POINT.ID
 ROLLOUT = 8192  # steps between updates, of all environments together
@@ -92,21 +91,20 @@ def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> l
     return rows
 
 
-def run(drive: str, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("training ..."), sb3.one_thread():
-        rows = measure(drive)
-    if as_json:
-        results = {"drive": drive, "versions": checkpoint.versions(), "train": rows}
-        console.file.write(json.dumps(results, indent=1) + "\n")
-        return 0
-    table = Table(title=f"PPO on {ENV}, drive {drive}, updates of {ROLLOUT} steps")
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    with sb3.one_thread():
+        rows = measure(options.drive)
+    return {"drive": options.drive, "versions": checkpoint.versions(), "train": rows}
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
+    title = f"PPO on {ENV}, drive {results['drive']}, updates of {ROLLOUT} steps"
     heads = ("", "steps/s", "rollout\n(µs/step)", "update\n(µs/step)", "ratio", "of rollouts")
-    for head in heads:
-        table.add_column(head, justify="right" if head else "left")
-    for row in rows:
-        name, rate, rollout, update, ratio, of_rollouts = row.values()
-        table.add_row(name, f"{rate:.0f}", f"{rollout:.0f}", f"{update:.0f}", f"{ratio:.2f}",
-                      f"{of_rollouts:.2f}")
-    console.print(table)
-    return 0
+    rows = [
+        (name, *(f"{value:.0f}" for value in times), *(f"{value:.2f}" for value in ratios))
+        for name, *times, in_all, of_rollouts in (row.values() for row in results["train"])
+        for ratios in [(in_all, of_rollouts)]
+    ]
+    show_table(console, title, heads, rows)

@@ -5,7 +5,6 @@ own of MuJoCo, am-sdk has an emulated drive of a joint in Python. Blocks alterna
 not installed are left out: ``pip install envpool am-sdk`` in an environment of its own.
 """
 
-import json
 import os
 import time
 import warnings
@@ -18,11 +17,11 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ...drive.drive import Drive
 from ...drive.kernel.words import Mode
 from ...envs import POINT_TO_POINT
+from . import Tell, show_table
 
 ID = POINT_TO_POINT.ID
 MANY, FEW = 256, 8
@@ -128,8 +127,9 @@ def _version(name: str) -> str:
         return ""
 
 
-def measure(drive: str, repeat: int) -> dict[str, Any]:
-    """Rows of the vectors, and of the cycles of a drive."""
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured."""
+    drive, repeat = options.drive, max(options.repeat // 20, 3)
     with ExitStack() as stack:
         rows = _rates(list(vectors(drive, stack)), STEPS, repeat)
     return {
@@ -143,22 +143,16 @@ def measure(drive: str, repeat: int) -> dict[str, Any]:
     }
 
 
-def run(drive: str, repeat: int, as_json: bool, console: Console) -> int:
-    """Measure and print; -> exit status."""
-    with console.status("measuring ..."):
-        results = measure(drive, max(repeat // 20, 3))
-    if as_json:
-        console.file.write(json.dumps(results, indent=1) + "\n")
-        return 0
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
     for title, rows in (
         ("steps", results["vectors"]),
         ("drive cycles, processor time", results["drives"]),
     ):
-        table = Table(title=f"{title}, {results['cores']} cores")
-        for head in ("", "of", "environments", "a second", "ours over it"):
-            table.add_column(head, justify="left" if head in ("", "of") else "right")
-        for row in rows:
-            table.add_row(row["name"], row["what"], str(row["envs"]), f"{row['per_s']:,.0f}",
-                          f"{row['ours_over']:.2f}")
-        console.print(table)
-    return 0
+        shown = [
+            (row["name"], row["what"], str(row["envs"]), f"{row['per_s']:,.0f}",
+             f"{row['ours_over']:.2f}")
+            for row in rows
+        ]
+        heading = ("", "of", "environments", "a second", "ours over it")
+        show_table(console, f"{title}, {results['cores']} cores", heading, shown, texts=(0, 1))

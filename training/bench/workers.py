@@ -4,7 +4,6 @@ Alone it steps physics on all cores, so it is measured on one thread too. Each r
 its own, from its start to its end; the files of all have to be the same.
 """
 
-import json
 import os
 import subprocess
 import sys
@@ -16,12 +15,12 @@ from statistics import median
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from ...envs import TASKS
 from ...envs.environment.registry import short, task
 from ..evaluate.comparison import ZERO
 from ..policies import LEARNED, SHIPPED
+from . import Tell, show_table
 
 EPISODES = 50
 
@@ -81,32 +80,30 @@ def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> d
     }
 
 
-def run(
-    drive: str, workers: int, compared: Sequence[tuple[str, str]], repeat: int, as_json: bool,
-    console: Console,
-) -> int:
-    """Measure and print; -> exit status. `compared`: environments and policies; else `rows`."""
-    results: dict[str, Any] = {"workers": workers, "cores": os.cpu_count(), "rows": []}
+def results(options: Any, tell: Tell) -> dict[str, Any]:
+    """What is measured, of the comparisons that are asked for, or else of `rows`."""
+    found: dict[str, Any] = {"workers": options.workers, "cores": os.cpu_count(), "rows": []}
     if hasattr(os, "getloadavg"):
-        results["load_before"] = round(os.getloadavg()[0], 1)
-    with console.status("") as status:
-        for env, policies in compared or rows():
-            status.update(f"measuring {env} ...")
-            results["rows"].append(measure(env, policies, drive, workers, repeat))
-    if as_json:
-        console.file.write(json.dumps(results, indent=1) + "\n")
-        return 0
-    table = Table(
-        title=f"servogym compare, {EPISODES} episodes; {results['cores']} cores, load "
+        found["load_before"] = round(os.getloadavg()[0], 1)
+    for env, policies in options.compare or rows():
+        tell(f"measuring {env} ...")
+        found["rows"].append(
+            measure(env, policies, options.drive, options.workers, options.repeat)
+        )
+    return found
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """Print the results as tables."""
+    title = (
+        f"servogym compare, {EPISODES} episodes; {results['cores']} cores, load "
         f"before {results.get('load_before', 'unknown')}; the files are the same"
     )
-    heads = ("one thread\n(s)", "alone\n(s)", f"--workers {workers}\n(s)",
-             "over\none thread", "over\nalone")
-    for column in ("", *heads):
-        table.add_column(column, justify="right" if column else "left")
+    heading = ("", "one thread\n(s)", "alone\n(s)", f"--workers {results['workers']}\n(s)",
+               "over\none thread", "over\nalone")
+    rows = []
     for row in results["rows"]:
         seconds = (f"{row[name]:.1f}" for name in ("one_thread_s", "alone_s", "workers_s"))
         ratios = (f"{row[name]:.2f}" for name in ("ratio_to_one_thread", "ratio"))
-        table.add_row(f"{row['env']}: {row['policies']}", *seconds, *ratios)
-    console.print(table)
-    return 0
+        rows.append((f"{row['env']}: {row['policies']}", *seconds, *ratios))
+    show_table(console, title, heading, rows)

@@ -1,8 +1,16 @@
 """`servogym bench`."""
 
 import argparse
+import importlib
+import json
 
 from rich.console import Console
+
+# option -> module of `training.bench`, in the order in which one of several is taken
+MODULES = {
+    "workers": "workers", "train": "train", "gpu": "device", "can": "can", "ethercat": "ethercat",
+    "vectors": "vectors", "envs": "envs",
+}
 
 
 def add(bench: argparse.ArgumentParser) -> None:
@@ -45,40 +53,14 @@ def add(bench: argparse.ArgumentParser) -> None:
 def _bench(options: argparse.Namespace, console: Console) -> int:
     if options.repeat is not None and options.repeat < 1:
         raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
-    if options.workers is not None:
-        from ..bench import workers as worker_bench
-        from ..scale.work import Work
-
-        Work(options.workers)
-        return worker_bench.run(
-            options.drive, options.workers, options.compare, options.repeat or 1, options.json,
-            console,
-        )
-    options.repeat = options.repeat or 200
-    if options.train:
-        from ..bench import train as train_bench
-
-        return train_bench.run(options.drive, options.json, console)
-    if options.gpu:
-        from ..bench import device as device_bench
-
-        return device_bench.run(options.drive, options.gpu, options.json, console)
-    if options.can:
-        from ..bench import can as can_bench
-
-        return can_bench.run(options.repeat, options.json, console)
-    if options.ethercat:
-        from ..bench import ethercat as ethercat_bench
-
-        return ethercat_bench.run(options.repeat, options.json, console)
-    if options.vectors:
-        from ..bench import vectors as vector_bench
-
-        return vector_bench.run(options.drive, options.repeat, options.json, console)
-    if options.envs:
-        from ..bench import envs as env_bench
-
-        return env_bench.run(options.drive, options.repeat, options.json, console)
-    from ..bench import drive as bench
-
-    return bench.run(options.drive, options.repeat, options.json, console)
+    chosen = (name for name in MODULES if getattr(options, name) not in (None, False))
+    asked = next(chosen, "drive")
+    options.repeat = options.repeat or (1 if asked == "workers" else 200)
+    module = importlib.import_module(f"..bench.{MODULES.get(asked, asked)}", __package__)
+    with console.status("measuring ...") as status:
+        results = module.results(options, status.update)
+    if options.json:
+        console.file.write(json.dumps(results, indent=1, default=float) + "\n")
+    else:
+        module.show(results, console)
+    return 0
