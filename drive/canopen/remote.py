@@ -1,6 +1,5 @@
 """Access of a master to drives on CANopen: objects by SDO, or by PDO where mapped."""
 
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -19,7 +18,6 @@ from .sdo_client import ATTEMPTS, SdoClient
 
 T = TypeVar("T")
 SYNC = Frame(Base.SYNC)
-ECHOES = 64  # frames of its own that a bus may give back late
 PDOS = 512  # of each direction at most (CiA 301)
 SYNCHRONOUS = range(241)  # transmission types
 PATIENCE = 0.1  # s, that a PDO is believed without being asked about
@@ -133,7 +131,6 @@ class Answers:
     def __init__(self, node_id: int):
         self._request, self._response = Base.SDO_REQUEST + node_id, Base.SDO_RESPONSE + node_id
         self._requests = self._answers = 0
-        self._own: deque[bytes] = deque(maxlen=ECHOES)  # sent and not yet heard
         self._shared = False
 
     def __str__(self) -> str:
@@ -142,16 +139,12 @@ class Answers:
     def sent(self, frame: Frame) -> None:
         """A frame goes out."""
         if frame.id == self._request:
-            self._own.append(frame.data)
             self._requests += frame.data[:1] != b"\x80"  # an abort has no answer
 
     def heard(self, frame: Frame) -> None:
-        """A frame has come; on some buses those of its own as well."""
+        """A frame of somebody else has come."""
         self._answers += frame.id == self._response
-        if frame.id == self._request and frame.data in self._own:
-            self._own.remove(frame.data)
-        elif frame.id == self._request:
-            self._shared = True
+        self._shared |= frame.id == self._request
 
     @property
     def twice(self) -> bool:

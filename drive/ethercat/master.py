@@ -89,16 +89,6 @@ class RemoteSlave:
         status = self._eeprom_ready()
         return self.read(R.EEPROM_DATA, 8 if status & 0x40 else 4)
 
-    def write_sii(self, word: int, data: bytes) -> None:
-        """Words of the EEPROM. Raises RuntimeError where the slave refuses."""
-        for at in range(0, len(data), 2):
-            self.write(R.EEPROM_ADDRESS, (word + at // 2).to_bytes(4, "little"))
-            self.write(R.EEPROM_DATA, data[at : at + 2])
-            self.write(R.EEPROM_CONTROL, b"\1\2")
-            if self._eeprom_ready() & 0x6000:
-                raise RuntimeError(f"slave {self.position}: word {word + at // 2} of its EEPROM "
-                                   "cannot be written")
-
     def _eeprom_ready(self) -> int:
         for _ in range(POLLS):
             status = self.number(R.EEPROM_CONTROL, 2)

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import can
 
-from .bus import TROUBLE, CanPort, Echoes
+from .bus import TROUBLE, Echoes
 
 QUEUE = 256  # messages that wait for the bus; then the oldest is lost
 PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus anew
@@ -77,7 +77,7 @@ class Adapter:
             else:
                 return
 
-    def receive(self, timeout: float) -> can.Message | None:
+    def recv(self, timeout: float) -> can.Message | None:
         """Return the next message of others, None after `timeout` (s) or an own one."""
         if self._waiting:
             self.flush()
@@ -121,20 +121,3 @@ class Adapter:
     def shutdown(self) -> None:
         """Close the bus."""
         self.bus.shutdown()
-
-
-class AdapterPort(CanPort):
-    """The port of an adapter for a master, in real time; failed transmissions are repeated.
-
-    Args:
-        adapter: the bus.
-        wait: for the first frame, where none has come yet (s).
-    """
-
-    def __init__(self, adapter: Adapter, wait: float = 0.002):
-        self._send, self._receive, self.patience, self._log = (
-            adapter.send,
-            adapter.receive,
-            wait,
-            None,
-        )

@@ -7,6 +7,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import can
 from can.interfaces.udp_multicast import UdpMulticastBus
@@ -96,7 +97,7 @@ class CanPort:
     """The port of a python-can bus for a master, in real time.
 
     Args:
-        bus: the bus; its owner shuts it down.
+        bus: of python-can, or an `adapter.Adapter`; its owner shuts it down.
         wait: for the first frame, where none has come yet (s); `patience` from then on.
         log: takes every message that is sent or has come, as a
             `servogym.drive.wire.log.LogFile`.
@@ -105,12 +106,9 @@ class CanPort:
     `servogym.drive.master.BusError`.
     """
 
-    _send: Callable[[can.Message], None]
-    _receive: Callable[[float], can.Message | None]
-
     def __init__(
         self,
-        bus: can.BusABC,
+        bus: Any,
         wait: float = 0.002,
         log: Callable[[can.Message], object] | None = None,
     ):

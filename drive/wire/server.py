@@ -89,7 +89,7 @@ class Server:
         """Serve until `stop`; `look` is called now and then, about `every` (s)."""
         due = time.monotonic()
         while not self._stopped:
-            self.serve(self.adapter.receive(WAIT))
+            self.serve(self.adapter.recv(WAIT))
             if time.monotonic() >= due:
                 look()
                 due = time.monotonic() + every

@@ -69,7 +69,7 @@ class _CanRealTime:
         self._server = Server(bus, machines, LogFile(row.log) if row.log else None)
 
     def serve(self) -> None:
-        self._server.serve(self._server.adapter.receive(WAIT))
+        self._server.serve(self._server.adapter.recv(WAIT))
 
     def ahead(self, seconds: float) -> None:
         self._server.skip(seconds)

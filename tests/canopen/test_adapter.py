@@ -75,11 +75,11 @@ def test_what_the_bus_refuses_is_sent_when_it_works_again_in_its_order(clock, er
     adapter = Adapter(bus, tell=told.append)
     for n in range(3):
         adapter.send(message(n))
-        adapter.receive(0.001)
+        adapter.recv(0.001)
     assert (bus.sent, len(told)) == ([], 1)
     assert str(error.args[-1]) in told[0]
     bus.error = None
-    adapter.receive(0.001)
+    adapter.recv(0.001)
     assert bus.sent == ["181#00", "182#00", "183#00"]
     assert adapter.failed >= 3
     assert adapter.lost == 0
@@ -143,7 +143,7 @@ def test_a_served_drive_goes_on_while_the_bus_is_gone_and_answers_afterwards(err
     end = time.monotonic() + 15.0
     while not server.statistics.cycles:
         assert time.monotonic() < end
-        server.serve(server.adapter.receive(0.001))
+        server.serve(server.adapter.recv(0.001))
     bus.error = None
     server.serve(to_message(parse("601#4001100000000000")))
     server.serve(None)

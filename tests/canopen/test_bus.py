@@ -59,7 +59,7 @@ def serve(server, text=None):
     """Serve a frame and all that comes of it."""
     server.serve(to_message(parse(text)) if text else None)
     while server.bus.waiting:
-        server.serve(server.adapter.receive(0.0))
+        server.serve(server.adapter.recv(0.0))
 
 
 def test_a_server_drops_what_it_has_sent_itself_and_logs_each_frame_once():

@@ -113,7 +113,8 @@ def _put_twin(bench: "Bench", options: argparse.Namespace) -> None:
 def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     """Nodes on a bus, and the adapter to it."""
     from ...drive.master import Units
-    from ...drive.wire.adapter import Adapter, AdapterPort
+    from ...drive.wire.adapter import Adapter
+    from ...drive.wire.bus import CanPort
     from ...envs.panel.bus import BusBench
 
     for name in ("axis", "mjcf", "joint", "parameter_file", "lessons"):
@@ -137,7 +138,7 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     rate = RATE if options.samples is None else options.samples
     try:
         return BusBench(
-            AdapterPort(adapter), nodes, options.drive, rate=rate, units=units,
+            CanPort(adapter), nodes, options.drive, rate=rate, units=units,
             listen=options.listen, title=f"{', '.join(nodes)} on {place}",
         ), adapter
     except ValueError:
