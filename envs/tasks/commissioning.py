@@ -19,8 +19,8 @@ from ..exchange.batch import episode
 from ..exchange.faces import PDO, clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
-from ..plants.linear_axis import linear_axis
 from ..view.channels import Channel, goal, in_mm, position, velocity
+from .plant import of_datasheet
 from .positioning import STROKE
 
 MARGIN = 0.02  # m, starts and goals keep away from the ends
@@ -223,7 +223,7 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
             raise ValueError(f"causes = {self.causes!r}, choose some of {', '.join(possible)}")
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
+        machine = of_datasheet(self, model)
         machine.drives["x"].commission(SEARCH)
         return machine
 

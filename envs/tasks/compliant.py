@@ -9,7 +9,6 @@ import numpy as np
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import flag, in_range
-from ..engine.machine import Machine
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
@@ -17,11 +16,12 @@ from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import chosen
-from ..plants.linear_axis import LinearAxisParameters, linear_axis
+from ..plants.linear_axis import LinearAxisParameters
 from ..view.about import Sensor
 from ..view.channels import MM, Channel, joint
 from ..view.channels import linear_axis as linear_axis_channels
 from .exploration import CALM
+from .plant import of_datasheet
 from .positioning import MARGIN, RESTING, STROKE
 from .rewards import closeness, decades
 
@@ -225,15 +225,11 @@ class CompliantAxisEnv(ServoEnv):
         self.load_sensor = flag("load_sensor", load_sensor)
         self.torque_range = in_range("torque_range", torque_range, 0.0, 1.0, "of 6072h")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
-        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
-        self._window = window
+        self._window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         ranges = _possible(parameters) if randomise is None else randomise
         super().__init__(drive, randomise=ranges, **arguments)
 
-    def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
-        machine.drives["x"].write("following_error_window", round(self._window * METRE))
-        return machine
+    _make = of_datasheet
 
     def _begin(self, options: dict[str, Any]) -> None:
         start, goal = self.np_random.uniform(MARGIN, STROKE - MARGIN, 2)

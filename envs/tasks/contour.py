@@ -16,9 +16,10 @@ from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
-from ..plants.gantry import AXES, GantryParameters, gantry
+from ..plants.gantry import AXES, GantryParameters
 from ..view.about import Metric
 from ..view.channels import MM, UM, Channel, joint
+from .plant import of_datasheet
 
 CONTOURS = ("circle", "square")
 CIRCLE = CONTOURS.index("circle")
@@ -273,10 +274,8 @@ steps × `feed` × step time |
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self.datasheet, tuned=self.tuned)
-        for name in self.DRIVES:
-            drive = machine.drives[name]
-            drive.write("following_error_window", round(self._window * METRE))
+        machine = of_datasheet(self, model)
+        for drive in (machine.drives[name] for name in self.DRIVES):
             drive.commission(
                 {
                     "velocity_feed_forward": 1000 * self.feed_forward,

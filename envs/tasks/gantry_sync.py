@@ -9,16 +9,16 @@ import numpy as np
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
-from ..engine.machine import Machine
 from ..engine.tick import coordinates
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, faulted, world_of
 from ..exchange.fields import action, observation
-from ..plants.gantry import MAX_SKEW, SPAN, GantryParameters, gantry
+from ..plants.gantry import MAX_SKEW, SPAN, GantryParameters
 from ..view.about import Metric
 from ..view.channels import MM, UM, Channel, goal, joint, tolerance
+from .plant import of_datasheet
 
 STROKE = 0.8  # m, of X
 Y_STROKE = 0.5  # m
@@ -232,17 +232,12 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         self.skew_tolerance = in_range("skew_tolerance", skew_tolerance, 1e-6, 0.1, "m")
         self.speed = in_range("speed", speed, 1e-3, 1.0, "m/s")
-        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
-        self._window = window
+        self._window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self.datasheet = GantryParameters(x_drives=2)
         randomise = RANDOMISED if randomise is None else randomise
         super().__init__(drive, randomise=randomise, **arguments)
 
-    def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self.datasheet, tuned=self.tuned)
-        for name in self.DRIVES:
-            machine.drives[name].write("following_error_window", round(self._window * METRE))
-        return machine
+    _make = of_datasheet
 
     def _begin(self, options: dict[str, Any]) -> None:
         drawn = {

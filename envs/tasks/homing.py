@@ -23,9 +23,9 @@ from ..exchange.fields import action, observation
 from ..masters.homing_figures import FIELDS, HomingFigures, built_in, measure, prepare, true_home
 from ..masters.port import MachinePort
 from ..plants.axis_parameters import LinearAxisParameters, chosen
-from ..plants.linear_axis import linear_axis
 from ..view.channels import MM, Channel, in_mm, position, tolerance, velocity
 from .exploration import CALM
+from .plant import of_datasheet
 from .positioning import STROKE
 from .rewards import closeness
 
@@ -321,7 +321,7 @@ the positive one; -1 the negative, 0 none |
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
+        machine = of_datasheet(self, model)
         coupling, x = machine.couplings[0], machine.drives["x"]
         if self.reference == "stop":
             for switch in (NEGATIVE, POSITIVE, HOME):

@@ -10,15 +10,14 @@ from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
-from ..engine.machine import Machine
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
-from ..plants.linear_axis import linear_axis
 from ..view.channels import linear_axis as linear_axis_channels
+from .plant import of_datasheet
 from .rewards import closeness
 
 STROKE = 0.5  # m
@@ -202,14 +201,10 @@ class LinearAxisEnv(ServoEnv):
         self.RPDO = (commanded,)
         self.datasheet = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
-        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
-        self._window = window
+        self._window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         super().__init__(drive, **arguments)
 
-    def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
-        machine.drives["x"].write("following_error_window", round(self._window * METRE))
-        return machine
+    _make = of_datasheet
 
     def _begin(self, options: dict[str, Any]) -> None:
         start, goal = self.np_random.uniform(MARGIN, STROKE - MARGIN, 2)

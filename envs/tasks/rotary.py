@@ -15,9 +15,9 @@ from ..environment.servo_env import ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip
 from ..exchange.fields import action, observation
-from ..plants.rotary import rotary_axis
 from ..plants.rotary_parameters import ROTARY_FAMILY, RotaryParameters
 from ..view.channels import Channel
+from .plant import of_datasheet
 from .rewards import closeness
 
 FINE = 20.0  # tolerances, distance that is 1.0 in the fine one of the observations
@@ -188,12 +188,9 @@ class RotaryAxisEnv(ServoEnv):
         super().__init__(drive, **arguments)
 
     def _make(self, model: DriveModel) -> Machine:
-        machine = rotary_axis(model, parameters=self.datasheet, tuned=self.tuned)
-        x = machine.drives["x"]
-        if "max_position_range_limit" not in x.objects.names:
+        if "max_position_range_limit" not in model.names:
             raise ValueError(f"drive {model.name!r} has no object 607Bh, which this task needs")
-        x.write("following_error_window", round(self._window * self.units))
-        return machine
+        return of_datasheet(self, model)
 
     def _begin(self, options: dict[str, Any]) -> None:
         period = self.datasheet.period

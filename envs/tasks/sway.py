@@ -10,16 +10,16 @@ import numpy as np
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import flag, in_range
-from ..engine.machine import Machine
 from ..engine.tick import coordinates, load_noise, speeds
 from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
-from ..plants.gantry import GantryParameters, gantry
+from ..plants.gantry import GantryParameters
 from ..view.about import Sensor
 from ..view.channels import MM, Channel, drives, joint, tolerance
+from .plant import of_datasheet
 from .rewards import closeness, decades
 
 STROKE = (0.8, 0.5)  # m, of X and Y
@@ -271,17 +271,12 @@ class GantrySwayEnv(ServoEnv):
         self.speed = in_range("speed", speed, 1e-3, 1.0, "m/s")
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
         self.resting = in_range("resting", resting, 1e-4, 1.0, "m/s")
-        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
-        self._window = window
+        self._window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         self.datasheet = GantryParameters(cable_length=CABLE)
         randomise = RANDOMISED if randomise is None else randomise
         super().__init__(drive, randomise=randomise, **arguments)
 
-    def _make(self, model: DriveModel) -> Machine:
-        machine = gantry(model, parameters=self.datasheet, tuned=self.tuned)
-        for name in self.DRIVES:
-            machine.drives[name].write("following_error_window", round(self._window * METRE))
-        return machine
+    _make = of_datasheet
 
     def _begin(self, options: dict[str, Any]) -> None:
         places = {name: self._place_of(name, options.get(name)) for name in ("start", "goal")}

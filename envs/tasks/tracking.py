@@ -11,7 +11,6 @@ from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
-from ..engine.machine import Machine
 from ..engine.probe import elastic
 from ..engine.tick import coordinates, speeds
 from ..environment.device_env import vectors
@@ -20,9 +19,9 @@ from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
 from ..exchange.fields import action, observation
 from ..plants.axis_parameters import LinearAxisParameters, chosen
-from ..plants.linear_axis import linear_axis
 from ..view.about import Metric
 from ..view.channels import MM, UM, Channel, in_mm, position, velocity
+from .plant import of_datasheet
 from .positioning import MARGIN, STROKE
 from .references import REFERENCES, Limits, make_reference
 
@@ -240,16 +239,12 @@ class LinearAxisTrackingEnv(ServoEnv):
         self.correction = in_range("correction", correction, 1e-6, 0.1, "m")
         self.datasheet = chosen(parameters, payload)
         self.tolerance = in_range("tolerance", tolerance, 1e-6, 0.1, "m")
-        window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
-        self._window = window
+        self._window = in_range("following_error_window", following_error_window, 1e-6, 1.0, "m")
         ranges = RANDOMISE if randomise is None else randomise
         super().__init__(drive, randomise=ranges, **arguments)
         self._times = np.arange(STEPS + 1) * self.step_time
 
-    def _make(self, model: DriveModel) -> Machine:
-        machine = linear_axis(model, parameters=self.datasheet, tuned=self.tuned)
-        machine.drives["x"].write("following_error_window", round(self._window * METRE))
-        return machine
+    _make = of_datasheet
 
     def _begin(self, options: dict[str, Any]) -> None:
         start = self.np_random.uniform(MARGIN, STROKE - MARGIN)
