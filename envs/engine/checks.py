@@ -41,7 +41,10 @@ def check_fields(parameters: Any) -> None:
     for each in fields(parameters):
         value = getattr(parameters, each.name)
         if each.metadata and not (value is None and each.default is None):
-            in_range(each.name, value, *each.metadata["range"])
+            low, high, unit = each.metadata["range"]
+            in_range(each.name, value, low, high, unit)
+            if isinstance(value, str):
+                raise ValueError(f"{each.name} = {value!r} is a text: give a number in {unit}")
         elif not each.metadata and not isinstance(value, bool):
             raise ValueError(f"{each.name} = {value!r}: use True or False")
 

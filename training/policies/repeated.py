@@ -61,8 +61,12 @@ class Repeated:
                 errors[step] = self._errors(seen)
                 if terminated:
                     break
-            self.table = corrected(self.table, errors)
+            self.learn(errors)
         self._begin(observation, info)
+
+    def learn(self, errors: np.ndarray) -> None:
+        """One iteration, of the errors at the end of each step."""
+        self.table = corrected(self.table, errors)
 
     def _begin(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         self._step = 0
