@@ -181,10 +181,15 @@ def named(text: str) -> tuple[str, Any]:
         return LISTED, None
     if not (name.isidentifier() and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    return name, read_value(value)
+
+
+def read_value(text: str) -> Any:
+    """A value in JSON, or the text itself where it is none."""
     try:
-        return name, json.loads(value)
+        return json.loads(text)
     except ValueError:
-        return name, value.strip()
+        return text.strip()
 
 
 def _argument(text: str) -> tuple[str, Any]:

@@ -1,7 +1,6 @@
 """Options for a machine by name or from a file, which commands share; `servogym machines`."""
 
 import argparse
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from ...envs import (
     rotary_axis,
 )
 from ...envs.engine.mjcf import read
+from . import arguments
 
 GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
 NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
@@ -52,18 +52,13 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
         for drive in machine.drives:
             row = size(machine, drive).row
             if not table.columns:
-                for heading in ("machine", *_headings(row)):
-                    table.add_column(heading)
+                for heading in ("machine", *row):  # the rows of a table have m or rad
+                    table.add_column(heading.partition(" (m")[0])
             table.add_row(name if len(machine.drives) == 1 else f"{name} {drive}", *row.values())
     console.print(table)
     for line in refused:
         print(line)
     return 0
-
-
-def _headings(row: dict[str, str]) -> list[str]:
-    """Format a line without units of one machine: the rows of a table have m or rad."""
-    return [name.partition(" (m")[0] for name in row]
 
 
 def add(parser: argparse.ArgumentParser, others: str = "") -> None:
@@ -98,10 +93,7 @@ def _value(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not (name.isidentifier() and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
-    try:
-        return name, json.loads(value)
-    except ValueError:
-        return name, value
+    return name, arguments.read_value(value)
 
 
 def made(options: argparse.Namespace) -> tuple[Machine, str]:

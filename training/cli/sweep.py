@@ -55,19 +55,12 @@ def _varied(text: str) -> tuple[str, Any]:
     if found := RANGE.match(values):
         from ..evaluate.sweep import Range
 
-        low, high = _value(found[1]), _value(found[2])
+        low, high = arguments.read_value(found[1]), arguments.read_value(found[2])
         numbers = isinstance(low, int | float) and isinstance(high, int | float)
         if numbers and low < high and (low > 0 or not found[3]):
             return name, Range(low, high, bool(found[3]))
         raise argparse.ArgumentTypeError(f"{text!r}: a range is LOW..HIGH; of :log above 0")
-    return name, [_value(value) for value in values.split(",")]
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
+    return name, [arguments.read_value(value) for value in values.split(",")]
 
 
 def _seeds(text: str) -> list[int]:

@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +122,7 @@ def _log_options(options: argparse.Namespace) -> dict[str, Any]:
 
 def _twin(options: argparse.Namespace, console: Console) -> int:
     from ...envs.autotune.needs import scipy
+    from ...envs.twin.families import family
 
     if options.plan is not None and not options.logs:
         return _plan(options)
@@ -135,7 +136,13 @@ def _twin(options: argparse.Namespace, console: Console) -> int:
         return _against(options, console)
     if options.out is None:
         raise ValueError("-o FOLDER is missing: where the twin is to be kept")
-    best, tried, _ = _fitted(options, console, _names(options.mechanics), dict(options.set))
+    names, built = _names(options.mechanics), dict(options.set)
+    objects = _gains(options)
+    first = family(names[0]).given(built, objects)
+    best, tried = _fitted(
+        options, console, names, built, objects, first.make(options.drive), bool(objects),
+        tuple(arguments.listed(options.free)),
+    )
     from ...envs.twin.folder import content, save
     from ...envs.twin.report import report
     from ...envs.twin.words import missing
@@ -162,48 +169,25 @@ def _names(mechanics: str) -> tuple[str, ...]:
 
 
 def _fitted(
-    options: argparse.Namespace, console: Console, names: tuple[str, ...], built: dict[str, Any]
-) -> tuple[Any, list[Any], Any]:
+    options: argparse.Namespace, console: Console, names: Sequence[str], built: dict[str, Any],
+    objects: dict[str, float], machine: Any, gains_known: bool, free: Sequence[str],
+) -> tuple[Any, list[Any]]:
+    """Fit families to the logs; `machine`, of the first one, has the drive that was logged."""
     from ...envs.twin import logs
     from ...envs.twin.families import family
     from ...envs.twin.fit import choose
 
-    objects = _gains(options)
-    free = tuple(arguments.listed(options.free))
-    first = family(names[0]).given(built, objects)
     experiments = logs.read(
-        options.logs, first.make(options.drive), options.drive, first.axis, who=options.axis,
+        options.logs, machine, options.drive, family(names[0]).axis, who=options.axis,
         **_log_options(options),
     )
     in_log = any("velocity_control_gain" in each.objects for each in experiments)
-    with _telling(console) as told:
-        best, tried = choose(
-            experiments, options.drive, names, built, objects,
-            gains_known=bool(objects) or in_log, told=told, free=free,
+    keeps = "; Ctrl-C keeps the best so far"
+    with console.status(f"reading{keeps}") as status:
+        return choose(
+            experiments, options.drive, names, built, objects, gains_known=gains_known or in_log,
+            told=lambda text: status.update(f"{text}{keeps}"), free=tuple(free),
         )
-    return best, tried, experiments
-
-
-class _telling:
-    """Shows progress in a line that replaces itself, if the output is a terminal."""
-
-    def __init__(self, console: Console):
-        self._console = console
-        self._status: Any = None
-
-    def __enter__(self) -> Callable[[str], None]:
-        if self._console.is_terminal:
-            self._status = self._console.status("reading; Ctrl-C keeps the best so far")
-            self._status.start()
-        return self._tell
-
-    def _tell(self, text: str) -> None:
-        if self._status is not None:
-            self._status.update(f"{text}; Ctrl-C keeps the best so far")
-
-    def __exit__(self, *error: object) -> None:
-        if self._status is not None:
-            self._status.stop()
 
 
 def _gains(options: argparse.Namespace) -> dict[str, float]:
@@ -295,6 +279,7 @@ def _plan(options: argparse.Namespace, family_name: str = "", kinds: Sequence[st
 
 
 def _against(options: argparse.Namespace, console: Console) -> int:
+    from ...envs.engine import parameters
     from ...envs.plants import twins
     from ...envs.twin.families import FAMILIES
     from ...envs.twin.health import changes, table
@@ -316,7 +301,16 @@ def _against(options: argparse.Namespace, console: Console) -> int:
         for n in ("velocity_gain", "integral_time", "position_gain")
         if n in twin.values
     }
-    best, _, _ = _fitted_with(options, console, name, built, gains)
+    machine = FAMILIES[name].given(built).make(options.drive)
+    parameters.put(machine, gains, twin.axis)  # in the drive's own units
+    od = machine.drives[twin.axis].axis.od
+    objects = {each: float(getattr(od, each)) for each in GAIN_OBJECTS}
+    gap = twin.builder == "linear_axis" and parameters.PARAMETERS["backlash"].there(
+        parameters.Joint(machine, twin.axis)
+    )
+    best, _ = _fitted(
+        options, console, [name], built, objects, machine, True, ("backlash",) if gap else ()
+    )
     found = changes(twin, best)
     for change in found:
         print(change)
@@ -328,35 +322,6 @@ def _against(options: argparse.Namespace, console: Console) -> int:
         file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
         print(file)
     return 0 if best.verdict in ("good", "fair") else 1
-
-
-def _fitted_with(
-    options: argparse.Namespace, console: Console, name: str, built: dict[str, Any],
-    gains: dict[str, float],
-) -> tuple[Any, list[Any], Any]:
-    """Fit with the gains of a twin, in the drive's own units."""
-    from ...envs.engine import parameters
-    from ...envs.twin import logs
-    from ...envs.twin.families import family
-    from ...envs.twin.fit import choose
-
-    machine = family(name).given(built).make(options.drive)
-    parameters.put(machine, gains, family(name).axis)
-    od = machine.drives[family(name).axis].axis.od
-    objects = {each: float(getattr(od, each)) for each in GAIN_OBJECTS}
-    experiments = logs.read(
-        options.logs, machine, options.drive, family(name).axis, who=options.axis,
-        **_log_options(options),
-    )
-    gap = family(name).builder == "linear_axis" and parameters.PARAMETERS["backlash"].there(
-        parameters.Joint(machine, family(name).axis)
-    )
-    with _telling(console) as told:
-        best, tried = choose(
-            experiments, options.drive, [name], built, objects, gains_known=True, told=told,
-            free=("backlash",) if gap else (),
-        )
-    return best, tried, experiments
 
 
 def compare(options: argparse.Namespace, console: Console) -> int:
