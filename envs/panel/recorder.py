@@ -164,10 +164,8 @@ class Recorder:
     def freeze(self, frozen: bool) -> None:
         """Freeze the picture while samples continue, or release it."""
         if frozen and self._captured is None:
-            number = min(self._samples, self.count, self.depth)
-            places = np.arange(self.count - number, self.count) % self.depth
-            self._captured = self._times[places], self._ring[:, places]
-            self._shown = self.count - number, self.count - 1, self.count
+            self._captured = times, _ = self._latest()
+            self._shown = self.count - len(times), self.count - 1, self.count
         if not frozen:
             self.arm()
         self.frozen = frozen
@@ -191,14 +189,17 @@ class Recorder:
             begin, event, end = self._shown
             times, values = self._captured
             return self._window(times, values, times[event - begin], begin, end, points)
-        number = min(self._samples, self.count, self.depth)
-        if number < 2:
+        times, values = self._latest()
+        if len(times) < 2:
             return Window(self.count, np.zeros(0), np.zeros((len(self.channels), 0)), self.state)
+        begin = self.count - len(times)
+        return self._window(times, values, times[-1], begin, self.count, points)
+
+    def _latest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and values of the last samples, as many as a picture shows."""
+        number = min(self._samples, self.count, self.depth)
         places = np.arange(self.count - number, self.count) % self.depth
-        times = self._times[places]
-        return self._window(
-            times, self._ring[:, places], times[-1], self.count - number, self.count, points
-        )
+        return self._times[places], self._ring[:, places]
 
     def _window(
         self, times: np.ndarray, values: np.ndarray, zero: float, begin: int, end: int, points: int
@@ -254,12 +255,7 @@ class Recorder:
         Args:
             shown: by channel, what its values are multiplied by and the unit then.
         """
-        if self._captured is not None:
-            times, values = self._captured
-        else:
-            number = min(self._samples, self.count, self.depth)
-            places = np.arange(self.count - number, self.count) % self.depth
-            times, values = self._times[places], self._ring[:, places]
+        times, values = self._latest() if self._captured is None else self._captured
         text = io.StringIO()
         writer = csv.writer(text)
         kept = {name: (1.0, unit) for name, unit in self.units.items()} | dict(shown or {})

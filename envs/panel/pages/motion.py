@@ -95,9 +95,9 @@ class MotionPage:
     def _power(self) -> None:
         with card("Power and mode"):
             with ui.element("div").classes("cluster"):
-                button("Enable", self._enable, "enable", "main")
-                button("Disable", self._disable, "disable")
-                button("Reset fault", self._reset, "motion-reset")
+                button("Enable", lambda: self._go("enable"), "enable", "main")
+                button("Disable", lambda: self._go("disable", at_once=True), "disable")
+                button("Reset fault", lambda: self._go("reset_fault"), "motion-reset")
             modes = {
                 int(mode): f"{self.model.mode_name(mode)} · {mode.name.replace('_', ' ').lower()}"
                 for mode in self.model.modes
@@ -183,15 +183,6 @@ class MotionPage:
         self.diagram.set_content(
             homing_svg(int(method), self.model.own_homing) if method is not None else ""
         )
-
-    async def _enable(self) -> None:
-        await self._go("enable")
-
-    async def _disable(self) -> None:
-        await self._go("disable", at_once=True)
-
-    async def _reset(self) -> None:
-        await self._go("reset_fault")
 
     async def _stop(self) -> None:
         axis = self.desk.axis

@@ -71,7 +71,7 @@ class ScopePage:
                     self.physical.props("dense data-test=physical")
                     self.physical.props('title="physical units, or those of the drive"')
                     button("CSV", self._csv, "csv")
-                    button("PNG", lambda: self.plot.run_method("png", self._headline()), "png")
+                    button("PNG", lambda: self.plot.run_method("png", desk.bench.title), "png")
                 self.plot = Plot()
                 self.plot.on("ready", self._ready, [])
                 ui.label(
@@ -219,9 +219,6 @@ class ScopePage:
         shown = {name: self._shown(name) for name in self.channels}
         text = await self.desk.ask(lambda session: session.scope.csv(shown))
         ui.download.content(text.encode(), "scope.csv", "text/csv")
-
-    def _headline(self) -> str:
-        return self.desk.bench.title
 
     async def show(self) -> None:
         """The present picture."""
