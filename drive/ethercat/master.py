@@ -10,7 +10,7 @@ It sends frames to anything with `exchange`: a `Bus`, a bare `Segment`, one with
 not answer raises TimeoutError, a state that is refused RuntimeError with the slave's code.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 from ..model.given import whole
@@ -295,32 +295,31 @@ class EtherCatMaster:
             if self._reference and number == 0:
                 station = self._reference.station
                 rows.append(Datagram(Command.FRMW, station, R.SYSTEM_TIME, bytes(8)))
-            replies = self._once(rows)
             expected = sum(2 * bool(s.outputs) + bool(s.inputs) for s in slaves)
-            if replies is None or replies[0].wkc != expected:
-                right = False
-                self.wrong += 1
-                continue
-            at = len(outputs)
-            for slave in slaves:
-                slave.inputs = replies[0].data[at : at + len(slave.inputs)]
-                at += len(slave.inputs)
+            right &= self._inputs(rows, expected, slaves)
         return right
 
     def look(self) -> bool:
         """Read the inputs alone (LRD); -> whether every working counter was right."""
         right = True
         for begin, size, slaves in self._groups:
-            replies = self._once([logical(Command.LRD, begin, bytes(size))])
-            if replies is None or replies[0].wkc != sum(bool(s.inputs) for s in slaves):
-                right = False
-                self.wrong += 1
-                continue
-            at = sum(len(slave.outputs) for slave in slaves)
-            for slave in slaves:
-                slave.inputs = replies[0].data[at : at + len(slave.inputs)]
-                at += len(slave.inputs)
+            rows = [logical(Command.LRD, begin, bytes(size))]
+            right &= self._inputs(rows, sum(bool(s.inputs) for s in slaves), slaves)
         return right
+
+    def _inputs(
+        self, rows: Sequence[Datagram], expected: int, slaves: Sequence[RemoteSlave]
+    ) -> bool:
+        """Send a frame, and take the inputs of a group; -> whether its counter was right."""
+        replies = self._once(rows)
+        if replies is None or replies[0].wkc != expected:
+            self.wrong += 1
+            return False
+        at = sum(len(slave.outputs) for slave in slaves)
+        for slave in slaves:
+            slave.inputs = replies[0].data[at : at + len(slave.inputs)]
+            at += len(slave.inputs)
+        return True
 
     def state(self) -> tuple[Any, ...]:
         """What process data depend on, once mapped: `become` goes on with it."""

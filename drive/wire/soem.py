@@ -256,11 +256,7 @@ class SoemMaster:
         self.cycle()
         self._master.state = self._soem.OP_STATE
         self._master.write_state()
-        for _ in range(TRIES):
-            self.cycle()
-            if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
-                return
-        raise RuntimeError(f"OP is not reached: {self._told()}")
+        self._reach_op()
 
     def recover(self) -> None:
         """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
@@ -271,6 +267,10 @@ class SoemMaster:
             for slave in fallen:
                 slave.request(state)
             self.cycle()
+        self._reach_op()
+
+    def _reach_op(self) -> None:
+        """Exchange process data until all slaves are in OPERATIONAL."""
         for _ in range(TRIES):
             self.cycle()
             if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
