@@ -31,7 +31,6 @@ class Squaring:
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._known, self._axis = datasheet, datasheet.axis
         self._dt = datasheet.step_time
-        self._twist = datasheet.constant("max_twist")
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""

@@ -56,7 +56,7 @@ class Identified:
 
     def __init__(self, datasheet: Datasheet, axis: Axis, robust: bool, numbers: dict[str, float]):
         self._sensor = sensed(datasheet, axis)
-        self._axis, self._dt, self._robust = axis, datasheet.step_time, robust
+        self._axis, self._dt = axis, datasheet.step_time
         self._nominal = resonance(datasheet, axis)
         self._frequencies, self._swing, self._pushed = bank(*self._nominal, self._dt)
         rate = numbers["share"] * axis.force - axis.lost
