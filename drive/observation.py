@@ -294,11 +294,8 @@ def aborted(code: int) -> str:
 def sealed(found: Mapping[str, Any]) -> dict[str, Any]:
     """An observation with its hash."""
     plain = {key: value for key, value in found.items() if key != "sha256"}
-    return plain | {"sha256": hashlib.sha256(_canonical(plain)).hexdigest()}
-
-
-def _canonical(found: Mapping[str, Any]) -> bytes:
-    return json.dumps(found, sort_keys=True, separators=(",", ":")).encode()
+    canonical = json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()
+    return plain | {"sha256": hashlib.sha256(canonical).hexdigest()}
 
 
 def opened(text: str, where: str) -> dict[str, Any]:

@@ -286,7 +286,8 @@ class EtherCatDecoder:
             return self._eeprom(slave, data)
         if not writes and R.EEPROM_CONTROL <= address <= R.EEPROM_DATA:
             found = data[R.EEPROM_DATA - address :]
-            wrong = self._eeprom_errors(slave, data) if address == R.EEPROM_CONTROL else []
+            value = int.from_bytes(data[:2], "little") if address == R.EEPROM_CONTROL else 0
+            wrong = [f"{slave.name}: EEPROM: {what}" for bit, what in EEPROM_ERRORS if value & bit]
             return wrong + self._identity(slave, found)
         if writes and R.FMMU <= address < R.FMMU + 0x100 and len(data) >= 13:
             lines = []
@@ -306,7 +307,8 @@ class EtherCatDecoder:
                     slave.managers.pop(n, None)
             return lines
         if writes and R.SYNC_MANAGER <= address < R.SYNC_MANAGER + 0x80 and address & 7 == 6:
-            return self._switched(slave, address, data)
+            n = (address - R.SYNC_MANAGER) // 8  # by its activation byte alone
+            return [f"{slave.name}: sync manager {n} {'on' if data[0] & 1 else 'off'}"]
         return None
 
     def _eeprom(self, slave: _Slave, data: bytes) -> list[str]:
@@ -319,15 +321,6 @@ class EtherCatDecoder:
         where = f" word {slave.word:04X}h" if command == 2 and slave.word >= 0 else ""
         return [f"{slave.name}: EEPROM {what}{where}" + ("" if value & 1 else ", not enabled")
                 if command == 2 else f"{slave.name}: EEPROM {what}"]
-
-    def _eeprom_errors(self, slave: _Slave, data: bytes) -> list[str]:
-        value = int.from_bytes(data[:2], "little")
-        return [f"{slave.name}: EEPROM: {meaning}" for bit, meaning in EEPROM_ERRORS if value & bit]
-
-    def _switched(self, slave: _Slave, address: int, data: bytes) -> list[str]:
-        """A sync manager switched on or off by its activation byte alone."""
-        n = (address - R.SYNC_MANAGER) // 8
-        return [f"{slave.name}: sync manager {n} {'on' if data[0] & 1 else 'off'}"]
 
     def _fmmu(self, slave: _Slave, n: int, row: bytes) -> list[str]:
         logical, length, first, last, physical, bit, kind, active = struct.unpack_from(

@@ -283,7 +283,9 @@ class Slave:
             self._quiet()
         if before == AlState.PRE_OPERATIONAL and after == AlState.SAFE_OPERATIONAL:
             self._image.sync_mode = SyncMode.SYNC0 if self._sync0_on else SyncMode.SM_EVENT
-            self._image.late_limit = self._late_limit()
+            own = self.data.error_settings
+            limit = self.drive.objects.value(*ERROR_LIMIT) if own else self.data.late_limit
+            self._image.late_limit = limit
             self._image.times(self.data.cycle_ns, self.drive.objects.value(*COPY_TIME))
         if (before in WITH_INPUTS) != (after in WITH_INPUTS):
             self._image.inputs(after in WITH_INPUTS)
@@ -292,11 +294,6 @@ class Slave:
             # 6007h is for a drive that loses its master while it moves
             lost = after != AlState.OPERATIONAL and self.drive.energised
             self.drive.axis.connection_lost = lost
-
-    def _late_limit(self) -> int:
-        if self.data.error_settings:
-            return self.drive.objects.value(*ERROR_LIMIT)
-        return self.data.late_limit
 
     def _begin_mailbox(self, state: AlState) -> None:
         """Mailboxes of INIT to PRE_OP or BOOTSTRAP, where there is only FoE."""

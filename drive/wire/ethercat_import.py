@@ -245,7 +245,8 @@ class _Maker(_Import):
         if self.whole:
             for n, number in enumerate(numbers, 1):
                 if (0x1018, n) not in self.rows:
-                    self._take(_identity_entry(n, names[n - 1], number))
+                    self._take(Entry(0x1018, n, names[n - 1], "RECORD", 0x07, "ro", False,
+                                     str(number), "", "", 0))
             self.result.objects = [self.rows[address] for address in sorted(self.rows)]
         return {name: n & 0xFFFFFFFF for name, n in zip(names, numbers, strict=True)}
 
@@ -561,10 +562,6 @@ def _entry(row: EsiObject) -> Entry:
         row.index, row.subindex, row.name, row.kind, row.data_type, access, bool(row.mapping),
         row.default, row.low, row.high, row.line, row.group,
     )
-
-
-def _identity_entry(subindex: int, name: str, number: int) -> Entry:
-    return Entry(0x1018, subindex, name, "RECORD", 0x07, "ro", False, str(number), "", "", 0)
 
 
 def _table(rows: list[tuple[Any, ...]]) -> str:

@@ -81,7 +81,8 @@ class Machine:
     ) -> None:
         if not drives:
             joints = [model.joint(i).name for i in range(model.njnt)]
-            named = [name for name in dict.fromkeys([*_actuators(model), *joints]) if name]
+            actuators = [model.actuator(i).name for i in range(model.nu)]
+            named = [name for name in dict.fromkeys([*actuators, *joints]) if name]
             raise ValueError(f"drives is empty: name at least one actuator or joint of {named}")
         if model.opt.integrator not in loop.INTEGRATORS:
             raise ValueError(
@@ -507,7 +508,3 @@ def _checksum(model: mujoco.MjModel) -> int:
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return zlib.crc32(buffer.tobytes())
-
-
-def _actuators(model: mujoco.MjModel) -> list[str]:
-    return [model.actuator(i).name for i in range(model.nu)]

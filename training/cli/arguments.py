@@ -207,11 +207,12 @@ def asked(options: argparse.Namespace) -> bool:
 
 def listing(env: str, console: Console) -> int:
     """Print the arguments of an environment with their defaults; -> exit status."""
+    from ...envs.engine.checks import accepted
     from ...envs.environment.registry import task
 
     kind = task(env)
     table = Table("argument", "default", title=f"arguments of {kind.ID}")
-    for name, parameter in arguments_of(kind).items():
+    for name, parameter in accepted(kind).items():
         if name not in ("drive", "render_mode"):  # options of their own
             table.add_row(name, json.dumps(parameter.default, default=str))
     console.print(table)
@@ -219,10 +220,3 @@ def listing(env: str, console: Console) -> int:
     told = page.partition("## Arguments\n")[2].partition("\n## ")[0].strip()
     console.print(told, highlight=False, markup=False)
     return 0
-
-
-def arguments_of(kind: type) -> dict[str, inspect.Parameter]:
-    """Collect the arguments of an environment, its own and those of its bases."""
-    from ...envs.engine.checks import accepted
-
-    return accepted(kind)
