@@ -44,21 +44,21 @@ class Axis:
 
     carriage: float  # kg, without payload
     rotor: float  # of motor and transmission, as a mass at the carriage (kg)
-    payload: float  # nominal (kg)
-    heaviest: float  # payload declared (kg)
     coulomb_friction: float  # N
     viscous_friction: float  # N·s/m
-    weight: float  # along the axis, with the nominal payload (N)
     lost: float  # to friction and weight at most, with the heaviest payload (N)
     force: float  # that the maximum torque 6072h makes at the carriage (N)
-    offset: float  # that action 1 adds at 1, where there is one (N)
     stroke: float  # m
     speed: float  # of the set-point for an action of 1 (m/s)
     fastest: float  # maximum profile velocity 607Fh, 1 in an observation (m/s)
     profile: Bounds  # commissioned for profile position mode
-    vibration: Vibration | None
     lag: float  # of the position behind a set-point that moves, by the gains commissioned (s)
-    sensor: Sensor | None  # None: nothing is seen of the load
+    payload: float = 0.0  # nominal (kg)
+    heaviest: float = 0.0  # payload declared (kg)
+    weight: float = 0.0  # along the axis, with the nominal payload (N)
+    offset: float = 0.0  # that action 1 adds at 1, where there is one (N)
+    vibration: Vibration | None = None
+    sensor: Sensor | None = None  # None: nothing is seen of the load
 
     def mass(self, payload: float) -> float:
         """The mass that a force at the carriage accelerates, including the motor (kg)."""
@@ -234,21 +234,15 @@ def _rotary(env: ServoEnv, p: RotaryParameters, truth: Mapping[str, float]) -> A
     return Axis(
         carriage=p.inertia,
         rotor=rotor * p.gear_ratio**2,
-        payload=0.0,
-        heaviest=0.0,
         coulomb_friction=p.coulomb_friction,
         viscous_friction=p.viscous_friction,
-        weight=0.0,
         lost=p.coulomb_friction + p.viscous_friction * fastest,
         force=_torque(drive) * p.gear_ratio * p.efficiency,
-        offset=0.0,
         stroke=p.period / 2,
         speed=fastest,
         fastest=fastest,
         profile=Bounds(p.max_velocity, p.max_acceleration, math.inf),
-        vibration=None,
         lag=_lag(env, 0, truth),
-        sensor=None,
     )
 
 
@@ -261,9 +255,8 @@ def _joint(env: ServoEnv, d: int, half: float) -> Axis:
     return Axis(
         carriage=unknown, rotor=unknown, payload=unknown, heaviest=unknown,
         coulomb_friction=unknown, viscous_friction=unknown, weight=unknown, lost=unknown,
-        force=unknown, offset=0.0, stroke=half, speed=profile.velocity,
-        fastest=_object(drive, "max_profile_velocity") / METRE, profile=profile,
-        vibration=None, lag=_lag(env, d), sensor=None,
+        force=unknown, stroke=half, speed=profile.velocity,
+        fastest=_object(drive, "max_profile_velocity") / METRE, profile=profile, lag=_lag(env, d),
     )
 
 
@@ -298,10 +291,8 @@ def _of_gantry(env: ServoEnv, p: GantryParameters, truth: Mapping[str, float], d
         heaviest=heaviest,
         coulomb_friction=p.coulomb_friction,
         viscous_friction=p.viscous_friction,
-        weight=0.0,
         lost=p.coulomb_friction + p.viscous_friction * speed,
         force=_torque(drive) * gear,
-        offset=0.0,
         stroke=_stroke(env, d),
         speed=speed,
         fastest=fastest,
