@@ -10,7 +10,7 @@ here, so an axis that was commissioned is tuned.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -167,6 +167,9 @@ def pid_loop(
 ANY = dict.fromkeys(("velocity_gain", "integral_time", "position_gain"), (0.0, math.inf))
 
 
+Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
+
+
 @dataclass(frozen=True)
 class Asked:
     """Margins of both loops, at least."""
@@ -174,8 +177,10 @@ class Asked:
     gain: float = 6.0  # dB
     phase: float = 35.0  # degree
 
-
-Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
+    def kept(self, margins: Iterable[Margin]) -> bool:
+        """Whether all have these margins, with the reserve."""
+        gain, phase = self.gain + RESERVE_GAIN, self.phase + RESERVE_PHASE
+        return all(stable and own >= gain and angle >= phase for own, angle, stable in margins)
 
 
 @dataclass(frozen=True)
@@ -306,19 +311,14 @@ def fastest_pid(
     plants: Sequence[Seen],
     asked: Asked,
     allowed: Mapping[str, tuple[float, float]],
-    ease: float = 1.0,
 ) -> Gains | None:
     """Return the fastest PID position controller that keeps the margins."""
-    for share in ease * EASES:
+    for share in EASES:
         found = fastest(plants, asked, allowed, share)
         if found is None:
             return None
         found = replace(found, pid=found.as_pid)
-        loops = [plant.margins(found)[1] for plant in plants]
-        if all(
-            stable and gain >= asked.gain + RESERVE_GAIN and phase >= asked.phase + RESERVE_PHASE
-            for gain, phase, stable in loops
-        ):
+        if asked.kept(plant.margins(found)[1] for plant in plants):
             return found
     return None
 
