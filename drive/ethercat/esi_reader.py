@@ -20,7 +20,6 @@ from .description import FIXED, UNASSIGNED, DcMode, Description, Entry, Mailboxe
 from .esi import COE, FMMU_KINDS, PROTOCOLS, SM_KINDS
 
 LARGEST = 32 << 20  # bytes of a file; makers' files of many devices have 20 MB
-CONTROLWORD = 0x6040
 VARIABLE, ARRAY, RECORD = "VAR", "ARRAY", "RECORD"
 # name of a data type -> number of CiA 301
 TYPES = {

@@ -27,7 +27,6 @@ LOGICAL_START = 0x10000
 RETRIES = 3
 POLLS = 1000
 ERROR, ACKNOWLEDGE = 0x10, 0x10
-OUTPUTS, INPUTS, STATE = 1, 2, 3  # uses of a sync manager, and of a FMMU in the SII
 COE = 4  # bit of word 1Ch of the SII
 ASSIGNMENTS = {2: 0x1C12, 3: 0x1C13}
 

@@ -9,8 +9,6 @@ from ..ethercat.bus import Bus, Clock
 from ..ethercat.frame import LENGTH, LOGICAL
 from .pcapng import Writer
 
-SLACK = 2_000_000  # ns: a master gives a frame up then (SOEM), so machines run after the reply
-
 
 class Port(Protocol):
     """A port that receives and sends frames."""

@@ -53,7 +53,6 @@ from ...drive.model.names import hint
 from .machine import Machine
 from .physics import STATE
 
-GRAVITY = 9.81  # m/s²
 PAYLOAD, CARRIAGE, LOAD = "payload", "carriage", "load"
 
 

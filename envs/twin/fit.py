@@ -449,8 +449,3 @@ def _noise(left: np.ndarray, simulated: np.ndarray, quantum: float) -> float:
 def _shown(values: Mapping[str, float], chosen: Family) -> str:
     names = [chosen.mass, "coulomb_friction", *((chosen.spring or ())[:1])]
     return ", ".join(f"{name} {values[name]:.4g}" for name in names if name in values)
-
-
-def after(fitted: Fitted, **changes: Any) -> Fitted:
-    """Return a copy with some fields replaced."""
-    return replace(fitted, **changes)

@@ -21,7 +21,6 @@ TERA = 1_000_000_000_000
 STEEPEST = 500_000  # the drift loop's correction, at most (1e-9)
 PROPORTIONAL = 50  # correction (1e-9) by a difference of 1 ns (inferred)
 CYCLIC, SYNC0, SYNC1 = 1, 2, 4  # bits of 0981h
-RUNNING = 0x07  # bits of 0984h: SYNC0, SYNC1 pending
 
 
 @block
@@ -285,12 +284,6 @@ def latch_input(esc, now, unit, rising):
     put_time(esc, at, system_time(esc, now))
     memory[R.AL_EVENT] |= 1 << 1
     memory[R.ECAT_EVENT] |= 1
-
-
-@block
-def cycle_time(esc):
-    """SYNC0 cycle (ns)."""
-    return get32(esc.memory, R.SYNC0_CYCLE)
 
 
 @block

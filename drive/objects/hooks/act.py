@@ -19,7 +19,7 @@ from . import act_channel
 from .act_channel import FIRST, RAM, SETS
 from .hook import Hook
 
-ACTIVE, SELECTION, POLE_PAIRS = 249, 414, 373
+SELECTION, POLE_PAIRS = 414, 373
 F_MIN, F_MAX, UP, DOWN = 418, 419, (420, 422), (421, 423)  # slopes: clockwise, anticlockwise
 QUICK_STOP = (424, 425)
 CONNECTION = 388  # and 6007h
