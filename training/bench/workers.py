@@ -20,6 +20,7 @@ from ...envs import TASKS
 from ...envs.environment.registry import short, task
 from ..evaluate.comparison import ZERO
 from ..policies import LEARNED, SHIPPED
+from ..scale.work import Work
 from . import Tell, show_table
 
 EPISODES = 50
@@ -82,6 +83,7 @@ def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> d
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
     """What is measured, of the comparisons that are asked for, or else of `rows`."""
+    Work(options.workers)  # refuses a number that cannot be
     found: dict[str, Any] = {"workers": options.workers, "cores": os.cpu_count(), "rows": []}
     if hasattr(os, "getloadavg"):
         found["load_before"] = round(os.getloadavg()[0], 1)
