@@ -53,8 +53,9 @@ def add(bench: argparse.ArgumentParser) -> None:
 def _bench(options: argparse.Namespace, console: Console) -> int:
     if options.repeat is not None and options.repeat < 1:
         raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
-    chosen = (name for name in MODULES if getattr(options, name) not in (None, False))
-    asked = next(chosen, "drive")
+    given = {name: getattr(options, name) for name in MODULES}
+    asked = next((n for n, value in given.items() if value is not None and value is not False),
+                 "drive")
     options.repeat = options.repeat or (1 if asked == "workers" else 200)
     module = importlib.import_module(f"..bench.{MODULES.get(asked, asked)}", __package__)
     with console.status("measuring ...") as status:
