@@ -242,6 +242,8 @@ benchmark homing --drive bonfiglioli_act
 benchmark positioning --out FILE
 tune --amplitude 0
 tune --amplitude nan
+tune-policy tuned_ruckig --task LinearAxis-v0 --budget 0
+tune-policy tuned_ruckig --task LinearAxis-v0 --budget -1
 tune --seed -1
 bode --seed -1
 tune --out FILE
@@ -251,6 +253,8 @@ tune broken.xml --axis elbow
 tune broken.xml
 bode --speed 100
 bode --out FILE
+scope rigid --rate nan
+scope rigid --duration -1
 scope --channels ,
 scope --before 5000 --depth 100
 scope --out FILE

@@ -81,9 +81,18 @@ def _window(options: argparse.Namespace, trigger: Any) -> dict[str, Any]:
     return {"depth": options.depth, "trigger": trigger, "before": before if trigger else 0}
 
 
+def _only_of_a_bus(options: argparse.Namespace) -> None:
+    """Refuse options that would have no effect on a machine or a log."""
+    for name, value in (("rate", RATE), ("duration", DURATION)):
+        if getattr(options, name) != value:
+            raise ValueError(f"--{name} is for a running node, `servogym scope {BUS}`")
+
+
 def _scope(options: argparse.Namespace, console: Console) -> int:
     from ..pictures.traces import draw
 
+    if options.machine != BUS:
+        _only_of_a_bus(options)
     if options.machine == BUS:
         recording, said, during = _of_node(options)
     elif options.machine not in machines.NAMES and Path(options.machine).suffix != ".xml":

@@ -116,6 +116,8 @@ def run(
 
     Raises ValueError for a policy without numbers, or a task that does not offer it.
     """
+    if budget is not None:
+        whole("--budget", budget, 1, 10**9)
     kind = tunable(policy)
     if kind is None and policy not in FITTED:
         remark = hint(policy, [*FITTED, *offered()])
