@@ -230,7 +230,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         args, arguments = self._arguments
         plain = type(self)(*args, **arguments | {"port": None})
         plain.reset(seed=0)  # what is compiled is loaded now: drives with power do not wait for it
-        plain.step(np.zeros(plain.action_space.shape))
+        plain.step(np.zeros_like(plain._part.actions[0]))
         return line
 
     def batch(self, n: int) -> Batch:

@@ -335,16 +335,16 @@ def _random(share, seed):
     return lambda k, space: share * generator.uniform(-1.0, 1.0, space.shape)
 
 
-OUT, MOVES, ENDED, LATE = "out of", "acceleration|jerk|velocity", "has ended", "late"
+OUT, ENDED, LATE = "out of", "has ended", "late"
 HOSTILE = {  # policy, and what is said of it
-    **{f"full {share:g}": (_full(share), f"{OUT}|{MOVES}") for share in (1.0, 0.5, -1.0, -0.5)},
+    **{f"full {share:g}": (_full(share), "velocity") for share in (1.0, 0.5, -1.0, -0.5)},
     **{f"creeps {share:g}": (_full(share), OUT) for share in (0.2, 0.1, -0.2, -0.1)},
-    **{f"chatters {n}": (_wave(n, 1.0), MOVES) for n in (2, 3, 4, 8)},
-    **{f"chatters a little {n}": (_wave(n, 0.3), f"{MOVES}|{OUT}") for n in (2, 5)},
-    **{f"random {seed}": (_random(1.0, seed), MOVES) for seed in range(3)},
-    "speeds up": (_ramp, f"{MOVES}|{OUT}"),
-    "steps at 5": (_at(5, lambda space: space.high), MOVES),
-    "steps back at 9": (_at(9, lambda space: space.low), MOVES),
+    **{f"chatters {n}": (_wave(n, 1.0), "velocity") for n in (2, 3, 4, 8)},
+    **{f"chatters a little {n}": (_wave(n, 0.3), "acceleration") for n in (2, 5)},
+    **{f"random {seed}": (_random(1.0, seed), "acceleration|velocity") for seed in range(3)},
+    "speeds up": (_ramp, "velocity"),
+    "steps at 5": (_at(5, lambda space: space.high), "velocity"),
+    "steps back at 9": (_at(9, lambda space: space.low), "velocity"),
     **{
         f"{name} at 4": (_at(4, bad), said)
         for name, bad, said in (
@@ -373,6 +373,7 @@ HOSTILE = {  # policy, and what is said of it
         )
     },
     "never ends its recursion": (_then(4, _deep), "RecursionError"),
+    # three whose end depends on the machine: what is not refused within 0.3 s is late before
     "fills the memory": (_then(4, _hog), "MemoryError|has ended|late"),
     "spins": (_then(4, _spin), LATE),
     "holds the interpreter": (_then(4, _hold_the_interpreter), LATE),
@@ -404,9 +405,11 @@ def hostile(bus, names):
     with served(task, bus) as ask:
         waiting = [*(names or HOSTILE)] * STARTS
         for name in waiting:
-            if name in told and not told[name][0].startswith("on the way to the start"):
-                continue  # else SOEM has given an SDO up, before the policy was asked
-            policy, _ = HOSTILE[name]
+            policy, said = HOSTILE[name]
+            reason = told[name][0] if name in told else "on the way to the start"
+            # again where SOEM has given an SDO up, or where a policy had no time to come to its end
+            if not (reason.startswith("on the way") or ("late" in reason and "late" not in said)):
+                continue
             ask("stand", 5)
             most = 200.0 if name.startswith("creeps") else 30.0
             limits = {"x": Envelope(LOW, HIGH, FAST, most, following_error=0.02)}

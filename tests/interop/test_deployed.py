@@ -47,7 +47,7 @@ def test_no_policy_gets_past_the_guard_on_the_wire(bus):
 @pytest.mark.parametrize("bus", BUSES)
 def test_none_of_all_hostile_policies_does(bus):
     assert len(HOSTILE) >= 50
-    told = over(bus, "hostile", names=[])
+    told = over(bus, "hostile", names=[], timeout=600)
     assert set(told) == set(HOSTILE)
     check(told)
 
@@ -76,7 +76,7 @@ def test_where_the_deploying_process_is_killed_the_drive_stops_by_its_own_watchd
 
 def same(bus, task, count):
     """Homed, moved to their starts and played: over the bus as in this process."""
-    result = over(bus, "episodes", task=task, policy=REFERENCES[task], count=count)
+    result = over(bus, "episodes", task=task, policy=REFERENCES[task], count=count, timeout=600)
     assert result["stopped"] == ""
     assert len(result["deployed"]) == count
     assert result["equal"] == result["steps"]
