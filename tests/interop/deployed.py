@@ -471,3 +471,27 @@ if __name__ == "__main__":  # for many episodes: a scenario and its arguments as
 
     ethercat_line(["generic"], "linear")
     print(json.dumps(globals()[sys.argv[1]](**json.loads(sys.argv[2]))))
+
+
+def twin_of_log(policy="ruckig", count=3):
+    """What the command makes of a deployment's log: statuses, true values, intervals."""
+    import tempfile
+    from pathlib import Path
+
+    from servogym.envs.engine import parameters
+    from servogym.envs.plants import twins
+    from servogym.training.cli import main
+
+    _network()
+    folder, names = Path(tempfile.mkdtemp()), ("payload", "coulomb_friction", "viscous_friction")
+    log = folder / "run.log"
+    with served(TASKS["linear"], "can"):
+        words = f"--home 17 --episodes {count} --lock-step --yes -i {CAN['interface']}"
+        status = main(["deploy", "LinearAxis-v0", "--policy", policy, *words.split(),
+                       "-c", CAN["channel"], "--log", str(log)])
+    machine = _made(TASKS["linear"], "can")[2].machine
+    out = folder / "twin"
+    code = main(["twin", str(log), "--mechanics", "rigid", "-o", str(out)])
+    rows = twins.read(out).parameters
+    found = {name: (rows[name].low, rows[name].high) for name in names}
+    return {"status": [status, code], "true": parameters.get(machine, names), "found": found}

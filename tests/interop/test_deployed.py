@@ -96,3 +96,11 @@ def test_a_homing_the_ways_to_the_start_and_the_episodes_are_those_of_this_proce
 @pytest.mark.parametrize("task", REFERENCES)
 def test_long_series_are_those_of_this_process(bus, task):
     same(bus, task, 20)
+
+
+@pytest.mark.slow
+def test_the_log_of_a_deployment_becomes_a_twin():
+    result = on_the_wire("deployed", "twin_of_log", "forked", timeout=600)
+    assert result["status"] == [0, 0]
+    low, high = result["found"]["payload"]
+    assert low < result["true"]["payload"] < high < 1.1 * low
