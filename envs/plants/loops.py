@@ -10,7 +10,7 @@ here, so an axis that was commissioned is tuned.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -167,9 +167,6 @@ def pid_loop(
 ANY = dict.fromkeys(("velocity_gain", "integral_time", "position_gain"), (0.0, math.inf))
 
 
-Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
-
-
 @dataclass(frozen=True)
 class Asked:
     """Margins of both loops, at least."""
@@ -177,10 +174,8 @@ class Asked:
     gain: float = 6.0  # dB
     phase: float = 35.0  # degree
 
-    def kept(self, margins: Iterable[Margin]) -> bool:
-        """Whether all have these margins, with the reserve."""
-        gain, phase = self.gain + RESERVE_GAIN, self.phase + RESERVE_PHASE
-        return all(stable and own >= gain and angle >= phase for own, angle, stable in margins)
+
+Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
 
 
 @dataclass(frozen=True)
@@ -311,14 +306,19 @@ def fastest_pid(
     plants: Sequence[Seen],
     asked: Asked,
     allowed: Mapping[str, tuple[float, float]],
+    ease: float = 1.0,
 ) -> Gains | None:
     """Return the fastest PID position controller that keeps the margins."""
-    for share in EASES:
+    for share in ease * EASES:
         found = fastest(plants, asked, allowed, share)
         if found is None:
             return None
         found = replace(found, pid=found.as_pid)
-        if asked.kept(plant.margins(found)[1] for plant in plants):
+        loops = [plant.margins(found)[1] for plant in plants]
+        if all(
+            stable and gain >= asked.gain + RESERVE_GAIN and phase >= asked.phase + RESERVE_PHASE
+            for gain, phase, stable in loops
+        ):
             return found
     return None
 

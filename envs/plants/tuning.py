@@ -26,6 +26,7 @@ from .loops import (
     ANY,
     OBJECTS,
     RESERVE_GAIN,
+    RESERVE_PHASE,
     Asked,
     Gains,
     Seen,
@@ -122,10 +123,13 @@ def fitting(plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: flo
         )
     )
     pid = drive.axis.od.control_structure == Structure.PID
-    if taken and not pid and by_rule.stiffness >= stiffness and ASKED.kept(
-        margin for plant in plants for margin in plant.margins(by_rule)
-    ):
-        return by_rule
+    if taken and not pid and by_rule.stiffness >= stiffness:
+        found = [margin for plant in plants for margin in plant.margins(by_rule)]
+        if all(
+            stable and gain >= ASKED.gain + RESERVE_GAIN and phase >= ASKED.phase + RESERVE_PHASE
+            for gain, phase, stable in found
+        ):
+            return by_rule
     return (fastest_pid if pid else fastest)(plants, ASKED, allowed)
 
 
