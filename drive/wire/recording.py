@@ -126,9 +126,9 @@ class Source:
             if name == who:
                 group[row.name] = value
 
-        for time in self._frames(hear):
+        for seconds in self._frames(hear):
             if group:
-                yield time, dict(group)
+                yield seconds, dict(group)
                 group.clear()
 
     def signals(self, who: str) -> dict[str, Signal]:
