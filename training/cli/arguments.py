@@ -210,7 +210,7 @@ def listing(env: str, console: Console) -> int:
     from ...envs.engine.checks import accepted
     from ...envs.environment.registry import task
 
-    kind = task(env)
+    kind: Any = task(env)
     table = Table("argument", "default", title=f"arguments of {kind.ID}")
     for name, parameter in accepted(kind).items():
         if name not in ("drive", "render_mode"):  # options of their own
