@@ -1,6 +1,7 @@
 """Serve the panel of a session, or a classroom, by default only on the loopback interface."""
 
 import asyncio
+import logging
 import os
 import secrets
 import socket
@@ -15,6 +16,8 @@ from .guard import Door, Guard, Owner, is_loopback
 from .reception import Reception
 
 PORT = 8402
+# what NiceGUI and Starlette log where a browser went away before its answer was ready
+GONE = ("has been deleted", "No response returned")
 
 
 def free(host: str, port: int) -> None:
@@ -123,6 +126,12 @@ def serve_class(
          title="servogym classroom", browser=browser, token=token)
 
 
+def concerns_somebody(record: logging.LogRecord) -> bool:
+    """Whether a log record is more than what comes of a page that is no longer open."""
+    said = str(record.exc_info[1]) if record.exc_info else record.getMessage()
+    return not any(words in said for words in GONE)
+
+
 def address(host: str, port: int) -> str:
     """The address for a browser."""
     if host in ("0.0.0.0", "::"):
@@ -156,6 +165,8 @@ def _run(
         for line in lines:
             tell(line)
 
+    for logger in ("nicegui", "uvicorn.error"):
+        logging.getLogger(logger).addFilter(concerns_somebody)
     free(host, port)
     app.on_startup(begin)
     app.on_startup(listening)

@@ -2,8 +2,10 @@
 
 import asyncio
 import csv
+import gc
 import io
 import json
+import logging
 import re
 import threading
 import time
@@ -30,6 +32,7 @@ from servogym.envs.panel.disturbances import DISTURBANCES, disturb, inject
 from servogym.envs.panel.guard import Guard
 from servogym.envs.panel.log import plain
 from servogym.envs.panel.reception import Reception
+from servogym.envs.panel.server import concerns_somebody
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import fresh
 from servogym.training.cli import main
@@ -586,3 +589,50 @@ class TestInBrowsers:
         expect(grace.locator("[name=word]")).to_be_visible()
         for page in (ada, grace, wall):
             page.context.close()
+
+
+def test_what_comes_of_a_page_that_is_gone_is_no_line_in_the_log(caplog):
+    """The libraries' own errors, as the server logs them; an error of ours stays."""
+    pytest.importorskip("nicegui", reason="needs servogym[panel]")
+    from nicegui import Client, ui
+    from nicegui.page import page
+    from starlette.middleware.base import BaseHTTPMiddleware
+
+    client = Client(page(""))
+    with client:
+        label, row = ui.label("gone"), ui.row()
+    client.delete()
+
+    def answered():
+        """A request whose sender has hung up."""
+        async def nothing(scope, receive, send):
+            pass
+
+        async def called(request, call_next):
+            return await call_next(request)
+
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b""}
+        asyncio.run(BaseHTTPMiddleware(nothing, called)(scope, None, None))
+
+    def built():
+        with row:
+            ui.label("too late")
+
+    logger = logging.getLogger("nicegui")
+    logger.addFilter(concerns_somebody)
+    try:
+        with client:
+            ui.notify("too late")
+        del client
+        gc.collect()
+        errors = []
+        for work in (lambda: label.client.id, built, answered, lambda: 1 / 0):
+            try:
+                work()
+            except Exception as error:
+                errors.append(error)
+                logger.exception(error)
+    finally:
+        logger.removeFilter(concerns_somebody)
+    assert [type(error) for error in errors] == [RuntimeError] * 3 + [ZeroDivisionError]
+    assert [record.exc_info[0] for record in caplog.records] == [ZeroDivisionError]
