@@ -188,8 +188,12 @@ def test_a_value_reads_the_same_in_any_units_and_returns_as_it_was_written(drive
             expected = shown(was, first[kind(s)], now[kind(s)], s)
             assert s.get() == expected, (s.row.name, was, first[kind(s)], now[kind(s)])
     drive.write("polarity", 0)
+    waiting = [*before]
+    while waiting:  # one may be refused beside extremes of another that has its turn later
+        refused = [field for field in waiting if not write_factor(drive, field, 1, 1)]
+        assert len(refused) < len(waiting)
+        waiting = refused
     for field, (numerator, divisor) in before.items():
-        assert write_factor(drive, field, 1, 1)
         assert write_factor(drive, field, numerator, divisor)
     assert {s: s.get() for s in slots} == numbers
 
