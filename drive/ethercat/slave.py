@@ -82,8 +82,9 @@ class Synchronisation:
 
 def interpolation_ns(drive: Drive) -> int:
     """The period 60C2h (ns)."""
-    od = drive.axis.od
-    return round(int(od.interpolation_time_units) * 10.0 ** (9 + int(od.interpolation_time_index)))
+    od, n = drive.axes["od"], drive.index  # of all axes: a record of one is slow to make
+    units, index = od["interpolation_time_units"][n], od["interpolation_time_index"][n]
+    return round(int(units) * 10.0 ** (9 + int(index)))
 
 
 class Slave:
