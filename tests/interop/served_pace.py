@@ -150,7 +150,8 @@ def policy(seconds, period, phase):
         soem = SoemMaster("vb")
         wide = {"x": Envelope(-1.0, 1.0, 10.0)}  # it was trained for steps of 5 ms, and jerks here
         env = kind(model, port=EtherCatDrives(soem, ["x"], model, envelopes=wide), **given)
-        env.STEPS, env.line.home, env.line.phase = round(seconds / period), 17, phase
+        env.STEPS, env.line.home = round(seconds / period), 17
+        env.line.phase = env.line.phase if phase is None else phase
         try:
             for played in episodes_of(env, make=make, seed=0, fast=True):
                 print(f"{played.steps} steps, {played.late} actions late")
@@ -181,7 +182,7 @@ def main():
     parser.add_argument("--seconds", type=float, help="of axes (60) and policy (600)")
     parser.add_argument("--count", type=int, help="starts (5), axes (8)")
     parser.add_argument("--period", type=float, default=1.0, help="of policy (ms, 1)")
-    parser.add_argument("--phase", type=float, default=0.8, help="of policy: set-points (0.8)")
+    parser.add_argument("--phase", type=float, help="of policy: set-points (deploy's own)")
     parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if not options.inside:
