@@ -176,18 +176,33 @@ def state_of(word):
     return STATES.get(word & 0x6F, "?")
 
 
+async def look_up(page, address):
+    """Type an address until its object is shown: what is typed into a line that is cut is lost."""
+    for last in (False, False, True):
+        await page.type("search", address)
+        try:
+            await page.until(lambda page: page.text("object").startswith(address), 20.0)
+            return
+        except TimeoutError:
+            if last:
+                raise
+
+
 async def shown_is_drive(page):
     """State and position in the header are those of 6041h and 6064h."""
     await settled(page)
     for address in ("6041h:00", "6064h:00"):
-        await page.type("search", address)
-        await page.until(lambda page, address=address: page.text("object").startswith(address))
+        await look_up(page, address)
         await asyncio.sleep(2.0)
         await page.until(lambda page: page.text("live").split())
         if address == "6041h:00":
-            await page.until(
-                lambda page: page.text("state") == state_of(int(page.text("live").split()[0]))
-            )
+            try:
+                await page.until(
+                    lambda page: page.text("state") == state_of(int(page.text("live").split()[0]))
+                )
+            except TimeoutError:
+                shown = [page.text(name) for name in ("state", "live", "measured", "doing")]
+                raise AssertionError(f"state, 6041h, pace, doing: {shown}") from None
             continue
         shown, read = [], []
         for _ in range(8):  # an axis that monkeys have tuned may swing, one without friction drifts
