@@ -16,7 +16,8 @@ from servogym.drive.wire.ethernet import UdpPort
 from servogym.training import cli
 
 HEADER = 14  # bytes of Ethernet in front of what goes by UDP
-ADDRESS = "127.88.0.1"  # of the servers here: others use the one that is the default
+# of the servers here: others use the one that is the default, and pytest -n has several processes
+ADDRESS = f"127.88.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFF or 1}"
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="raw sockets of Linux")
 
 
