@@ -11,7 +11,7 @@ from ..master.port import Units
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry, places
 from ..objects.abort import Abort, SdoAbort
-from .frame import Base, Frame
+from .frame import SYNCHRONOUS, Base, Frame
 from .node import NmtCommand
 from .port import FramePort
 from .sdo_client import ATTEMPTS, SdoClient
@@ -19,7 +19,6 @@ from .sdo_client import ATTEMPTS, SdoClient
 T = TypeVar("T")
 SYNC = Frame(Base.SYNC)
 PDOS = 512  # of each direction at most (CiA 301)
-SYNCHRONOUS = range(241)  # transmission types
 PATIENCE = 0.1  # s, that a PDO is believed without being asked about
 LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
 
