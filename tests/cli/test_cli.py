@@ -30,9 +30,9 @@ def servogym(*arguments):
     ("arguments", "says"),
     [
         (["demo", "--drive", "nothing"], "unknown drive model 'nothing': choose one of"),
-        (["demo", "--payload", "nan"], "payload = nan is out of range 0..100 kg"),
-        (["demo", "--payload", "-1"], "payload = -1.0 is out of range 0..100 kg"),
-        (["bench", "--repeat", "0"], "--repeat = 0 is out of range"),
+        (["demo", "--payload", "nan"], "--payload: 'nan' is not a finite number"),
+        (["demo", "--payload", "-1"], "--payload: -1 is out of range 0..100"),
+        (["bench", "--repeat", "0"], "--repeat: 0 is out of range"),
         (["bench", "--drive", "nothing"], "unknown drive model 'nothing': choose one of"),
         (["drives", "nothing"], "unknown drive model 'nothing': choose one of"),
     ],

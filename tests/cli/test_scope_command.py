@@ -160,7 +160,7 @@ def test_a_running_node_is_polled_and_left_alone(node, tmp_path):
         (["--channels", "6064h,9999h"], "9999h"),
         (["--channels", "axis.torque"], "on a machine alone"),
         (["--node-id", "9", "--duration", "0.1"], "no answer within"),
-        (["--rate", "0"], "rate = 0 polls per second is out of range"),
+        (["--rate", "0"], "--rate: 0 is out of range above 0"),
         (["--trigger", "6041h:change", "--duration", "0.1"], "did not come within 0.1 s"),
     ],
 )

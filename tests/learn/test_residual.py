@@ -144,7 +144,7 @@ def test_sb3_corrects_with_the_same_arguments():
         ("--residual feed_forward --bounds 0.1", "1 given, servogym/LinearAxisTracking-v0 has 2 "
          "actions: correction, torque"),
         ("--residual feed_forward --bounds 0.1,2", "each is a share of an action, 0..1"),
-        ("--residual feed_forward --bounds 0.1,nan", "each is a share of an action, 0..1"),
+        ("--residual feed_forward --bounds 0.1,nan", "--bounds: 'nan' is not a finite number"),
         ("--residual feed_forward", "belong together"),
         ("--bounds 0.1,0.1", "belong together"),
         ("--residual lqr --bounds 0.1,0.1", "policy 'lqr' is for"),

@@ -108,8 +108,8 @@ def test_a_policy_from_a_file_reaches_the_goal(pictures, steering, tmp_path, cap
         (["Homing-v0", "--policy", "built_in"], "there is nothing to watch"),
         (["LinearAxis-v0", "--policy", "no.py:act"], "there is no Python file no.py"),
         (["LinearAxis-v0", "--drive", "bonfiglioli_act"], "has no mode cyclic_sync_position"),
-        (["LinearAxis-v0", "--episodes", "0"], "--episodes = 0 is out of range 1.."),
-        (["LinearAxis-v0", "--speed", "nan"], "--speed = nan is out of range 0.01..100"),
+        (["LinearAxis-v0", "--episodes", "0"], "--episodes: 0 is out of range 1.."),
+        (["LinearAxis-v0", "--speed", "nan"], "--speed: 'nan' is not a finite number"),
         (["LinearAxis-v0", "--record", "out.avi"], "use .mp4, .gif, or a folder"),
     ],
 )

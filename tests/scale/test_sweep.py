@@ -76,7 +76,7 @@ def test_trainings_over_hyper_parameters_leave_their_policies(tmp_path):
     ("sweep LinearAxis-v0 --policies hold --vary payload=1..2", "--vary payload is a range"),
     ("sweep Moon-v0 --policies hold", "unknown environment 'Moon-v0'"),
     ("sweep LinearAxis-v0 --policies nobody", "policy 'nobody' is unknown"),
-    ("sweep LinearAxis-v0 --policies hold --seeds a", "--seeds = 'a'"),
+    ("sweep LinearAxis-v0 --policies hold --seeds a", "--seeds: 'a' is not a whole number"),
     ("sweep LinearAxis-v0 --policies hold --vary weight=3", "see the arguments of"),
     ("sweep LinearAxis-v0 --policies hold --trials 2", "--trials has nothing to look for"),
 ])

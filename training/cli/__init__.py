@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
-from .arguments import add_run_code, consent
+from .arguments import COUNT, add_run_code, consent
 
 
 @dataclass(frozen=True)
@@ -197,6 +197,8 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
         self.register("type", Path, _path)
+        self.register("type", int, COUNT)  # bit rates of python-can
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # not an option: -1e-3 as well
 
     def error(self, message: str) -> NoReturn:
         """Print usage, error and similar names; exit with status 2."""

@@ -4,6 +4,9 @@ import argparse
 import importlib
 import inspect
 import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -15,6 +18,48 @@ if TYPE_CHECKING:
 
 POLICY = "name, FILE.py:function, folder of a training, or model.zip of stable-baselines3"
 LISTED = "help"  # instead of NAME=VALUE
+
+
+@dataclass(frozen=True)
+class Number:
+    """The type of an option with a number: whole or finite, and within its range.
+
+    Args:
+        kind: int or float.
+        low: least value; the number has to be above it if `above` is set.
+        high: greatest value.
+        above: whether `low` itself is excluded.
+    """
+
+    kind: type[int] | type[float]
+    low: float = -1e9
+    high: float = 1e9
+    above: bool = False
+
+    def __call__(self, text: str) -> Any:
+        """Parse a number. Raises argparse.ArgumentTypeError for any other text or number."""
+        try:
+            number = self.kind(text)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            kind = "whole number" if self.kind is int else "finite number"
+            raise argparse.ArgumentTypeError(f"{text!r} is not a {kind}")
+        if not self.low <= number <= self.high or (self.above and number == self.low):
+            low = f"above {self.low:g}, up to " if self.above else f"{self.low:.10g}.."
+            raise argparse.ArgumentTypeError(f"{text} is out of range {low}{self.high:.10g}")
+        return number
+
+
+COUNT = Number(int, 1)
+FROM_ZERO = Number(int, 0, 2**63 - 1)
+NODE_ID = Number(int, 1, 127)
+POSITION = Number(int, 0, 65535)  # of a slave in its segment
+SIGNED_BYTE = Number(int, -128, 127)  # modes of operation, homing methods
+FINITE = Number(float)
+POSITIVE = Number(float, 0.0, above=True)
+EPISODES = Number(int, 1, 1000)  # as `evaluate.episodes`
+WORKERS = Number(int, 1, 10_000)  # as `scale.work`
 
 
 def add(parser: argparse._ActionsContainer) -> None:
@@ -52,14 +97,7 @@ def real_time(options: argparse.Namespace, console: Console) -> None:
 
 def add_seed(parser: argparse.ArgumentParser, of: str) -> None:
     """Add ``--seed``, which is 0 if it is not given."""
-    parser.add_argument("--seed", type=_seed, default=0, help=f"seed of {of} (0)")
-
-
-def _seed(text: str) -> int:
-    """Parse what NumPy takes as a seed."""
-    if not text.strip().isascii() or not text.strip().isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 on")
-    return int(text)
+    parser.add_argument("--seed", type=FROM_ZERO, default=0, help=f"seed of {of} (0)")
 
 
 PORT = 8402  # as `envs.panel.server`
@@ -73,26 +111,24 @@ def add_page(parser: argparse.ArgumentParser, pictures: int, most: int) -> None:
         pictures: a second, if not given.
         most: pictures a second at the most.
     """
-    parser.add_argument("--port", type=int, default=PORT, help=f"TCP port ({PORT})")
+    parser.add_argument(
+        "--port", type=Number(int, 1, 65535), default=PORT, help=f"TCP port ({PORT})"
+    )
     parser.add_argument(
         "--host", default="127.0.0.1",
         help="listen on this address, not the loopback interface; 0.0.0.0 for other computers",
     )
     parser.add_argument(
-        "--pictures", type=int, default=pictures,
+        "--pictures", type=Number(int, 1, most), default=pictures,
         help=f"pictures per second, 1..{most} ({pictures})",
     )
     parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
-    parser.set_defaults(most_pictures=most)
 
 
 def page(options: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Where a page is served, and how it says so. Raises ValueError for what cannot be had."""
     from ...envs.panel import server
 
-    for name, most in (("port", 65535), ("pictures", options.most_pictures)):
-        if not 1 <= getattr(options, name) <= most:
-            raise ValueError(f"--{name} = {getattr(options, name)} is out of range 1..{most}")
     server.free(options.host, options.port)
 
     def tell(text: str) -> None:
@@ -132,7 +168,7 @@ def consent(options: argparse.Namespace) -> None:
 
 def add_work(parser: argparse.ArgumentParser) -> None:
     """Add ``--workers``, ``--ray`` and ``--resume``, which say where the jobs of a command run."""
-    parser.add_argument("--workers", type=int, metavar="N", help="number of parallel processes")
+    parser.add_argument("--workers", type=WORKERS, metavar="N", help="number of parallel processes")
     parser.add_argument(
         "--ray", nargs="?", const="", metavar="ADDRESS",
         help="use the Ray cluster at HOST:PORT, ray://HOST:PORT or auto; without an address, "
@@ -160,12 +196,23 @@ def setup(options: argparse.Namespace) -> "Setup":
 
 def prepare(options: argparse.Namespace) -> None:
     """Load the command while the workers on this machine start."""
-    if options.workers and options.workers > 0 and options.ray is None:
+    if options.workers and options.ray is None:
         from ..scale.template import prepare
 
         played = {"env": options.env, "drive": options.drive}
         prepare([("servogym.training.evaluate.parts:once", played)])
     importlib.import_module("servogym.training.evaluate.compare")
+
+
+def several(number: Number) -> Callable[[str], list[Any]]:
+    """Return the type of an option with numbers that are separated by commas."""
+
+    def parse(text: str) -> list[Any]:
+        if numbers := [number(word) for word in listed(text)]:
+            return numbers
+        raise argparse.ArgumentTypeError(f"{text!r}: give numbers with commas between")
+
+    return parse
 
 
 def listed(text: str | None) -> list[str]:

@@ -6,6 +6,8 @@ import json
 
 from rich.console import Console
 
+from . import arguments
+
 # option -> module of `training.bench`, in the order in which one of several is taken
 MODULES = {
     "workers": "workers", "train": "train", "gpu": "device", "can": "can", "ethercat": "ethercat",
@@ -16,7 +18,9 @@ MODULES = {
 def add(bench: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     bench.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    bench.add_argument("--repeat", type=int, help="number of pairs of blocks (200), or of runs (1)")
+    bench.add_argument(
+        "--repeat", type=arguments.COUNT, help="number of pairs of blocks (200), or of runs (1)"
+    )
     bench.add_argument(
         "--can", action="store_true", help="measure SDO servers and drives in lock-step"
     )
@@ -39,7 +43,7 @@ def add(bench: argparse.ArgumentParser) -> None:
         help="measure machines on a warp device: cuda (the default), cuda:1, cpu",
     )
     bench.add_argument(
-        "--workers", nargs="?", const=2, type=int, metavar="N",
+        "--workers", nargs="?", const=2, type=arguments.WORKERS, metavar="N",
         help="compare one process with N processes (2)",
     )
     bench.add_argument(
@@ -51,8 +55,6 @@ def add(bench: argparse.ArgumentParser) -> None:
 
 
 def _bench(options: argparse.Namespace, console: Console) -> int:
-    if options.repeat is not None and options.repeat < 1:
-        raise ValueError(f"--repeat = {options.repeat} is out of range 1..")
     given = {name: getattr(options, name) for name in MODULES}
     asked = next((n for n, value in given.items() if value is not None and value is not False),
                  "drive")

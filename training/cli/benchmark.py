@@ -23,18 +23,25 @@ def add(benchmark: argparse.ArgumentParser) -> None:
     benchmark.add_argument("--out", type=Path, default=Path("out"), help="output folder (out)")
     own = benchmark.add_argument_group("homing, positioning: other cells than those of the page")
     own.add_argument("--mechanics", help="mechanics of the family, separated by commas (all)")
-    own.add_argument("--payload", help="payload (kg); for positioning, several separated by commas")
     own.add_argument(
-        "--distance", help="positioning: distances (m), separated by commas (0.01,0.05,0.2)"
+        "--payload", type=arguments.several(arguments.Number(float, 0.0)),
+        help="payload (kg); for positioning, several separated by commas",
     )
-    own.add_argument("--method", help="homing: further methods, separated by commas")
+    own.add_argument(
+        "--distance", type=arguments.several(arguments.POSITIVE),
+        help="positioning: distances (m), separated by commas (0.01,0.05,0.2)",
+    )
+    own.add_argument(
+        "--method", type=arguments.several(arguments.SIGNED_BYTE),
+        help="homing: further methods, separated by commas",
+    )
     own.add_argument(
         "--policy",
         help="positioning: strategies of your own beside those of the page, by name or "
         "FILE.py:name; homing: FILE.py:function, which is called with a Master of the axis; "
         f"learned: {arguments.POLICY}, or a folder with one for each task ({POLICY})",
     )
-    own.add_argument("--runs", type=int, help="homing: runs in each cell (50)")
+    own.add_argument("--runs", type=arguments.Number(int, 2), help="homing: runs in each cell (50)")
     own.add_argument(
         "--parameter-file", type=Path, help="stored parameters, as `servogym tune` writes them"
     )
@@ -76,14 +83,6 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
     return benchmark.run(kind, drive, options.quick, options.out, console, work, chosen)
 
 
-def _numbers(name: str, text: str | None, kind: type[float] | type[int] = float) -> list[Any]:
-    """Parse a list of numbers. Raises ValueError for anything else."""
-    try:
-        return [kind(word) for word in arguments.listed(text)]
-    except ValueError:
-        raise ValueError(f"--{name} = {text!r}: give numbers with commas between") from None
-
-
 def _chosen(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options that the benchmark takes."""
     positioning = options.what == "positioning"
@@ -91,25 +90,20 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
     if given := [name for name in foreign if getattr(options, name) is not None]:
         other = "homing" if positioning else "positioning"
         raise ValueError(f"--{given[0]} is for `servogym benchmark {other}`")
-    payloads = _numbers("payload", options.payload)
+    payloads = options.payload or []
     chosen: dict[str, Any] = {
         "mechanics": arguments.listed(options.mechanics), "parameter_file": options.parameter_file,
     }
     if positioning:
-        chosen |= {"payloads": payloads, "distances": _numbers("distance", options.distance),
+        chosen |= {"payloads": payloads, "distances": options.distance,
                    "strategies": arguments.listed(options.policy)}
     else:
         if len(payloads) > 1:
             raise ValueError(f"--payload = {options.payload}: homing takes one payload")
-        if options.runs is not None and options.runs < 2:
-            raise ValueError(f"--runs = {options.runs}: repeatability needs 2 runs at least")
         chosen |= {
             "payload": payloads[0] if payloads else None,
             "runs": options.runs,
-            "methods": [
-                *_numbers("method", options.method, int),
-                *arguments.listed(options.policy),
-            ],
+            "methods": [*(options.method or ()), *arguments.listed(options.policy)],
         }
     return {name: value for name, value in chosen.items() if value}
 

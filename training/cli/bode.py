@@ -12,16 +12,19 @@ def add(bode: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     machines.add(bode)
     bode.add_argument(
-        "--amplitude", type=float, default=0.1,
+        "--amplitude", type=arguments.POSITIVE, default=0.1,
         help="rms amplitude as a share of the rated torque (0.1)",
     )
     bode.add_argument(
-        "--speed", type=float, help="speed of travel, m/s or rad/s (a tenth of 6081h)"
+        "--speed", type=arguments.POSITIVE, help="speed of travel, m/s or rad/s (a tenth of 6081h)"
     )
     bode.add_argument(
-        "--lowest", type=float, help="lowest frequency in Hz (2, lower for a slow axis)"
+        "--lowest", type=arguments.POSITIVE,
+        help="lowest frequency in Hz (2, lower for a slow axis)",
     )
-    bode.add_argument("--highest", type=float, help="highest frequency in Hz")
+    bode.add_argument(
+        "--highest", type=arguments.POSITIVE, help="highest frequency in Hz"
+    )
     arguments.add_seed(bode, "the excitation's phases")
     bode.add_argument(
         "--out", type=Path, default=Path("out"), help="folder for bode.png and bode.csv (out)"

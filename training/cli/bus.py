@@ -11,6 +11,18 @@ from ...drive.model.names import hint
 INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
 
 
+OPTIONS = (
+    "interface", "channel", "bitrate", "data_bitrate", "fd", "timing", "bus_kwargs", "bus_config",
+)
+
+
+def refuse(options: argparse.Namespace, reason: str, *others: str) -> None:
+    """Raise ValueError if an option for a bus, or one of the `others`, would have no effect."""
+    for name in (*OPTIONS, *others):
+        if getattr(options, name, None) not in (None, False):
+            raise ValueError(f"--{name.replace('_', '-')} {reason}")
+
+
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options of python-can."""
     from can.cli import add_bus_arguments
@@ -24,9 +36,6 @@ def opened(options: argparse.Namespace):
     import can
     from can.cli import create_bus_from_namespace
 
-    for name in ("bitrate", "data_bitrate"):
-        if (rate := getattr(options, name, 1)) <= 0:
-            raise ValueError(f"--{name.replace('_', '-')} = {rate}: give bit/s, such as 500000")
     given: dict[str, Any] = {}
     if options.bus_config:
         given["config_context"] = options.bus_config

@@ -10,7 +10,10 @@ from . import arguments
 
 def add(command: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    command.add_argument("--pupils", type=int, default=24, help="number of places, 1..100 (24)")
+    command.add_argument(
+        "--pupils", type=arguments.Number(int, 1, 100), default=24,
+        help="number of places, 1..100 (24)",
+    )
     command.add_argument(
         "--axis", default="linear",
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",

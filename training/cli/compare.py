@@ -35,10 +35,12 @@ def add(command: argparse.ArgumentParser) -> None:
 def _add_episodes(command: argparse.ArgumentParser) -> None:
     command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     command.add_argument(
-        "--episodes", type=int, default=50, help="number of episodes, 1..1000 (50)"
+        "--episodes", type=arguments.EPISODES, default=50, help="number of episodes, 1..1000 (50)"
     )
     arguments.add_seed(command, "the episodes")
-    command.add_argument("--trace", type=int, default=0, help="episode to draw, counted from 0 (0)")
+    command.add_argument(
+        "--trace", type=arguments.FROM_ZERO, default=0, help="episode to draw, counted from 0 (0)"
+    )
     arguments.add(command)
     arguments.add_work(command)
     command.add_argument("--out", type=Path, help="output folder (a new one in out)")

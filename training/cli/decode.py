@@ -8,6 +8,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from . import arguments
+
 
 def add(decode: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
@@ -20,7 +22,8 @@ def add(decode: argparse.ArgumentParser) -> None:
         help="drive model, see `servogym drives` (generic; on EtherCAT, found by identity)",
     )
     decode.add_argument(
-        "--node-id", type=int, nargs="+", action="extend", help="nodes with this drive model (all)"
+        "--node-id", type=arguments.NODE_ID, nargs="+", action="extend",
+        help="nodes with this drive model (all)",
     )
     decode.set_defaults(run=_decode)
 

@@ -5,13 +5,16 @@ from pathlib import Path
 
 from rich.console import Console
 
+from . import arguments
+
 
 def add(demo: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     demo.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     demo.add_argument("--out", type=Path, default=Path("out"), help="folder for scope.png")
     demo.add_argument(
-        "--payload", type=float, default=5.0, help="payload on the carriage in kg (5)"
+        "--payload", type=arguments.Number(float, 0.0, 100.0), default=5.0,
+        help="payload on the carriage in kg (5)",
     )
     demo.set_defaults(run=_demo, folders=("out",))
 

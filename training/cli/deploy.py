@@ -33,22 +33,29 @@ def add(deploy: argparse.ArgumentParser) -> None:
         "--ethercat", metavar="IFACE", help="network interface; without it the bus is CAN"
     )
     deploy.add_argument(
-        "--node-id", type=int, action="append",
+        "--node-id", type=arguments.NODE_ID, action="append",
         help="node-id of each drive on CAN, in the task's order (1)",
     )
-    deploy.add_argument("--episodes", type=int, default=1, help="number of episodes, 1 or more (1)")
+    deploy.add_argument(
+        "--episodes", type=arguments.Number(int, 1, 10**6), default=1,
+        help="number of episodes, 1 or more (1)",
+    )
     arguments.add_seed(deploy, "the first reset")
     deploy.add_argument(
         "--limits", action="append", default=[], metavar="[AXIS=]LOW:HIGH",
         help="position limits of the guard (m or rad) instead of 607Dh; repeatable",
     )
     for name, unit in (("velocity", "m/s or rad/s"), ("acceleration", "m/s²"), ("jerk", "m/s³")):
-        deploy.add_argument(f"--max-{name}", type=float, help=f"of set-points ({unit})")
+        deploy.add_argument(
+            f"--max-{name}", type=arguments.POSITIVE, help=f"of set-points ({unit})"
+        )
     deploy.add_argument(
-        "--home", type=int, metavar="METHOD", help="home the drives with this method first"
+        "--home", type=arguments.SIGNED_BYTE, metavar="METHOD",
+        help="home the drives with this method first",
     )
     deploy.add_argument(
-        "--slow", type=float, default=1.0, help="apply this share of each action, 0..1 (1)"
+        "--slow", type=arguments.Number(float, 1e-3, 1.0), default=1.0,
+        help="apply this share of each action, 0.001..1 (1)",
     )
     deploy.add_argument(
         "--dry-run", action="store_true", help="do everything except switch on the power stage"
@@ -67,9 +74,12 @@ def add(deploy: argparse.ArgumentParser) -> None:
     )
     deploy.add_argument("--report", type=Path, help="write episodes and times to this .json file")
     deploy.add_argument(
-        "--phase", type=float, help="phase of a step at which set-points are sent, 0..0.9 (0.4)"
+        "--phase", type=arguments.Number(float, 0.0, 0.9),
+        help="phase of a step at which set-points are sent, 0..0.9 (0.4)",
     )
-    deploy.add_argument("--time-limit", type=float, help="time limit for all episodes (s)")
+    deploy.add_argument(
+        "--time-limit", type=arguments.Number(float, 1e-3), help="time limit for all episodes (s)"
+    )
     deploy.add_argument(
         "--lock-step", action="store_true",
         help="let time pass with the steps, for served machines whose clock is sync_end or frame",
@@ -192,12 +202,9 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     import gymnasium
 
     from ...drive.model.model import load
-    from ...envs.engine.checks import in_range, whole
     from ...envs.environment.registry import task
     from ..policies import needed
 
-    whole("--episodes", options.episodes, 1, 10**6)
-    in_range("--slow", options.slow, 1e-3, 1.0)
     kind = task(options.env)
     options.policy = options.policy or ["hold"]
     given = dict(options.argument or ())
@@ -222,9 +229,9 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     _limit(line, options, axes)
     line.dry, line.home = options.dry_run, options.home
     if options.phase is not None:
-        line.phase = in_range("--phase", options.phase, 0.0, 0.9)
+        line.phase = options.phase
     if options.time_limit is not None:
-        line.time_limit = in_range("--time-limit", options.time_limit, 1e-3, 1e9, "s")
+        line.time_limit = options.time_limit
     for path in options.log:
         if path.suffix == ".csv":
             stack.callback(_Log(path, line).close)
@@ -277,6 +284,7 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
     for path in options.log:
         path.parent.mkdir(parents=True, exist_ok=True)
     if options.ethercat:
+        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
         from ...drive.wire.capture import Capture
         from ...drive.wire.soem import TIMEOUT, SoemMaster
         from ...envs.exchange.over_port import LOCK_STEP_PATIENCE

@@ -7,6 +7,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from . import arguments
+
 
 def add(drives: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
@@ -28,7 +30,7 @@ def add(drives: argparse.ArgumentParser) -> None:
         "--device", help="with --from-esi: select one of several devices by type or name"
     )
     drives.add_argument(
-        "--position", type=int, default=0,
+        "--position", type=arguments.POSITION, default=0,
         help="with --from-slave: position of the slave, from 0 on (0)",
     )
     drives.add_argument(

@@ -40,7 +40,9 @@ def add(command: argparse.ArgumentParser) -> None:
         help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 or none: "
         "the drive alone, as with a motor that is held (linear)",
     )
-    command.add_argument("--slaves", type=int, default=1, help="number of slaves of each model (1)")
+    command.add_argument(
+        "--slaves", type=arguments.COUNT, default=1, help="number of slaves of each model (1)"
+    )
     command.add_argument("--clock", default="frame", help="clock: frame, dc or real (frame)")
     command.add_argument("--log", type=Path, help="write all frames to this .pcapng file")
     command.add_argument(

@@ -71,9 +71,12 @@ def add(parser: argparse.ArgumentParser, others: str = "") -> None:
     parser.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     parser.add_argument("--axis", help="drive of the machine (the first), or joint of an MJCF")
     parser.add_argument(
-        "--gear", type=float, help="gear ratio for an MJCF: rad of the motor per m or rad"
+        "--gear", type=arguments.FINITE,
+        help="gear ratio for an MJCF: rad of the motor per m or rad",
     )
-    parser.add_argument("--at", type=float, help="position of the axis, m or rad (the middle)")
+    parser.add_argument(
+        "--at", type=arguments.FINITE, help="position of the axis, m or rad (the middle)"
+    )
     parser.add_argument(
         "--set", action="append", metavar="NAME=VALUE", default=[], type=_value,
         help="set a parameter of the machine, such as payload=10; repeatable",

@@ -22,7 +22,7 @@ def add(node: argparse.ArgumentParser) -> None:
     )
     node.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
     node.add_argument(
-        "--node-id", type=int, action="append", help="node-id, 1..127 (1); repeatable"
+        "--node-id", type=arguments.NODE_ID, action="append", help="node-id, 1..127 (1); repeatable"
     )
     node.add_argument(
         "--axis",

@@ -8,18 +8,22 @@ from typing import Any
 
 from rich.console import Console
 
+from . import arguments
 from . import bus as buses
 
 
 def add(observe: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    observe.add_argument("--node-id", type=int, default=1, help="node-id of the drive, 1..127 (1)")
+    observe.add_argument(
+        "--node-id", type=arguments.NODE_ID, help="node-id of the drive on CAN, 1..127 (1)"
+    )
     observe.add_argument(
         "--ethercat", metavar="IFACE",
         help="observe an EtherCAT slave at this interface, such as eth0",
     )
     observe.add_argument(
-        "--position", type=int, default=0, help="position of the slave, from 0 on (0)"
+        "--position", type=arguments.POSITION,
+        help="with --ethercat: position of the slave, from 0 on (0)",
     )
     observe.add_argument(
         "--drive", default="generic",
@@ -41,9 +45,14 @@ def add(observe: argparse.ArgumentParser) -> None:
 
 def _observe(options: argparse.Namespace, console: Console) -> int:
     if options.compare is not None:
+        buses.refuse(options, "is not for --compare", "node_id", "ethercat", "position",
+                     "read_only")
         return _compare(options, console)
-    if not 1 <= options.node_id <= 127:
-        raise ValueError(f"--node-id = {options.node_id} is out of range 1..127")
+    if options.ethercat is not None:
+        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
+    elif options.position is not None:
+        raise ValueError("--position is for a slave on EtherCAT: give --ethercat IFACE")
+    options.node_id, options.position = options.node_id or 1, options.position or 0
     if options.out is None:
         raise ValueError("-o FILE is missing: where the observation is written")
     if options.out.exists():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from . import arguments
-from .bus import CHANNEL, INTERFACE, opened, where
+from .bus import CHANNEL, INTERFACE, opened, refuse, where
 
 if TYPE_CHECKING:
     from ...envs.panel.bench import Bench
@@ -41,7 +41,7 @@ def add(panel: argparse.ArgumentParser) -> None:
     add_bus_arguments(panel, group_title="a running node on a bus, as python-can has it")
     panel.add_argument("--bus-config", help="section of python-can's configuration file")
     panel.add_argument(
-        "--node-id", type=int, action="append",
+        "--node-id", type=arguments.NODE_ID, action="append",
         help="watch, and on request command, this node (1..127) on a bus instead of an own "
         f"machine; repeatable; the default bus is -i {INTERFACE} -c {CHANNEL}",
     )
@@ -49,7 +49,8 @@ def add(panel: argparse.ArgumentParser) -> None:
         "--listen", action="store_true", help="send nothing on the bus and show only PDOs"
     )
     panel.add_argument(
-        "--samples", type=float, help=f"samples per second of the scope on a bus ({RATE:g})"
+        "--samples", type=arguments.POSITIVE,
+        help=f"samples per second of the scope on a bus ({RATE:g})",
     )
     panel.add_argument(
         "--units", metavar="M[,M/S]",
@@ -163,11 +164,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
         finally:
             adapter.shutdown()
         return 0
-    bus = ("listen", "units", "samples", "interface", "channel", "bitrate", "bus_config")
-    for name in bus:
-        if getattr(options, name, None) is not None and getattr(options, name) is not False:
-            option = name.replace("_", "-")
-            raise ValueError(f"--{option} is for nodes on a bus: give --node-id")
+    refuse(options, "is for nodes on a bus: give --node-id", "listen", "units", "samples")
     with console.status("compiling the control cycle, once per version (up to 30 s) ..."):
         machine = _machine(options)
         machine.step()

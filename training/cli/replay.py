@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from . import twin
+from . import arguments, twin
 
 if TYPE_CHECKING:
     from ...drive.score import Score
@@ -16,11 +16,11 @@ def add(command: argparse.ArgumentParser) -> None:
     """Add the options of the comparison with a machine and those for scoring answers."""
     twin.add_replay(command)
     command.add_argument(
-        "--node-id", type=int,
+        "--node-id", type=arguments.NODE_ID,
         help="without a machine: node-id of the drive in a CAN log (the first in the log)",
     )
     command.add_argument(
-        "--most", type=int, default=40,
+        "--most", type=arguments.COUNT, default=40,
         help="without a machine: number of differences to list, most frequent first (40)",
     )
     command.set_defaults(run=_replay, machine=None)

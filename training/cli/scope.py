@@ -17,6 +17,7 @@ CHANNELS = [
 ]
 OF_A_MACHINE = [*CHANNELS[:3], "axis.torque_command", "statusword"]
 BUS = "bus"
+ONLY_OF_A_BUS = f"is for a running node, `servogym scope {BUS}`"
 MOST = 6  # panels of a log without any of them
 DEPTH, BEFORE, RATE, DURATION = 4000, 100, 50.0, 10.0
 
@@ -36,15 +37,22 @@ def add(scope: argparse.ArgumentParser) -> None:
     scope.add_argument(
         "--trigger", help="CHANNEL:EDGE:LEVEL, where EDGE is rising, falling, above or change"
     )
-    scope.add_argument("--before", type=int, default=BEFORE, help=f"samples ahead of it ({BEFORE})")
-    scope.add_argument("--depth", type=int, default=DEPTH, help=f"samples in all ({DEPTH})")
     scope.add_argument(
-        "--move", type=float, default=0.1, help="distance of the move, m or rad (0.1)"
+        "--before", type=arguments.FROM_ZERO, default=BEFORE, help=f"samples ahead of it ({BEFORE})"
     )
-    scope.add_argument("--node-id", type=int, help="node-id on a bus or in a log (1)")
-    scope.add_argument("--rate", type=float, default=RATE, help=f"polls a second ({RATE:g})")
     scope.add_argument(
-        "--duration", type=float, default=DURATION, help=f"of a bus at most, s ({DURATION:g})"
+        "--depth", type=arguments.COUNT, default=DEPTH, help=f"samples in all ({DEPTH})"
+    )
+    scope.add_argument(
+        "--move", type=arguments.FINITE, default=0.1, help="distance of the move, m or rad (0.1)"
+    )
+    scope.add_argument("--node-id", type=arguments.NODE_ID, help="node-id on a bus or in a log (1)")
+    scope.add_argument(
+        "--rate", type=arguments.POSITIVE, help=f"polls a second ({RATE:g})"
+    )
+    scope.add_argument(
+        "--duration", type=arguments.POSITIVE,
+        help=f"of a bus at most, s ({DURATION:g})",
     )
     buses.add(scope)
     scope.add_argument(
@@ -81,23 +89,16 @@ def _window(options: argparse.Namespace, trigger: Any) -> dict[str, Any]:
     return {"depth": options.depth, "trigger": trigger, "before": before if trigger else 0}
 
 
-def _only_of_a_bus(options: argparse.Namespace) -> None:
-    """Refuse options that would have no effect on a machine or a log."""
-    for name, value in (("rate", RATE), ("duration", DURATION)):
-        if getattr(options, name) != value:
-            raise ValueError(f"--{name} is for a running node, `servogym scope {BUS}`")
-
-
 def _scope(options: argparse.Namespace, console: Console) -> int:
     from ..pictures.traces import draw
 
-    if options.machine != BUS:
-        _only_of_a_bus(options)
     if options.machine == BUS:
         recording, said, during = _of_node(options)
     elif options.machine not in machines.NAMES and Path(options.machine).suffix != ".xml":
+        buses.refuse(options, ONLY_OF_A_BUS, "rate", "duration")
         recording, said, during = _of_log(options)
     else:
+        buses.refuse(options, ONLY_OF_A_BUS, "rate", "duration", "node_id")
         recording, said, during = _of_machine(options), "", "during the move"
     if not recording.triggered:
         raise ValueError(f"--trigger = {options.trigger!r}: it did not come {during}")
@@ -167,20 +168,19 @@ def _of_node(options: argparse.Namespace):
     from ...drive.wire.bus import CanPort
     from ...drive.wire.recording import NodeScope, record
 
-    if not options.duration > 0.0:
-        raise ValueError(f"--duration = {options.duration:g} s has to be above 0")
-    node_id = 1 if options.node_id is None else options.node_id
+    node_id, rate = options.node_id or 1, options.rate or RATE
+    duration = options.duration or DURATION
     bus = buses.opened(options)
     try:
         port = CanOpenPort(CanPort(bus), node_id, options.drive or "generic")
         asked = _asked(options)
-        scope = NodeScope(port, options.rate, asked or CHANNELS, optional=not asked)
+        scope = NodeScope(port, rate, asked or CHANNELS, optional=not asked)
         shown = {**scope.units}
         trigger = _trigger(options.trigger, scope.watch)
         recording = Recording(shown, **_window(options, trigger))
         ended = ""
         try:
-            record(recording, scope.groups(options.duration))
+            record(recording, scope.groups(duration))
         except KeyboardInterrupt:
             ended = ", interrupted"
         except ServoError as error:
@@ -191,4 +191,4 @@ def _of_node(options: argparse.Namespace):
         bus.shutdown()
     late = f", {scope.late} polls late: ask for less" if scope.late else ""
     said = f" of node {node_id}{late}{ended}"
-    return recording, said, f"within {options.duration:g} s"
+    return recording, said, f"within {duration:g} s"

@@ -21,14 +21,14 @@ def add(command: argparse.ArgumentParser) -> None:
     )
     of_task = command.add_argument_group("for a task: settings that a machine file would contain")
     of_task.add_argument("--drive", default="", help="drive model (generic)")
-    of_task.add_argument("-i", "--interface", default="", help="interface of python-can")
-    of_task.add_argument("-c", "--channel", default="", help="channel of that interface")
+    of_task.add_argument("-i", "--interface", help="interface of python-can")
+    of_task.add_argument("-c", "--channel", help="channel of that interface")
     of_task.add_argument(
         "--ethercat", default="", metavar="IFACE",
         help="serve on this network interface instead of CAN",
     )
     of_task.add_argument(
-        "--node-id", type=int, help="node-id of its first drive on CAN (1)"
+        "--node-id", type=arguments.NODE_ID, help="node-id of its first drive on CAN (1)"
     )
     of_task.add_argument(
         "--clock", default="", help="clock: real, sync or sync_end; on EtherCAT frame, dc or real"
@@ -96,6 +96,7 @@ def _is_task(name: str) -> bool:
 def _of_task(options: argparse.Namespace) -> dict[str, Any]:
     """Return the content of a machine file that has only this task."""
     if options.ethercat:
+        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
         bus = {"kind": "ethercat", "interface": options.ethercat}
     else:
         bus = {

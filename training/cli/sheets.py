@@ -5,13 +5,15 @@ from pathlib import Path
 
 from rich.console import Console
 
+from . import arguments
+
 
 def add_eds(eds: argparse.ArgumentParser) -> None:
     """Add the options of `eds`."""
     eds.add_argument("model", help="name or folder of a model")
     eds.add_argument("-o", "--out", type=Path, required=True, help="output file, .eds or .dcf")
     eds.add_argument("--dcf", action="store_true", help="write a DCF with the values of one node")
-    eds.add_argument("--node-id", type=int, help="node-id for --dcf, 1..127")
+    eds.add_argument("--node-id", type=arguments.NODE_ID, help="node-id for --dcf, 1..127")
     eds.set_defaults(run=_eds, files=("out",))
 
 

@@ -22,11 +22,14 @@ def add(sweep: argparse.ArgumentParser) -> None:
     )
     sweep.add_argument("--train", default="", choices=("PPO", "SAC"), type=str.upper,
                        help="train a policy in each cell instead")
-    sweep.add_argument("--steps", type=int, default=100_000, help="steps of each training (100000)")
+    sweep.add_argument(
+        "--steps", type=arguments.COUNT, default=100_000, help="steps of each training (100000)"
+    )
     sweep.add_argument("--drives", default="generic", help="drive models, separated by commas")
     sweep.add_argument("--conditions", default="", help="conditions, as for `servogym compare`")
     sweep.add_argument(
-        "--seeds", default="0", help="seeds of the episodes or of the trainings, such as 0,1,2"
+        "--seeds", type=arguments.several(arguments.FROM_ZERO), default="0",
+        help="seeds of the episodes or of the trainings, such as 0,1,2"
     )
     sweep.add_argument(
         "--vary", action="append", default=[], metavar="NAME=VALUES", type=_varied,
@@ -34,10 +37,12 @@ def add(sweep: argparse.ArgumentParser) -> None:
         "LOW..HIGH[:log]",
     )
     sweep.add_argument(
-        "--trials", type=int, help="run an Optuna study with this many trials instead of the grid"
+        "--trials", type=arguments.COUNT,
+        help="run an Optuna study with this many trials instead of the grid",
     )
     sweep.add_argument(
-        "--episodes", type=int, default=50, help="episodes of each cell, 1..1000 (50)"
+        "--episodes", type=arguments.EPISODES, default=50,
+        help="episodes of each cell, 1..1000 (50)",
     )
     arguments.add(sweep)
     arguments.add_work(sweep)
@@ -63,12 +68,6 @@ def _varied(text: str) -> tuple[str, Any]:
     return name, [arguments.read_value(value) for value in values.split(",")]
 
 
-def _seeds(text: str) -> list[int]:
-    if not re.fullmatch(r"\d+(,\d+)*", text):
-        raise ValueError(f"--seeds = {text!r} are not whole numbers, separated by commas")
-    return [int(seed) for seed in text.split(",")]
-
-
 def _sweep(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import sweep
     from ..evaluate.comparison import quoted
@@ -78,12 +77,10 @@ def _sweep(options: argparse.Namespace, console: Console) -> int:
     whole = sweep.Sweep(
         [Setup.of(env, arguments=given) for env in arguments.listed(options.envs)],
         arguments.listed(options.policies), options.drives.split(","), options.conditions,
-        _seeds(options.seeds), dict(options.vary), options.episodes, options.train, options.steps,
+        options.seeds, dict(options.vary), options.episodes, options.train, options.steps,
     )
-    if options.trials is not None and options.trials < 1:
-        raise ValueError(f"--trials = {options.trials} is out of range 1..")
     given = {"--policies": options.policies, "--train": options.train, "--drives": options.drives,
-             "--conditions": options.conditions, "--seeds": options.seeds,
+             "--conditions": options.conditions, "--seeds": ",".join(map(str, options.seeds)),
              "--episodes": str(options.episodes), "--trials": str(options.trials or ""),
              "--steps": str(options.steps) if options.train else ""}
     words = ["servogym", "sweep", options.envs]

@@ -18,13 +18,18 @@ def add(train: argparse.ArgumentParser) -> None:
         "--algorithm", choices=("PPO", "SAC"), type=str.upper,
         help="algorithm of stable-baselines3 (PPO)",
     )
-    train.add_argument("--seed", type=int, help="seed of environments, weights and actions (0)")
-    train.add_argument("--steps", type=int, help="total number of steps of all environments")
-    train.add_argument("--envs", type=int, help="number of parallel environments")
+    train.add_argument(
+        "--seed", type=arguments.FROM_ZERO, help="seed of environments, weights and actions (0)"
+    )
+    train.add_argument(
+        "--steps", type=arguments.COUNT, help="total number of steps of all environments"
+    )
+    train.add_argument("--envs", type=arguments.COUNT, help="number of parallel environments")
     arguments.add(train)
     train.add_argument("--residual", metavar="POLICY", help="learn a correction of this policy")
     train.add_argument(
-        "--bounds", type=_bounds, help="largest correction of each action, such as 0.05,0.05"
+        "--bounds", type=arguments.several(arguments.Number(float, 0.0)),
+        help="largest correction of each action, such as 0.05,0.05"
     )
     train.add_argument(
         "--start", type=Path, metavar="FOLDER", help="start from the weights of this training"
@@ -44,9 +49,11 @@ def add(train: argparse.ArgumentParser) -> None:
     train.add_argument(
         "--resume", action="store_true", help="resume from the latest checkpoint in --out"
     )
-    train.add_argument("--checkpoint-every", type=int, help="steps between checkpoints (50000)")
     train.add_argument(
-        "--evaluate-every", type=int,
+        "--checkpoint-every", type=arguments.COUNT, help="steps between checkpoints (50000)"
+    )
+    train.add_argument(
+        "--evaluate-every", type=arguments.COUNT,
         help="steps between evaluations (25000; there is also one at the end)",
     )
     train.set_defaults(run=_train, folders=("out",), inputs=("start",))
@@ -77,16 +84,6 @@ def _train(options: argparse.Namespace, console: Console) -> int:
 
     console = get_console()  # on which the bar lives: what is printed comes above it
     return train.run(asked, console, progress=console.is_terminal)
-
-
-def _bounds(text: str) -> list[float]:
-    """``"0.05,0.1"`` -> ``[0.05, 0.1]``."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a list of numbers: give one an action, as 0.05,0.05"
-        ) from None
 
 
 def _curves(options: argparse.Namespace, console: Console) -> int:

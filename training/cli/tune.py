@@ -12,21 +12,23 @@ def add(tune: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     machines.add(tune)
     tune.add_argument(
-        "--gain-margin", type=float, default=6.0, help="gain margin of both loops in dB (6)"
+        "--gain-margin", type=arguments.POSITIVE, default=6.0,
+        help="gain margin of both loops in dB (6)",
     )
     tune.add_argument(
-        "--phase-margin", type=float, default=35.0,
+        "--phase-margin", type=arguments.POSITIVE, default=35.0,
         help="phase margin of both loops in degrees (35)",
     )
     tune.add_argument(
-        "--move", type=float, help="distance of the move that shows the following error, m or rad"
+        "--move", type=arguments.FINITE,
+        help="distance of the move that shows the following error, m or rad",
     )
     tune.add_argument(
-        "--detuned", type=float, default=1.0, metavar="FACTOR",
+        "--detuned", type=arguments.POSITIVE, default=1.0, metavar="FACTOR",
         help="start from velocity and position gains multiplied by this factor (1)",
     )
     tune.add_argument(
-        "--amplitude", type=float, default=0.1,
+        "--amplitude", type=arguments.POSITIVE, default=0.1,
         help="rms amplitude as a share of the rated torque (0.1)",
     )
     arguments.add_seed(tune, "the excitation's phases")

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from . import arguments
+
 
 def add(tune: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
@@ -12,9 +14,12 @@ def add(tune: argparse.ArgumentParser) -> None:
         "policy", help="policy with tunable numbers, such as basis_feed_forward or identified+zv"
     )
     tune.add_argument("--task", help="task to tune for, if several tasks offer the policy")
-    tune.add_argument("--budget", type=int, help="budget in steps of the environment (300000)")
     tune.add_argument(
-        "--episodes", type=int, help="basis_feed_forward: number of episodes for the fit (64)"
+        "--budget", type=arguments.COUNT, help="budget in steps of the environment (300000)"
+    )
+    tune.add_argument(
+        "--episodes", type=arguments.COUNT,
+        help="basis_feed_forward: number of episodes for the fit (64)",
     )
     tune.add_argument(
         "--out", type=Path, help="output file for the numbers (out/tuned.npz or .json)"

@@ -56,20 +56,29 @@ def add_twin(twin: argparse.ArgumentParser) -> None:
         "open",
     )
     twin.add_argument(
-        "--range", nargs=2, type=float, metavar=("LOW", "HIGH"),
+        "--range", nargs=2, type=arguments.FINITE, metavar=("LOW", "HIGH"),
         help="position range of the plan, m or rad",
     )
-    twin.add_argument("--velocity", type=float, default=0.5, help="velocity of the plan (0.5 m/s)")
     twin.add_argument(
-        "--acceleration", type=float, default=5.0, help="acceleration of the plan (5 m/s²)"
+        "--velocity", type=arguments.POSITIVE, default=0.5, help="velocity of the plan (0.5 m/s)"
     )
-    twin.add_argument("--jerk", type=float, default=200.0, help="jerk of the plan (200 m/s³)")
-    twin.add_argument("--period", type=float, default=1.0, help="bus cycle of the plan in ms (1)")
+    twin.add_argument(
+        "--acceleration", type=arguments.POSITIVE, default=5.0,
+        help="acceleration of the plan (5 m/s²)",
+    )
+    twin.add_argument(
+        "--jerk", type=arguments.POSITIVE, default=200.0, help="jerk of the plan (200 m/s³)"
+    )
+    twin.add_argument(
+        "--period", type=arguments.POSITIVE, default=1.0, help="bus cycle of the plan in ms (1)"
+    )
     twin.add_argument(
         "--sweep", action="store_true",
         help="end the plan with a frequency sweep, for axes with a spring",
     )
-    twin.add_argument("--node-id", type=int, default=1, help="node-id for --read-gains bus (1)")
+    twin.add_argument(
+        "--node-id", type=arguments.NODE_ID, help="node-id for --read-gains bus (1)"
+    )
     buses.add(twin)
     twin.set_defaults(run=_twin, folders=("out",))
 
@@ -90,13 +99,15 @@ def add_log(parser: argparse.ArgumentParser, axis: bool = True) -> None:
         "--columns", help="columns of a CSV: time=HEADING:ms,target_position=HEADING:mm,..."
     )
     parser.add_argument(
-        "--mode", type=int, help="mode of operation (6061h), if the log does not contain it"
+        "--mode", type=arguments.SIGNED_BYTE,
+        help="mode of operation (6061h), if the log does not contain it",
     )
     parser.add_argument(
-        "--torque-constant", type=float, help="torque constant (Nm/A), for a current in A"
+        "--torque-constant", type=arguments.POSITIVE,
+        help="torque constant (Nm/A), for a current in A",
     )
     parser.add_argument(
-        "--cycle", type=float,
+        "--cycle", type=arguments.POSITIVE,
         help="bus cycle of the master in ms, for a log that is sampled less often",
     )
     parser.add_argument(
@@ -124,6 +135,8 @@ def _twin(options: argparse.Namespace, console: Console) -> int:
     from ...envs.autotune.needs import scipy
     from ...envs.twin.families import family
 
+    if options.read_gains != LIVE:
+        buses.refuse(options, f"is for --read-gains {LIVE}", "node_id")
     if options.plan is not None and not options.logs:
         return _plan(options)
     if not options.logs:
@@ -212,7 +225,7 @@ def _gains(options: argparse.Namespace) -> dict[str, float]:
 
     bus = buses.opened(options)
     try:
-        port = CanOpenPort(CanPort(bus), options.node_id, options.drive)
+        port = CanOpenPort(CanPort(bus), options.node_id or 1, options.drive)
         node = next(iter(port.nodes.values()))
         names = [name for name in GAIN_OBJECTS if name in next(iter(port.models.values())).names]
         return {name: float(node.upload(name)) for name in names}

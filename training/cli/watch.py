@@ -13,10 +13,13 @@ def add(watch: argparse.ArgumentParser) -> None:
     watch.add_argument("env", metavar="ENV", help="environment, such as LinearAxis-v0")
     watch.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
     watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    watch.add_argument("--episodes", type=int, default=1, help="number of episodes, 1 or more (1)")
+    watch.add_argument(
+        "--episodes", type=arguments.COUNT, default=1, help="number of episodes, 1 or more (1)"
+    )
     arguments.add_seed(watch, "the first reset")
     watch.add_argument(
-        "--speed", type=float, default=1.0, help="speed of the playback; 1 is real time (1)"
+        "--speed", type=arguments.Number(float, 0.01, 100.0), default=1.0,
+        help="speed of the playback; 1 is real time (1)",
     )
     watch.add_argument(
         "--record", type=Path,
