@@ -14,6 +14,7 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
 from ...drive.kernel.words import Mode
+from ...drive.model import foreign
 from ...drive.model.names import hint
 from ..engine.checks import error_line, whole
 from .device_env import vectors
@@ -96,6 +97,19 @@ def task(name: str | type[ServoEnv]) -> type[ServoEnv]:
             f"environment {name!r}: {made.__name__} is registered as {found!r}, give it the same ID"
         )
     return made
+
+
+def of_a_file(name: Any, where: str, run_code: bool = False) -> Any:
+    """The name of an environment that a file from elsewhere gives, as it is.
+
+    Raises ValueError if `task` would import a module for it that is not of this package, unless
+    `run_code` consents.
+    """
+    module = name.rpartition(":")[0] if isinstance(name, str) else ""
+    if module and module.partition(".")[0] != NAMESPACE[:-1]:
+        foreign.consent(f"{where} names {name!r}: what module {module!r} does when imported",
+                        run_code)
+    return name
 
 
 def _registry() -> dict[str, Any]:

@@ -31,6 +31,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from ...drive.model.files import content
 from ...drive.model.names import hint
 from ..engine.checks import in_range, whole
+from ..environment.registry import of_a_file
 
 CAN_CLOCKS = ("real", "sync", "sync_end")
 ETHERCAT_CLOCKS = ("frame", "dc", "real")
@@ -214,11 +215,12 @@ def model_of(folder: Path, name: str) -> str | Path:
     return folder / name if (folder / name).is_dir() else name
 
 
-def read(source: str | Path | Mapping[str, Any]) -> Description:
+def read(source: str | Path | Mapping[str, Any], *, run_code: bool = False) -> Description:
     """The description in a file, or in a mapping of the same form.
 
     Raises:
-        ValueError: names file, row, field and what it may be.
+        ValueError: names file, row, field and what it may be. A task in a file is of another
+            module, and nobody consented by `run_code`.
     """
     if isinstance(source, Mapping):
         return _description(source, Path(), "machine file")
@@ -227,7 +229,10 @@ def read(source: str | Path | Mapping[str, Any]) -> Description:
         data = tomllib.loads(content(path, "a machine file").decode())
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{path}: {error}") from None
-    return _description(data, path.parent, str(path))
+    found = _description(data, path.parent, str(path))
+    for machine in found.machines:
+        of_a_file(machine.task, str(path), run_code)
+    return found
 
 
 def _description(data: Mapping[str, Any], folder: Path, where: str) -> Description:

@@ -1,5 +1,7 @@
 """Commands that serve a drive whose folder brings a program: not without ``--run-code``."""
 
+import sys
+
 import pytest
 
 from servogym.drive.wire.ethercat import EtherCatServer
@@ -95,3 +97,59 @@ def test_other_processes_have_no_consent_of_this_one(own, capsys):
     words = ["eval", "LinearAxis-v0", "--policy", "hold", "--drive", str(own), "--workers", "2"]
     assert cli.main([*words, "--run-code"]) == 2
     assert "leave out --workers" in capsys.readouterr().err
+
+
+COMPARISON = '{"env": "NAME", "command": "servogym compare NAME --policies hold", "policies": {}}'
+MARKS = "import pathlib\npathlib.Path('it ran').touch()\n"
+NAMES = ("evil:Evil-v0", "evil:x", "évil:Evil-v0", "evil.part:servogym/LinearAxis-v0")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("file", "content", "command"),
+    [
+        (
+            "machine.toml",
+            MACHINE.replace('axis = "linear"\ndrive = "own"', 'task = "NAME"'),
+            "serve machine.toml --check",
+        ),
+        ("got/LinearAxis-v0/compare.json", COMPARISON, "results got -o page.md"),
+        (
+            "got/LinearAxis-v0/compare.json",
+            COMPARISON.replace("NAME", "LinearAxis-v0", 1),
+            "results got --again -o page.md",
+        ),
+        (
+            "got/LinearAxis-v0/trainings.json",
+            '{"commands": ["servogym train NAME --seed {seed}"], "steps": {"0": 1}}',
+            "results got --train new",
+        ),
+        ("compare.json", COMPARISON, "benchmark headroom compare.json"),
+        (
+            "suite.toml",
+            'version = "1"\ndrive = "generic"\nseed = 0\nepisodes = 1\nconditions = []\n'
+            '[tasks."NAME"]\n',
+            "benchmark learned --suite suite.toml --policy hold",
+        ),
+    ],
+)
+def test_a_module_that_a_file_names_is_not_imported(
+    file, content, command, name, tmp_path, monkeypatch, refused
+):
+    """As a person who has unpacked what somebody sent, in the folder where it lies."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for package in ("evil", "évil"):
+        (tmp_path / package).mkdir()
+        for module, file_name in ((package, "__init__.py"), (f"{package}.part", "part.py")):
+            sys.modules.pop(module, None)
+            (tmp_path / package / file_name).write_text(MARKS)
+    path = tmp_path / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content.replace("NAME", name), encoding="utf-8")
+    error = refused(command.split())
+    assert "say --run-code" in error
+    assert name in error
+    assert not (tmp_path / "it ran").exists()
+    cli.main([*command.split(), "--run-code"])  # mostly of a task that there is not
+    assert (tmp_path / "it ran").exists() or "--train" in command

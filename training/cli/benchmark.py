@@ -114,7 +114,7 @@ def _headroom(options: argparse.Namespace, console: Console) -> int:
     for name in ("drive", "quick", "policy", *OF_SUITES, *OF_AXES):
         if getattr(options, name):
             raise ValueError(f"--{name.replace('_', '-')} is not for `servogym benchmark headroom`")
-    return headroom.run(options.comparison, options.out, console)
+    return headroom.run(options.comparison, options.out, console, run_code=options.run_code)
 
 
 def _learned(options: argparse.Namespace, console: Console) -> int:
@@ -125,7 +125,8 @@ def _learned(options: argparse.Namespace, console: Console) -> int:
             raise ValueError(
                 f"--{name.replace('_', '-')} is not for suites, which say it themselves"
             )
-    chosen, policy = suite.read(options.suite or SUITE), options.policy or POLICY
+    chosen = suite.read(options.suite or SUITE, run_code=options.run_code)
+    policy = options.policy or POLICY
     stem = Path(policy.partition(".py")[0]).name
     entry = options.entry or re.sub(r"[^\w+.-]", "_", stem)
     if not re.fullmatch(r"[\w+-][\w+. -]*", entry):

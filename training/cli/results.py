@@ -88,8 +88,9 @@ def _leaderboard(options: argparse.Namespace, console: Console) -> int:
     if options.folder is None or options.again or options.train is not None:
         raise ValueError("--suite: name the folder of the submissions, without --again and --train")
     return leaderboard.rank(
-        suite.read(options.suite), options.folder, options.out or options.folder / "README.md",
-        console, arguments.work(options), run_code=options.run_code,
+        suite.read(options.suite, run_code=options.run_code), options.folder,
+        options.out or options.folder / "README.md", console, arguments.work(options),
+        run_code=options.run_code,
     )
 
 

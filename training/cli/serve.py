@@ -59,7 +59,8 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
         for name in ONLY_OF_TASKS:
             if getattr(options, name) not in (None, ""):
                 raise ValueError(f"--{name.replace('_', '-')}: it stands in the file")
-    description = read(_of_task(options) if _is_task(options.file) else options.file)
+    source = _of_task(options) if _is_task(options.file) else options.file
+    description = read(source, run_code=options.run_code)
     for model in description.drive_models if options.run_code else ():
         run_code(model)
     with console.status("building the machines ..."):

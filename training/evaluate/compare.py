@@ -288,12 +288,14 @@ def _data(source, setup: Setup, results, table, against, apart) -> dict[str, Any
     }
 
 
-def read(path: Path) -> tuple[type[ServoEnv], dict[str, Evaluation]]:
+def read(
+    path: Path, *, run_code: bool = False
+) -> tuple[type[ServoEnv], dict[str, Evaluation]]:
     """Read the results of a comparison back from its JSON file, by policy.
 
-    Raises ValueError if it is no such file, or names a program.
+    Raises ValueError if it is no such file, or names a program without consent.
     """
-    data = table_of(path.parent, path.name, "servogym compare")
+    data = table_of(path.parent, path.name, "servogym compare", run_code=run_code)
     try:
         env = task(data["env"])
         known, empty = metrics(env), np.full(len(data["seeds"]), np.nan)

@@ -50,13 +50,16 @@ class Row(NamedTuple):
     share: np.ndarray  # of what is possible, by training and episode; empty without a bound
 
 
-def run(files: Sequence[Path], out: Path, console: Console) -> int:
+def run(
+    files: Sequence[Path], out: Path, console: Console, *, run_code: bool = False
+) -> int:
     """Write the page from comparisons; -> exit status.
 
     Args:
         files: JSON files of `servogym compare`, one for each task.
         out: folder of the page.
         console: prints the name of the page.
+        run_code: whether a comparison may name a task of another module.
 
     Raises:
         ValueError: there is no file, one is damaged, or two are of one task.
@@ -65,7 +68,7 @@ def run(files: Sequence[Path], out: Path, console: Console) -> int:
         raise ValueError("name one compare.json or several, as `servogym compare` writes them")
     compared: dict[str, tuple[type[ServoEnv], dict[str, Evaluation]]] = {}
     for path in files:
-        env, found = read(path)
+        env, found = read(path, run_code=run_code)
         if short(env.ID) in compared:
             raise ValueError(f"{path}: there is a comparison of {short(env.ID)} already")
         if env.REFERENCE not in found:

@@ -18,13 +18,13 @@ from rich.console import Console
 
 from ...drive.model import foreign
 from ...envs.engine.checks import whole
+from ...envs.environment.registry import of_a_file
+from ..policies import POLICIES
 from ..policies.trained.saved import read
 from ..report import markdown
 
 FILE, MAKER = "trainings.json", "the commands of its trainings"
 HEADING = ("task", "trainings", "stages", "steps each", "CPU-s each", "CPU-s")
-# FILE.py:name, and module:Task-v0 of another package
-PROGRAMS = re.compile(r"[^\s,]*\.py:\w+|(?<![\w.])(?!servogym\.)[A-Za-z_][\w.]*:[\w/-]+-v\d+")
 CORES = 2  # of the machine for which the sum is told
 
 
@@ -54,10 +54,21 @@ def table_of(path: Path, name: str, maker: str, *, run_code: bool = False) -> di
     text(path, name, maker)
     found = foreign.table(path / name)
     commands = found.get("commands", [found.get("command", "")])
-    for line in [*(commands if isinstance(commands, list) else []), found.get("env", "")]:
-        if program := PROGRAMS.search(str(line)):
-            foreign.consent(f"{path / name} names {program[0]}, which", run_code)
+    of_a_file(found.get("env"), str(path / name), run_code)
+    for line in commands if isinstance(commands, list) else []:
+        if program := program_in(str(line)):
+            foreign.consent(f"{path / name} names {program}, which", run_code)
     return found
+
+
+def program_in(command: str) -> str:
+    """The first FILE.py:name or module:task of a command that is not of this package, or ''."""
+    for word in re.split(r"[\s,='\"]+", command):
+        module, colon, _ = word.partition(":")
+        of_python = all(map(str.isidentifier, module.split("."))) and module not in POLICIES
+        if ".py:" in word or (colon and of_python and module.partition(".")[0] != "servogym"):
+            return word
+    return ""
 
 
 class Training(NamedTuple):

@@ -15,7 +15,7 @@ from ...drive.model import foreign
 from ...drive.model.files import content
 from ...drive.model.foreign import Key
 from ...drive.model.names import hint
-from ...envs.environment.registry import short
+from ...envs.environment.registry import of_a_file, short
 from ..setup import Setup
 from .conditions import NOMINAL, Condition, suiting
 from .episodes import LAST_SEED, fixed
@@ -95,11 +95,12 @@ def versions() -> list[str]:
     return sorted(path.stem for path in SUITES.glob("*.toml"))
 
 
-def read(name: str) -> Suite:
+def read(name: str, *, run_code: bool = False) -> Suite:
     """A suite by its version, or from the path of a file of your own.
 
     Raises:
         ValueError: there is no such suite, or a name in it is unknown; the message suggests others.
+            A task is of another module and nobody consented by `run_code`.
     """
     path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
     if not path.exists():
@@ -113,6 +114,7 @@ def read(name: str) -> Suite:
         where = f"suite {path}, {env}"
         if not isinstance(own, dict):
             raise ValueError(f"{where}: {own!r} is not a table")
+        of_a_file(env, f"suite {path}", run_code)
         parts[short(env)] = _part(path, env, about | foreign.checked(own, where, OF_A_TASK))
     digest = hashlib.sha256(data).hexdigest()[:16]
     file = name if name.endswith(".toml") else f"assets/suites/{name}.toml"
