@@ -126,9 +126,17 @@ def test_a_page_of_somebody_else_is_repeated_without_its_programs(
     assert not Path("ran.txt").exists()
 
 
-def test_only_trainings_are_commands_of_a_training(tmp_path):
+@pytest.mark.parametrize(
+    "command",
+    [
+        "panel --out {out}", f"train {TASK} --out /etc/theirs", f"train {TASK} --out {{out}}/../..",
+        f"train {TASK} --out {{out}} --out /etc/theirs", f"train {TASK} --out={{out}}",
+        f"train {TASK} --out {{out}} --ou=/etc/theirs", f"train {TASK}", f"train {TASK} --out",
+    ],
+)
+def test_only_trainings_into_the_folder_are_commands_of_a_training(tmp_path, command):
     (tmp_path / TASK).mkdir()
-    content = {"commands": ["servogym panel --out {out}"], "steps": {"1": 100}}
+    content = {"commands": [f"servogym {command}"], "steps": {"1": 100}}
     (tmp_path / TASK / repeat.FILE).write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(ValueError, match="not `servogym train`"):
+    with pytest.raises(ValueError, match="says no trainings"):
         repeat.plan(tmp_path, tmp_path)

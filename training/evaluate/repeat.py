@@ -110,12 +110,20 @@ def _trainings(path: Path, data: dict[str, Any], out: Path) -> Iterator[Training
             shlex.split(line.format(seed=seed, steps=steps, out=own))[1:]
             for line, steps in zip(data["commands"], stages, strict=True)
         ]
-        if any(command[:1] != ["train"] for command in commands):
-            raise TypeError("a command that is not `servogym train`")
+        if not all(_stays_in(own, command) for command in commands):
+            raise TypeError("a command that is not `servogym train`, into {out}")
         took, inferred = _cpu_seconds(
             path / f"seed_{seed}", stages, data.get("cpu_us_per_step_at_most")
         )
         yield Training(path.name, seed, commands, own / f"seed_{seed}", sum(stages), took, inferred)
+
+
+def _stays_in(folder: Path, command: Sequence[str]) -> bool:
+    """Whether a command is `servogym train`, and writes into a folder and nowhere else."""
+    outs = [n for n, word in enumerate(command) if word.startswith("--o")]
+    if command[:1] != ["train"] or [command[n] for n in outs] != ["--out"]:
+        return False
+    return Path(command[outs[0] + 1]).resolve().is_relative_to(folder.resolve())
 
 
 def _cpu_seconds(folder: Path, stages: Sequence[int], rate: float | None) -> tuple[float, bool]:
