@@ -54,6 +54,9 @@ class SegmentMaster(Protocol):
     def cycle(self) -> bool:
         """Exchange process data."""
 
+    def send_process_data(self) -> None:
+        """Send process data; the answer is taken by the next call of these."""
+
     def look(self) -> bool:
         """Read the inputs alone."""
 
@@ -142,6 +145,11 @@ class EtherCatPort:
         """Exchange process data once; -> whether every working counter was right."""
         self.exchanges += 1
         return self.master.cycle()
+
+    def send(self) -> None:
+        """Send process data without waiting for the answer, which the next exchange takes."""
+        self.exchanges += 1
+        self.master.send_process_data()
 
     def units(self, axis: str) -> Units:
         """Return the units given at construction."""

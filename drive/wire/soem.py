@@ -218,6 +218,7 @@ class SoemMaster:
         self._master = pysoem.Master()
         self.slaves: list[SoemSlave] = []
         self.wrong = 0  # cycles with a working counter that was not expected
+        self._under_way = False  # process data whose answer has not been taken
         try:
             self._master.open(interface, *([second] if second else []))
         except ConnectionError as error:
@@ -284,9 +285,21 @@ class SoemMaster:
 
     def cycle(self) -> bool:
         """Exchange process data once; -> whether the working counter was right."""
+        self.send_process_data()
+        return self._receive()
+
+    def send_process_data(self) -> None:
+        """Send process data and do not wait: their answer is taken by what follows."""
+        self._receive()
         for slave in self.slaves:
             slave.prepare()
         self._master.send_processdata()
+        self._under_way = True
+
+    def _receive(self) -> bool:
+        if not self._under_way:
+            return True
+        self._under_way = False
         right = self._master.receive_processdata(self._timeout) == self._master.expected_wkc
         self.wrong += not right
         if right:
@@ -300,6 +313,7 @@ class SoemMaster:
         SOEM has no logical read beside its frame of process data, and that would carry outputs: so
         each slave's own buffer is read (sync manager 3, 0818h).
         """
+        self._receive()
         right = True
         for slave in self.slaves:
             try:

@@ -83,7 +83,7 @@ PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration")
 APPROACH = 0.4  # of them, on the way to the start: its gains may be set for slower motion
 REST = 0.3  # s that an axis stands before an episode: its integrator has come to rest
 NEAR = 1e-5  # m or rad from where an episode begins; no motion there
-MISSED = 3  # answers missing one after the other, until the guard stops the drives
+MISSED, BRIDGED = 3, 0.01  # steps, and time (s), without answers or actions until a guard stops
 QUICK_STOP = 0x02  # controlword
 GUARDED = {  # objects an agent may command on a bus: those the guard looks at
     "controlword", "modes_of_operation", "target_position", "target_velocity", "target_torque",
@@ -406,7 +406,7 @@ class EtherCatDrives:
 
     def send(self) -> None:
         """See `DriveSide`."""
-        self.port.exchange()
+        self.port.send()
 
     def sample(self, patience: float) -> bool:
         """See `DriveSide`; reads the inputs alone, and again where a frame is lost."""
@@ -471,6 +471,8 @@ class PortLine:
         self.master = Master(side.port, *self._axes)
         self._home_at: dict[str, float] = {}  # of drives that look for it (m or rad)
         self._shift = dict.fromkeys(self._axes, 0.0)  # of positions, by a reference taken since
+        places = dict(zip(machine.drives, machine.couplings, strict=True))
+        self._qpos = {axis: int(places[axis].qpos) for axis in self._axes}
         self._last = dict.fromkeys(self._axes, (0.0, 0.0))  # position and velocity, a step ago
         self._identify()
         self.differs = [*self._differing()]  # from the task's own drives, in words
@@ -482,6 +484,8 @@ class PortLine:
         }
         self.timing = Timing(period)
         self.phase = PHASE  # of a step: when set-points go out
+        # steps one after the other without answers, set-points or actions in time, until it stops
+        self.missed = max(MISSED, math.ceil(BRIDGED / period))
         self.time_limit = math.inf  # s, from the first episode on
         self._running = self._behind = 0  # steps one after the other: without answers, too late
         self._deadline, self._ends = 0.0, math.inf
@@ -772,8 +776,8 @@ class PortLine:
         missed = now > self._deadline + self._period
         timing.missed += missed
         self._behind = self._behind + 1 if missed else 0
-        if self._behind >= MISSED:
-            raise Stopped("", f"{MISSED} set-points came a step too late, one after the other")
+        if self._behind >= self.missed:
+            raise Stopped("", f"{self.missed} set-points came a step late, one after the other")
         if missed:
             self._deadline = now - self.phase * self._period
         if time.monotonic() >= self._ends:
@@ -795,12 +799,12 @@ class PortLine:
             self._answer(tpdos)
             return
         timing.lost, self._running = timing.lost + 1, self._running + 1
-        if self._running >= MISSED:
-            raise Stopped("", f"{MISSED} answers have not come, one after the other")
+        if self._running >= self.missed:
+            raise Stopped("", f"{self.missed} answers have not come, one after the other")
 
     def _command(self, images: np.ndarray) -> None:
-        for axis, image in zip(self._axes, images, strict=True):
-            values = {name: image[name].item() for name in self._rpdo.names or ()}
+        for axis, image in zip(self._axes, images.tolist(), strict=True):
+            values = dict(zip(self._rpdo.names or (), image, strict=True))
             if values["controlword"] & ENABLED == ENABLED:  # whatever else it asks for
                 self.guards[axis].command(values)
             if self.dry:
@@ -811,38 +815,39 @@ class PortLine:
         self.sent = images.copy()
 
     def _answer(self, tpdos: np.ndarray) -> None:
-        images = tpdos.view(self._tpdo).reshape(-1)
+        images, names = tpdos.view(self._tpdo).reshape(-1), self._tpdo.names or ()
         read = self._side.port.read
-        for axis, image in zip(self._axes, images, strict=True):
-            for name in self._tpdo.names or ():
-                image[name] = read(axis, name)
-        self._mirror(images)
-        for axis, image in zip(self._axes, images, strict=True):
-            self.guards[axis].answer({name: image[name].item() for name in image.dtype.names})
+        answers = [{name: read(axis, name) for name in names} for axis in self._axes]
+        for n, values in enumerate(answers):
+            images[n] = (*values.values(),)
+        self._mirror(answers)
+        for axis, values in zip(self._axes, answers, strict=True):
+            self.guards[axis].answer(values)
         if self.on_step is not None:
             self.on_step(images)
 
-    def _mirror(self, images: np.ndarray) -> None:
+    def _mirror(self, answers: Sequence[Mapping[str, float]]) -> None:
         """What a task looks at in its machine."""
-        machine, names = self._machine, [*self._machine.drives]
-        for axis, image in zip(self._axes, images, strict=True):
-            n = names.index(axis)
+        machine, limited = self._machine, 0
+        for axis, values in zip(self._axes, answers, strict=True):
             if axis in self._home_at:
-                self._take_reference(axis, image, machine.axes[n], machine.couplings[n])
-            position = image["position_actual_value"] / self._units + self._shift[axis]
-            machine._coordinates[0][int(machine.couplings[n].qpos)] = position
+                self._take_reference(axis, values)
+            position = values["position_actual_value"] / self._units + self._shift[axis]
+            machine._coordinates[0][self._qpos[axis]] = position
+            limited |= int(values["statusword"]) & S.INTERNAL_LIMIT_ACTIVE
         machine.data.qpos[:] = machine._coordinates[0]
-        limited = (images["statusword"] & S.INTERNAL_LIMIT_ACTIVE).any()
-        machine.world["step_ticks"], machine.world["limited_ticks"] = 1, limited
+        machine.world["step_ticks"], machine.world["limited_ticks"] = 1, bool(limited)
 
-    def _take_reference(self, axis: str, image: np.void, record: Any, coupling: Any) -> None:
+    def _take_reference(self, axis: str, values: Mapping[str, float]) -> None:
         """Torque of a drive that looks for its home, and where it has found it."""
-        record.torque = 1e-3 * float(image["torque_actual_value"]) * record.rated_torque
+        n = [*self._machine.drives].index(axis)
+        record, coupling = self._machine.axes[n], self._machine.couplings[n]
+        record.torque = 1e-3 * values["torque_actual_value"] * record.rated_torque
         position, velocity = (
-            float(image[f"{name}_actual_value"]) / self._units for name in ("position", "velocity")
+            values[f"{name}_actual_value"] / self._units for name in ("position", "velocity")
         )
-        here = image["modes_of_operation_display"] == Mode.HOMING
-        if here and image["statusword"] & REFERENCED and not record.homed:
+        here = values["modes_of_operation_display"] == Mode.HOMING
+        if here and int(values["statusword"]) & REFERENCED and not record.homed:
             before, speed = self._last[axis]
             moved = before + 0.5 * (speed + velocity) * self._period
             self._shift[axis] = moved - position

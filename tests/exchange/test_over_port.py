@@ -309,18 +309,19 @@ def test_whatever_else_a_controlword_asks_for_its_set_point_is_guarded(word):
         line._command(image)
 
 
+@pytest.mark.parametrize(("step_time", "missed"), [(5e-3, 3), (2e-3, 5)])
 @pytest.mark.parametrize("bus", BUSES)
-def test_a_lost_link_stops_with_its_name(bus):
+def test_a_lost_link_stops_with_its_name(bus, step_time, missed):
     served = BUSES[bus](LINEAR, 5, drive=DRIVE[bus])
-    env = gym.make(LINEAR, drive=DRIVE[bus], port=served.side()).unwrapped
+    env = gym.make(LINEAR, drive=DRIVE[bus], port=served.side(), step_time=step_time).unwrapped
     served.passes = True
     env.reset(seed=5)
     for _ in range(5):
         env.step(np.zeros(1))
     served.dead = True
-    for _ in range(2):
+    for _ in range(missed - 1):
         env.step(np.zeros(1))
-    with pytest.raises(Stopped, match="3 answers have not come"):
+    with pytest.raises(Stopped, match=f"^{missed} answers have not come"):
         env.step(np.zeros(1))
     for _ in range(400):  # nobody is there any more: the drive's own watchdog
         served.passed_alone()

@@ -129,7 +129,7 @@ def axes(folder, count, seconds):
               "axes enabled at the end")
 
 
-def policy(seconds, period, phase):
+def policy(seconds, period, phase, missed):
     """A learned policy of LinearAxis-v0, its observations and set-points each ms."""
     from functools import partial
 
@@ -152,6 +152,7 @@ def policy(seconds, period, phase):
         env = kind(model, port=EtherCatDrives(soem, ["x"], model, envelopes=wide), **given)
         env.STEPS, env.line.home = round(seconds / period), 17
         env.line.phase = env.line.phase if phase is None else phase
+        env.line.missed = missed or env.line.missed
         try:
             for played in episodes_of(env, make=make, seed=0, fast=True):
                 print(f"{played.steps} steps, {played.late} actions late")
@@ -183,6 +184,7 @@ def main():
     parser.add_argument("--count", type=int, help="starts (5), axes (8)")
     parser.add_argument("--period", type=float, default=1.0, help="of policy (ms, 1)")
     parser.add_argument("--phase", type=float, help="of policy: set-points (deploy's own)")
+    parser.add_argument("--missed", type=int, help="of policy: steps in a row (deploy's own)")
     parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if not options.inside:
@@ -196,7 +198,9 @@ def main():
         elif options.what == "axes":
             axes(Path(folder), options.count or 8, options.seconds or 60.0)
         else:
-            policy(options.seconds or 600.0, 1e-3 * options.period, options.phase)
+            policy(
+                options.seconds or 600.0, 1e-3 * options.period, options.phase, options.missed
+            )
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ NO_SAFETY = (
     "of the machine within reach."
 )
 CAPTURES = (".pcapng",)
+WITHOUT = 0.1  # s that a guard may be told to bear without answers: then watchdogs act
 
 
 def add(deploy: argparse.ArgumentParser) -> None:
@@ -79,6 +80,11 @@ def add(deploy: argparse.ArgumentParser) -> None:
     )
     deploy.add_argument(
         "--time-limit", type=arguments.Number(float, 1e-3), help="time limit for all episodes (s)"
+    )
+    deploy.add_argument(
+        "--missed", type=arguments.COUNT, metavar="STEPS",
+        help="steps in a row without an answer or action in time, after which the guard stops the "
+        "drives (3, or as many as 10 ms have)",
     )
     deploy.add_argument(
         "--lock-step", action="store_true",
@@ -202,6 +208,7 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     import gymnasium
 
     from ...drive.model.model import load
+    from ...envs.engine.checks import whole
     from ...envs.environment.registry import task
     from ..policies import needed
 
@@ -230,6 +237,9 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
     line.dry, line.home = options.dry_run, options.home
     if options.phase is not None:
         line.phase = options.phase
+    if options.missed is not None:
+        most = max(line.missed, round(WITHOUT / options.period))
+        line.missed = whole("--missed", options.missed, 1, most)
     if options.time_limit is not None:
         line.time_limit = options.time_limit
     for path in options.log:
