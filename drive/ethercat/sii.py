@@ -168,9 +168,9 @@ def _pdos(pdos: tuple[Pdo, ...], number) -> bytes:
 
 def unpack(image: bytes) -> Description:
     """What an image says. Raises ValueError with the word at which it cannot be right."""
-    if len(image) < CATEGORIES + 2:
+    if len(image) < CATEGORIES:
         raise ValueError(f"word {len(image) // 2:04X}h: the SII ends here, it has "
-                         f"{CATEGORIES + 2} bytes or more")
+                         f"{CATEGORIES} bytes or more")
     (
         pdi_control, pdi_configuration, _, _, alias, check,
         vendor, product, revision, serial, _, _, _, _,
@@ -238,25 +238,37 @@ def unpack(image: bytes) -> Description:
     )
 
 
+def unended(image: bytes) -> int:
+    """The word at which an image ends without FFFFh behind its categories, 0: it has one."""
+    at = max([CATEGORIES, *(end for _, end in _split(image).values())])
+    return 0 if image[at : at + 2] == b"\xff\xff" else at // 2
+
+
 def _split(image: bytes) -> dict[int, tuple[int, int]]:
-    """Begin and end of each category's content."""
+    """Begin and end of each category's content.
+
+    The end of the image may stand for FFFFh: drives have been seen whose EEPROM holds nothing
+    behind word 3Fh, or zeros (type 0 is no category).
+    """
     found: dict[int, tuple[int, int]] = {}
     at = CATEGORIES
-    while True:
+    while at < len(image):
         where = f"word {at // 2:04X}h"
         if at + 2 > len(image):
-            raise ValueError(f"{where}: the SII has no end FFFFh")
+            raise ValueError(f"{where}: the SII ends within a word")
         (kind,) = struct.unpack_from("<H", image, at)
         if kind == END:
-            return found
+            break
         if at + 4 > len(image):
             raise ValueError(f"{where}: category {kind} of the SII has no length")
         (words,) = struct.unpack_from("<H", image, at + 2)
         end = at + 4 + 2 * words
         if end > len(image):
             raise ValueError(f"{where}: category {kind} of the SII goes beyond its end")
-        found[kind] = at + 4, end
+        if kind:
+            found[kind] = at + 4, end
         at = end
+    return found
 
 
 def _texts(image: bytes, at: int, end: int) -> list[str]:

@@ -21,7 +21,18 @@ from ..canopen.sheet import Entry, Sheet
 from ..drive import Drive
 from ..ethercat import sii
 from ..ethercat.controller.record import SII_BYTES
-from ..ethercat.description import FIXED, Description, Mailboxes, Pdo, SyncManager
+from ..ethercat.description import (
+    FIXED,
+    INPUTS,
+    OUTPUTS,
+    UNASSIGNED,
+    Description,
+    Mailboxes,
+    Pdo,
+    SyncManager,
+    describe,
+)
+from ..ethercat.description import Entry as PdoEntry
 from ..ethercat.esi_reader import EsiObject, read_esi
 from ..ethercat.segment import Segment
 from ..ethercat.slave import Slave
@@ -109,10 +120,12 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
         image = content(path, "an image of an EEPROM")
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}") from None
-    device = _unpacked(image, path)
+    device, word = _unpacked(image, path), sii.unended(image)
+    repairs = [Repair(0, f"EEPROM, word {word:04X}h", "the image ends without FFFFh", "no more",
+                      "a master finds no end of the categories")] if word else []
     notes = [f"Slave controller: `inferred`, {chip}; the image does not say. --chip names another."]
     return _made(
-        _Source(device, f"vendor {device.vendor_id:08X}h", [], [], path.name,
+        _Source(device, f"vendor {device.vendor_id:08X}h", [], repairs, path.name,
                 "servogym drives --from-sii", CHIPS[chip], notes, image), folder, path,
     )
 
@@ -165,7 +178,45 @@ def _unpacked(image: bytes, path: Path) -> Description:
 # ----------------------------------------------------------------------- folder
 
 
+def _find_pdos(source: _Source) -> None:
+    """Where a description lists no PDOs they are those of its dictionary or of `generic`."""
+    device = source.device
+    if device.rpdos or device.tpdos or not device.protocols >> PROTOCOLS.index("CoE") & 1:
+        return
+    usual = describe(load("generic", "ethercat"))
+    rpdos, tpdos, whose = usual.rpdos, usual.tpdos, "`inferred`, those of `generic`"
+    if source.objects:
+        values = {(row.index, row.subindex): row for row in source.objects}
+        rpdos, tpdos = _listed(values, 0x1600, OUTPUTS), _listed(values, 0x1A00, INPUTS)
+        whose = "those of its objects 1600h and 1A00h on"
+    if rpdos or tpdos:
+        source.device = replace(device, rpdos=rpdos, tpdos=tpdos)
+        source.notes.append(f"PDOs: {whose}; its description lists none.")
+
+
+def _listed(values: dict[tuple[int, int], EsiObject], first: int, manager: int) -> tuple[Pdo, ...]:
+    """PDOs of a direction, out of the values of a dictionary."""
+
+    def numbers(index: int) -> list[int]:
+        def value(subindex: int) -> int:
+            row = values.get((index, subindex))
+            return int(row.default) if row and row.default.isdecimal() else 0
+
+        return [value(n) for n in range(1, min(value(0), 254) + 1)]
+
+    assigned, pdos = numbers(0x1C10 + manager), []
+    for index in sorted({index for index, _ in values if first <= index < first + 0x200}):
+        entries = tuple(PdoEntry(row >> 16, row >> 8 & 0xFF, row & 0xFF, 0)
+                        for row in numbers(index))
+        fixed = all(values[index, n].access == "ro" for n in range(2) if (index, n) in values)
+        if entries:
+            pdos.append(Pdo(index, values[min(a for a in values if a[0] == index)].group,
+                            manager if index in assigned else UNASSIGNED, FIXED * fixed, entries))
+    return tuple(pdos)
+
+
 def _made(source: _Source, folder: Path, path: Path) -> Imported:
+    _find_pdos(source)
     title = line(source.device.name or source.device.order or path.stem) or "drive"
     maker = _Maker(source, title)
     made = maker.made()

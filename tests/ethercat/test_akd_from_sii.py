@@ -1,7 +1,8 @@
 """Facts of a real AKD's slave controller and EEPROM, answered by a model made from such an EEPROM.
 
-No EEPROM of a real drive is at hand as a file. This image is ours with what was observed of a real
-one: its categories, and names with capital letters that our model does not have.
+No EEPROM of a real drive is at hand as a file. This image is ours with what is known of a real one:
+its serial number, and its names as a public test of an EEPROM reader lists them (ethercrab,
+`src/subdevice/eeprom.rs`). Which PDO comes first and the PDOs' own names are `inferred`.
 """
 
 import dataclasses
@@ -16,17 +17,36 @@ from servogym.drive.ethercat.mailbox import Kind
 from servogym.drive.model.model import load
 from servogym.drive.wire.ethercat_import import import_sii
 
+NAMES = {
+    0x6041: "Statusword", 0x6063: "Position actual internal value",
+    0x2050: "Second position feedback", 0x606C: "Velocity actual value", 0x60FD: "Digital inputs",
+    0x60F4: "Following error actual value", 0x20A0: "Latch 1p", 0x6077: "Torque actual value",
+    0x20A5: "Latch statusword", 0x3470: "AIN.VALUE", 0x20A1: "Latch 1n", 0x20A6: "Latch 1 pn",
+    0x6064: "Position actual value", 0x20A7: "Latch 2 pn", 0x6040: "Controlword",
+    0x60C1: "1st set-point", 0x60FF: "Target velocity", 0x20A4: "Latch controlword",
+    0x60B2: "Torque offset", 0x60FE: "Physical outputs", 0x6072: "Max torque",
+    0x20B8: "ClearDigInputChangedBit", 0x607A: "Target position", 0x3470_03: "AOUT.VALUE write",
+}
+SERIAL = 2575499411
+
+
+def real_eeprom():
+    """The image."""
+    ours, change = describe(load("kollmorgen_akd", "ethercat")), dataclasses.replace
+
+    def named(pdos, name):
+        return tuple(change(pdo, name=name, entries=tuple(
+            change(e, name=NAMES.get(e.index << 8 | e.subindex, NAMES[e.index]))
+            for e in pdo.entries
+        )) for pdo in pdos)
+
+    return sii.pack(change(ours, serial_number=SERIAL, rpdos=named(ours.rpdos, "Outputs"),
+                           tpdos=named(ours.tpdos, "Inputs")))
+
 
 @pytest.fixture(scope="module")
 def image():
-    ours, change = describe(load("kollmorgen_akd", "ethercat")), dataclasses.replace
-
-    def capital(pdos):
-        return tuple(change(pdo, name=pdo.name.title(), entries=tuple(
-            change(entry, name=entry.name.replace("_", " ").title()) for entry in pdo.entries
-        )) for pdo in pdos)
-
-    return sii.pack(change(ours, rpdos=capital(ours.rpdos), tpdos=capital(ours.tpdos)))
+    return real_eeprom()
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +96,7 @@ SII = {
     "DS402 channels": ("ds402_channels", 1), "flags": ("flags", 0x05),
     "EoE details": ("eoe_details", 3), "FMMU 3": ("fmmus", (1, 2, 3, 0xFF)),
     "vendor": ("vendor_id", 0x6A), "product": ("product_code", 0x00414B44),
+    "serial": ("serial_number", SERIAL),
     "CoE details": ("coe_details", 0x0D), "protocols": ("protocols", 0x0E),
 }
 
@@ -87,8 +108,9 @@ def test_a_word_of_the_eeprom_is_that_of_the_real_drive(akd, fact):
 
 
 def test_names_have_their_capital_letters(akd):
-    named = sii.unpack(words(akd)).rpdos[0]
-    assert [entry.name for entry in named.entries] == ["Controlword"]
+    device = sii.unpack(words(akd))
+    names = {entry.name for pdo in device.rpdos + device.tpdos for entry in pdo.entries}
+    assert names == {*NAMES.values()}
 
 
 @pytest.mark.parametrize("mailbox", [0, 1])

@@ -95,6 +95,21 @@ def test_the_makers_eeprom_is_kept_to_the_bit(tmp_path):
         load(other, "ethercat")
 
 
+def test_an_eeprom_that_lists_no_pdos_has_those_of_generic(tmp_path):
+    """Nor sync managers, nor an end mark: a stepper drive has been seen that holds no more."""
+    ours = describe(load("kollmorgen_akd", "ethercat"))
+    file, folder = tmp_path / "drive.bin", tmp_path / "mine"
+    file.write_bytes(sii.pack(ours)[: sii.CATEGORIES])
+    made = import_sii(file, folder)
+    own, usual = describe(load(folder, "ethercat")), describe(load("generic", "ethercat"))
+    assert (pdos(own.rpdos), pdos(own.tpdos)) == (pdos(usual.rpdos), pdos(usual.tpdos))
+    assert (own.vendor_id, own.mailbox) == (ours.vendor_id, ours.mailbox)
+    assert "word 0040h: the image ends without FFFFh" in str(made.repairs[0])
+    assert "PDOs: `inferred`, those of `generic`" in (folder / "README.md").read_text()
+    master = EtherCatMaster(Bus(Segment([Slave(Drive(folder))])))
+    master.to_op()
+
+
 @pytest.mark.parametrize("chip", CHIPS)
 def test_the_chip_that_is_named_is_the_one_a_master_sees(tmp_path, chip):
     file = tmp_path / "drive.bin"
@@ -413,7 +428,7 @@ def test_a_hundred_megabytes_are_refused_and_not_held(tmp_path, capsys):
     assert "at most 33554432" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("cut", [0, 1, 64, 130, 500, 900])
+@pytest.mark.parametrize("cut", [0, 1, 64, 127, 129, 130, 500, 900])
 def test_a_part_of_an_eeprom_is_one_line(tmp_path, refused, cut):
     file = tmp_path / "drive.bin"
     file.write_bytes(sii.of_model(load("kollmorgen_akd", "ethercat"))[:cut])

@@ -204,15 +204,27 @@ def test_a_text_that_no_eeprom_can_carry_is_refused(model):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda image: image[:100], "130 bytes or more"),
+        (lambda image: image[:100], "128 bytes or more"),
         (lambda image: bytes([image[0] ^ 1]) + image[1:], "checksum"),
         (lambda image: image[:0x82] + b"\xff\x7f" + image[0x84:], "beyond its end"),
-        (lambda image: image[: len(image.rstrip(b"\xff"))], "no end FFFFh"),
+        (lambda image: image[: len(image.rstrip(b"\xff")) + 1], "ends within a word"),
     ],
 )
 def test_a_damaged_image_is_refused(model, change, reason):
     with pytest.raises(ValueError, match=reason):
         sii.unpack(change(sii.of_model(model)))
+
+
+@pytest.mark.parametrize("behind", [b"", bytes(4), bytes(1920)])
+def test_the_end_of_an_image_may_stand_for_its_end_mark(model, behind):
+    """A stepper drive has been seen that holds words 00h to 3Fh, and nothing or zeros behind."""
+    image = sii.of_model(model)[: sii.CATEGORIES] + behind
+    device = sii.unpack(image)
+    assert (device.vendor_id, device.mailbox) == (describe(model).vendor_id,
+                                                  describe(model).mailbox)
+    assert (device.sync_managers, device.rpdos) == ((), ())
+    assert sii.unended(image) == sii.CATEGORIES // 2
+    assert not sii.unended(sii.of_model(model))
 
 
 def test_random_damage_is_read_or_refused(model):
