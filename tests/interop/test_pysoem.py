@@ -1,13 +1,16 @@
 """pysoem, as it comes from PyPI, against `servogym ethercat` on a veth pair."""
 
+import re
 import shutil
 from functools import cache
 
 import pytest
+from golden.akd_eeprom import real_eeprom
 from wire import on_the_wire
 
 from servogym.drive.ethercat import sii
 from servogym.drive.model.model import load
+from servogym.training.cli import main
 
 AKD = ("--drive", "kollmorgen_akd")
 OP = 8
@@ -231,3 +234,18 @@ def test_a_model_made_from_a_live_slave_is_the_drive_that_answered(tmp_path, mod
     if model == "generic":
         told = {a: row.data_type for a, row in own.objects.items() if a[0] >= 0x2000}
         assert told == {a: row.data_type for a, row in of.objects.items() if a[0] >= 0x2000}
+
+
+def test_a_recorded_scan_is_answered_by_a_model_made_from_the_eeprom(tmp_path, capsys):
+    """SOEM's scan and mapping of a slave with a real AKD's names, played into two models."""
+    image, mine, log = tmp_path / "akd.bin", tmp_path / "mine", tmp_path / "scan.pcapng"
+    image.write_bytes(real_eeprom())
+    assert main(["drives", "--from-sii", str(image), "--chip", "emulated", "-o", str(mine)]) == 0
+    on_the_wire("pysoem_master", "scan", "--drive", str(mine), "--axis", "none", "--log", str(log))
+    capsys.readouterr()
+    assert main(["replay", str(log), "--drive", str(mine)]) == 0
+    equal, total = map(int, re.match(r"(\d+) of (\d+) answers", capsys.readouterr().out).groups())
+    assert equal == total > 150
+    assert main(["replay", str(log), "--drive", "kollmorgen_akd", "--most", "500"]) == 0
+    told = re.findall(r"slave 1001h: (.+?) *│", capsys.readouterr().out)
+    assert {*told} == {"EEPROM data (0508h)"}, "what the shipped model has in other words"
