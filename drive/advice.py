@@ -134,8 +134,8 @@ def describe(statusword: int, mode: int, own: OwnModes = NONE_OWN) -> str:
 
 def situation(statusword: int, controlword: int, mode: int) -> str:
     """What the drive shows and what it was last told."""
-    told = " ".join(decode_controlword(controlword, mode))
-    return f"statusword {describe(statusword, mode)}; last controlword {controlword:04X}h {told}"
+    words = " ".join(decode_controlword(controlword, mode))
+    return f"statusword {describe(statusword, mode)}; last controlword {controlword:04X}h {words}"
 
 
 def advice(model: DriveModel, statusword: int, controlword: int) -> str:

@@ -213,22 +213,22 @@ def homing_words(method: int, own: Mapping[int, Method] | None = None) -> str:
     if method in HERE:
         return "The position where the axis stands becomes home; nothing moves."
     off, on, legs = _method(method, own)
-    told: dict[int, None] = {}
-    said = [_way(legs, off, told)]
+    visited: dict[int, None] = {}
+    said = [_way(legs, off, visited)]
     if on != off:
-        said.append(f"beginning on the home switch: {_way(legs, on, told)}")
-    turns = [leg[4] for leg in (legs[n] for n in [*told]) if leg[4] >= 0]
+        said.append(f"beginning on the home switch: {_way(legs, on, visited)}")
+    turns = [leg[4] for leg in (legs[n] for n in [*visited]) if leg[4] >= 0]
     for turn in dict.fromkeys(turns):
-        said.append(f"turning at a limit switch: {_way(legs, turn, told)}")
+        said.append(f"turning at a limit switch: {_way(legs, turn, visited)}")
     text = "; ".join(said)
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _way(legs: Sequence[tuple[int, ...]], leg: int, told: dict[int, None]) -> str:
-    """The legs from one on, as far as they are not told yet."""
+def _way(legs: Sequence[tuple[int, ...]], leg: int, visited: dict[int, None]) -> str:
+    """The legs from one on, as far as they are not visited yet."""
     parts: list[str] = []
-    while leg != END and (not parts or leg not in told):
-        told[leg] = None
+    while leg != END and (not parts or leg not in visited):
+        visited[leg] = None
         direction, speed, event, leg, _ = legs[leg]
         side = "left" if direction < 0 else "right"
         pace = {SLOW: "slowly ", OWN: "at the model's own speed "}.get(speed, "")

@@ -392,8 +392,8 @@ class Drive:
         """Codes and meanings of all pending faults; the one that stopped the drive comes first."""
         first = int(self.axis.fault)
         others = (c for c in Cause if int(self.axis.faults) >> c & 1 and c != first)
-        told = (meaning(self.model, self.axis, int(cause)) for cause in (first, *others))
-        return tuple(filter(None, told))
+        meanings = (meaning(self.model, self.axis, int(cause)) for cause in (first, *others))
+        return tuple(filter(None, meanings))
 
     def errors_since(self, seen: int) -> list[tuple[int, int]]:
         """Codes and causes of the faults after the first `seen` ones, oldest first.

@@ -337,10 +337,10 @@ def compare(drive: Mapping[str, Any], model: Mapping[str, Any]) -> list[Differen
                 continue
             lengths = what == "value" and len(str(a)) != len(str(b))
             found.append(Difference(where, "length" if lengths else what, _said(a), _said(b)))
-    asked, told = drive["dialogues"], model["dialogues"]
-    for where in asked:
-        if where in told and asked[where] != told[where]:
-            found.append(Difference(where, "answer", _answers(asked[where]), _answers(told[where])))
+    other = model["dialogues"]
+    for where, answers in drive["dialogues"].items():
+        if where in other and answers != other[where]:
+            found.append(Difference(where, "answer", _answers(answers), _answers(other[where])))
     return found
 
 

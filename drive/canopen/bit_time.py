@@ -1,4 +1,4 @@
-"""How long a classical CAN frame occupies the bus, and who may send first (ISO 11898-1).
+"""Length of classical CAN frames in bit times, and their order of arbitration (ISO 11898-1).
 
 Start of frame, arbitration field, control field, data and CRC are stuffed: after five equal bits
 the sender inserts the opposite one. CRC delimiter, acknowledge and end of frame are not.

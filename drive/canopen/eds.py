@@ -1,7 +1,7 @@
 """`servogym eds`: the electronic data sheet of a drive model (CiA 306), written by `canopen`.
 
-The file says the same as `objects.csv` and `pdo.csv`: a configuration tool, or
-``canopen.RemoteNode(1, "drive.eds")``, then knows every object of the emulated drive.
+The file contains what `objects.csv` and `pdo.csv` contain, so a configuration tool, or
+``canopen.RemoteNode(1, "drive.eds")``, knows every object of the emulated drive.
 """
 
 import configparser
@@ -85,11 +85,11 @@ def object_dictionary(
 
 
 def rows(model: DriveModel, in_file: bool = True) -> list[Object]:
-    """What the data sheet describes: all objects of the model but two kinds.
+    """The objects that the data sheet describes: all of the model except two kinds.
 
-    A sub-index 0 that is not the number of entries cannot stand in an EDS, where it is UNSIGNED8
-    (CiA 306, dcfchk refuses another type): data set 0 of the Bonfiglioli ACT is there only if not
-    `in_file`. Of its parameters that exist once (VAR) data set 5 is left out.
+    In an EDS, sub-index 0 is the number of entries, UNSIGNED8 (CiA 306; dcfchk refuses any other
+    type), so data set 0 of the Bonfiglioli ACT is left out if `in_file`. Data set 5 of its
+    parameters that exist only once (VAR) is always left out.
     """
     found = described(model)
     single = {
@@ -110,7 +110,7 @@ def rows(model: DriveModel, in_file: bool = True) -> list[Object]:
 
 
 def _is_live(row: Object) -> bool:
-    """Whether a master reads what the drive measures or does: there is no default for that."""
+    """Whether an object reports what the drive measures or does, which has no default."""
     computed = bool(row.hook) or row.offset < VENDOR
     return row.access == "ro" and row.area == "axis" and computed and not row.default
 
@@ -181,7 +181,7 @@ def _text(row: Object, text: str) -> str:
 
 
 def _ascii(text: str) -> str:
-    """A text that nobody reads back, in the characters CiA 306 has."""
+    """Reduce a text that is not read back to the characters that CiA 306 permits."""
     return text.translate(ASCII).encode("ascii", "replace").decode()
 
 
@@ -235,10 +235,10 @@ def write(model: str | Path | DriveModel, path: Path, node_id: int | None = None
 def _complete(
     file: configparser.RawConfigParser, model: DriveModel, name: str, node_id: int | None
 ) -> None:
-    """What CiA 306 demands and the library leaves out or gets wrong.
+    """Add what CiA 306 requires and the library omits or writes incorrectly.
 
-    Its [FileInfo] says the month for the minute, and keeps the values of the first file of a
-    process for all later ones; both are written anew. The rest it does not know at all.
+    Its [FileInfo] has the month in place of the minute, and every later file of a process repeats
+    the values of the first one; both are corrected. The library does not write the rest at all.
     """
     now = datetime.now(UTC)
     time, date = now.strftime("%I:%M%p"), now.strftime("%m-%d-%Y")

@@ -1,9 +1,9 @@
-"""A drive model made from somebody's EDS or DCF (CiA 306): a folder that every command takes.
+"""Makes a drive model, a folder that every command accepts, from an EDS or DCF (CiA 306).
 
-The file says which objects there are, their types, ranges, defaults and PDOs; not what the drive
-does. What the profile knows, with the type it has there, behaves as in the model `generic`; the
-rest are objects that keep what is written. `sheet` reads the file, `made` writes the folder; here
-each object finds its row. What could not be taken as it stands is a repair in the folder's README.
+The file lists the objects with types, ranges, defaults and PDOs, but not the behaviour. Objects of
+the profile that have its type behave as in the model `generic`; the others store what is written.
+`sheet` reads the file, `made` writes the folder, and this module makes a row of each object.
+Anything that could not be used as it stands is a repair in the README of the folder.
 """
 
 import re
@@ -70,7 +70,7 @@ NEEDS = {
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of an EDS."""
+    """The result of an import."""
 
     folder: Path
     objects: int
@@ -86,11 +86,11 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
     Args:
         eds: the EDS or DCF.
         folder: of the model.
-        strict: refuse a file that needs a repair, for those who write EDS files.
+        strict: refuse a file that needs a repair; for authors of EDS files.
 
     Raises:
         ValueError: the file is not an EDS of a CiA 402 drive, it needs repairs and `strict` forbids
-            them, or there is no place for the folder.
+            them, or the folder is not empty.
     """
     if not eds.exists():
         raise ValueError(f"{eds}: there is no such file")
@@ -98,8 +98,8 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
     sheet = read_sheet(eds)
     made = _Import(sheet).made()
     if strict and made.repairs:
-        told = "\n".join(f"{eds}, {repair}" for repair in made.repairs)
-        raise ValueError(f"{told}\n{eds}: {len(made.repairs)} departures from CiA 306 (--strict)")
+        listed = "\n".join(f"{eds}, {repair}" for repair in made.repairs)
+        raise ValueError(f"{listed}\n{eds}: {len(made.repairs)} departures from CiA 306 (--strict)")
     try:
         write(made, folder, data_sheet)
     except SdoAbort as error:
@@ -160,7 +160,7 @@ class _Import:
     # --------------------------------------------------------------- objects
 
     def _known(self, entry: Entry) -> Object | None:
-        """What the profile knows of an object."""
+        """What the profile defines for an object."""
         known = self.base.objects.get((entry.index, entry.subindex))
         if known is None or entry.index in GAINS or entry.index == SECOND:
             return None
@@ -204,7 +204,7 @@ class _Import:
         return SIZES[code] == known.size or code.islower() or int(known.default) >= 0
 
     def _data_type(self, entry: Entry, known: Object | None) -> str | None:
-        """The name of the data type; None: the object is left out, which is told."""
+        """The name of the data type; None if the object is left out, which is reported."""
         place = parameter_place(entry.index, entry.subindex)
         if place is not None:
             mapping = bool(entry.index & 0x200)
@@ -319,7 +319,7 @@ class _Import:
         self, entry: Entry, known: Object, own: Any, default: int, low: int, high: int,
         reach: tuple[int, int],
     ) -> tuple[int, int, int, str]:
-        """The range as far as the profile knows the values; 0 often means that none was set."""
+        """Limit the range to values that the profile defines; 0 often means no limit."""
         span = _span(known.data_type)
         least, most = max(known.minimum, span[0]), min(known.maximum, span[1])
         possible = least <= default <= most
@@ -343,7 +343,7 @@ class _Import:
     def _number(
         self, entry: Entry, text: str, data_type: str, what: str, span: tuple[int, int]
     ) -> tuple[int | None, bool]:
-        """A number that the data type and the drive hold, None where there is none."""
+        """A number that data type and drive can hold; None if there is none."""
         if not text:
             return None, False
         try:
@@ -393,7 +393,7 @@ class _Import:
         return int(row["default"])
 
     def _said(self, index: int, subindex: int) -> int | None:
-        """The default that the file itself has, not the profile's in its place."""
+        """The default in the file itself, not the one substituted from the profile."""
         entry = self.sheet.entries.get((index, subindex))
         return self._default(index, subindex) if entry is not None and entry.default else None
 
@@ -408,7 +408,7 @@ class _Import:
                 row[column] = ""
 
     def _factors(self) -> None:
-        """What the file lacks of the factor group, or says as 1, falls back to the profile's."""
+        """Use the profile for objects of the factor group that are missing or 1 in the file."""
         usual = int(self.base.objects[RESOLUTION, 1].default)
         increments, turns = self._default(RESOLUTION, 1), self._default(RESOLUTION, 2)
         if increments is not None and increments <= 1:
@@ -433,7 +433,7 @@ class _Import:
             self._set(FEED, 1, increments, "with the others it makes no exact fraction")
 
     def _velocity_unit(self, increments: int) -> None:
-        """60A9h says what a velocity unit is; 1/min, with a power of ten, is usual (CiA 303-2)."""
+        """Read the velocity unit from 60A9h, usually 1/min with a power of ten (CiA 303-2)."""
         unit = self._default(VELOCITY_UNIT, 0) or 0
         power = (unit >> 24 ^ 0x80) - 0x80  # a signed byte
         if unit >> 8 & 0xFFFF != REVOLUTIONS_PER_MINUTE or not -6 <= power <= 0:
@@ -450,7 +450,7 @@ class _Import:
         self.rpm = True
 
     def _period(self) -> None:
-        """Of the set-points (60C2h); one that no master keeps was not set."""
+        """The period of the set-points (60C2h), unless it is one that no master uses."""
         value, index = self._default(PERIOD, 1), self._default(PERIOD, 2)
         if value is None or index is None:
             return
@@ -469,7 +469,7 @@ class _Import:
     # ------------------------------------------------------------------ PDOs
 
     def _pdos(self) -> None:
-        """The PDOs as the file has them by default, in the form of pdo.csv."""
+        """The default PDOs of the file, in the form of pdo.csv."""
         there = [index for index, _ in self.rows if 0x1400 <= index < 0x1C00]
         for direction, first in (("rx", 0x1400), ("tx", 0x1800)):
             found = [index & 0x1FF for index in there if index & 0xFC00 == first & 0xFC00]
@@ -488,7 +488,7 @@ class _Import:
                                              "", "", "", "", "empty", "inferred"))
 
     def _mapping(self, direction: str, first: int, n: int) -> None:
-        """A PDO whose mapping the file does not have carries nothing, and can be mapped."""
+        """The mapping of a PDO; empty, but configurable, if the file does not contain it."""
         mapping = first + 0x200 + n
         if (first + n, 1) not in self.rows or (mapping, 0) in self.rows:
             return
@@ -537,7 +537,7 @@ class _Import:
         return f"0x{cob_id:08X}{'+node_id' if plus else ''}"
 
     def _entries(self, direction: str, index: int, words: list[int]) -> list[tuple[int, int, int]]:
-        """The mapped objects that there are, in the length they have."""
+        """The mapped objects that exist, in their own length."""
         entries: list[tuple[int, int, int]] = []
         total = 0
         for n, word in enumerate(words, 1):
@@ -567,7 +567,7 @@ class _Import:
         return entries
 
     def _place(self) -> None:
-        """What no PDO carries by default loses its mapping where the record has no place for it."""
+        """Make objects without a default PDO unmappable if the record has no room for them."""
         used = {(int(row[6], 0), int(row[7], 0)) for row in self.pdos if row[6] != ""}
         room, lost = VENDOR_BYTES, 0
         order = sorted(self.rows, key=lambda address: (address not in used, address))
@@ -609,7 +609,7 @@ class _Import:
         self.result.toml["capabilities"] = table
 
     def _mode(self, modes: list[Mode]) -> Mode | None:
-        """The mode of a drive whose 6060h nobody can write, of the set-point in its RPDOs."""
+        """The mode of a drive with a read-only 6060h, from the set-point in its RPDOs."""
         row = self.rows.get((0x6060, 0))
         if row is not None and row["access"] not in ("ro", "const"):
             return None
@@ -667,7 +667,7 @@ def _span(data_type: str) -> tuple[int, int]:
 
 
 def _reach(data_type: str, known: Object | None) -> tuple[int, int]:
-    """What an object of a type can be, if the drive keeps it as the profile has it."""
+    """The values that an object of a type can have, if the drive stores it as in the profile."""
     low, high = _span(data_type)
     if known is None or SIZES[FORMATS[data_type]] <= known.size:
         return low, high
@@ -676,7 +676,7 @@ def _reach(data_type: str, known: Object | None) -> tuple[int, int]:
 
 
 def _held(value: int, data_type: str) -> int:
-    """A number of the profile in a type of the file: the same bits, or the nearest it has."""
+    """Convert a number of the profile to a type of the file: same bits, or nearest value."""
     low, high = _span(data_type)
     bits = high - low + 1
     if -bits // 2 <= value < bits:

@@ -1,10 +1,10 @@
 """EMCY: emergency messages, error register 1001h and history 1003h (CiA 301, emergency object).
 
-Two kinds of errors meet here. Faults of the drive are entered in 1001h and 1003h by its control
+There are two kinds of errors. Faults of the drive are entered in 1001h and 1003h by its control
 cycle. Communication errors are *conditions* that the services of the node report and clear; they
-are entered here and keep bit 4 of the error register set as long as one is present. Each event is
-sent once, whatever a master makes of the history meanwhile; a bit of the register that goes is told
-by an EMCY with the code 0.
+are entered here, and bit 4 of the error register is set while one is present. Each event is sent
+once, even if a master clears the history in the meantime. When a bit of the register is cleared, an
+EMCY with the code 0 is sent.
 """
 
 import struct
@@ -53,7 +53,7 @@ class Emergency:
         self._inhibit = self._drive.objects.value(0x1015) * 100
 
     def reset(self) -> None:
-        """Begin anew: what has happened so far has been told, no condition is present."""
+        """Restart: all earlier events count as sent, and no condition is present."""
         for code, source in [*self._present]:
             self.clear(code, source)
         self.configure()
@@ -64,7 +64,7 @@ class Emergency:
         self._queue: deque[tuple[int, int, int]] = deque(maxlen=HISTORY)
 
     def report(self, code: ErrorCode, source: Hashable, cause: Cause = Cause.NONE) -> None:
-        """A communication error is present, until `clear`.
+        """Report a communication error, which is present until `clear`.
 
         It is entered in the history here, unless the control cycle will do so because `cause` is a
         fault or a warning of the drive.
@@ -96,7 +96,7 @@ class Emergency:
         return reaction != Reaction.IGNORE and not int(known) >> cause & 1
 
     def clear(self, code: ErrorCode, source: Hashable) -> None:
-        """A communication error is gone; with the last one bit 4 of the error register goes."""
+        """Clear a communication error; the last one also clears bit 4 of the error register."""
         if (code, source) not in self._present:
             return
         self._present.remove((code, source))

@@ -1,7 +1,7 @@
-"""A bad link: frames are dropped, corrupted, delayed, swapped and doubled, from a seed.
+"""Fault injection on a link: seeded drops, corruption, delays, swaps and duplicates of frames.
 
-A CAN controller finds almost every disturbed frame by its CRC and sends it again; what is injected
-here is what stands in front of a node when that was not enough, or when a gateway is in between.
+A CAN controller detects almost every disturbed frame by its CRC and repeats it. The faults injected
+here are those that remain, or that a gateway in between causes.
 """
 
 from dataclasses import dataclass, fields
@@ -17,7 +17,7 @@ RATES = ("drop", "corrupt", "delay", "reorder", "duplicate", "bus_off")
 
 @dataclass(frozen=True)
 class Faults:
-    """How often what happens to a frame, each 0..1, and how long it lasts.
+    """The probability of each fault for a frame, 0..1, and the duration of faults.
 
     Raises ValueError naming field, value and range.
     """
@@ -42,15 +42,15 @@ class Faults:
 
 
 class Faulty:
-    """Any link with faults in both directions.
+    """Wraps a link and injects faults in both directions.
 
-    Each frame takes the same number of random numbers, so one seed gives the same faults to the
-    same frames.
+    Each frame consumes the same number of random numbers, so one seed gives the same frames the
+    same faults.
 
     Args:
-        link: the good link.
-        faults: what happens how often.
-        random: generator; seed it to see the same again.
+        link: the link that is wrapped.
+        faults: probabilities of the faults.
+        random: generator; the same seed gives the same faults.
     """
 
     def __init__(self, link: Link, faults: Faults, random: np.random.Generator):
@@ -67,7 +67,7 @@ class Faulty:
         return time < self._off_until
 
     def send(self, frame: Frame, time: int) -> None:
-        """Hand over a frame at `time`; off the bus it is lost."""
+        """Send a frame at `time`; it is lost if the member is off the bus."""
         happens = self._pass(frame, time, self._outgoing)
         if happens["bus_off"] and not self.bus_off(time):
             self.counts["bus_off"] += 1
@@ -76,7 +76,7 @@ class Faulty:
         self._flush(time)
 
     def receive(self, time: int) -> list[Frame]:
-        """The frames of the others, as far as they survive, at `time`."""
+        """The frames of the other members that arrive by `time`."""
         for frame in self._link.receive(time):
             self._pass(frame, time, self._incoming)
         self._flush(time)
@@ -87,7 +87,7 @@ class Faulty:
             self._link.send(frame, time)
 
     def _pass(self, frame: Frame, time: int, direction: "_Direction") -> dict[str, bool]:
-        """Queue what becomes of `frame`."""
+        """Queue `frame` with its faults."""
         faults, draw = self._faults, self._random.random(len(RATES) + 2)
         happens = {name: draw[i] < getattr(faults, name) for i, name in enumerate(RATES)}
         where, how_long = draw[len(RATES) :]
@@ -102,20 +102,20 @@ class Faulty:
             frame = _inverted(frame, int(where * len(frame.data) * 8))
         due = time + 1 + int(how_long * faults.longest_delay) if happens["delay"] else time
         latest = time + faults.longest_delay if happens["reorder"] else None
-        direction.put(frame, due, latest)
+        direction.add(frame, due, latest)
         if happens["duplicate"]:
-            direction.put(frame, due, None)
+            direction.add(frame, due, None)
         return happens
 
 
 class _Direction:
-    """Frames on their way, and one that waits to be overtaken."""
+    """Frames in transit, and one that waits to be overtaken."""
 
     def __init__(self) -> None:
         self._frames: list[tuple[int, Frame]] = []  # due, frame
         self._held: tuple[int, Frame] | None = None  # goes at the latest, frame
 
-    def put(self, frame: Frame, due: int, latest: int | None) -> None:
+    def add(self, frame: Frame, due: int, latest: int | None) -> None:
         """Add a frame; with `latest` it waits for the next one, but no longer than that."""
         if latest is not None and self._held is None:
             self._held = latest, frame

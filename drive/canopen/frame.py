@@ -5,7 +5,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
-Route = tuple[int, Callable[[bytes, int], None]]  # an identifier, who takes data and time (µs)
+Route = tuple[int, Callable[[bytes, int], None]]  # identifier, receiver of data and time (µs)
 SYNCHRONOUS = range(241)  # transmission types of PDOs that go with SYNC
 
 
@@ -34,6 +34,7 @@ class Base(IntEnum):
     LSS_REQUEST = 0x7E5
 
 
+SYNC = Frame(Base.SYNC)
 _SHORT = re.compile(r"([0-9A-Fa-f]{1,8})#(?:(R)[0-8]?|((?:[0-9A-Fa-f]{2}){0,8}))", re.I)
 
 

@@ -37,7 +37,7 @@ class HeartbeatProducer:
         return self._period > 0
 
     def due(self, time: int) -> bool:
-        """Whether a heartbeat goes out at `time` (µs); not to be asked where none is produced."""
+        """Whether a heartbeat is due at `time` (µs); valid only if one is produced."""
         if self._booted:
             self._booted, self._sent_at = False, time
             return False
@@ -63,7 +63,7 @@ class HeartbeatConsumer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what has been heard."""
+        """Forget the heartbeats received."""
         self._limits: dict[int, int] = {}  # node-id -> µs
         self._heard: dict[int, int] = {}  # node-id -> time of its last heartbeat
         self.lost: set[int] = set()
@@ -88,7 +88,7 @@ class HeartbeatConsumer:
         return bool(self._limits)
 
     def routes(self) -> list[tuple[int, Callable[[bytes, int], None]]]:
-        """Node-ids to listen to, each with who takes the heartbeat."""
+        """Node-ids to listen to, each with the receiver of its heartbeat."""
         return [(node, partial(self._hear, node)) for node in self._limits]
 
     def _hear(self, node: int, data: bytes, time: int) -> None:
@@ -101,7 +101,7 @@ class HeartbeatConsumer:
         self._emergency.clear(ErrorCode.CONNECTION, node)
 
     def poll(self, time: int) -> bool:
-        """Whether a heartbeat has stayed away for too long since the last call."""
+        """Whether a heartbeat has become overdue since the last call."""
         late = [n for n, heard in self._heard.items() if time - heard > self._limits[n]]
         for node in late:
             del self._heard[node]
@@ -145,7 +145,7 @@ class NodeGuarding:
         self._emergency.clear(ErrorCode.CONNECTION, "guarding")
 
     def answer(self, state: int, time: int) -> bytes | None:
-        """What the master's remote frame gets: toggle bit and NMT state."""
+        """The answer to the master's remote frame: toggle bit and NMT state."""
         if not self._answers:
             return None
         self._guarded_at = time

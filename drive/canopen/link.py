@@ -1,8 +1,8 @@
-"""Links between the members of a bus, without input or output of their own; time in µs.
+"""Links between the members of a simulated bus, without I/O; time in µs.
 
 A `Link` is what one member sees of the bus: it sends frames and receives those of the others.
-`Loopback` is a bus within the process, with or without the time that frames take; `Faulty` makes
-any link a bad one. Links to python-can and to log files: `servogym.drive.wire.can_link`.
+`Loopback` is a bus within the process, with or without transmission times; `Faulty` injects faults
+into any link. Links to python-can and to log files: `servogym.drive.wire.can_link`.
 """
 
 from collections import deque
@@ -35,7 +35,7 @@ class Loopback:
 
     Args:
         bit_rate: bit/s; frames then take their bit times and wait for the bus. Without it they
-            take no time, but are still in the order of arbitration.
+            take no time, but still arrive in the order of arbitration.
 
     Raises:
         ValueError: bit rate out of range.
@@ -69,7 +69,7 @@ class Loopback:
         return (self._busy - begun) / (time * self._unit) if time > 0 else 0.0
 
     def due(self) -> int | None:
-        """When the next frame is complete (µs, rounded up), as things are; None: nothing waits."""
+        """When the next frame will be complete (µs, rounded up); None if none is waiting."""
         if self._running:
             return -(-self._running[0] // self._unit)
         start, winner = self._next()
@@ -97,7 +97,7 @@ class Loopback:
                     member.inbox.append(frame)
 
     def _next(self) -> "tuple[int, Member | None]":
-        """When the next frame starts, and who wins the arbitration then."""
+        """When the next frame starts, and the member that wins the arbitration."""
         waiting = [member for member in self._members if member.queue]
         if not waiting:
             return self._free, None

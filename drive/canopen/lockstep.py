@@ -1,4 +1,4 @@
-"""Simulated time for drives on a bus: it advances with SYNC, as fast as the computer permits.
+"""Drives on a bus in simulated time, which advances with SYNC as fast as the computer permits.
 
 No clock is read, so two runs with the same frames are the same bit by bit.
 """
@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from ..machine import Machine
-from .frame import Base, Frame
+from .frame import SYNC
 from .link import Link, Loopback
 from .node import Node
 
@@ -24,7 +24,6 @@ class LockStep:
         machines: with drives of different node-ids.
         period: between two SYNCs (µs), a whole multiple of each machine's cycle.
         bus: the nodes' bus; one on which frames take no time if not given.
-        sync_id: identifier of the SYNC (1005h).
 
     Raises:
         ValueError: two drives with one node-id, a period that the cycles do not allow.
@@ -35,7 +34,6 @@ class LockStep:
         machines: Sequence[Machine],
         period: int = 1000,
         bus: Loopback | None = None,
-        sync_id: int = Base.SYNC,
     ):
         self.period = period
         self.bus = bus or Loopback()
@@ -48,28 +46,27 @@ class LockStep:
         self._tick = math.gcd(*(cycle for _, cycle in self._machines))
         self._stations = [(node, self.bus.join()) for node in self.nodes]
         self._own = self.bus.join()
-        self._sync = Frame(sync_id)
         self._settle()
 
     def sync(self, count: int = 1) -> None:
         """Produce `count` SYNCs and advance by their periods."""
         for _ in range(count):
-            self._own.send(self._sync, self.time)
+            self._own.send(SYNC, self.time)
             self._pass_period()
 
     def serve(self, link: Link, *, ends: bool = False) -> None:
-        """Take the frames of a master's link, let a period pass at each SYNC, send the answers.
+        """Process the frames of a master's link, with one period per SYNC, and send the answers.
 
-        The nodes answer a SYNC before its period passes; what happens within it comes after it.
+        The nodes answer a SYNC before its period passes; events within the period are sent after
+        it.
 
         Args:
             link: of the master.
-            ends: a SYNC ends its period instead of beginning it. Then what a master has sent
-                since the one before acts for the whole period, and the nodes answer with what
-                came of it.
+            ends: a SYNC ends its period instead of beginning it. Frames sent since the previous
+                SYNC then act for the whole period, and the nodes answer with the result.
         """
         for frame in link.receive(self.time):
-            is_sync = frame.id == self._sync.id and not (frame.remote or frame.extended)
+            is_sync = frame.id == SYNC.id and not (frame.remote or frame.extended)
             if is_sync and ends:
                 self._pass_period()
                 self._forward(link)
@@ -101,7 +98,7 @@ class LockStep:
             self._settle()
 
     def _settle(self) -> bool:
-        """Let all nodes receive and send what they can at this instant; False: without an end."""
+        """Let all nodes receive and send at this instant; False if they do not come to an end."""
         time = self.time
         for _ in range(ROUNDS):
             for node, link in self._stations:

@@ -58,7 +58,7 @@ class LssSlave:
         identity: vendor-id, product code, revision number, serial number (1018h).
         node_id: active node-id, 255 without one.
         send: takes the eight bytes of each response.
-        bit_rate: that is stored (bit/s), None: none.
+        bit_rate: the stored bit rate (bit/s); None if there is none.
         store: keeps node-id and bit rate for the next power-on; False if it failed.
     """
 
@@ -88,7 +88,7 @@ class LssSlave:
         self._selected = self._identified = self._scanned = 0
 
     def request(self, data: bytes, time: int) -> None:
-        """Take a message of the master at `time` (µs); what is senseless is ignored."""
+        """Process a message of the master at `time` (µs); an invalid one is ignored."""
         if len(data) != 8:
             return
         command = data[0]
@@ -163,7 +163,7 @@ class LssSlave:
             self._answer(Command.NON_CONFIGURED)
 
     def _fastscan(self, data: bytes, time: int) -> None:
-        """Slaves without a node-id agree, bit by bit, to what the master asks of a field."""
+        """Slaves without a node-id confirm a field of their identity bit by bit."""
         if not self._without_node_id() or self.state != LssState.WAITING:
             return
         number, bit, field, following = struct.unpack_from("<IBBB", data, 1)

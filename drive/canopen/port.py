@@ -15,7 +15,7 @@ class FramePort(Protocol):
         """Time (s) from any origin; it advances while frames are exchanged."""
 
     def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
-        """Send `frames`, wait for some (ms at most) -> all frames received since the last call."""
+        """Send `frames`, wait for answers (ms at most); -> frames since the last call."""
 
 
 class NodePort:
@@ -23,7 +23,7 @@ class NodePort:
 
     Args:
         machine: a cycle of it passes with every exchange.
-        nodes: that hear the frames; one for each of its drives, with its node-id, if not given.
+        nodes: receive the frames; by default one for each drive, with its node-id.
     """
 
     def __init__(self, machine: Machine, *nodes: Node):
@@ -37,7 +37,7 @@ class NodePort:
         return self._time * 1e-6
 
     def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
-        """Frames to the nodes, one cycle, frames from them; a cycle takes one SDO request."""
+        """Pass frames to the nodes, run a cycle, return their frames; one SDO request per cycle."""
         for frame in frames:
             for node in self.nodes:
                 node.receive(frame, self._time)

@@ -11,13 +11,12 @@ from ..master.port import Units
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry, places
 from ..objects.abort import Abort, SdoAbort
-from .frame import SYNCHRONOUS, Base, Frame
+from .frame import SYNC, SYNCHRONOUS, Base, Frame
 from .node import NmtCommand
 from .port import FramePort
 from .sdo_client import ATTEMPTS, SdoClient
 
 T = TypeVar("T")
-SYNC = Frame(Base.SYNC)
 PDOS = 512  # of each direction at most (CiA 301)
 PATIENCE = 0.1  # s, that a PDO is believed without being asked about
 LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
@@ -27,11 +26,11 @@ class CanOpenPort:
     """Nodes of one bus.
 
     Args:
-        bus: the way to it: `NodePort`, or `servogym.drive.wire.bus.CanPort` for real ones.
-        nodes: node-id 1..127, or several by the name that the drive goes by; alone it is ``node``.
-        model: the drive model whose objects go by name; `generic` has those of the standard.
-        sdo_timeout: for the answer to one SDO request (s).
-        units: of the drives, where their factors are known.
+        bus: `NodePort`, or `servogym.drive.wire.bus.CanPort` for a real bus.
+        nodes: node-id 1..127 of a drive called ``node``, or several node-ids by drive name.
+        model: drive model that names the objects; `generic` names those of the standard.
+        sdo_timeout: time-out of one SDO request (s).
+        units: units of the drives, if their factors are known.
 
     Raises:
         ValueError: node-id out of range, unknown model.
@@ -75,7 +74,7 @@ class CanOpenPort:
         self.nodes[axis].write(name, value)
 
     def exchange(self, frames: Iterable[Frame] = (), *, sync: bool = True) -> list[Frame]:
-        """Send frames, changed RPDOs, and a SYNC where a PDO in use needs it; -> what has come.
+        """Send frames, changed RPDOs, and a SYNC if a PDO needs one; -> the frames received.
 
         Args:
             frames: are sent first.
@@ -110,7 +109,7 @@ class CanOpenPort:
 
 @dataclass
 class Pdo:
-    """A PDO of the drive: what is mapped where, and its data."""
+    """A PDO of the drive: its mapping and its data."""
 
     cob_id: int
     data: bytearray
@@ -122,9 +121,9 @@ class Pdo:
 
 
 class Answers:
-    """SDO requests to a node-id and the answers to them, counted: a server answers each once.
+    """Counts SDO requests to a node-id and their answers, because one server answers each once.
 
-    Requests of another master are told by hearing them; then nothing can be said any more.
+    If requests of another master are heard, the counts prove nothing.
     """
 
     def __init__(self, node_id: int):
@@ -136,23 +135,23 @@ class Answers:
         return f"{self._answers} answers to {self._requests} SDO requests"
 
     def sent(self, frame: Frame) -> None:
-        """A frame goes out."""
+        """Count a frame that is sent."""
         if frame.id == self._request:
             self._requests += frame.data[:1] != b"\x80"  # an abort has no answer
 
     def heard(self, frame: Frame) -> None:
-        """A frame of somebody else has come."""
+        """Count a frame that was received."""
         self._answers += frame.id == self._response
         self._shared |= frame.id == self._request
 
     @property
     def twice(self) -> bool:
-        """Whether more than one server answers; one answer may be older than the port."""
+        """Whether more than one server answers; one answer may be to an earlier request."""
         return not self._shared and self._answers > self._requests + 1
 
 
 class RemoteObjects:
-    """Reads and writes objects of one node; `CanOpenPort` has the arguments and errors."""
+    """Reads and writes objects of one node; arguments and errors as for `CanOpenPort`."""
 
     def __init__(self, port: CanOpenPort, node_id: int, model: DriveModel, sdo_timeout: float):
         self.port = port
@@ -194,11 +193,11 @@ class RemoteObjects:
                 pdo.heard, pdo.at = True, self.port.now()
 
     def read(self, name: str) -> int | float:
-        """An object's value (drive units), of the last PDO that has it, else by SDO.
+        """Read an object (drive units) from the last PDO that contains it, otherwise by SDO.
 
-        A PDO has no answer. What it carried is asked for by SDO where it may have been lost: an
-        RPDO once, and it is sent again where the drive has other values; a TPDO after each
-        `PATIENCE` in which it was not heard.
+        PDOs are not acknowledged, so values that may have been lost are verified by SDO: those of
+        an RPDO once, and it is sent again if they differ; those of a TPDO whenever it was not
+        received for `PATIENCE`.
         """
         now = self.port.now()
         for pdo in self._rpdos:
@@ -228,7 +227,7 @@ class RemoteObjects:
         return row.unpack(self._by_sdo(lambda: self.sdo.upload(row.index, row.subindex)))
 
     def write(self, name: str, value: int | float) -> None:
-        """Set an object (drive units), in the first RPDO that has it, else by SDO.
+        """Write an object (drive units) in the first RPDO that contains it, otherwise by SDO.
 
         Raises:
             ValueError: unknown name, or a value that does not fit the object's type.
@@ -246,7 +245,7 @@ class RemoteObjects:
         self._by_sdo(lambda: self.sdo.download(row.index, row.subindex, data))
 
     def _by_sdo(self, transfer: Callable[[], T]) -> T:
-        """A transfer, after which two nodes with this node-id are told: what it sent has gone out.
+        """Perform a transfer, then check whether two nodes have this node-id.
 
         Raises BusError for two nodes, whatever either of them answered.
         """
@@ -279,18 +278,18 @@ class RemoteObjects:
             self.nmt(NmtCommand.START)
 
     def listen(self) -> None:
-        """Hear the valid TPDOs from now on, as the node says what they are; command nothing."""
+        """Read which TPDOs are valid and receive them from now on, without commanding anything."""
         self._tpdos = self.pdos("tx")
 
     def poll(self, names: Iterable[str]) -> dict[str, int | float]:
-        """Values (drive units) of the PDOs heard since the last poll, else by SDO."""
+        """Read values (drive units) from PDOs received since the last poll, otherwise by SDO."""
         values = {name: self.read(name) for name in names}
         for pdo in self._tpdos:
             pdo.heard = False
         return values
 
     def default_pdos(self, direction: str) -> list[Pdo]:
-        """The valid PDOs of a direction, rx or tx, as the model has them at power-on."""
+        """The PDOs of a direction, rx or tx, that are valid in the model at power-on."""
         pdos = []
         for mapping in self._model.rpdos if direction == "rx" else self._model.tpdos:
             base, _, node = mapping.cob_id.partition("+")
@@ -301,7 +300,7 @@ class RemoteObjects:
         return pdos
 
     def pdos(self, direction: str) -> list[Pdo]:
-        """The valid PDOs of a direction, rx or tx, as the node says by SDO. Raises SdoAbort."""
+        """Read the valid PDOs of a direction, rx or tx, from the node by SDO. Raises SdoAbort."""
         communication, mapping = (0x1400, 0x1600) if direction == "rx" else (0x1800, 0x1A00)
         pdos = []
         for number in range(PDOS):

@@ -1,9 +1,10 @@
 """RPDOs on the bus: transmission types, deadlines and lengths (CiA 301, PDO).
 
-Types 0-240 are used at the next SYNC, in some models type n at every n-th one
-(`rpdo_counts_syncs`: Metronix ARS 2000 5.3.1, Festo CMMP-AS 3.3.1); 254 and 255 at once. The event
-timer is a deadline that begins with the first RPDO. The PDO records are read when a communication
-object has changed, so a frame finds its PDO by one look into a table, with 512 PDOs as with one.
+Data of types 0-240 take effect at the next SYNC, in some models type n at every n-th SYNC
+(`rpdo_counts_syncs`: Metronix ARS 2000 5.3.1, Festo CMMP-AS 3.3.1); types 254 and 255 at once. The
+event timer is a deadline that starts with the first RPDO. The PDO records are read when a
+communication object has changed, so looking up the PDO of a frame costs the same for 512 PDOs as
+for one.
 """
 
 from functools import partial

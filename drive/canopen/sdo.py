@@ -1,9 +1,9 @@
 """SDO server: expedited, segmented and block transfer (CiA 301, SDO protocol).
 
-One transfer at a time. A request is answered or aborted, an abort of the client ends the transfer,
-and a client that stays silent for the time-out finds the server aborting. In a block download any
-frame may be a segment; only one that goes on with it counts as a sign of its client, so that the
-requests of others do not keep the transfer of a dead client alive.
+There is one transfer at a time. Each request is answered or aborted; an abort by the client ends
+the transfer, and the server aborts if the client is silent for the time-out. In a block download
+any frame may be a segment. Only the expected one restarts the time-out, so requests of other
+clients do not keep the transfer of a dead client alive.
 """
 
 import binascii
@@ -46,7 +46,7 @@ class SdoServer:
         self._last = 0
 
     def request(self, data: bytes, time: int) -> None:
-        """Take the eight bytes of a request at `time` (µs); what is not eight long is ignored."""
+        """Process the eight bytes of a request at `time` (µs); other lengths are ignored."""
         if len(data) != 8:
             return
         if self._handler and self._handler == self._download_block and data[0] != 0x80:
@@ -96,7 +96,7 @@ class SdoServer:
         self._data, self._at, self._toggle = b"", 0, 0
 
     def _announced(self, data: bytes, sized: int) -> Abort:
-        """Take the size a download announces; -> why it is refused before a byte has come."""
+        """Check the size announced by a download; -> the abort code if it is refused."""
         self._size = struct.unpack_from("<I", data, 4)[0] if sized else None
         slot, abort = self._objects.find(self._index, self._subindex)
         if slot is None:

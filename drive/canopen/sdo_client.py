@@ -1,10 +1,10 @@
 """The SDO client: reads and writes objects of a node, over any port (CiA 301, SDO).
 
-Expedited and segmented transfers; every node has those. Frames and time pass through a
+Transfers are expedited or segmented, which every node supports. Frames and time pass through a
 `FramePort`, which may be an emulated node in the same process or a real bus.
 
-A frame that is lost costs a transfer, not the program: the transfer that got no answer is aborted
-and begun anew, `ATTEMPTS` times in all. A download that is repeated writes the same value again.
+If a frame is lost, the transfer is aborted and repeated, `ATTEMPTS` times in all. A repeated
+download writes the same value again.
 """
 
 import struct
@@ -25,10 +25,10 @@ class SdoClient:
     """Uploads and downloads of one node's objects.
 
     Args:
-        port: the way to the bus.
+        port: port of the bus.
         node_id: of the server, 1..127.
-        timeout: for the answer to one request (s).
-        attempts: transfers that are tried before `Timeout` is raised, 1 or more.
+        timeout: time-out of one request (s).
+        attempts: number of attempts before `Timeout` is raised, 1 or more.
 
     Raises:
         ValueError: node-id or attempts out of range.
@@ -55,9 +55,9 @@ class SdoClient:
         self._repeated(lambda: self._download(index, subindex, data))
 
     def _repeated(self, transfer: Callable[[], T]) -> T:
-        """A transfer, begun anew where a frame of it was lost.
+        """Perform a transfer, and repeat it if a frame was lost.
 
-        Without an answer to any attempt the last `Timeout` is raised.
+        Raises the last `Timeout` if no attempt was answered.
         """
         for _ in range(self._attempts - 1):
             try:
@@ -97,7 +97,7 @@ class SdoClient:
             toggle ^= 0x10
 
     def _initiate(self, request: bytes, specifier: int) -> bytes:
-        """An answer belongs to this request if it names the same object; older ones are late."""
+        """Start a transfer; answers that name another object are late ones and are ignored."""
         head = request[1:4]
         return self._ask(request, specifier, head, lambda answer: answer[1:4] == head)
 

@@ -1,10 +1,9 @@
 """Reads an electronic data sheet (EDS, CiA 306) or device configuration (DCF) as it is found.
 
-Files of makers depart from CiA 306 in many ways that every other reader forgives: an object that is
-listed and has no section, a section that is not listed, 65535 where an INTEGER16 is meant, text in
-the encoding of somebody's editor. All of that is read; each departure is a `Repair` that says line,
-object, what the file says, what was taken and why. What cannot be read at all is refused with file
-and line.
+Manufacturers' files depart from CiA 306 in many ways that other readers tolerate: an object is
+listed but has no section, a section is not listed, an INTEGER16 is 65535, or the text has the
+encoding of an editor. All of these are read, and each is recorded as a `Repair` with line, object,
+content of the file, value used, and reason. A file that cannot be read is refused with the line.
 """
 
 import re
@@ -29,7 +28,7 @@ _NODE = re.compile(r"\$?\s*NODE_?ID", re.I)
 
 @dataclass
 class Entry:
-    """An object of a sheet, with its texts unchanged."""
+    """An object of an electronic data sheet, with its texts unchanged."""
 
     index: int
     subindex: int
@@ -52,7 +51,7 @@ class Entry:
 
 @dataclass
 class Sheet:
-    """The content of a file, and its repairs."""
+    """The content of an electronic data sheet, and its repairs."""
 
     path: Path
     entries: dict[tuple[int, int], Entry] = field(default_factory=dict)
@@ -70,9 +69,9 @@ class Sheet:
 
 
 def number(text: str) -> tuple[int, bool]:
-    """A number as EDS files write it, and whether the node-id is added to it.
+    """Parse a number of an EDS file; -> the number, and whether the node-id is added to it.
 
-    Raises ValueError for what is none.
+    Raises ValueError if the text is not a number.
     """
     plain, per_node = _NODE.subn("", text.strip().strip('"'))
     plain = plain.replace(" ", "").strip("+") or ("0" if per_node else "")
@@ -90,8 +89,8 @@ def read_sheet(path: Path) -> Sheet:
     """Read an EDS or a DCF.
 
     Raises:
-        ValueError: the file is none, with the line where there is one.
-        OSError: it cannot be read.
+        ValueError: the file is not an EDS; with the line if there is one.
+        OSError: the file cannot be read.
     """
     sheet = Sheet(path)
     sections = _sections(_decoded(sheet, content(path, "an EDS", LARGEST)), sheet)

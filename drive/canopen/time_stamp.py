@@ -12,7 +12,7 @@ DAY = 86_400_000  # ms
 
 
 class TimeOfDay(NamedTuple):
-    """TIME_OF_DAY of CiA 301; without a time zone, as it came."""
+    """TIME_OF_DAY of CiA 301, without a time zone."""
 
     days: int  # since 1984-01-01
     milliseconds: int  # after midnight
@@ -42,7 +42,7 @@ class TimeStamp:
         self.identifier = cob_id & 0x7FF
 
     def take(self, data: bytes, time: int) -> None:
-        """A TIME message; one of another length, or beyond the end of the day, is not used."""
+        """Process a TIME message; a wrong length, or a time beyond the day, is ignored."""
         if len(data) != _TIME_OF_DAY.size:
             return
         milliseconds, days = _TIME_OF_DAY.unpack(data)
@@ -51,7 +51,7 @@ class TimeStamp:
             self.last, self.received_at = TimeOfDay(days, milliseconds), time
 
     def now(self, time: int) -> TimeOfDay | None:
-        """Time of day at `time` (µs), going on from the last message; None before the first."""
+        """Time of day at `time` (µs), continued from the last message; None before the first."""
         if self.last is None:
             return None
         passed = self.last.milliseconds + (time - self.received_at) // 1000

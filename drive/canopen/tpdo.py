@@ -53,7 +53,7 @@ class _Transmit:
             self.start()
 
     def _transmit_mask(self, kind: int) -> int | None:
-        """Bits whose change sends the PDO: 2014h… of some models; None: all."""
+        """Bits whose change triggers the PDO (2014h… of some models); None for all bits."""
         if kind != ON_CHANGE or not self._drive.model.quirk("transmit_masks"):
             return None
         objects, index = self._drive.objects, FIRST_MASK + self._number

@@ -17,6 +17,6 @@ class Service(IntEnum):
     SDO_INFORMATION = 8
 
 
-def header(service: Service, number: int = 0) -> bytes:
+def header(service: Service) -> bytes:
     """The two bytes before a service."""
-    return struct.pack("<H", number & 0x1FF | service << 12)
+    return struct.pack("<H", service << 12)

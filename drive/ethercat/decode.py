@@ -205,7 +205,7 @@ class EtherCatDecoder:
             return [f"unknown command {back.command:02X}h"]
         if back.command == Command.NOP:
             return []
-        name, slave = self.who(sent)
+        name, slave = self.addressee(sent)
         if slave is None:
             return self._register(name, None, sent, back)
         manager = self.mailbox_of(slave, back.ado)
@@ -215,7 +215,7 @@ class EtherCatDecoder:
             return [] if manager else [f"{slave.name}: its mailbox is still full"]
         return self._register(name, slave, sent, back)
 
-    def who(self, row: Datagram) -> tuple[str, _Slave | None]:
+    def addressee(self, row: Datagram) -> tuple[str, _Slave | None]:
         """Name and state of the slave a datagram is for; None: of all."""
         if row.command in BROADCAST:
             return "all slaves", None
@@ -253,9 +253,9 @@ class EtherCatDecoder:
                 if slave.polled.get(back.ado) == data:
                     return []
                 slave.polled[back.ado] = data
-            told = self._configured(slave, back.ado, data, writes)
-            if told is not None:
-                return told
+            described = self._configured(slave, back.ado, data, writes)
+            if described is not None:
+                return described
         elif not writes and back.ado in QUIET:
             return []
         value = int.from_bytes(data, "little")

@@ -108,7 +108,7 @@ class Replay:
             self._datagram(out, back, own)
 
     def _datagram(self, sent: Datagram, back: Datagram, own: Datagram) -> None:
-        name, slave = self._sides[0].who(sent)
+        name, slave = self._sides[0].addressee(sent)
         manager = self._sides[0].mailbox_of(slave, back.ado) if slave else None
         if back.command in LOGICAL:
             self._process_data(back, own)

@@ -220,7 +220,7 @@ class Segment:
                 status |= (self._linked(end) and self._open(end)) << 9 + 2 * port
             if status != self.pdis[i].get(R.DL_STATUS, 2):
                 memory[R.ECAT_EVENT] |= 1 << 2
-                self.pdis[i].put(R.DL_STATUS, 2, status)
+                self.pdis[i].set(R.DL_STATUS, 2, status)
         for entrance in range(ENTRANCES):
             self._walks[entrance] = self._walk(entrance)
 

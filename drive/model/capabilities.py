@@ -67,7 +67,7 @@ def with_capabilities(
     6060h and 6098h know it as well, to tell it to who writes something else.
     """
     possible = {"mode": (0, *map(int, modes)), "homing_method": (0, *methods)}
-    told: dict[tuple[int, int], Object] = {}
+    answers: dict[tuple[int, int], Object] = {}
     for (index, subindex), row in objects.items():
         if index == SUPPORTED_MODES and row.format:
             others = int(row.default) & ~KNOWN
@@ -83,9 +83,9 @@ def with_capabilities(
                         row, subindex=n, name=named, area="constant", offset=0
                     )
                     bits = method & 0xFF if one.format.isupper() else method  # some have UNSIGNED8
-                    told[index, n] = replace(one, default=bits)
+                    answers[index, n] = replace(one, default=bits)
             continue
         elif row.hook in possible:
             row = replace(row, possible=possible[row.hook])
-        told[index, subindex] = row
-    return told
+        answers[index, subindex] = row
+    return answers

@@ -118,11 +118,11 @@ def digest(parts: Iterable[tuple[str, bytes]]) -> str:
     return found.hexdigest()
 
 
-def intact(where: str, data: bytes, told: str) -> None:
+def intact(where: str, data: bytes, stated: str) -> None:
     """Raise ValueError where the SHA-256 of `data` is another than `told`."""
-    if (found := hashlib.sha256(data).hexdigest()) != told:
+    if (found := hashlib.sha256(data).hexdigest()) != stated:
         raise ValueError(
-            f"{where} was changed or damaged: its SHA-256 is {found[:16]}…, {told[:16]}… is stated"
+            f"{where} was changed or damaged: its SHA-256 is {found[:16]}…, not {stated[:16]}…"
         )
 
 

@@ -1,4 +1,4 @@
-"""PDOs: their mapping, and how a model has them at power-on (`pdo.csv`)."""
+"""PDOs and their default mapping in a drive model (`pdo.csv`)."""
 
 import re
 from collections.abc import Iterable
@@ -33,12 +33,12 @@ def mapping_entry(word: int) -> tuple[int, int, int]:
 def places(
     objects: dict[tuple[int, int], Object], entries: Iterable[tuple[int, int, int]]
 ) -> tuple[dict[str, int], int]:
-    """Where mapped objects lie, in bytes from the begin by name, and how many bytes there are.
+    """The offsets of mapped objects in bytes, by name, and the total number of bytes.
 
     Args:
         objects: those of the model.
-        entries: as a drive has them mapped. What the model does not have in this length has no
-            place: it goes by SDO.
+        entries: the mapping of the drive. Objects that the model does not have in this length
+            have no offset; they are transferred by SDO.
     """
     found, bits = {}, 0
     for index, subindex, length in entries:

@@ -35,7 +35,7 @@ def telling(function: Callable[..., None], compiled: Callable[..., None]) -> Cal
     """`compiled`, which raises ValueError in one line where `function` in it does not compile."""
 
     @functools.wraps(compiled)
-    def told(*arguments: Any) -> None:
+    def explained(*arguments: Any) -> None:
         try:
             compiled(*arguments)
         except Exception as error:
@@ -46,7 +46,7 @@ def telling(function: Callable[..., None], compiled: Callable[..., None]) -> Cal
             return
         raise ValueError(words)
 
-    return told
+    return explained
 
 
 def _in_numba(error: BaseException) -> bool:

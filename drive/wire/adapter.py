@@ -16,15 +16,15 @@ PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus an
 class Adapter:
     """A bus that may refuse frames, go bus-off or be unplugged, and that recovers.
 
-    What cannot be sent waits and is tried again in its order; what has waited for `PATIENCE` is
-    lost, as in a controller whose transmission is cancelled. A message is tried at once where none
-    waits, so a busy machine loses none. The trouble is told once when it begins and once when it is
-    over.
+    Messages that cannot be sent are queued and retried in order. A message that has waited for
+    `PATIENCE` is dropped, as in a controller whose transmission is cancelled. If the queue is
+    empty, a message is sent at once, so a busy machine loses none. The beginning and the end of a
+    disturbance are reported once each.
 
     Args:
         bus: the bus; `shutdown` ends it.
-        reopen: makes it anew where it does not come back by itself.
-        tell: takes a line for the user.
+        reopen: opens the bus again if it does not recover by itself.
+        tell: called with a line for the user.
     """
 
     def __init__(

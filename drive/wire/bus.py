@@ -63,10 +63,10 @@ def give(send: Callable[[can.Message], None], message: can.Message) -> None:
 
 
 class Echoes:
-    """Tells what a bus gives back to its sender from what others have sent.
+    """Distinguishes a sender's own messages, which some buses return, from those of others.
 
-    Interfaces mark such a message as sent (`can.Message.is_rx`); ``udp_multicast`` gives every
-    message back without a mark, so those are remembered.
+    Most interfaces mark an echo as sent (`can.Message.is_rx`); ``udp_multicast`` returns every
+    message unmarked, so sent messages are remembered.
 
     Args:
         bus: of python-can.
@@ -77,12 +77,12 @@ class Echoes:
         self._sent: deque[Frame] | None = deque(maxlen=ECHOES) if unmarked else None
 
     def sent(self, message: can.Message) -> None:
-        """A message goes out."""
+        """Note a message that is about to be sent."""
         if self._sent is not None and (frame := to_frame(message)):
             self._sent.append(frame)
 
     def own(self, message: can.Message) -> bool:
-        """Whether a received message is one of those that went out."""
+        """Whether a received message is one that was sent here."""
         if not message.is_rx:
             return True
         frame = to_frame(message)
@@ -98,11 +98,11 @@ class CanPort:
 
     Args:
         bus: of python-can, or an `adapter.Adapter`; its owner shuts it down.
-        wait: for the first frame, where none has come yet (s); `patience` from then on.
-        log: takes every message that is sent or has come, as a
+        wait: how long to wait for the very first frame (s); afterwards `patience` applies.
+        log: called with every message sent or received, such as a
             `servogym.drive.wire.log.LogFile`.
 
-    A full transmit buffer is given `PATIENCE` to empty; a bus that takes or gives no frames raises
+    A full transmit buffer has `PATIENCE` to drain. A bus that accepts or delivers no frames raises
     `servogym.drive.master.BusError`.
     """
 

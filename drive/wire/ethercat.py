@@ -36,7 +36,7 @@ class EtherCatServer:
         bus: the segment and its machines.
         ports: Ethernet ports.
         log: capture of all frames.
-        tell: takes a line about what a master should know, once for each.
+        tell: called once with a line for each thing that the user of a master should know.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class EtherCatServer:
         self._buffer = memoryview(bus.segment.frame)  # type: ignore[arg-type]
 
     def stop(self) -> None:
-        """Let `run` return; may be called from another thread or a signal."""
+        """Make `run` return; may be called from another thread or a signal handler."""
         self._stopped = True
 
     @property

@@ -2,9 +2,10 @@
 
 Sources: ETG.2000 (ESI), ETG.2010 (SII).
 
-They say what a drive is on EtherCAT: identity, PDOs, sync managers, mailboxes, FMMUs, clocks; ESI
-files and slaves with SDO information have the dictionary as well. Where it is missing the objects
-are those of `generic`. What could not be taken as it stands is a repair in the folder's README.
+They describe the drive on EtherCAT: identity, PDOs, sync managers, mailboxes, FMMUs and clocks. ESI
+files, and slaves with SDO information, also provide the dictionary; without one, the objects are
+those of `generic`. Anything that could not be used as it stands is a repair in the README of the
+folder.
 """
 
 import base64
@@ -99,10 +100,11 @@ def import_esi(
         path: the file.
         folder: of the model.
         device: one of several in it: type, name or product code.
-        chip: slave controller, a key of `CHIPS`; the file does not say.
+        chip: slave controller, a key of `CHIPS`, since the file does not name it.
 
     Raises:
-        ValueError: the file is not the ESI of a drive, tells file and line; or there is no place.
+        ValueError: the file is not the ESI of a drive (with file and line), or the folder is not
+            empty.
     """
     check_place(folder)
     file = read_esi(path, device)
@@ -114,7 +116,7 @@ def import_esi(
 
 
 def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
-    """Make a drive model from an EEPROM image; as `import_esi`."""
+    """Make a drive model from an EEPROM image; arguments and errors as for `import_esi`."""
     check_place(folder)
     try:
         image = content(path, "an image of an EEPROM")
@@ -131,10 +133,10 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
 
 
 def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported:
-    """Make a drive model from a connected slave; its state is PRE_OP, and nothing is written.
+    """Make a drive model from a connected slave, which is taken to PRE_OP and not written to.
 
     Args:
-        interface: such as ``eth0``; needs the right of raw sockets and pysoem.
+        interface: such as ``eth0``; needs pysoem and permission for raw sockets.
         folder: of the model.
         position: of the slave on the segment, from 0 on.
 
@@ -425,7 +427,7 @@ class _Maker(_Import):
                 self.pdos.append((*head, "", "", "", "", line(pdo.name), SOURCE))
 
     def _chosen(self, manager: int, order: Sequence[tuple[Pdo, Any]]) -> list[int]:
-        """PDOs assigned by default, as 1C12h and 1C13h take them here."""
+        """The PDOs that are assigned by default, as 1C12h and 1C13h accept them here."""
         places = {pdo.index: n for n, (pdo, _) in enumerate(order)}
         wanted = [p.index for p in (*self.source.device.rpdos, *self.source.device.tpdos)
                   if p.sync_manager == manager]
@@ -445,7 +447,7 @@ class _Maker(_Import):
     # ------------------------------------------------------------------- files
 
     def ethercat_toml(self) -> str:
-        """The file with all but objects and PDOs."""
+        """The file ethercat.toml, with everything but objects and PDOs."""
         device, usual = self.source.device, load("generic", "ethercat").ethercat
         assert usual is not None
         mailbox = self._mailboxes(device.mailbox, usual.mailbox, "mailbox")
@@ -507,7 +509,7 @@ class _Maker(_Import):
         return "\n".join(lines) + "\n"
 
     def _image(self, size: int) -> list[str]:
-        """The maker's EEPROM as it is, where nothing of it had to be repaired."""
+        """The manufacturer's EEPROM image, unless something in it had to be repaired."""
         image = self.source.image
         if not image or len(image) > size or self.result.repairs:
             return []
@@ -523,7 +525,7 @@ class _Maker(_Import):
     def _mailboxes(
         self, boxes: Mailboxes, usual: tuple[int, ...], name: str
     ) -> tuple[int, int, int, int]:
-        """Start and length of both, the usual ones where the description has none that fit."""
+        """Start and length of both mailboxes; the usual ones if those described do not fit."""
         out, out_length, into, in_length = found = (
             boxes.out_start, boxes.out_length, boxes.in_start, boxes.in_length
         )
@@ -540,7 +542,7 @@ class _Maker(_Import):
     def _buffers(
         self, managers: dict[int, SyncManager], mailbox: Sequence[int], usual: Sequence[int]
     ) -> tuple[tuple[int, int], int]:
-        """Start of outputs and inputs, and the bytes there are for each."""
+        """Start of outputs and inputs, and the number of bytes available for each."""
         starts = [managers[kind].start if kind in managers else 0 for kind in (3, 4)]
         boxes = [(mailbox[0], mailbox[1]), (mailbox[2], mailbox[3])]
         need = max(8, *(self._size(manager) for manager in (2, 3)))

@@ -1,9 +1,9 @@
 """Observes a drive at a network interface: `servogym observe --ethercat`.
 
-First the segment is looked at with frames that change nothing. A segment that exchanges process
-data belongs to another master and is left alone. Where a drive is enabled or moves in PRE_OP, its
-segment is not scanned, since a scan takes the slaves to INIT: it is read as it stands. Else SOEM
-scans, and takes the slaves to PRE_OP.
+The segment is first inspected with frames that change nothing. If it exchanges process data, it
+belongs to another master and is left alone. If a drive is enabled or moves in PRE_OP, the segment
+is read as it is, because a scan would take the slaves to INIT. Otherwise SOEM scans the segment and
+takes the slaves to PRE_OP.
 """
 
 import time
@@ -41,14 +41,14 @@ def observe(
     read_only: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """The observation of a slave.
+    """Observe a slave and return the result.
 
     Args:
-        interface: such as ``eth0``; needs the right of raw sockets and pysoem.
+        interface: such as ``eth0``; needs pysoem and permission for raw sockets.
         position: of the slave on the segment, from 0 on.
-        model: whose data types the objects have, where their lengths agree.
+        model: its data types are used for objects whose lengths agree.
         read_only: write no object and request no state beyond PRE_OP.
-        tell: takes a line of progress.
+        tell: called with lines of progress.
 
     Raises:
         ValueError: no such interface or slave, or another master exchanges process data.
@@ -99,7 +99,7 @@ def _states(master: EtherCatMaster, interface: str) -> list[AlState]:
 
 
 def _standing(master: EtherCatMaster, states: list[AlState]) -> tuple[list[Asked], str]:
-    """The slaves as another master left them, and why they stay so; "" where none is in danger."""
+    """The slaves as another master left them, and why they must stay so ("" if none is at risk)."""
     slaves: list[Asked] = []
     reason = ""
     for n, state in enumerate(states):
@@ -122,7 +122,7 @@ def _standing(master: EtherCatMaster, states: list[AlState]) -> tuple[list[Asked
 
 
 def _standing_slave(master: EtherCatMaster, position: int, station: int) -> RemoteSlave:
-    """A slave with the station address it has; its EEPROM is given back to whom it was with.
+    """A slave at its present station address; access to its EEPROM returns to the former owner.
 
     0500h: 1 the device has it, 2 it is taken from it, 0 the master has it (ETG.1000.4).
     """
@@ -143,7 +143,7 @@ def _standing_slave(master: EtherCatMaster, position: int, station: int) -> Remo
 
 
 class _Wire:
-    """Frames by a raw socket and back."""
+    """Exchanges frames through a raw socket."""
 
     def __init__(self, interface: str):
         self._port = RawPort(interface)
@@ -167,7 +167,7 @@ class _Wire:
 
 
 class AskedSlave:
-    """A slave that SOEM has taken to PRE_OP, with telegrams of our own."""
+    """A slave that SOEM has taken to PRE_OP, and that answers our own datagrams."""
 
     def __init__(self, slave: SoemSlave, position: int):
         self.position = position
@@ -192,13 +192,13 @@ class AskedSlave:
 
 
 class _Registers:
-    """Datagrams to one slave by SOEM."""
+    """Sends datagrams to one slave through SOEM."""
 
     def __init__(self, slave: SoemSlave):
         self._slave = slave
 
     def send(self, *datagrams: Datagram) -> list[Datagram]:
-        """Reads and writes of its registers as they come back; a lost one has the counter 0."""
+        """Read and write registers; a lost datagram returns with working counter 0."""
         return [self._one(row) for row in datagrams]
 
     def _one(self, row: Datagram) -> Datagram:

@@ -16,13 +16,12 @@ from ..ethercat.frame import ETHERTYPE, UDP_PORT
 
 AWAKE = 60_000  # ns without sleep after a frame: a sleeping core takes 20 to 50 µs to wake
 HEADER = bytes.fromhex("ffffffffffff 010101010101 88a4")  # in front of what comes by UDP
-_TIMEOUT = struct.Struct("ll")  # of SO_RCVTIMEO: s and µs
+WAIT = struct.pack("ll", 0, 1000)  # for a frame (SO_RCVTIMEO: s, µs)
 
 
-def _wait(port: socket.socket, seconds: float) -> None:
+def _wait(port: socket.socket) -> None:
     """Let `recv_into` wait in the kernel, which saves a system call compared with `settimeout`."""
-    value = _TIMEOUT.pack(int(seconds), int(seconds % 1 * 1e6))
-    port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, value)
+    port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, WAIT)
 
 
 class RawPort:
@@ -30,14 +29,13 @@ class RawPort:
 
     Args:
         interface: name, such as ``eth0``.
-        wait: for a frame (s).
 
     Raises:
-        ValueError: no such interface, no right to it, no such sockets, another server on it; tells
-            what to do.
+        ValueError: the interface does not exist, is not permitted or is served already, or the
+            system has no raw sockets; the message gives the remedy.
     """
 
-    def __init__(self, interface: str, wait: float = 0.001):
+    def __init__(self, interface: str):
         if not hasattr(socket, "AF_PACKET"):
             raise ValueError(f"{sys.platform} has no raw sockets: use --udp")
         try:
@@ -57,7 +55,7 @@ class RawPort:
             raise ValueError(
                 f"-i {interface}: both would answer: is another `servogym ethercat` running there?"
             ) from None
-        _wait(self.socket, wait)
+        _wait(self.socket)
         self.name, self._awake = interface, 0
 
     def receive(self, buffer: memoryview) -> int:
@@ -89,32 +87,30 @@ class RawPort:
                 raise ValueError(_why(self.name, error)) from None
 
     def close(self) -> None:
-        """Give the interface back."""
+        """Release the interface."""
         self.socket.close()
         self._lock.close()
 
 
 class UdpPort:
-    """UDP port 88A4h: EtherCAT for those who have no raw sockets (ETG.1000.4, annex).
+    """UDP port 88A4h: EtherCAT without raw sockets (ETG.1000.4, annex).
 
     Args:
         address: to listen on.
-        number: of the port.
-        wait: for a frame (s).
 
     Raises:
-        ValueError: the address cannot be had.
+        ValueError: the address cannot be used.
     """
 
-    def __init__(self, address: str = "127.0.0.1", number: int = UDP_PORT, wait: float = 0.001):
+    def __init__(self, address: str = "127.0.0.1"):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self.socket.bind((address, number))
+            self.socket.bind((address, UDP_PORT))
         except OSError as error:
             self.socket.close()
-            raise ValueError(f"--udp {address}: port {number}: {error.strerror}; is another "
+            raise ValueError(f"--udp {address}: port {UDP_PORT}: {error.strerror}; is another "
                              "`servogym ethercat` running?") from None
-        _wait(self.socket, wait)
+        _wait(self.socket)
         self.name = f"udp {address}:{self.socket.getsockname()[1]}"
         self._from: tuple[str, int] = "", 0
 

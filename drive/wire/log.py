@@ -85,7 +85,7 @@ def messages(log: Path) -> Iterator[can.Message]:
 
 
 class _Blocks:
-    """A .blf file for python-can's reader, which would allocate whatever size a block claims."""
+    """A .blf file that limits block sizes; python-can's reader would allocate any size claimed."""
 
     def __init__(self, log: Path, packed: bool):
         self._file: Any = gzip.open(log) if packed else log.open("rb")  # noqa: SIM115
@@ -93,7 +93,7 @@ class _Blocks:
         self.held = 0  # bytes since the last frame
 
     def read(self, size: int) -> bytes:
-        """Read as a file does, at most one block at a time."""
+        """Read like a file, at most one block at a time."""
         if not 0 <= size <= LARGEST_BLOCK:
             raise ValueError(f"a block of {size} bytes, it has 0 to at most {LARGEST_BLOCK}")
         data = self._file.read(size)
@@ -107,12 +107,12 @@ class _Blocks:
         return data
 
     def close(self) -> None:
-        """As a file."""
+        """Close the file."""
         self._file.close()
 
 
 def _unpacked(data: bytes) -> int:
-    """How many bytes something packed becomes, counted up to a block and one more."""
+    """Number of bytes after decompression, counted up to one byte beyond the limit of a block."""
     return len(zlib.decompressobj().decompress(data, LARGEST_BLOCK + 1))
 
 
@@ -144,10 +144,10 @@ class LogFile:
 
     Args:
         file: its name; the suffix is the format: .log (candump), .asc, .blf, .csv, ...
-        tell: takes the line about a log that has ended early.
+        tell: called with a line if the log has to end early.
 
     Raises:
-        ValueError: unknown suffix. OSError: the file cannot be made.
+        ValueError: unknown suffix. OSError: the file cannot be created.
     """
 
     def __init__(self, file: str | Path, tell: Callable[[str], None] = lambda text: None):

@@ -34,7 +34,7 @@ class Writer:
     """A capture of Ethernet frames with times in ns.
 
     Args:
-        file: name; an old one is replaced.
+        file: name; an existing file is replaced.
         interfaces: names of the ports.
     """
 
@@ -71,11 +71,11 @@ def _padded(data: bytes) -> bytes:
 
 
 def read(file: str | Path) -> Iterator[Packet]:
-    """The frames of a capture, whoever made it.
+    """Read the frames of a capture made by any program.
 
     Raises:
-        ValueError: no capture of Ethernet frames, or cut off; tells the byte.
-        OSError: it cannot be opened.
+        ValueError: the file is no capture of Ethernet frames, or is truncated (with the byte).
+        OSError: the file cannot be opened.
     """
     regular(file)
     with Path(file).open("rb") as stream:
@@ -102,7 +102,7 @@ def _classic(stream: BinaryIO) -> Iterator[Packet]:
 
 
 def _read(stream: BinaryIO, length: int) -> bytes:
-    """So many bytes, or what there is. Raises ValueError for more than memory shall be held for."""
+    """Read a number of bytes, or what is left. Raises ValueError for unreasonably many."""
     if length > LONGEST:
         raise ValueError(f"{length} bytes follow, at most {LONGEST} at once")
     return stream.read(length)
@@ -147,7 +147,7 @@ def _of_ethernet(link: int) -> None:
 
 
 def _unit(order: str, body: bytes) -> tuple[int, int]:
-    """Unit of an interface's times as a fraction of ns."""
+    """Unit of the time stamps of an interface, as a fraction of ns."""
     (link,) = struct.unpack_from(order + "H", body)
     _of_ethernet(link)
     at = 8

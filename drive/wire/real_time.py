@@ -9,15 +9,15 @@ LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
 
 
 def ask(below: int = 0) -> list[str]:
-    """SCHED_FIFO for this thread and those it starts, and locked memory.
+    """Request SCHED_FIFO for this thread and those it starts, and lock the memory.
 
-    What is in memory now is no more looked through for garbage, which would take tens of ms. A copy
-    of a process (fork) has none of it: it has to ask itself.
+    Objects that exist now are excluded from garbage collection, which would take tens of ms. A
+    forked process inherits none of this and has to ask again.
 
     Args:
-        below: so much less than `PRIORITY`.
+        below: how far the priority lies below `PRIORITY`.
 
-    Returns: what the system has refused, each with the right that it needs; empty if nothing.
+    Returns: what the system has refused, each with the permission it needs; empty if nothing.
     """
     missing = []
     gc.collect()

@@ -1,7 +1,7 @@
 """Recordings for the oscilloscope from drives outside this process: a node on a bus, or a log.
 
-Rows are made as values pass: in a log at the time of the frame, of a node at each poll. What has
-not been heard yet is nan; a value holds until the next one.
+A row is added whenever values arrive: at each frame of a log, or at each poll of a node. Values not
+yet received are nan; a value holds until the next one.
 """
 
 import csv
@@ -53,17 +53,17 @@ class Signal(NamedTuple):
 
 
 class Source:
-    """A log whose objects are known: who sent them, and their names.
+    """A log whose objects are known: their senders and their names.
 
     Args:
-        log: of CAN in a format of python-can, a capture of EtherCAT, or a table: what `Trace.save`
-            wrote, or any CSV with `columns`.
-        model: drive model; of EtherCAT that of the identity, if none is given.
+        log: a CAN log in a format of python-can, an EtherCAT capture, a table written by
+            `Trace.save`, or any CSV with `columns`.
+        model: drive model; for EtherCAT, the model with the identity of the slave if not given.
         columns: of a CSV, ``time=t:ms,target_position=x:mm``: the object's name, the heading of
-            its column, and its unit, one of `SCALES`; without a unit it is one of the drive.
+            its column, and its unit, one of `SCALES`; without a unit, drive units.
 
     Raises:
-        ValueError: a log that is damaged or has no object in it.
+        ValueError: the log is damaged or contains no object.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Source:
     ):
         self._log = log
         self._model = model
-        self.units: dict[str, dict[str, str]] = {}  # who -> object -> unit
+        self.units: dict[str, dict[str, str]] = {}  # sender -> object -> unit
         self._addresses: dict[str, dict[tuple[int, int], str]] = {}
         self._count: Counter[tuple[str, str]] = Counter()
         self._columns = _columns(log) if log.suffix in TRACES and columns is None else []
@@ -87,13 +87,13 @@ class Source:
         if not self.units:
             raise ValueError(f"{log}: no object of a drive passes in it; look with servogym decode")
 
-    def _note(self, who: str, row: Object, value: float) -> None:
-        self.units.setdefault(who, {})[row.name] = row.unit
-        self._count[who, row.name] += 1
-        self._addresses.setdefault(who, {})[row.index, row.subindex] = row.name
+    def _note(self, sender: str, row: Object, value: float) -> None:
+        self.units.setdefault(sender, {})[row.name] = row.unit
+        self._count[sender, row.name] += 1
+        self._addresses.setdefault(sender, {})[row.index, row.subindex] = row.name
 
     def _frames(self, heard: Heard) -> Iterator[float]:
-        """Time (s) of each frame from the first, after its values were told to `heard`."""
+        """Yield the time (s) of each frame since the first, after passing its values to `heard`."""
         if self._log.suffix in CAPTURES:
             capture = EtherCatDecoder(self._model, heard)
             begin = None
@@ -113,17 +113,17 @@ class Source:
                 bus.decode(frame)
             yield message.timestamp - start
 
-    def groups(self, who: str) -> Iterator[tuple[float, Group]]:
-        """Time (s) and values of each frame of a drive that has some."""
+    def groups(self, sender: str) -> Iterator[tuple[float, Group]]:
+        """Yield time (s) and values of each frame of a drive that contains values."""
         if self._columns:
-            time, samples = self._of(who)
+            time, samples = self._of(sender)
             for at, *row in zip(time, *samples.values(), strict=True):
                 yield float(at), dict(zip(samples, row, strict=True))
             return
         group: Group = {}
 
         def hear(name: str, row: Object, value: float) -> None:
-            if name == who:
+            if name == sender:
                 group[row.name] = value
 
         for seconds in self._frames(hear):
@@ -131,52 +131,53 @@ class Source:
                 yield seconds, dict(group)
                 group.clear()
 
-    def signals(self, who: str) -> dict[str, Signal]:
-        """Everything recorded of a drive, by object."""
+    def signals(self, sender: str) -> dict[str, Signal]:
+        """Return all signals of a drive, by object."""
         if self._columns:
-            time, columns = self._of(who)
+            time, columns = self._of(sender)
             found = {name: (time, samples) for name, samples in columns.items()}
         else:
             rows: dict[str, tuple[list[float], list[float]]] = {}
-            for at, group in self.groups(who):
+            for at, group in self.groups(sender):
                 for name, value in group.items():
                     times, values = rows.setdefault(name, ([], []))
                     times.append(at)
                     values.append(value)
             found = {name: (np.array(t), np.array(v)) for name, (t, v) in rows.items()}
-        units = self.units[who]
+        units = self.units[sender]
         return {name: Signal(t, v, units.get(name, "")) for name, (t, v) in found.items()}
 
-    def _of(self, who: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _of(self, sender: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Time and samples of one axis of a table, by object."""
         axes = {name: name.rpartition(HERE) for name, _, _ in self._columns[1:]}
         return self._columns[0][2], {
             axes[name][2]: samples for name, _, samples in self._columns[1:]
-            if (axes[name][0] or self._log.name) == who
+            if (axes[name][0] or self._log.name) == sender
         }
 
-    def often(self, who: str, most: int) -> list[str]:
-        """The most frequent objects of a drive, up to a number."""
-        return sorted(self.units[who], key=lambda name: -self._count[who, name])[:most]
+    def often(self, sender: str, most: int) -> list[str]:
+        """Return the most frequent objects of a drive, `most` of them."""
+        return sorted(self.units[sender], key=lambda name: -self._count[sender, name])[:most]
 
-    def name(self, who: str, channel: str) -> str:
-        """A channel, by name or address, as it is called in the log. Raises ValueError."""
+    def name(self, sender: str, channel: str) -> str:
+        """Return the name in the log of a channel given by name or address. Raises ValueError."""
         address = address_of(channel)
-        known = self.units[who]
-        name = self._addresses.get(who, {}).get(address, "") if address else channel
+        known = self.units[sender]
+        name = self._addresses.get(sender, {}).get(address, "") if address else channel
         if name in known:
             return name
-        raise ValueError(f"{self._log}: no {channel} of drive {who} in it; {hint(channel, known)}")
+        remark = hint(channel, known)
+        raise ValueError(f"{self._log}: no {channel} of drive {sender} in it; {remark}")
 
     def drive(self, asked: str | None, channels: Iterable[str]) -> str:
-        """The drive that is meant: the one asked for, or the only one that has the channels."""
+        """Return the drive asked for, or the only one that has the channels. Raises ValueError."""
         if asked is not None:
-            for who in self.units:
-                if asked.lower().removeprefix("slave ") == who.lower().removeprefix("slave "):
-                    return who
+            for sender in self.units:
+                if asked.lower().removeprefix("slave ") == sender.lower().removeprefix("slave "):
+                    return sender
             raise ValueError(f"{self._log}: no drive {asked} in it; {hint(asked, self.units)}")
         wanted = [*channels]
-        having = [who for who in self.units if all(self._has(who, name) for name in wanted)]
+        having = [each for each in self.units if all(self._has(each, name) for name in wanted)]
         having = having or [*self.units]
         if len(having) > 1:
             raise ValueError(
@@ -184,11 +185,11 @@ class Source:
             )
         return having[0]
 
-    def _has(self, who: str, channel: str) -> bool:
+    def _has(self, sender: str, channel: str) -> bool:
         address = address_of(channel)
         if address:
-            return address in self._addresses.get(who, {})
-        return channel in self.units[who]
+            return address in self._addresses.get(sender, {})
+        return channel in self.units[sender]
 
 
 def address_of(channel: str) -> tuple[int, int] | None:
@@ -203,7 +204,7 @@ def address_of(channel: str) -> tuple[int, int] | None:
 
 
 def record(recording: Recording, groups: Iterable[tuple[float, Group]]) -> None:
-    """Fill a recording until it is done or nothing more comes; frames of one time are one row."""
+    """Fill a recording until it is complete or the data end; frames of one time form one row."""
     trigger = recording.trigger.channel if recording.trigger else ""
     wanted = {*recording.channels, trigger}
     values = dict.fromkeys(wanted, math.nan)
@@ -224,16 +225,17 @@ def record(recording: Recording, groups: Iterable[tuple[float, Group]]) -> None:
 class NodeScope:
     """Records a running node without commanding it: TPDOs, and other objects polled by SDO.
 
-    Two masters cannot use one SDO channel at the same time (CiA 301): where another one does, map
-    what is of interest, or record the bus with ``--log`` and look at that.
+    Two masters cannot use one SDO channel at the same time (CiA 301). If another master uses it,
+    map the objects of interest, or record the bus with ``--log`` and plot the log.
 
     Args:
-        port: of the bus, with the node.
+        port: port of the bus with the node.
         rate: of the polls (1/s).
-        channels: objects by name or address; of those marked `optional` a node may lack some.
+        channels: objects by name or address.
+        optional: leave out channels that the node does not have.
 
     Raises:
-        ValueError: a rate out of range, an object that model or node does not have.
+        ValueError: the rate is out of range, or model or node does not have an object.
         Timeout: the node does not answer.
     """
 
@@ -256,7 +258,7 @@ class NodeScope:
                     self.watch(channel)
 
     def watch(self, channel: str) -> str:
-        """Poll this channel too; -> name of the object. Raises ValueError for an unknown one."""
+        """Also poll this channel; -> name of the object. Raises ValueError for an unknown one."""
         name = channel_of(self._model, channel)
         try:
             self._node.upload(name)
@@ -266,7 +268,7 @@ class NodeScope:
         return name
 
     def groups(self, duration: float) -> Iterator[tuple[float, Group]]:
-        """Time (s) from now and values of each poll, for `duration` (s)."""
+        """Poll for `duration` (s) and yield the time since the start (s) and the values."""
         begin = self._port.now()
         number = 0
         while (due := number * self._period) <= duration:
@@ -279,7 +281,7 @@ class NodeScope:
 
 
 def channel_of(model: DriveModel, channel: str) -> str:
-    """A channel, by name or address, as the model has it. Raises ValueError."""
+    """Return the name in the model of a channel given by name or address. Raises ValueError."""
     if channel.startswith("axis."):
         raise ValueError(f"channel {channel}: a field of the record is seen on a machine alone")
     address = address_of(channel)
@@ -293,15 +295,15 @@ def channel_of(model: DriveModel, channel: str) -> str:
 
 
 def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]:
-    """Name, unit and samples in SI of the columns of a CSV that are named, the time first.
+    """Return name, unit and samples (SI) of the chosen columns of a CSV, the time first.
 
     Args:
-        log: the file; its first line has the headings. Between columns stands a comma, or a
-            semicolon or a tabulator, and numbers may then have a decimal comma.
+        log: the file; its first line contains the headings. Columns are separated by commas, or
+            by semicolons or tabs; numbers may then have a decimal comma.
         columns: ``time=t:ms,target_position=x:mm``, see `Source`.
 
     Raises:
-        ValueError: a heading or unit that is none, what is not a number, no time.
+        ValueError: an unknown heading or unit, a cell that is not a number, or no time.
     """
     with log.open(newline="", encoding="utf-8", errors="replace") as file:
         first = file.readline()
@@ -338,7 +340,7 @@ def chosen_columns(log: Path, columns: str) -> list[tuple[str, str, np.ndarray]]
 
 
 def _columns(log: Path) -> list[tuple[str, str, np.ndarray]]:
-    """Name, unit and samples of a file of `Trace.save`; none where it is another file."""
+    """Return name, unit and samples of a file of `Trace.save`; nothing for other files."""
     if log.suffix == ".npz":
         data = foreign.arrays(log)
         return [(name, "", data[name]) for name in data] if "time" in data else []

@@ -19,9 +19,9 @@ WAIT = 0.0005  # s for a frame; what has a period of 1 ms is then in time
 
 
 def arrival(message: can.Message | None) -> float:
-    """When a message came (s of `time.monotonic`): its time stamp where that is one of this clock.
+    """Time of arrival of a message (s of `time.monotonic`): its time stamp, if of this clock.
 
-    Adapters with a clock of their own, and stamps older than `Server.TOLERANCE`, are not believed.
+    Time stamps of another clock, or older than `Server.TOLERANCE`, are not used.
     """
     now = time.monotonic()
     age = time.time() - message.timestamp if message else 0.0
@@ -42,18 +42,17 @@ class Statistics:
 class Server:
     """Serves machines with one drive each as nodes on one bus.
 
-    Simulated time follows the clock; where the machine cannot keep up, it skips and counts it. A
-    frame acts at the time at which it came to this computer, where the bus tells it (`arrival`), so
-    a server that other programs hold up answers late but moves nothing else. The nodes hear each
-    other. A bus that fails is tried
-    again, see `adapter`.
+    Simulated time follows the clock; if the computer cannot keep up, cycles are skipped and
+    counted. A frame takes effect at the time at which it reached this computer, if the bus reports
+    it (`arrival`). A server delayed by other programs therefore answers late, but the motion is the
+    same. The nodes hear each other. A failed bus is reopened, see `adapter`.
 
     Args:
         bus: the bus; `close` shuts it down.
         machines: with drives of different node-ids.
-        log: takes all frames.
-        reopen: makes the bus anew where it does not come back by itself.
-        tell: takes a line about trouble with bus or log.
+        log: records all frames.
+        reopen: opens the bus again if it does not recover by itself.
+        tell: called with a line about trouble with bus or log.
     """
 
     TOLERANCE = 0.05  # s
@@ -82,11 +81,11 @@ class Server:
         return self.adapter.bus
 
     def stop(self) -> None:
-        """Let `run` return; may be called from another thread."""
+        """Make `run` return; may be called from another thread."""
         self._stopped = True
 
     def run(self, look: Callable[[], None] = lambda: None, every: float = 0.25) -> None:
-        """Serve until `stop`; `look` is called now and then, about `every` (s)."""
+        """Serve until `stop`, calling `look` about every `every` seconds."""
         due = time.monotonic()
         while not self._stopped:
             self.serve(self.adapter.recv(WAIT))
@@ -136,7 +135,7 @@ class Server:
         self._cycles_at_request = self.statistics.cycles
 
     def skip(self, seconds: float) -> None:
-        """The machines have been stepped this far ahead of the clock: it counts on from there."""
+        """Continue the clock from the time of the machines, which were stepped ahead of it."""
         self._begin -= seconds
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""Text logs of a CAN bus as programs and people leave them, line by line for python-can's readers.
+"""Text logs of a CAN bus in the variants found in practice, normalised for python-can's readers.
 
-Terminals print what `candump` prints, forums quote it, CANoe and PCAN-View save in formats with
-several versions. Each class gives its reader lines that it reads without guessing.
+Output of `candump` is copied from terminals and forums; CANoe and PCAN-View write several versions
+of their formats. Each class passes its reader lines that are unambiguous.
 """
 
 import contextlib
@@ -39,17 +39,17 @@ _VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # of .trc that python-can reads
 
 
 class Damaged(ValueError):
-    """A line that cannot be read, in words for the user."""
+    """A line cannot be read; the message is meant for the user."""
 
 
 class Lines:
-    """The lines of a text log: counted, none longer than any frame.
+    """The lines of a text log, counted and limited to the length of the longest frame.
 
-    Bytes that are not UTF-8 stay as they are: they stand in paths, dates and remarks.
+    Bytes that are not UTF-8 occur in paths, dates and comments, and are kept.
 
     Args:
-        log: the file; a mark of UTF-16 in front, as PowerShell writes it, is followed.
-        packed: whether gzip packed it.
+        log: the file; UTF-16 with a byte-order mark, as written by PowerShell, is recognised.
+        packed: whether the file is compressed by gzip.
     """
 
     def __init__(self, log: Path, packed: bool):
@@ -77,15 +77,15 @@ class Lines:
         return line
 
     def close(self) -> None:
-        """As a file."""
+        """Close the file."""
         self._file.close()
 
 
 class Printed(Lines):
-    """Text that candump prints (also -t a, A, d, z, -x, -a, -c, -e, -8), and its logs (-l).
+    """Output of candump (also with -t a, A, d, z, -x, -a, -c, -e, -8), and its logs (-l).
 
-    Terminals' prompts and comments around it are left out. Times of `-t A` are taken as UTC;
-    frames without times are `APART`.
+    Prompts of a terminal and comments are skipped. Times of `-t A` are read as UTC; frames without
+    times are spaced by `APART`.
     """
 
     def __init__(self, log: Path, packed: bool):
@@ -154,8 +154,8 @@ def _are_differences(lines: Lines) -> bool:
 class Vector(Lines):
     """An .asc of CANoe or CANalyzer.
 
-    python-can takes the first line that its header does not expect for the end of it, and drops
-    that line; and it takes times from event to event for times from the beginning.
+    python-can ends the header at the first unexpected line, which it drops, and reads times
+    relative to the previous event as times since the start.
     """
 
     def __init__(self, log: Path, packed: bool):

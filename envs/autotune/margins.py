@@ -47,10 +47,10 @@ class Margins:
     def __str__(self) -> str:
         if not self.stable:
             return "unstable"
-        told = f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
+        text = f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
         if self.doubtful < self.gain:
-            told += f", {self.doubtful:.1f} dB within {UNSURE:g}° of a crossing"
-        return told
+            text += f", {self.doubtful:.1f} dB within {UNSURE:g}° of a crossing"
+        return text
 
 
 def crossings(omega: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray, Loop]:

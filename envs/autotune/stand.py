@@ -184,8 +184,8 @@ class Stand:
         limited = int(Limit.TORQUE)
         per_mille = float(self.drive.axis.rated_torque) * 1e-3
         signs = np.array([1, -1 if against else 1][: len(self.movers)])
-        told = np.rint(offsets / per_mille).astype(int)
-        rows = self._series.run(told[:, None] * signs)
+        commanded = np.rint(offsets / per_mille).astype(int)
+        rows = self._series.run(commanded[:, None] * signs)
         samples = np.zeros((len(offsets), 6))
         for column, name in enumerate(SAMPLED[:LIMITED]):
             samples[:, column] = rows[name] @ signs / len(signs)

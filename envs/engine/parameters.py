@@ -160,11 +160,11 @@ def _at(
         array, index = place(joint)
         return float(array[index]) / factor(joint)
 
-    def put(joint: Joint, value: float) -> None:
+    def assign(joint: Joint, value: float) -> None:
         array, index = place(joint)
         array[index] = value * factor(joint)
 
-    return get, put
+    return get, assign
 
 
 def _field(name: str) -> tuple[Callable, Callable]:
@@ -252,10 +252,10 @@ def _object(name: str, scale: Callable[[Any], float]) -> tuple[Callable, Callabl
     def get(joint: Joint) -> float:
         return float(getattr(joint.drive.axis.od, name)) * scale(joint.drive.axis)
 
-    def put(joint: Joint, value: float) -> None:
+    def assign(joint: Joint, value: float) -> None:
         joint.drive.commission({name: value / scale(joint.drive.axis)})
 
-    return get, put, lambda joint: joint.drive.model.positions
+    return get, assign, lambda joint: joint.drive.model.positions
 
 
 def _lag(joint: Joint) -> float:
@@ -392,7 +392,7 @@ def get(machine: Machine, names: Iterable[str], drive: str | None = None) -> dic
     return {name: known(joint, name).get(joint) for name in names}
 
 
-def put(machine: Machine, values: Mapping[str, float], drive: str | None = None) -> None:
+def apply(machine: Machine, values: Mapping[str, float], drive: str | None = None) -> None:
     """Set parameters of a drive and its joint by name; the machine is to be at rest.
 
     Args:

@@ -1,12 +1,13 @@
-"""What runs around the steps of mujoco-warp, for one of many machines, by its SINGLE's address.
+"""The parts of a step around mujoco-warp, for one machine given by the address of its SINGLE.
 
-A step of the agent is `begin`, for each physics step `control`, the first half of mujoco-warp,
-`forces`, its `fwd_acceleration` and `solve_m`, `stick`, the second half, `finish`; then `end`. All
-of it is made of the blocks that `loop` consists of. A machine that is left out, or whose
-coordinates are no longer finite, stands still meanwhile, for mujoco-warp knows no exception.
+A step of the agent is `begin`; then for each physics step `control`, the first half of mujoco-warp,
+`forces`, its `fwd_acceleration` and `solve_m`, `stick`, the second half, `finish`; and at last
+`end`. All parts consist of the blocks of `loop`. mujoco-warp steps all machines, so a machine that
+is left out, or whose coordinates are no longer finite, is put back to where it was.
 
-Called with the address of the first machine, the bytes from one to the next, and how many they
-are: on a CPU here, one after the other; on a GPU, a thread each, by `gpu`.
+Each part is called with the address of the first machine, the number of bytes from one machine to
+the next, and the number of machines. On a CPU they run one after the other, on a GPU (`gpu`) each
+in a thread.
 """
 
 from collections.abc import Callable
@@ -37,7 +38,7 @@ def controls(world):
 
 @block
 def _move(moves, count, source, target):
-    """Bytes of one record to those of another; a GPU reads no numbers that are not aligned."""
+    """Copy fields between records of different alignment; a GPU reads aligned numbers only."""
     for move in moves_at(moves, count):
         old, new = (
             bytes_at(source + move.source, move.bytes), bytes_at(target + move.target, move.bytes)
@@ -47,7 +48,7 @@ def _move(moves, count, source, target):
 
 @block
 def begin(address):
-    """Take over what has arrived, and begin a step of the agent."""
+    """Take over a state that was sent to the device, and begin a step of the agent."""
     world = single_at(address, 1)[0]
     if world.arrived != 0:
         world.arrived = 0
@@ -98,7 +99,7 @@ def stick(address):
 
 @block
 def finish(address):
-    """Measure what the physics step brought; who stands still goes back to where it was."""
+    """Measure the result of the physics step; put a machine that is left out back."""
     world = single_at(address, 1)[0]
     qpos, qvel = positions(world), velocities(world)
     if world.moves != 0:
@@ -114,7 +115,7 @@ def finish(address):
 
 @block
 def end(address):
-    """End a step of the agent: the TPDO image."""
+    """Write the TPDO image at the end of a step of the agent."""
     world = single_at(address, 1)[0]
     if not _present(world):
         return

@@ -30,13 +30,13 @@ class Rows:
         self._live = wp.array(ptr=memory.ptr, dtype=number, shape=shape, device=memory.device)
         self._waiting = wp.clone(self._live)
 
-    def put(self, rows: Sequence[int], values: np.ndarray) -> None:
+    def send(self, rows: Sequence[int], values: np.ndarray) -> None:
         """Bring rows, one of `values` each."""
-        self._send(self._live, rows, values)
+        self._write(self._live, rows, values)
 
     def keep(self, rows: Sequence[int], values: np.ndarray) -> None:
         """Bring rows, to wait."""
-        self._send(self._waiting, rows, values)
+        self._write(self._waiting, rows, values)
 
     def begin(self, rows: Sequence[int]) -> None:
         """What waits for these rows is there now."""
@@ -52,7 +52,7 @@ class Rows:
         self._wp.copy(some, self._wp.indexedarray(self._live, self._at(rows)))
         return some.numpy().view(np.uint8)
 
-    def _send(self, target: Any, rows: Sequence[int], values: np.ndarray) -> None:
+    def _write(self, target: Any, rows: Sequence[int], values: np.ndarray) -> None:
         wp, plain = self._wp, np.ascontiguousarray(values)
         numbers = plain.view(np.uint8).reshape(len(rows), -1).view(self._number)
         brought = wp.array(numbers, dtype=target.dtype, device=target.device)

@@ -98,7 +98,7 @@ class Worlds:
         self.in_graphs = self.device.is_cuda and self.wp.is_mempool_enabled(self.device)
         self._graph: Any = None
         self.leave_out(np.zeros(n, bool))
-        self.put(range(n))
+        self.send(range(n))
 
     def _make_rows(self, images: Images, n: int) -> None:
         self._stride = self._rows.dtype.itemsize
@@ -205,10 +205,10 @@ class Worlds:
         """Which machines stand still from now on, a mask of shape ``(n,)``."""
         self.present.assign(np.where(rows, 0, self.addresses))
 
-    def put(self, rows: Sequence[int]) -> None:
+    def send(self, rows: Sequence[int]) -> None:
         """Bring machines here as they are now."""
         for place, values in self._packed(rows):
-            place.put(rows, values)
+            place.send(rows, values)
 
     def keep(self, rows: Sequence[int]) -> None:
         """Bring machines as they are now, to wait until they `begin`."""

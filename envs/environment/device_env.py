@@ -288,7 +288,7 @@ class DeviceVectorEnv(ServoVectorEnv):
                 for name, drive, cause, _ in env._faults:
                     if name in happened:
                         drive.inject(cause)
-                self._there.put([i])
+                self._there.send([i])
 
     def _looked(self) -> Any:
         """What all see at present, without history."""

@@ -122,9 +122,9 @@ class Guard:
         beyond = abs(error) > limits.following_error
         self._beyond = self._beyond + self.period if beyond else 0.0
         if beyond and self._beyond >= limits.following_error_time:
-            told = f", for {self._beyond:.3g} s" if limits.following_error_time else ""
+            duration = f", for {self._beyond:.3g} s" if limits.following_error_time else ""
             raise self._stop(
-                f"following error {error:.4g}, limit {limits.following_error:.4g}{told}"
+                f"following error {error:.4g}, limit {limits.following_error:.4g}{duration}"
             )
 
     def _within(self, what: str, position: float) -> None:

@@ -58,8 +58,8 @@ class Timing:
 
     def as_dict(self) -> dict[str, object]:
         """All of it as numbers, for a report."""
-        told = {row.what: row._asdict() for row in self.rows()}
-        return told | {
+        rows = {row.what: row._asdict() for row in self.rows()}
+        return rows | {
             "steps": len(self.waking), "period": self.period, "missed": self.missed,
             "lost": self.lost, "stale": self.stale, "share": self.share,
         }

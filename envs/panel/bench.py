@@ -258,7 +258,7 @@ class Bench:
         self, kind: str, text: str, axis: str = "", reason: str = "", remedy: str = ""
     ) -> None:
         """Add an entry to the log; see `log.KINDS`."""
-        self.log.enter(self.time, kind, text, axis, self.control.who, reason, remedy)
+        self.log.enter(self.time, kind, text, axis, self.control.window, reason, remedy)
 
     @property
     def messages(self) -> list[Event]:

@@ -84,7 +84,7 @@ class BusBench(Bench):
         self._named = {row.name: row for row in self._rows}
         self._places = {(row.index, row.subindex): row for row in self._rows}
         self._known: dict[Key, float | str] = {}
-        self._heard: dict[Key, float] = {}  # when a PDO has told it last (s)
+        self._heard: dict[Key, float] = {}  # when a PDO brought it last (s)
         self._asked: dict[Key, float] = {}  # when a page has asked for it last (s)
         self._silent: dict[str, float] = {}  # axis that does not answer -> when to try again (s)
         self._pdos: dict[int, Where] = {}  # by identifier
@@ -206,13 +206,13 @@ class BusBench(Bench):
                     self._known[key] = value = _decoded(row, frame.data[at : at + row.size])
                     self._heard[key] = self.bus.now()
                     if where[1] == "rx":
-                        self.told(where[0], name, value)
+                        self.forward(where[0], name, value)
         for axis, node in self.bus.nodes.items():
             if frame.id == Base.EMCY + node.node_id and len(frame.data) == 8:
                 code = int.from_bytes(frame.data[:2], "little")
-                told = self._named.get("error_code")
-                if told is not None:
-                    self._known[axis, told.index, told.subindex] = code
+                error = self._named.get("error_code")
+                if error is not None:
+                    self._known[axis, error.index, error.subindex] = code
                 self.tell(
                     "info", f"{axis}: EMCY {fault_named(self.model(axis), code) or 'no error'}"
                 )
@@ -274,15 +274,15 @@ class BusBench(Bench):
             return f"{arguments[-1]:g} does not fit {row.data_type}"
         except (SdoAbort, ServoError, ValueError) as error:
             return str(error)
-        self.told(axis, row.index, row.subindex, value)
+        self.forward(axis, row.index, row.subindex, value)
         if row.access != "wo":
             self._read(axis, row)
         return ""
 
-    def told(self, axis: str, *arguments: Any) -> None:
+    def forward(self, axis: str, *arguments: Any) -> None:
         """Forward a value that a drive has accepted, by object name or index, to its twin."""
         if self.beside is not None and axis == self.beside.axis:
-            self.beside.told(*arguments)
+            self.beside.repeat(*arguments)
 
     def powered(self, axis: str) -> bool:
         """Whether its statusword shows OPERATION_ENABLED."""
@@ -336,7 +336,7 @@ class BusBench(Bench):
             return otherwise if value is None else int(value)
 
         model, units, (_, scale) = self.model(name), self.units(name), self.unit(name)
-        word, told = of("statusword"), of("controlword")
+        word, controlword = of("statusword"), of("controlword")
         known = self._last(name, self._named["statusword"], ask=False)
         state = None if known is None else state_of(word)
         fault, remedy = self.fault_of(name)
@@ -348,7 +348,7 @@ class BusBench(Bench):
             "state": -1 if state is None else int(state),
             "answers": name not in self._silent,
             "mode": of("modes_of_operation_display"),
-            "controlword": told,
+            "controlword": controlword,
             "statusword": word,
             "position": of("position_actual_value") * units.position * scale,
             "demand": of("position_demand_value") * units.position * scale,
@@ -361,7 +361,7 @@ class BusBench(Bench):
             "fault": fault,
             "faults": (),
             "remedy": remedy,
-            "refused": unheeded(model, word, told) if state is not None else "",
+            "refused": unheeded(model, word, controlword) if state is not None else "",
             "limits": ["internal limit active, statusword bit 11"] if acts else [],
             "inputs": of("digital_inputs"),
             "injected": 0,
@@ -412,7 +412,7 @@ class _Port:
         """Write an object by SDO and read it back. Returns the reason of a refusal, or nothing."""
         self._may()
         self._bus.write(axis, name, value)
-        self._bench.told(axis, name, value)
+        self._bench.forward(axis, name, value)
 
     def exchange(self) -> None:
         """Advance the bench by a short time."""

@@ -305,8 +305,8 @@ class Classroom:
             ))
             if self._files is None:
                 return
-            told = journal.outcome(self.kind, self.drive, pupil.axis, pupil.attempt, pupil.journal)
-            text = json.dumps({"pupil": place.name, "ended": place.results[-1].ended} | told)
+            found = journal.outcome(self.kind, self.drive, pupil.axis, pupil.attempt, pupil.journal)
+            text = json.dumps({"pupil": place.name, "ended": place.results[-1].ended} | found)
             (self._files / run).write_text(text, encoding="utf-8")
             table = self._files / "results.csv"
             new = not table.exists()

@@ -18,7 +18,7 @@ class Control:
     def __init__(self) -> None:
         self.holder: str | None = None
         self.takeovers = 0
-        self.who = ""  # whose request is carried out now
+        self.window = ""  # that has sent the present request
         self.named: dict[str, str] = {}  # by tab
         self._seen: float | None = None  # when the holder was there last (s); None: it never says
 
@@ -46,8 +46,8 @@ class Control:
     def check(self, tab: str) -> None:
         """Raise NotInControl for a tab that only watches."""
         if not self.holds(tab):
-            who = "another window has control" if self.holder else "nobody has control"
-            raise NotInControl(f"{who}: press Take control first")
+            seat = "another window has control" if self.holder else "nobody has control"
+            raise NotInControl(f"{seat}: press Take control first")
 
     def beat(self, tab: str, now: float) -> None:
         """Note that a tab is alive at `now` (s)."""

@@ -112,15 +112,14 @@ class Player:
     Args:
         run: as `read` gives it.
         exercise: that it names.
-        machine: to be played on, as it was handed over; a new one if not given.
 
     Raises:
         ValueError: the machine is not of that kind.
     """
 
-    def __init__(self, run: Mapping[str, Any], exercise: Exercise, machine: Machine | None = None):
+    def __init__(self, run: Mapping[str, Any], exercise: Exercise):
         self.run = run
-        self.machine = machine or fresh(str(run["machine"]), str(run["drive"]))
+        self.machine = fresh(str(run["machine"]), str(run["drive"]))
         self.attempt = Attempt(exercise, self.machine, str(run["axis"]))
         self.cycle = 0
         self._events = list(reversed(run["events"]))

@@ -16,7 +16,7 @@ class Event(NamedTuple):
     text: str
     time: float  # s of the panel
     axis: str
-    who: str  # the window that has commanded, or nothing
+    window: str  # the window that has commanded, or nothing
     reason: str
     remedy: str
 
@@ -29,14 +29,14 @@ class Log:
         self._number = 0
 
     def enter(
-        self, time: float, kind: str, text: str, axis: str = "", who: str = "", reason: str = "",
+        self, time: float, kind: str, text: str, axis: str = "", window: str = "", reason: str = "",
         remedy: str = "",
     ) -> None:
         """Add an event. Raises ValueError for an unknown kind."""
         if kind not in KINDS:
             raise ValueError(f"kind {kind!r}: use one of {', '.join(KINDS)}")
         self._number += 1
-        event = Event(self._number, kind, text, time, axis, who, reason, remedy)
+        event = Event(self._number, kind, text, time, axis, window, reason, remedy)
         self.events = [*self.events[1 - KEPT :], event]
 
     def csv(self) -> str:
@@ -45,7 +45,7 @@ class Log:
         writer = csv.writer(text)
         writer.writerow(["number", "time (s)", "kind", "axis", "by", "event", "reason", "remedy"])
         for e in self.events:
-            row = (e.axis, e.who, e.text, e.reason, e.remedy)
+            row = (e.axis, e.window, e.text, e.reason, e.remedy)
             writer.writerow([e.number, f"{e.time:.4f}", e.kind, *map(plain, row)])
         return text.getvalue()
 

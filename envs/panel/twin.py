@@ -70,7 +70,7 @@ class Beside:
 
     # -------------------------------------------------------------------- commands
 
-    def told(self, *arguments: Any) -> None:
+    def repeat(self, *arguments: Any) -> None:
         """The drive has taken this value of an object, name or index and value."""
         if self.due:
             return  # it gets all at once
@@ -90,7 +90,7 @@ class Beside:
     def act(self, what: str, *arguments: Any) -> None:
         """The machine was acted on, as `journal.ACTS` has it."""
         if what == "write":
-            self.told(*arguments)
+            self.repeat(*arguments)
         elif what == "commission" and not self.due:
             try:
                 self.drive.commission(arguments[0])
@@ -103,14 +103,14 @@ class Beside:
             value = self._of(name)
             if value is not None and value != self._told.get(name):
                 self._told[name] = value
-                self.told(name, value)
+                self.repeat(name, value)
 
     def watch_parameters(self) -> None:
         """Take over what a policy has changed in the drive for itself, or put back."""
         for name, before in self._parameters.items():
             value = self._parameters[name] = self.bench.value(self.axis, name)
             if value is not None and value != before:
-                self.told(name, value)
+                self.repeat(name, value)
 
     def _row(self, name: int | str, subindex: int = 0) -> Object:
         objects = self.drive.objects
@@ -183,7 +183,7 @@ class Beside:
         for name in COMMANDS[1:-1]:
             if (value := self._of(name)) is not None:
                 self._told[name] = value
-                self.told(name, value)
+                self.repeat(name, value)
         try:
             self.drive.write("modes_of_operation", int(mode))
             if self.bench.powered(self.axis):

@@ -33,12 +33,13 @@ LINK = {"undervoltage": 200, "chopper_voltage": 390, "overvoltage": 430}  # V, o
 
 @dataclass(frozen=True)
 class MotorParameters:
-    """What can be chosen about the motor of any axis; None: of the drive model.
+    """Parameters of the motor of any axis; None stands for the value of the drive model.
 
-    A motor is a DC motor on the DC link, which sags by the resistance of its supply, and one
-    thermal mass. The voltage constant is the torque constant if not given, both in SI; the
-    inductance over the resistance is the electrical time constant. A resistance of 0 limits no
-    torque. Above the temperature limit is a fault, 0 is none.
+    A motor is modelled as a DC motor on the DC link, which sags with the resistance of its supply,
+    and as one thermal mass. Without a voltage constant, the torque constant is used (both in SI).
+    The inductance over the resistance is the electrical time constant. With a resistance of 0, the
+    voltage does not limit the torque. A temperature above the limit is a fault; a limit of 0
+    disables it.
     """
 
     speed_torque_curve: bool = False  # what is not given below comes from the rated data (inferred)

@@ -159,8 +159,8 @@ def tuned(
         raise Unmovable(_too_weak(drive, motor, load))
     # what friction and a wrong inertia leave to the controller
     left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
-    told = _told(drive, inertia, motor_side)
-    drive.commission(told)
+    settings = _told(drive, inertia, motor_side)
+    drive.commission(settings)
     pushes = (1.0, -1.0) if load.loss > 0.0 else (1.0,)
     plants = [plant_at_shaft(machine, name, pushes=each) for each in pushes]
     found = fitting(plants, drive, rule(drive, inertia, motor_side), left / (SOFT * window))
@@ -172,7 +172,7 @@ def tuned(
     window = max(window, RESERVE * left / found.stiffness)
     return {
         **in_units(drive, found),
-        **told,
+        **settings,
         "max_profile_velocity": 2 * can.velocity / per_unit,
         "profile_velocity": can.velocity / per_unit,
         "profile_acceleration": can.acceleration / per_unit,
@@ -191,11 +191,11 @@ def _told(drive: Drive, inertia: float, motor_side: float) -> dict[str, float]:
     An observer is as fast as what it cannot tell from the motor: behind a spring it has to know the
     motor side alone.
     """
-    told: dict[str, float] = {"acceleration_feed_forward": round(inertia * 1e9)}
+    settings: dict[str, float] = {"acceleration_feed_forward": round(inertia * 1e9)}
     if drive.axis.od.observer_bandwidth > 0:
         behind = motor_side < SPRUNG * inertia and motor_side * 1e12 < UNSIGNED32
-        told["observer_inertia"] = round(motor_side * 1e12) if behind else 0
-    return told
+        settings["observer_inertia"] = round(motor_side * 1e12) if behind else 0
+    return settings
 
 
 def turned(machine: Machine, name: str) -> None:

@@ -90,7 +90,7 @@ class Twin:
     def give(self, machine: Machine) -> None:
         """Set what was found in a machine of its structure: parameters and objects."""
         machine.drives[self.axis].commission(dict(self.objects))
-        parameters.put(machine, self.values, self.axis)
+        parameters.apply(machine, self.values, self.axis)
         machine.reset()
 
     def machine(

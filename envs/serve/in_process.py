@@ -50,7 +50,6 @@ class _Loop:
 def environment(
     name: str, bus: str, drive: str | Path = "generic",
     parameters: Mapping[str, Any] | None = None, home: int | None = None,
-    envelopes: Mapping[str, over_port.Envelope] | None = None,
 ) -> ServoEnv:
     """Return a task on a bus in this process, its machine at power-on.
 
@@ -61,7 +60,6 @@ def environment(
         parameters: of the environment.
         home: method by which the drives are referenced before the first episode; where they
             stand, if not given.
-        envelopes: limits by drive, see `servogym.envs.exchange.over_port.CanDrives`.
 
     Raises:
         ValueError: a drive model without this bus, or what the environment refuses.
@@ -71,15 +69,15 @@ def environment(
     machine, places = made(row, bus, Path())
     period = round(1e6 * kind.STEP_TIME)
     names = kind.DRIVES or [*machine.drives]
-    arguments: dict[str, Any] = {"envelopes": envelopes, "pace": over_port.LockStep()}
+    pace = over_port.LockStep()
     side: over_port.DriveSide
     if bus == "ethercat":
         segment = Segment([Slave(each) for each in machine.drives.values()])
         master = EtherCatMaster(Bus(segment, [machine], "frame"))
-        side = over_port.EtherCatDrives(master, names, model, **arguments)
+        side = over_port.EtherCatDrives(master, names, model, pace=pace)
     else:
         nodes = {axis: machine.drives[axis].node_id for axis in names}
-        side = over_port.CanDrives(_Loop(machine, period), nodes, model, **arguments)
+        side = over_port.CanDrives(_Loop(machine, period), nodes, model, pace=pace)
     env: ServoEnv = kind(model, port=side, **given)
     assert isinstance(env.line, over_port.PortLine)
     env.line.home = home

@@ -179,19 +179,19 @@ class Search:
         candidates: machines of the family.
         experiments: what they are to repeat.
         fixed: parameters that are known.
-        told: is called after each step with the values and the cost.
+        progress: is called after each step with the values and the cost.
     """
 
     def __init__(
         self, candidates: Candidates, experiments: Sequence[Experiment],
         fixed: Mapping[str, float] | None = None,
-        told: Callable[[Mapping[str, float], float], object] = lambda values, cost: None,
+        progress: Callable[[Mapping[str, float], float], object] = lambda values, cost: None,
     ):
         self.candidates = candidates
         self.experiments = list(experiments)
         self._moving = [each.moving for each in self.experiments]
         self.fixed = dict(fixed or {})
-        self.told = told
+        self.progress = progress
 
     def residuals(
         self, values: Sequence[Mapping[str, float]], as_logged: bool = False
@@ -265,7 +265,7 @@ class Search:
             white, jacobian = self._linear(free, x, noise, central=last and close)
             best = float(np.mean(white**2))
             here = {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
-            self.told(self.fixed | here, best)
+            self.progress(self.fixed | here, best)
             if last:
                 break
             gram, slope = jacobian.T @ jacobian, jacobian.T @ white

@@ -100,7 +100,7 @@ class Fitted:
 
 def fit(
     experiments: Sequence[Experiment], drive: str | DriveModel, chosen: Family,
-    *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
+    *, gains_known: bool = False, progress: Callable[[str], object] = lambda text: None,
 ) -> Fitted:
     """Fit one family.
 
@@ -109,7 +109,7 @@ def fit(
         drive: model.
         chosen: the family.
         gains_known: the machine is commissioned with the gains of the log.
-        told: takes a line about the progress.
+        progress: takes a line about the progress.
 
     Raises:
         Unusable: the logs cannot tell what is asked of them.
@@ -134,7 +134,7 @@ def fit(
         inertia = inertia_at_shaft(*place)
     strongest = max(float(np.abs(each.torque).max()) for each in training) * abs(joint.gear)
     free = _free(chosen, joint, start, gains_known, strongest, inertia)
-    search.told = lambda values, cost: told(
+    search.progress = lambda values, cost: progress(
         f"{chosen.name}: {_shown(values, chosen)}, misfit {math.sqrt(cost):.3g}"
     )
     best: dict[str, float] = dict(start)
@@ -163,7 +163,7 @@ def fit(
     worse = max(worse, (held[0] / max(held[2], 1e-12)) ** 2)  # what is no noise is not told
     if complete:
         try:
-            all_of_it = Search(candidates, experiments, told=search.told)
+            all_of_it = Search(candidates, experiments, progress=search.progress)
             if not candidates.coarse:
                 noise = all_of_it.noise(best)
             estimate = all_of_it.descend(
@@ -185,7 +185,7 @@ def fit(
 def choose(
     experiments: Sequence[Experiment], drive: str | DriveModel, names: Sequence[str] = AUTO,
     built: Mapping[str, Any] | None = None, objects: Mapping[str, float] | None = None,
-    *, gains_known: bool = False, told: Callable[[str], object] = lambda text: None,
+    *, gains_known: bool = False, progress: Callable[[str], object] = lambda text: None,
     free: Sequence[str] = (),
 ) -> tuple[Fitted, list[Fitted]]:
     """Fit families until one explains the logs; -> the best by held-out error, and all."""
@@ -193,7 +193,9 @@ def choose(
     for name in names:
         try:
             chosen = replace(family(name).given(built, objects), extra=tuple(free))
-            tried.append(fit(experiments, drive, chosen, gains_known=gains_known, told=told))
+            tried.append(
+                fit(experiments, drive, chosen, gains_known=gains_known, progress=progress)
+            )
         except KeyboardInterrupt:
             if not tried:
                 raise

@@ -16,7 +16,7 @@ NEEDED = ("position_actual_value",)
 
 def read(
     logs: Sequence[str | Path], machine: Machine, drive: str | DriveModel, name: str, *,
-    who: str | None = None, columns: str | None = None, mode: int | None = None,
+    sender: str | None = None, columns: str | None = None, mode: int | None = None,
     torque_constant: float | None = None, cycle: float | None = None, hold: bool = False,
 ) -> list[Experiment]:
     """Read the logs into experiments, in their order.
@@ -26,7 +26,7 @@ def read(
         machine: commissioned as the one of the logs.
         drive: its model, by which the objects of a CAN log are known.
         name: of the drive in the machine.
-        who: node or slave of the log; the only one that has a position, if not given.
+        sender: node or slave of the log; the only one that has a position, if not given.
         columns: of a CSV, see `Source`.
         mode: of operation, where the log does not say it.
         torque_constant: Nm/A, where a table has the current in A.
@@ -46,12 +46,12 @@ def read(
                 "record again, with the SDOs that map it (of another drive model they mean "
                 "something else: --drive), or say --columns of a CSV"
             )
-        if who is None and len(having) > 1:
+        if sender is None and len(having) > 1:
             raise Unusable(
                 f"{log}: {len(having)} axes are in it ({', '.join(having)}): say which one is "
                 "meant with --axis"
             )
-        signals = _by_variable(source.signals(source.drive(who, NEEDED)), machine.drives[name])
+        signals = _by_variable(source.signals(source.drive(sender, NEEDED)), machine.drives[name])
         found += _parts(
             signals, machine, name, log=log.name, mode=mode, torque_constant=torque_constant,
             cycle=cycle, hold=hold,

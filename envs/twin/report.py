@@ -49,11 +49,9 @@ def report(folder: Path, fitted: Fitted, content: Mapping[str, Any]) -> list[Pat
 
 
 def _figure(rows: int, columns: int, size: tuple[float, float]) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, sharex=rows > 1, squeeze=False)
 
 

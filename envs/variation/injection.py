@@ -66,8 +66,8 @@ def injections(
                     f"faults: unknown cause {cause!r}: {hint(cause, known)}; those of an "
                     "EtherCAT bus are listed in servogym.drive.ethercat.faulty"
                 )
-            told = f"{name}.{cause}" if several else cause
-            rows.append(Injection(told, own[name], cause, probability))
+            label = f"{name}.{cause}" if several else cause
+            rows.append(Injection(label, own[name], cause, probability))
         if not (isinstance(probability, Real) and 0.0 <= probability <= 1.0):
             raise ValueError(f"faults[{key!r}] = {probability!r} is out of range 0..1")
     return rows

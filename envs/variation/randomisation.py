@@ -94,7 +94,7 @@ def _one(machine: Machine) -> float:
     return 1.0
 
 
-def _parameter(name: str, low: float | None = None, high: float | None = None) -> Knob:
+def _parameter(name: str, high: float | None = None) -> Knob:
     """A parameter of the machine, alike for all of its drives."""
     row = PARAMETERS[name]
 
@@ -103,7 +103,7 @@ def _parameter(name: str, low: float | None = None, high: float | None = None) -
             row.set(joint, value)
 
     return Knob(
-        row.low if low is None else low, row.high if high is None else high, row.unit, turn,
+        row.low, row.high if high is None else high, row.unit, turn,
         lambda machine: max(row.get(Joint(machine, drive)) for drive in machine.drives),
     )
 

@@ -21,10 +21,10 @@ def in_unit(heading: str, unit: str) -> str:
     'peak following error (µrad)'
     """
 
-    def told(found: re.Match[str]) -> str:
+    def converted(found: re.Match[str]) -> str:
         return f"({' or '.join(found[1] + one + found[2] for one in unit.split(' or '))})"
 
-    return METRES.sub(told, heading)
+    return METRES.sub(converted, heading)
 
 
 class Sensor(NamedTuple):

@@ -36,8 +36,9 @@ rng = np.random.default_rng(SEED)
 machine = linear_axis()
 names = ("payload", "coulomb_friction", "viscous_friction")
 nominal = parameters.get(machine, names)
-parameters.put(machine, {n: v * float(np.exp(rng.uniform(-0.9, 0.9))) for n, v in nominal.items()})
-parameters.put(machine, {"encoder_noise": NOISE})
+hidden = {n: v * float(np.exp(rng.uniform(-0.9, 0.9))) for n, v in nominal.items()}
+parameters.apply(machine, hidden)
+parameters.apply(machine, {"encoder_noise": NOISE})
 
 targets = column(sys.argv[1], 1)
 torques = column(sys.argv[3], 1) if len(sys.argv) > 3 else [0] * len(targets)

@@ -95,7 +95,7 @@ def test_every_parameter_that_is_there_reads_back_what_was_set(make):
         if name == "static_friction":
             wanted = max(wanted, 1.1 * parameters.get(machine, ["coulomb_friction"])[
                 "coulomb_friction"])
-        parameters.put(machine, {name: wanted})
+        parameters.apply(machine, {name: wanted})
         assert parameters.get(machine, [name])[name] == pytest.approx(wanted, rel=1e-4), name
     machine.step(10)
 
@@ -112,7 +112,7 @@ def test_what_is_set_is_what_would_have_been_built():
         name: parameters.get(built, [name])[name]
         for name in ("velocity_gain", "integral_time", "position_gain", "acceleration_feed_forward")
     }
-    parameters.put(turned, values | gains)
+    parameters.apply(turned, values | gains)
     tracks = []
     for machine in (built, turned):
         rows = {"target_position": sine(300, 200_000)}
@@ -124,14 +124,14 @@ def test_what_is_set_is_what_would_have_been_built():
 
 def test_setting_a_mass_leaves_a_machine_where_it_is():
     machine = enabled(linear_axis())
-    parameters.put(machine, {"payload": 3.0})
+    parameters.apply(machine, {"payload": 3.0})
     assert machine.data.qpos[0] == pytest.approx(0.2, abs=1e-4)
 
 
 def test_a_load_force_is_carried_by_the_motor():
     """Closed form: force over gear, at rest without friction."""
     machine = linear_axis(coulomb_friction=0.0, viscous_friction=0.0)
-    parameters.put(machine, {"load_force": -30.0})
+    parameters.apply(machine, {"load_force": -30.0})
     enabled(machine)
     machine.step(2000)
     gear, _ = machine.joint("x")
@@ -140,7 +140,7 @@ def test_a_load_force_is_carried_by_the_motor():
 
 def test_torque_constant_scales_what_the_motor_gives():
     machine = linear_axis(inclination=90.0, coulomb_friction=0.0, payload=3.5)
-    parameters.put(machine, {"torque_constant": 0.8})
+    parameters.apply(machine, {"torque_constant": 0.8})
     enabled(machine)
     machine.step(2000)
     gear, _ = machine.joint("x")
@@ -157,7 +157,7 @@ def test_torque_constant_scales_what_the_motor_gives():
 )
 def test_a_parameter_that_is_not_there_is_refused(values, said):
     with pytest.raises(ValueError, match=said):
-        parameters.put(linear_axis(), values)
+        parameters.apply(linear_axis(), values)
 
 
 def test_coulomb_and_viscous_friction_are_drawn_apart():

@@ -430,9 +430,9 @@ def test_a_correction_of_what_is_told_has_no_rank(honest):
     head, files = copy.deepcopy(honest[0]), dict(honest[1])
     about(files, residual="informed_ruckig", bounds=[0.01])
     made = format_of.Submission(**head, files=files)
-    assert made.told(TASK)
+    assert made.informed(TASK)
     assert made.plays == "PPO on informed_ruckig"
-    assert not format_of.Submission(**head, files=dict(honest[1])).told(TASK)
+    assert not format_of.Submission(**head, files=dict(honest[1])).informed(TASK)
 
 
 def test_a_suite_may_draw_its_seed_from_what_plays_and_nothing_else(honest, tmp_path):

@@ -78,11 +78,11 @@ def test_a_committed_comparison_has_every_kind_of_row(path):
     """Doing nothing, chance, three of motion control, one tuned, one told, the limit, learning."""
     _, found = evaluations(path)
     names = {one.policy for one in found}
-    rivals = {n for n in names & POLICIES.keys() if not POLICIES[n].told} - {"hold", "random"}
+    rivals = {n for n in names & POLICIES.keys() if not POLICIES[n].informed} - {"hold", "random"}
     assert {"hold", "random", "bound"} <= names
     assert len(rivals) >= 3
     assert rivals & (tuner.FITTED.keys() | set(tuner.offered()))
-    assert any(POLICIES[name].told for name in names & POLICIES.keys() - {"bound"})
+    assert any(POLICIES[name].informed for name in names & POLICIES.keys() - {"bound"})
     why = "**Why there is no row `learned`.**"
     assert "learned" in names or why in path.with_suffix(".md").read_text(encoding="utf-8")
 

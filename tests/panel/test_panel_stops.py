@@ -141,7 +141,7 @@ def test_a_stop_stands_in_every_mode_whoever_presses(room, mode, button, who):
         room.clock.move(lambda s: s.masters["x"].resume()).result(20)
         assert room.stands()
     event = next(e for e in room.session.log.events if e.kind == "stop")
-    assert event.who.startswith("window")
+    assert event.window.startswith("window")
 
 
 @pytest.mark.parametrize(

@@ -34,8 +34,8 @@ def play(env, policy, steps=None, **options):
 def test_every_task_has_two_classical_baselines_and_a_limit(task):
     assert len(EIGHT) == 8
     assert ANYWHERE == ("hold", "random")
-    assert len([name for name in task.POLICIES if not POLICIES[name].told]) >= 2
-    assert [name for name in task.POLICIES if POLICIES[name].told]
+    assert len([name for name in task.POLICIES if not POLICIES[name].informed]) >= 2
+    assert [name for name in task.POLICIES if POLICIES[name].informed]
 
 
 def test_a_bound_is_a_row_of_settling_time_alone_and_below_all_others(tmp_path):

@@ -165,7 +165,7 @@ def record(machine, file, rng, mode, period, *, fieldbus="can", name="x", droppe
     """Moves of one axis, commanded over a bus; -> its log, candump or pcapng."""
     drive, cycle = machine.drives[name], machine.cycle_time
     period = round(period / cycle) * cycle  # of an ARS 2000 0.832 ms, 9.984 ms
-    parameters.put(machine, {"encoder_noise": noise}, name)
+    parameters.apply(machine, {"encoder_noise": noise}, name)
     machine.couplings["noise_state"] = int(rng.integers(1, 2**62))
     here = 0.5 * (low + high)
     if mode == "ip":  # saved, and the drive reset: some take another period then only (Festo 7.4.2)

@@ -40,7 +40,7 @@ def draw(machine, family, rng, known):
         k = math.exp(rng.uniform(math.log(low), math.log(high)))
         ratio = rng.uniform(0.01, 0.1)
         spring = {stiffness: k, damping: 2 * ratio * math.sqrt(k * hidden[family.mass])}
-        parameters.put(machine, spring, family.axis)
+        parameters.apply(machine, spring, family.axis)
         hidden |= spring
     if not known:
         hidden |= hide(machine, rng, GAINS, 0.3, family.axis)
@@ -110,7 +110,7 @@ def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic"
     machine = family.make(drive)
     hidden = draw(machine, family, rng, known)
     noise = float(rng.uniform(0.2, 1.0)) * 1e-6
-    parameters.put(machine, {"encoder_noise": noise}, family.axis)
+    parameters.apply(machine, {"encoder_noise": noise}, family.axis)
     machine.couplings["noise_state"] = int(rng.integers(1, 2**62))
     slow = {"speed": (0.05, 0.35), "acceleration": (1, 5)} if family.name in SLOW else {}
     set_points = moves(rng, seconds, period, **slow)

@@ -118,14 +118,14 @@ def hide(machine, rng, names, spread=1.0, drive=None):
     """Give a drive of a machine other parameters, each by a factor; -> what they are."""
     nominal = parameters.get(machine, names, drive)
     hidden = {name: v * float(np.exp(rng.uniform(-spread, spread))) for name, v in nominal.items()}
-    parameters.put(machine, hidden, drive)
+    parameters.apply(machine, hidden, drive)
     return hidden
 
 
 def csp_log(machine, file, rng, *, seconds=4.0, period=1e-3, noise=0.5e-6, home=True, dropped=0.0,
             jitter=0.0, places=None, **shape):
     """Moves in csp with hidden noise, recorded by a logger with clock jitter; -> the file."""
-    parameters.put(machine, {"encoder_noise": noise})
+    parameters.apply(machine, {"encoder_noise": noise})
     machine.couplings["noise_state"] = int(rng.integers(1, 2**62))
     if places is None:
         places = moves(rng, seconds, period, **shape)

@@ -128,7 +128,7 @@ def test_set_points_lost_from_a_log_are_found_again(period):
     table = FAMILIES["rotary_table"]
     rng = np.random.default_rng(7)
     machine = table.make("generic")
-    parameters.put(machine, {"encoder_noise": NOISE})
+    parameters.apply(machine, {"encoder_noise": NOISE})
     signals = stream(machine, "x", moves(rng, 2.0, period), period, rng, dropped=0.0, jitter=0.0)
     sent = signals["target_position"]
     turning = np.flatnonzero(np.abs(np.diff(sent.value, 2)) > 1) + 1
@@ -154,7 +154,7 @@ def test_of_a_deployment_the_parts_of_the_task_are_taken(tmp_path):
     rng = np.random.default_rng(4)
     machine = linear_axis()
     hidden = hide(machine, rng, HIDDEN)
-    parameters.put(machine, {"encoder_noise": NOISE})
+    parameters.apply(machine, {"encoder_noise": NOISE})
     machine.reset({"x": 0.1})
     node = Node(machine, tmp_path / "run.log", rng)
     node.configure()

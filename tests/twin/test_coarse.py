@@ -40,7 +40,7 @@ def table(tmp_path_factory):
     """Steps of 5 and 10 mm, a sample every 10 ms."""
     spindle = FAMILIES["spindle"].given(MOTOR, DRIVE | {"max_motor_speed": 2**31 - 1})
     machine = spindle.make("generic")
-    parameters.put(machine, HIDDEN)
+    parameters.apply(machine, HIDDEN)
     places = 0.2 + np.repeat([0.0, 0.005, -0.005, 0.005, -0.005, 0.005, -0.005, 0.005], 500)
     rng = np.random.default_rng(2)
     found = stream(machine, "x", places, 1e-3, rng, dropped=0.0, jitter=0.0)

@@ -154,7 +154,7 @@ def test_health_finds_nothing_in_the_same_machine(fitted, folder):
 def test_health_finds_friction_that_has_grown(folder, recorded, tmp_path, capsys):
     _, hidden = recorded
     worn = linear_axis()
-    parameters.put(worn, hidden | {"coulomb_friction": 1.18 * hidden["coulomb_friction"]})
+    parameters.apply(worn, hidden | {"coulomb_friction": 1.18 * hidden["coulomb_friction"]})
     log = made.csp_log(worn, tmp_path / "new.log", np.random.default_rng(8), dropped=0.005,
                        jitter=2e-4, seconds=3.0)
     assert main(["twin", "--against", str(folder), str(log), "-o", str(tmp_path / "health")]) == 0
@@ -174,7 +174,7 @@ def test_health_finds_a_gap_that_has_grown_by_4_um(tmp_path):
     log = made.csp_log(linear_axis(mechanics="ball_screw"), tmp_path / "a.log", rng, **slow)
     worn = linear_axis(mechanics="ball_screw")
     friction = 1.18 * parameters.get(worn, ["coulomb_friction"])["coulomb_friction"]
-    parameters.put(worn, {"backlash": 24e-6, "coulomb_friction": friction})
+    parameters.apply(worn, {"backlash": 24e-6, "coulomb_friction": friction})
     new = made.csp_log(worn, tmp_path / "b.log", rng, **slow)
     twin, health = str(tmp_path / "twin"), tmp_path / "health"
     gains = tmp_path / "gains.json"

@@ -264,6 +264,6 @@ def listing(env: str, console: Console) -> int:
             table.add_row(name, json.dumps(parameter.default, default=str))
     console.print(table)
     page = inspect.getdoc(kind) or ""
-    told = page.partition("## Arguments\n")[2].partition("\n## ")[0].strip()
-    console.print(told, highlight=False, markup=False)
+    section = page.partition("## Arguments\n")[2].partition("\n## ")[0].strip()
+    console.print(section, highlight=False, markup=False)
     return 0

@@ -50,7 +50,7 @@ def opened(options: argparse.Namespace):
         return create_bus_from_namespace(options, **given)
     except Exception as error:
         reason = error.__cause__ or error  # python-can and its back-ends raise anything
-        told = where(options)
+        place = where(options)
         kind = "" if isinstance(reason, (can.CanError, OSError)) else f"{type(reason).__name__}: "
         said = re.sub(r"^.Errno -?[0-9]+. ", "", " ".join(str(reason).split()))
         if "serial module" in said:
@@ -58,7 +58,7 @@ def opened(options: argparse.Namespace):
         if missing := re.search(r"missing 1 required .*'(\w+)'", said):
             kind, said = "", f"give --{missing[1].replace('_', '-')}"
         raise ValueError(
-            f"no bus on {told or 'the default'}: {kind}{said}; "
+            f"no bus on {place or 'the default'}: {kind}{said}; "
             f"without hardware use -i {INTERFACE} -c {CHANNEL}"
         ) from None
 

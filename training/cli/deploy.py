@@ -139,11 +139,11 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
         tables = _compared(options, played, example)
         _tell_compared(tables, console)
         if options.report:
-            told: dict[str, Any] = {
+            report: dict[str, Any] = {
                 "episodes": {name: [_row(e) for e in rows] for name, rows in played.items()},
                 "stopped": reason, "times": line.timing.as_dict(), "compared": tables,
             }
-            options.report.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+            options.report.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         return 1 if reason else 0
 
 
@@ -257,7 +257,7 @@ def _policy(name: str, example: Any, seed: int) -> Any:
     from ..policies import Bound as Limit
 
     row = POLICIES.get(name.partition(":")[0])
-    if row is not None and row.told:
+    if row is not None and row.informed:
         raise ValueError(f"policy {name!r} is told what was drawn at random: no bus tells it")
     policy = make(name, example, seed)
     if isinstance(policy, BuiltIn | Limit):
@@ -273,8 +273,8 @@ def _policy(name: str, example: Any, seed: int) -> Any:
 
 def _row(episode: Any) -> dict[str, Any]:
     """Describe an episode for a report."""
-    told = {k: v for k, v in episode.info.items() if isinstance(v, int | float | str | bool)}
-    return {"return": episode.returned, "steps": episode.steps, "late": episode.late} | told
+    info = {k: v for k, v in episode.info.items() if isinstance(v, int | float | str | bool)}
+    return {"return": episode.returned, "steps": episode.steps, "late": episode.late} | info
 
 
 def _tell_episode(number: int, episode: Any, console: Console) -> None:

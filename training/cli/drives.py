@@ -73,8 +73,8 @@ def _changes(model) -> Iterator[tuple[str, str]]:
     if model.bus in base.buses:
         base = load(base, model.bus)
     yield "based on", base.name
-    told = {SUPPORTED_METHODS, SUPPORTED_MODES} & set(_indices(base))  # by rows of their own
-    objects = {a: row for a, row in model.objects.items() if a[0] not in told}
+    own = {SUPPORTED_METHODS, SUPPORTED_MODES} & set(_indices(base))  # by rows of their own
+    objects = {a: row for a, row in model.objects.items() if a[0] not in own}
     added = [row for address, row in objects.items() if address not in base.objects]
     yield "objects added", "\n".join(f"{_called(row)} {_limits(row)}".rstrip() for row in added)
     gone = [f"{index:04X}h" for index in _indices(base) if index not in _indices(model)]

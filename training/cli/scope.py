@@ -149,16 +149,16 @@ def _of_log(options: argparse.Namespace):
     asked = _asked(options)
     node = options.axis or (None if options.node_id is None else str(options.node_id))
     watched = _trigger(options.trigger, lambda channel: channel)
-    who = source.drive(node, [*asked, *([watched.channel] if watched else [])])
-    names = [source.name(who, channel) for channel in asked]
-    names = names or [name for name in CHANNELS if name in source.units[who]]
-    names = names if asked or len(names) > 1 else source.often(who, MOST)
-    trigger = _trigger(options.trigger, lambda channel: source.name(who, channel))
+    sender = source.drive(node, [*asked, *([watched.channel] if watched else [])])
+    names = [source.name(sender, channel) for channel in asked]
+    names = names or [name for name in CHANNELS if name in source.units[sender]]
+    names = names if asked or len(names) > 1 else source.often(sender, MOST)
+    trigger = _trigger(options.trigger, lambda channel: source.name(sender, channel))
     recording = Recording(
-        {name: source.units[who][name] for name in names}, **_window(options, trigger)
+        {name: source.units[sender][name] for name in names}, **_window(options, trigger)
     )
-    record(recording, source.groups(who))
-    return recording, f" of {who}", f"in {log}"
+    record(recording, source.groups(sender))
+    return recording, f" of {sender}", f"in {log}"
 
 
 def _of_node(options: argparse.Namespace):

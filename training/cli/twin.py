@@ -88,7 +88,9 @@ def add_replay(replay: argparse.ArgumentParser) -> None:
     replay.add_argument("log", type=Path, help="log: candump, .asc, .blf, .pcapng or .csv")
     machines.add(replay)
     add_log(replay, axis=False)
-    replay.add_argument("--who", help="node or slave of the log, if there are several")
+    replay.add_argument(
+        "--sender", "--who", dest="sender", help="node or slave of the log, if there are several"
+    )
     replay.add_argument("--out", type=Path, default=Path("out"), help="folder for replay.csv (out)")
     replay.set_defaults(folders=("out",))
 
@@ -191,7 +193,7 @@ def _fitted(
     from ...envs.twin.fit import choose
 
     experiments = logs.read(
-        options.logs, machine, options.drive, family(names[0]).axis, who=options.axis,
+        options.logs, machine, options.drive, family(names[0]).axis, sender=options.axis,
         **_log_options(options),
     )
     in_log = any("velocity_control_gain" in each.objects for each in experiments)
@@ -199,7 +201,7 @@ def _fitted(
     with console.status(f"reading{keeps}") as status:
         return choose(
             experiments, options.drive, names, built, objects, gains_known=gains_known or in_log,
-            told=lambda text: status.update(f"{text}{keeps}"), free=tuple(free),
+            progress=lambda text: status.update(f"{text}{keeps}"), free=tuple(free),
         )
 
 
@@ -315,7 +317,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
         if n in twin.values
     }
     machine = FAMILIES[name].given(built).make(options.drive)
-    parameters.put(machine, gains, twin.axis)  # in the drive's own units
+    parameters.apply(machine, gains, twin.axis)  # in the drive's own units
     od = machine.drives[twin.axis].axis.od
     objects = {each: float(getattr(od, each)) for each in GAIN_OBJECTS}
     gap = twin.builder == "linear_axis" and parameters.PARAMETERS["backlash"].there(
@@ -359,7 +361,7 @@ def compare(options: argparse.Namespace, console: Console) -> int:
 
     candidates = Candidates(make, name, 1)
     (experiment,) = logs.read(
-        [options.log], candidates.machines[0], options.drive, name, who=options.who,
+        [options.log], candidates.machines[0], options.drive, name, sender=options.sender,
         **_log_options(options),
     )
     quiet = {"encoder_noise": 0.0}

@@ -136,11 +136,11 @@ def _within(part: Any, whole: Any) -> bool:
 
 def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
     """The table of all results, with the sum."""
-    rows, told = [], set()
+    rows, commands = [], set()
     for one in every:
         own = known.get(one.command)
-        first = one.command not in told
-        told.add(one.command)
+        first = one.command not in commands
+        commands.add(one.command)
         cost = ["written by hand", "", ""] if not one.command else ["not measured", "", ""]
         if own and first:
             same = "yes" if own["same"] else "no"
@@ -155,12 +155,12 @@ def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
         took = sum(each.cpu_seconds for each in own)
         place = f"`assets/policies/{task}/seed_*`"
         rows.append([place, "`servogym results --train out/again`", f"{most}{took:.0f}", "", ""])
-    measured = sum(known[command]["cpu_seconds"] for command in told if command in known)
-    missing = sum(1 for command in told if command and command not in known)
+    measured = sum(known[command]["cpu_seconds"] for command in commands if command in known)
+    missing = sum(1 for command in commands if command and command not in known)
     trained = sum(each.cpu_seconds for each in trainings)
     total = measured + trained
     text = (
-        f"{markdown(HEADING, rows)}\nThe {len(told & known.keys())} measured commands took "
+        f"{markdown(HEADING, rows)}\nThe {len(commands & known.keys())} measured commands took "
         f"{measured:.0f} CPU-seconds and the trainings at most {trained:.0f}, together "
         f"{total / 60 / repeat.CORES:.0f} minutes of {repeat.CORES} cores. "
         f"{missing} commands were not measured.\n"

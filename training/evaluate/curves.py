@@ -39,14 +39,12 @@ def read(folder: Path) -> tuple[np.ndarray, list[np.ndarray]]:
 
 def run(folder: Path, out: Path, console: Console) -> int:
     """Draw the curves to a file; -> exit status."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     steps, runs = read(folder)
     summaries = [summarise(np.array([run[i] for run in runs])) for i in range(len(steps))]
-    figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
+    figure = Figure((7.0, 3.6), layout="constrained")
+    axes = figure.subplots()
     for returns in runs:
         axes.plot(steps, returns.mean(axis=1), color=INK, lw=0.8, alpha=0.4)
     low, high = ([getattr(s, name) for s in summaries] for name in ("low", "high"))
@@ -61,6 +59,5 @@ def run(folder: Path, out: Path, console: Console) -> int:
     axes.set_title(folder.name, fontsize=11)
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=110, metadata={"Software": None})
-    plt.close(figure)
     console.print(f"{out}: {len(runs)} trainings, {len(steps)} evaluations of each")
     return 0

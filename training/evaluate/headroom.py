@@ -129,8 +129,8 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
         rough, heat = row.found.values["rms_jerk"], row.found.values["rms_torque"]
         with np.errstate(invalid="ignore"):
             keeps = (faults == 0.0) & ~(heat > 1.0) & ~(rough > ROUGHER * jerk)
-        told = row.name in POLICIES and POLICIES[row.name].told
-        kind = "told" if told else "learned" if row.name == LEARNED else "row"
+        informed = row.name in POLICIES and POLICIES[row.name].informed
+        kind = "told" if informed else "learned" if row.name == LEARNED else "row"
         summary = summarise(values, metric.better)
         success = float(np.mean(row.found.values["success"]))
         lines.append([
@@ -163,10 +163,10 @@ def across(shares: Mapping[str, Sequence[Row]]) -> str:
     for rows in shares.values():
         if not all(row.share.size for row in rows):
             continue
-        told = [row for row in rows if row.name in POLICIES and POLICIES[row.name].told]
-        others = [row for row in rows if row not in told and row.name != LEARNED]
+        informed = [row for row in rows if row.name in POLICIES and POLICIES[row.name].informed]
+        others = [row for row in rows if row not in informed and row.name != LEARNED]
         learned = [row for row in rows if row.name == LEARNED]
-        for key, own in (("best row", others), (LEARNED, learned), ("best told", told)):
+        for key, own in (("best row", others), (LEARNED, learned), ("best told", informed)):
             groups[key] += [own[0].share.ravel()] if own else []
         if learned:
             a, b = learned[0].share.ravel(), others[0].share.ravel()

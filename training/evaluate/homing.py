@@ -249,13 +249,11 @@ def two_sided(one: np.ndarray, other: np.ndarray) -> float:
     return float(max(high for _, high in ends) - min(low for low, _ in ends))
 
 
-def interval(
-    of: Callable[..., float], *samples: np.ndarray, seed: int = SEED
-) -> tuple[float, float]:
+def interval(of: Callable[..., float], *samples: np.ndarray) -> tuple[float, float]:
     """Return the bootstrap interval of a figure of samples, with `CONFIDENCE`."""
     if any(len(sample) < 3 for sample in samples):
         return np.nan, np.nan
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(SEED)
     found = [of(*(random.choice(s, len(s)) for s in samples)) for _ in range(RESAMPLED)]
     tail = 50 * (1 - CONFIDENCE)
     low, high = np.percentile(found, [tail, 100 - tail])
@@ -271,7 +269,7 @@ def sides(rows: list[Row], edge: float) -> tuple[np.ndarray, np.ndarray]:
 
 def sentences(cells: Sequence[Row]) -> list[str]:
     """Sum up the table in sentences, with the numbers that support them."""
-    told = [
+    said = [
         f"Method {cell['method']} on {cell['mechanics']} does not home in {cell['failures']} of "
         f"{cell['runs']} runs: {cell['failure']}"
         for cell in cells
@@ -282,7 +280,7 @@ def sentences(cells: Sequence[Row]) -> list[str]:
         as_is = [c for c in here if c["variant"] == AS_DELIVERED and np.isfinite(c["A"])]
         if len(as_is) > 1:
             best, quick = min(as_is, key=lambda c: c["A"]), min(as_is, key=lambda c: c["time"])
-            told.append(
+            said.append(
                 f"On {mechanics}, method {best['method']} repeats best, with A = "
                 f"{number(best['A'])} µm{_between(best)} in {best['time']:.2f} s; method "
                 f"{quick['method']} is the quickest, with {quick['time']:.2f} s and "
@@ -293,14 +291,14 @@ def sentences(cells: Sequence[Row]) -> list[str]:
         if base and others and np.isfinite(base["A_low"]):
             worst = max(others, key=lambda c: c["A"])
             apart = worst["A_low"] > base["A_high"]
-            told.append(
+            said.append(
                 f"With method {BESIDE} on {mechanics}, A "
                 + ("goes" if apart else "does not change beyond its interval:")
                 + f" from {number(base['A'])} µm{_between(base)} as delivered to "
                 f"{number(worst['A'])} µm{_between(worst)} with {worst['variant']}; "
                 f"the worst error is {number(base['worst'])} and {number(worst['worst'])} µm."
             )
-    return told
+    return said
 
 
 def _between(cell: Row) -> str:

@@ -257,18 +257,18 @@ def _apart(where: str, conditions: Mapping[str, Mapping[str, list[list[float | N
 
 
 def _same(
-    where: str, submission: Submission, told: Any, found: Mapping[str, Any], kind: type[ServoEnv]
+    where: str, submission: Submission, claimed: Any, found: Mapping[str, Any], kind: type[ServoEnv]
 ) -> None:
     """Refuse a table that differs in any bit. Raises ValueError with the first two numbers."""
-    if told == found:
+    if claimed == found:
         return
     again = f"make it again with `{submission.command}`"
-    if not isinstance(told, dict) or told.keys() != found.keys():
+    if not isinstance(claimed, dict) or claimed.keys() != found.keys():
         raise ValueError(f"{where}: its table has other columns than {', '.join(found)}; {again}")
     known = metrics(kind)
-    metric = next(name for name in found if told[name] != found[name])
+    metric = next(name for name in found if claimed[name] != found[name])
     try:
-        one, other = np.array(told[metric], float), np.array(found[metric], float)
+        one, other = np.array(claimed[metric], float), np.array(found[metric], float)
     except (TypeError, ValueError):
         one, other = np.empty(0), np.array(found[metric], float)
     if one.shape != other.shape:
@@ -343,11 +343,11 @@ def _lines(
         for entry, row in cells.items()
     }
 
-    def told(entry: str) -> bool:
-        return entries is not None and entries[entry].told(env)
+    def informed(entry: str) -> bool:
+        return entries is not None and entries[entry].informed(env)
 
-    order = sorted(cells, key=lambda entry: (told(entry), -earned[entry], entry))
-    ranked = [entry for entry in order if not told(entry)]
+    order = sorted(cells, key=lambda entry: (informed(entry), -earned[entry], entry))
+    ranked = [entry for entry in order if not informed(entry)]
     heading = ["entry", "rank", "return", SUCCESS, *names]
     rows = [
         [

@@ -170,14 +170,13 @@ def curves(
     table: Mapping[str, Sequence[Entry]], policies: Sequence[str], heading: str,
 ) -> bool:
     """Draw the metric over each numeric disturbance, a panel each; -> whether there is any."""
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     axes = [*dict.fromkeys(row.axis for row in rows if not isinstance(row.value, str))]
     if not axes:
         return False
-    figure, panels = plt.subplots(
-        1, len(axes), figsize=(3.0 * len(axes) + 1.0, 3.0), squeeze=False, layout="constrained"
-    )
+    figure = Figure((3.0 * len(axes) + 1.0, 3.0), layout="constrained")
+    panels = figure.subplots(1, len(axes), squeeze=False)
     for panel, axis in zip(panels[0], axes, strict=True):
         own = [row for row in rows if row.axis == axis]
         for i, policy in enumerate(policies):
@@ -194,5 +193,4 @@ def curves(
     figure.suptitle(title, fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
     return True

@@ -168,7 +168,7 @@ def cells(
 
 def sentences(means: Means) -> list[str]:
     """Sum up the table in sentences, with the numbers that support them."""
-    told = []
+    said = []
     strategies = list(dict.fromkeys(strategy for *_, strategy in means))
     plants = list(dict.fromkeys((mechanics, payload) for mechanics, payload, *_ in means))
     rivals = [s for s in strategies if not s.startswith(INFORMED)]
@@ -190,7 +190,7 @@ def sentences(means: Means) -> list[str]:
             )
         torque = of("rms_torque_share_of_rated", mechanics, payload, NOMINAL, best)
         duty = of(DUTY, mechanics, payload, NOMINAL, best)
-        told.append(
+        said.append(
             f"{text}; it takes {100 * torque:.0f} % of the rated torque (rms, over the episode). "
             f"Repeated without a pause, it uses {100 * duty:.0f} % of the motor's continuous rating"
             + (
@@ -214,11 +214,11 @@ def sentences(means: Means) -> list[str]:
                     min(costs, key=lambda s: costs[s]),
                     max(costs, key=lambda s: costs[s]),
                 )
-                told.append(
+                said.append(
                     f"{what} costs `{touchy}` on {mechanics} with {payload:g} kg up to "
                     f"{round(1e3 * costs[touchy])} ms, and `{calm}` {round(1e3 * costs[calm])} ms."
                 )
-    return told
+    return said
 
 
 def _rest(duty: float, settling: float) -> float:

@@ -250,7 +250,7 @@ def _room(data: Mapping[str, Any], baseline: _Policy, metric: str, sign: float) 
     }
     informed = [
         name for name in known
-        if name != LIMIT and (own := POLICIES.get(name.partition(":")[0])) and own.told
+        if name != LIMIT and (own := POLICIES.get(name.partition(":")[0])) and own.informed
     ]
     best = min(informed, key=lambda name: known[name] * sign, default=TOLD)
     return [
@@ -276,8 +276,8 @@ def _section(
     path: Path, place: str, data: Mapping[str, Any], own: _Policy, baseline: _Policy,
     known: Mapping[str, Metric],
 ) -> str:
-    told = text(path, PAGE, "a text editor")
-    honest = re.search(rf"^{re.escape(HONEST)}.*?(?=\n\s*\n|\Z)", told, re.M | re.S)
+    page = text(path, PAGE, "a text editor")
+    honest = re.search(rf"^{re.escape(HONEST)}.*?(?=\n\s*\n|\Z)", page, re.M | re.S)
     if honest is None:
         raise ValueError(
             f"{path / PAGE} has no paragraph that begins with {HONEST}: write where it loses"

@@ -123,11 +123,11 @@ class Submission:
         parts = [(name, found) for name in names if (found := fitted(name))]
         return foreign.digest(parts) if parts else ""
 
-    def told(self, env: str) -> bool:
+    def informed(self, env: str) -> bool:
         """Whether what plays a task is told what was drawn, itself or below a correction."""
         names = {one.get("residual") for one in self.checkpoints.get(env, ())}
         names |= set() if self.files else {self.policy.partition(":")[0]}
-        return any(POLICIES[name].told for name in names if name in POLICIES)
+        return any(POLICIES[name].informed for name in names if name in POLICIES)
 
     @property
     def budget(self) -> str:

@@ -61,7 +61,7 @@ def best(
         for name, s in zip(names, table.get(metric, ()), strict=False)
         if s is not None and _base(name) in POLICIES
     }
-    rivals = [n for n in known if n not in IDLE and not POLICIES[_base(n)].told] or list(known)
+    rivals = [n for n in known if n not in IDLE and not POLICIES[_base(n)].informed] or list(known)
     sign = -1.0 if better == "high" else 1.0
     return min(rivals, key=lambda name: sign * known[name].iqm, default=names[0])
 

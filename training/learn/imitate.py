@@ -57,8 +57,8 @@ def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None)
         weights.append(np.where(since <= NEAR, RARE, 1.0))
         last = given
         played = given if learner is None else _corrected(learner, seen, given)
-        told, _, done, _ = env.step(played)
-        seen = np.asarray(told)
+        observation, _, done, _ = env.step(played)
+        seen = np.asarray(observation)
         for i in np.flatnonzero(done).tolist():
             policies[i].reset(seen[i], public(env.reset_infos[i]))
             last[i] = 0.0

@@ -53,17 +53,13 @@ def draw(
         why: gives the reason of an outlier by panel, row and column; below the picture these are
             told in words, the farthest first.
     """
-    import matplotlib  # not with every evaluation, it takes a while
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.colors import LogNorm
+    from matplotlib.colors import LogNorm  # not with every evaluation, it takes a while
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
     width = 1.0 + 0.85 * len(columns)
-    figure, places = plt.subplots(
-        1, len(panels), figsize=(1.0 + width * len(panels), 2.2 + 0.27 * len(rows)),
-        sharey=True, layout="constrained", squeeze=False,
-    )
+    figure = Figure((1.0 + width * len(panels), 2.2 + 0.27 * len(rows)), layout="constrained")
+    places = figure.subplots(1, len(panels), sharey=True, squeeze=False)
     for panel, (name, values) in zip(places[0], panels.items(), strict=True):
         positive = values[np.isfinite(values) & (values > 0)]
         low, high = (positive.min(), positive.max()) if len(positive) else (0.1, 1.0)
@@ -79,19 +75,16 @@ def draw(
             )
             if framed[i, k]:
                 panel.add_patch(
-                    plt.Rectangle(
-                        (k - 0.46, i - 0.44), 0.92, 0.88, fill=False, ec="#c0392b", lw=1.4
-                    )
+                    Rectangle((k - 0.46, i - 0.44), 0.92, 0.88, fill=False, ec="#c0392b", lw=1.4)
                 )
         panel.set_title(name, fontsize=10)
         panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right", fontsize=8)
         panel.set_yticks(range(len(rows)), [str(row) for row in rows], fontsize=8)
     heading = f"{title}; red frame: at least one run failed"
     figure.suptitle(textwrap.fill(heading, int(10 * figure.get_figwidth())), fontsize=11)
-    if why and (told := _told(rows, columns, panels, why)):
-        lines = [textwrap.fill(line, int(13 * figure.get_figwidth())) for line in told]
+    if why and (lines := _told(rows, columns, panels, why)):
+        lines = [textwrap.fill(line, int(13 * figure.get_figwidth())) for line in lines]
         figure.set_figheight(figure.get_figheight() + 0.16 * sum(t.count("\n") + 1 for t in lines))
         figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)

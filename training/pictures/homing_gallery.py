@@ -94,16 +94,11 @@ def home(machine: Machine, start: float, name: str = "") -> Run:
 
 def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None:
     """One diagram to `path`; the suffix chooses the format."""
-    import matplotlib  # only where it is drawn, it takes a while
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure  # only where it is drawn, it takes a while
 
     model = machine.drives["x"].model
-    figure, (panel, strip) = plt.subplots(
-        2, 1, figsize=(8, 6.4), sharex=True, layout="constrained",
-        gridspec_kw={"height_ratios": [4, 1.3]},
-    )
+    figure = Figure((8, 6.4), layout="constrained")
+    panel, strip = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1.3])
     for run, colour in zip(runs, COLOURS, strict=False):
         panel.plot(run.position * 1e3, run.time, color=colour, lw=1.5, label=run.start)
         panel.plot(run.position[0] * 1e3, run.time[0], "o", color=colour, ms=5)
@@ -133,7 +128,6 @@ def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None
     strip.set_xlabel("position of the carriage (mm); triangle and dashed line: home")
     strip.set_xlim(-25, 525)
     figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def run(

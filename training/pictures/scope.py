@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -37,7 +36,6 @@ def draw(data: dict[str, np.ndarray], phases: list[Any], path: Path, title: str)
     if len(data["time"]) == 0:
         raise ValueError("the trace is empty: sample at least once, then draw")
     figure = Figure(SIZE, DPI)
-    FigureCanvasAgg(figure)
     panels = figure.subplots(
         len(HEIGHTS), sharex=True, height_ratios=HEIGHTS, gridspec_kw=EDGES, squeeze=True
     )

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -24,7 +23,6 @@ def draw(recording: Recording, path: Path) -> None:
     data = recording.arrays()
     rows = len(recording.channels)
     figure = Figure(figsize=(11, 1.0 + 1.7 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
     for axes, name in zip(panels, recording.channels, strict=True):
         unit = recording.units[name]
@@ -61,8 +59,8 @@ def _states(axes: Axes, time: np.ndarray, words: np.ndarray) -> None:
     axes.set_yticks(range(len(seen)), [f"{word:04X}h" for word in seen], fontsize=8)
     axes.set_ylim(-0.5, len(seen) - 0.5)
     state = np.full(len(words), -1)
-    told = [state_of(word) for word in seen.tolist()]
-    state[valid] = np.array([-1 if each is None else each for each in told])[level]
+    states = [state_of(word) for word in seen.tolist()]
+    state[valid] = np.array([-1 if each is None else each for each in states])[level]
     ends = np.append(time, time[-1])
     for first, behind in runs(state):
         if state[first] >= 0:

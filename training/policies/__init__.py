@@ -1,9 +1,9 @@
 """Policies by name: `make` returns an object with `reset` and `act`.
 
-A policy is made for one environment from what may be known of it (`datasheet.Datasheet`), sees
-observations and gives actions. It never touches the physics nor what was drawn at random. Two are
-no such objects: `BuiltIn` stands for a homing method of the drive, which runs instead of an agent,
-and `Bound` for the best that anything could be.
+A policy is made for one environment from its data sheet (`datasheet.Datasheet`), receives
+observations and returns actions. It has no access to the physics or to randomly drawn parameters.
+Two entries are not such objects: `BuiltIn` stands for a homing method of the drive, which runs
+instead of an agent, and `Bound` for a limit that no policy can exceed.
 """
 
 import os
@@ -77,7 +77,7 @@ class Baseline(NamedTuple):
     arguments: Mapping[str, Any] = MappingProxyType({})  # that its environment has to have
     face: str = SETPOINT  # of the actions it gives
     # makes of the environment itself: knows what was drawn, or rehearses it; no rival of others
-    told: bool = False
+    informed: bool = False
     shapes: bool = False  # the path for a resonance: of no use where nothing swings
 
 
@@ -135,7 +135,7 @@ POLICIES: dict[str, Baseline] = {
         DisturbanceObserver, "what the nominal model does not explain fed forward, an outer loop"
     ),
     "iterative_learning": Baseline(
-        repeated, "corrections learned in rehearsals of the same motion", told=True
+        repeated, "corrections learned in rehearsals of the same motion", informed=True
     ),
     "search": Baseline(search_policy, "fast, back off, slow"),
     "tuned_search": Baseline(TunedSearch, "the same at speeds of the tuner"),
@@ -156,11 +156,11 @@ POLICIES: dict[str, Baseline] = {
         TunedFullFeed, "the same with an outer loop, by numbers of the tuner"
     ),
     **{
-        PREFIX + law: Baseline(make, f"{law}, told what was drawn", told=True)
+        PREFIX + law: Baseline(make, f"{law}, told what was drawn", informed=True)
         for law, make in INFORMED.items()
     },
     "bound": Baseline(
-        Bound, "what nothing can be better than: a limit, nothing that could act", told=True
+        Bound, "what nothing can be better than: a limit, nothing that could act", informed=True
     ),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
     "plc_timed": Baseline(timed_policy, "the same by the clock, without looking", face=PDO),
@@ -181,7 +181,7 @@ def needed(name: Any) -> dict[str, Any]:
 
 
 def fitted(name: str) -> bytes:
-    """Return what a row of `POLICIES` reads from a file: its fitted numbers; of others nothing."""
+    """Return the file of fitted numbers that a row of `POLICIES` reads; empty for other rows."""
     row = POLICIES.get(name.partition(":")[0])
     read: Callable[[], bytes] = getattr(row.make if row else None, "fitted", bytes)
     return read()
@@ -196,7 +196,7 @@ def declared() -> list[str]:
 def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
     """Return the policies for a task, followed by those declared by other packages.
 
-    Of an environment without those that shape for a resonance which its machine does not have.
+    For an environment, policies that shape for a resonance its machine lacks are left out.
     """
     there = [n for n in declared() if n not in POLICIES or n in ANYWHERE or n in task.POLICIES]
     shapers = [n for n in there if (row := POLICIES.get(n.removeprefix(PREFIX))) and row.shapes]
@@ -212,15 +212,15 @@ SHIPPED = Path(str(resources.files("servogym.assets"))) / "policies"
 
 
 def trainings(name: Any, task: str) -> list[str]:
-    """The folders of the trainings `name` stands for: ``seed_*`` in it, or itself.
+    """Return the training folders that `name` stands for: its ``seed_*`` folders, or itself.
 
     Args:
-        name: a folder, or ``model.zip`` of stable-baselines3, or "learned", what comes with the
-            laboratory for a task.
+        name: a folder, a ``model.zip`` of stable-baselines3, or "learned" for the policy that is
+            shipped for the task.
         task: its id.
 
     Raises:
-        ValueError: nothing learned comes for that task.
+        ValueError: no learned policy is shipped for that task.
     """
     if not isinstance(name, str):
         return []
@@ -246,7 +246,7 @@ def label(policy: Any) -> str:
 
 
 def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
-    """A policy for `env`; of those without ``act`` none acts at the steps of the environment.
+    """Make a policy for `env`; one without ``act`` does not act at the steps of the environment.
 
     Args:
         name: of `POLICIES`, "learned", ``built_in:N`` with a homing method, a folder of
@@ -254,8 +254,8 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
             ``FILE.py:name`` or an entry point ``servogym.policies`` of another package: a class
             ``(datasheet, seed)`` with ``reset`` and ``act``, or a function ``act(observation)``;
             or such a class or function itself.
-        env: whose constants it knows.
-        seed: of what is random in it.
+        env: environment whose constants the policy knows.
+        seed: seed of the policy's random numbers.
 
     Raises:
         ValueError: an unknown name, one for other tasks, a machine it cannot serve.
@@ -309,7 +309,7 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
             f"policy {name!r}: task {type(env).__name__} lacks homing_method, that of the drive "
             "which looks for the same reference"
         )
-    if row.told:
+    if row.informed:
         return row.make(env, seed)
     data = datasheet(env)
     if not rest:

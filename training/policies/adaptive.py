@@ -1,10 +1,10 @@
-"""An LQR that identifies the resonance: a bank of models, and the gain of the likeliest one.
+"""An LQR that identifies the resonance with a bank of models, and uses the gain of the best one.
 
-Each model of the bank is the one of `lqr` with another resonance. All predict the deflection of the
-load and its rate from those of the step before and the velocity of the axis; the one with the least
-sum of squared errors so far is believed: its path, shaped for its resonance, and its feedback
-(multiple models: Narendra, Balakrishnan 1997). Tuning: none beyond the bank, whose ends are those
-of the loads that `CompliantAxis-v0` draws; weights and shaper are those of `lqr`.
+Each model of the bank is that of `lqr` with a different resonance. All of them predict deflection
+and rate of the load from the previous step and the velocity of the axis. The model with the least
+sum of squared errors so far provides the path, shaped for its resonance, and the feedback (multiple
+models: Narendra, Balakrishnan 1997). Nothing is tuned but the bank, whose ends are those of the
+loads that `CompliantAxis-v0` draws; weights and shaper are those of `lqr`.
 """
 
 import math
@@ -32,7 +32,7 @@ def bank(vibration: Vibration, dt: float) -> tuple[np.ndarray, ...]:
 
 
 class Identified(Regulated):
-    """One axis: the errors of the bank, and the path and the feedback of its best."""
+    """One axis: errors of the bank, and path and feedback of the best model."""
 
     def __init__(self, datasheet: Datasheet, axis: Axis):
         super().__init__(datasheet, axis)

@@ -3,17 +3,17 @@
 Recursive least squares fit the torque to acceleration and friction of the reference while the axis
 moves: two unknowns, the mass and a share of the friction of the data sheet (Slotine, Li 1991,
 chapter 8). The drive interpolates linearly between set-points, so the acceleration is largest at
-their beginning, and the torque told at their end lacks a part of the inertia: `UNSEEN` of the
-nominal mass, tuned with the gains. The outer loop moves the set-point by `GAIN` of the error,
+the beginning of a step, and the torque reported at its end lacks a part of the inertia: `UNSEEN` of
+the nominal mass, tuned with the gains. The outer loop moves the set-point by `GAIN` of the error,
 `INTEGRAL` of its fading sum and `DIFFERENCE` of its change.
 
 The eight numbers were tuned by the cross-entropy method: four generations of 16 laws, on
 64 episodes of evaluation seed 11, for the least interquartile mean of the error at the load.
 
-`LeadingFeedForward` also finds out by how much the set-points come late: an error that goes with
-the velocity is a lag, so its integral over the velocity is a time, by which the set-point leads.
-Two of its three numbers were chosen by hand of seven pairs, on 24 episodes of the same seed,
-nominal and in nine conditions; up to `SURE` it is `AdaptiveFeedForward`, bit for bit.
+`LeadingFeedForward` also identifies the delay of the set-points: an error in proportion to the
+velocity is a lag, whose ratio to the velocity is the time by which the set-point has to lead. Two
+of its three numbers were chosen by hand from seven pairs, on 24 episodes of the same seed, nominal
+and in nine conditions; up to `SURE` it equals `AdaptiveFeedForward`, bit for bit.
 """
 
 import math
@@ -69,11 +69,11 @@ class AdaptiveFeedForward(FeedForward):
         self._doubt -= np.outer(gain, known) @ self._doubt
 
     def ahead(self, error: float, velocity: float, rate: float) -> float:
-        """The lead of the set-point (m) from error (m) and motion (m/s, m/s²): here none."""
+        """Return the lead of the set-point (m) from error (m) and motion (m/s, m/s²): 0 here."""
         return 0.0
 
     def fed(self) -> float:
-        """A further correction of the set-point (m): here none."""
+        """Return a further correction of the set-point (m): 0 here."""
         return 0.0
 
     def act(self, observation: np.ndarray) -> np.ndarray:

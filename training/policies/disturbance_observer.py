@@ -1,10 +1,11 @@
 """Feed-forward with a disturbance observer for forces outside the nominal model.
 
-The observer (Ohnishi 1987; Sariyildiz, Oboe, Ohnishi 2020) takes the force of the motor, less what
-the nominal mass and friction need for the reference, through a low-pass of first order, and the
-motor is given that force as well. It knows neither payload nor friction and identifies nothing:
-what is off shall only change slowly against the filter. The outer loop on the tracking error and
-what the told torque lacks of the inertia are those of `adaptive_feed_forward`.
+The observer (Ohnishi 1987; Sariyildiz, Oboe, Ohnishi 2020) subtracts from the force of the motor
+what the nominal mass and friction need for the reference, filters the rest by a first-order
+low-pass, and adds it to the command. It knows neither payload nor friction and identifies nothing;
+disturbances only have to change slowly compared with the filter. The outer loop on the tracking
+error, and the part of the inertia missing in the reported torque, are those of
+`adaptive_feed_forward`.
 """
 
 from typing import Any
@@ -35,7 +36,7 @@ class DisturbanceObserver(FeedForward):
         self._error = self._sum = 0.0  # of the reference, as seen
 
     def observe(self, acceleration: float, velocity: float, force: float) -> None:
-        """What a step tells: the motion at its end and the force of the motor (m/s², m/s, N)."""
+        """Observe a step: the motion at its end and the force of the motor (m/s², m/s, N)."""
         needed = (1.0 - UNSEEN) * self._mass * acceleration
         needed += friction(self._axis, velocity, REVERSAL)
         self.force += SHARE * (force - needed - self.force)

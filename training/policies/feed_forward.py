@@ -19,9 +19,9 @@ def friction(axis: Axis, velocity: float, reversal: float = REVERSAL) -> float:
 
 
 class Torque:
-    """What the nominal axis needs, less what the drive feeds forward of its own accord, as action.
+    """The action for the torque of the nominal axis, less the drive's own feed-forward.
 
-    The drive takes the acceleration from the set-points, smoothed, so its own comes late.
+    The drive derives the acceleration from smoothed set-points, so its feed-forward is late.
     """
 
     def __init__(self, datasheet: Datasheet):

@@ -19,13 +19,13 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
 
     Args:
         name: of the policy.
-        made: a class, made with ``(datasheet, seed)``, whose objects have ``reset`` and ``act``; or
-            a function ``act(observation) -> action``. A class may say in ``TASKS`` for which ids.
+        made: a class, called with ``(datasheet, seed)``, whose objects have ``reset`` and ``act``;
+            or a function ``act(observation) -> action``. ``TASKS`` of a class may list its tasks.
         datasheet: of the environment.
-        seed: of what is random in it.
+        seed: seed of the policy's random numbers.
 
     Raises:
-        ValueError: it is neither, or for other tasks.
+        ValueError: it is neither, or is made for other tasks.
     """
     tasks = getattr(made, "TASKS", ())
     if tasks and datasheet.task not in tasks:

@@ -1,10 +1,10 @@
 """Controllers of the gantry as a motion engineer ships them: squaring, and contouring at full feed.
 
-`Squaring` brings both sides to their home switches quickly, over them slowly, so that the skew is
-known to a fifth of a millimetre, and takes it out on the way to the goal. `FullFeed` makes up for
-the lag of the drives: they shall be where the path was a lag ago, T, which a first-order follower
-is when its set-point is ``path(t - T) + T · path'(t - T)``. The feed is overridden only as far as
-the correction that is left over would exceed its range: at corners.
+`Squaring` moves both sides quickly to their home switches and slowly over them, so that the skew is
+known to a fifth of a millimetre, and removes it on the way to the goal. `FullFeed` compensates the
+lag T of the drives: a first-order follower is where the path was T ago if its set-point is
+``path(t - T) + T · path'(t - T)``. The feed is reduced only where the remaining correction would
+exceed its range, at corners.
 """
 
 import math
@@ -40,7 +40,7 @@ class Squaring:
         self._velocity = self._apart = 0.0
 
     def apart(self, seen: Any) -> float | None:
-        """Set-point of x2 less that of x1 at which the bridge is square (m); None: not known."""
+        """Set-point of x2 minus that of x1 at which the bridge is square (m); None if unknown."""
         return (
             float(seen.switch_difference) * self._known.constant("max_twist")
             if seen.switches_met
@@ -155,7 +155,7 @@ class FullFeed:
         return self._known.action(correction=share, override=self._override(override))
 
     def outer(self, observation: np.ndarray) -> np.ndarray | float:
-        """The correction of the contour lag of the axes (m): here none."""
+        """Return the correction of the contour lag of the axes (m): 0 here."""
         return 0.0
 
     def _override(self, feed: float) -> float:

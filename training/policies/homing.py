@@ -69,7 +69,7 @@ def search_policy(datasheet: Datasheet, seed: int = 0) -> Script:
 
 
 def _searched(datasheet: Datasheet, speeds: Mapping[str, float]) -> Callable[[], Steps]:
-    """The search for the reference of the task at given speeds."""
+    """Search for the reference of the task at given speeds."""
     legs = LEGS.get(datasheet.reference)
     return partial(search, datasheet, legs, speeds) if legs else partial(to_stop, datasheet)
 
@@ -88,9 +88,9 @@ class BuiltIn:
 
     Args:
         datasheet: of the environment.
-        method: 6098h; if not given the one for the reference of the task, or with `fast` the
-            quickest to the same place.
-        fast: with the speeds and the acceleration the task allows, instead of those commissioned.
+        method: 6098h; by default that of the task's reference, or with `fast` the quickest method
+            with the same home.
+        fast: use the speeds and the acceleration that the task permits, not those commissioned.
     """
 
     def __init__(self, datasheet: Datasheet, method: int | None = None, *, fast: bool = False):

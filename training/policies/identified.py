@@ -1,20 +1,21 @@
-"""Input shaping during the motion: the resonance is identified in the first motion.
+"""Input shaping with a resonance that is identified during the first motion.
 
-The first pulse of an input shaper needs no resonance, only its damping ratio, which hardly counts:
-the axis begins with a share of the quickest path. Until half a period has passed, when the second
-pulse is due, the sensor of the load has told how fast the load swings (as in Pereira, Trapero,
-Díaz, Feliu 2012, Adaptive input shaping for single-link flexible manipulators). The time of a pulse
-is taken from what has been identified when it comes.
+The first pulse of an input shaper does not depend on the resonance, only slightly on its damping
+ratio: the axis starts with a share of the fastest path. By the time of the second pulse, half a
+period later, the resonance is known from the sensor of the load (as in Pereira, Trapero, Díaz,
+Feliu 2012, Adaptive input shaping for single-link flexible manipulators). The time of each pulse
+follows from the resonance identified by then.
 
 Each resonance of a bank predicts the deflection and its rate a step ahead from the step before and
-the acceleration of the axis between them, exactly for an acceleration that is constant in the step;
-how much of it the load feels is fitted by least squares, since it is 1 for a load on a spring and
-depends on the length for one on a cable. Steps at the end of
-the sensor's range are left out. The least sum of squared errors, with a parabola through
-its neighbours, is the resonance. `robust` pulses twice (ZVD): half a period later, less particular.
+the acceleration of the axis between them, exactly if the acceleration is constant in the step. The
+share of the acceleration that acts on the load is fitted by least squares: it is 1 for a load on a
+spring and depends on the length of a cable. Steps at the end of the sensor's range are left out.
+The resonance is the minimum of a parabola through the least sum of squared errors and its
+neighbours. `robust` adds a second pulse (ZVD), which ends half a period later but is less
+sensitive.
 
-What is left when the path has ended is brought to rest by the state feedback of `lqr` for the
-resonance that was identified.
+The residual vibration after the path is damped by the state feedback of `lqr` for the identified
+resonance.
 """
 
 import math
@@ -37,7 +38,7 @@ FINE = 1e-3  # s, of the table of a path
 
 @lru_cache(maxsize=64)
 def bank(frequency: float, ratio: float, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Resonances (rad/s), what a step makes of deflection and rate, and of an acceleration of 1.
+    """Resonances (rad/s), and the step matrices of deflection and rate and of a unit acceleration.
 
     Shapes ``(n,)``, ``(n, 2, 2)``, ``(n, 2)``.
     """
@@ -85,7 +86,7 @@ class Identified:
         self._before = self._look(seen)
 
     def _look(self, seen: Any) -> tuple[np.ndarray, float, bool]:
-        """Deflection (m) and rate (m/s), velocity of the axis (m/s), and whether all are told."""
+        """Deflection (m), its rate and velocity of the axis (m/s), and whether all are in range."""
         share, rate = float(seen[self._sensor.name]), float(seen[self._sensor.rate_name])
         state = [share * self._sensor.deflection - self._rest, rate * self._sensor.rate]
         whole = max(abs(share), abs(rate)) < FULL
@@ -136,7 +137,7 @@ class Identified:
         return self._place
 
     def regulated(self) -> float:
-        """The change of velocity by state feedback (m/s), at rest at the goal none."""
+        """The change of velocity by state feedback (m/s); 0 at rest at the goal."""
         if self._gain is None:
             self._gain = gain(Vibration(self.frequency, self._nominal.ratio), self._dt)
         (deflection, rate), *_ = self._before
@@ -186,6 +187,6 @@ class IdentifiedZv(Tunable):
 
 
 class IdentifiedZvd(IdentifiedZv):
-    """Pulsed twice."""
+    """Identifies the resonance and shapes with a ZVD shaper."""
 
     NAME, ROBUST = "identified+zvd", True

@@ -1,7 +1,7 @@
 """Laws that are given the randomly drawn parameters, which no controller knows.
 
-What lies between such a law and the same law uninformed is what identifying can gain with it. It is
-no limit of what is possible: a law of another kind may be better, and some that know less are.
+The difference between such a law and the same law without that information is what identification
+can gain. An informed law is not a limit: another law may be better, and some that know less are.
 """
 
 from collections.abc import Callable

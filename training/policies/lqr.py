@@ -1,11 +1,11 @@
 """State feedback from the sensor of the load: a discrete linear-quadratic regulator (LQR).
 
-The model is the nominal axis as an integrator and behind it what swings: the state is the set-point
-(m), its velocity (m/s), the deflection of the load from the axis (m), its rate (m/s), and the
-change of velocity commanded last (m/s), which the load feels a step late: so long does the drive
-need (inferred: of 0, 1/2 and 1 step only this one, at the weights below, settled every episode on
-the spring). The command is the change of the velocity in a step. The regulator works on what is
-left over of a path, which it streams as the others do, through a shaper for the nominal resonance.
+The model is the nominal axis as an integrator with the swinging load behind it. The state consists
+of the set-point (m), its velocity (m/s), the deflection of the load from the axis (m), its rate
+(m/s), and the last commanded change of velocity (m/s), which acts on the load one step later
+(inferred: of 0, 1/2 and 1 step, only 1 settled every episode on the spring with the weights below).
+The command is the change of the velocity in a step. The regulator acts on the deviation from a path
+that is shaped for the nominal resonance.
 """
 
 import math
@@ -24,7 +24,7 @@ SHAPERS = 1  # of the path, best of 0, 1 and 2
 
 
 def model(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """The state after a step and what a change of velocity adds: shapes ``(5, 5)``, ``(5, 1)``."""
+    """State and input matrices of one step: shapes ``(5, 5)``, ``(5, 1)``."""
     frequency, ratio = vibration
     damped = frequency * math.sqrt(1.0 - ratio**2)
     decay, share = math.exp(-ratio * frequency * dt), ratio * frequency / damped
@@ -77,7 +77,7 @@ def sensed(datasheet: Datasheet, axis: Axis) -> Sensor:
 
 
 class Regulated:
-    """One axis: its path, the state that belongs to it, and the feedback of the rest."""
+    """One axis: its path, the state on it, and the feedback of the deviation."""
 
     def __init__(self, datasheet: Datasheet, axis: Axis):
         self._axis, self._sensor, self._dt = axis, sensed(datasheet, axis), datasheet.step_time
@@ -110,13 +110,13 @@ class Regulated:
         return self.changed(change)
 
     def state(self, seen: Any, origin: float = 0.0) -> np.ndarray:
-        """The state as observed, shape ``(5,)``, its set-point as seen from an origin (m)."""
+        """The observed state, shape ``(5,)``, with the set-point relative to an origin (m)."""
         deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
         rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
         return np.array([self._place - origin, self._velocity, deflection, rate, self._last])
 
     def changed(self, change: float) -> float:
-        """The velocity of the set-point after a change of it, within the limits (m/s)."""
+        """The velocity of the set-point (m/s) after a change, within the limits."""
         change, top = min(max(change, -self._change), self._change), self._axis.speed
         velocity = min(max(self._velocity + change, -top), top)
         self._last, self._velocity = velocity - self._velocity, velocity

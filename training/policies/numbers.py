@@ -1,7 +1,7 @@
-"""Numbers that a tuner found: by policy and task, in one file, with what finding them took.
+"""Tuned numbers by policy and task, in one file, with the effort of the tuning.
 
-A policy that can be tuned is a class with `RANGES`, the lowest, highest and untuned value of each
-of its numbers; it takes them over by `numbers`. `servogym tune-policy` writes the file.
+A tunable policy is a class with `RANGES`, the lowest, highest and untuned value of each number; it
+reads them with `numbers`. `servogym tune-policy` writes the file.
 """
 
 import json
@@ -14,7 +14,7 @@ FILE = Path(__file__).parents[2] / "assets" / "policies" / "tuned.json"
 
 
 class Range(NamedTuple):
-    """Of a number that can be tuned."""
+    """The range of a tunable number."""
 
     low: float
     high: float
@@ -22,14 +22,14 @@ class Range(NamedTuple):
 
 
 class Tunable:
-    """A policy with numbers."""
+    """A policy with tunable numbers."""
 
     NAME: ClassVar[str]  # of the policy
     RANGES: ClassVar[Mapping[str, Range]]
     GIVEN: ClassVar[Mapping[str, float] | None] = None  # by a tuner that tries them
 
     def numbers(self, task: str) -> dict[str, float]:
-        """Those it has for a task (its id): tried, tuned, or as they are."""
+        """The numbers for a task (by id): those being tried, tuned ones, or untuned ones."""
         own = {name: one.untuned for name, one in self.RANGES.items()}
         found = tuned().get(self.NAME, {}).get(task.rpartition("/")[2], {})
         return own | dict(found.get("numbers", {}) if self.GIVEN is None else self.GIVEN)
@@ -43,5 +43,5 @@ class Tunable:
 
 @lru_cache(maxsize=1)
 def tuned() -> dict[str, Any]:
-    """What comes with the laboratory."""
+    """The tuned numbers that are shipped."""
     return json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}

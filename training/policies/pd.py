@@ -4,12 +4,12 @@ Torque by proportional and differential action:
 
     force = mass · (ω² · distance - 2 ω · velocity) + weight + friction
 
-Both poles lie at -ω: critically damped. The distance is cut to 2 / ω · the maximum velocity, at
-which both actions cancel, so the axis comes no faster. To brake from there takes at most
-ω · velocity / e; that is all the torque leaves, and it gives ω. Weight and Coulomb friction of the
-data sheet are added, the friction towards the goal and less within the tolerance: without it the
-axis would stick as far away as friction / (mass · ω²). There is no integral action: cogging, and
-what static friction has above the Coulomb one, are not made up for.
+Both poles lie at -ω: critically damped. The distance is limited to 2 / ω · the maximum velocity, at
+which both actions cancel, so the axis does not exceed that velocity. Braking from there needs a
+deceleration of at most ω · velocity / e; the available torque thus determines ω. Weight and Coulomb
+friction of the data sheet are added, the friction towards the goal and reduced within the
+tolerance; without it the axis would stick at a distance of up to friction / (mass · ω²). There is
+no integral action, so cogging and static friction above the Coulomb friction are not compensated.
 """
 
 import math
@@ -36,7 +36,7 @@ class ProportionalDifferential:
         self._mass = axis.mass(axis.payload)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """It remembers nothing."""
+        """Do nothing, because this law has no memory."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Torque as a share of the maximum."""

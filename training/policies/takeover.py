@@ -180,8 +180,7 @@ def _asked(
 
 
 def compare(
-    machine: Machine, policies: list[str], goal: float, fitting: Fitting | None = None,
-    time: float = TIME,
+    machine: Machine, policies: list[str], goal: float, fitting: Fitting | None = None
 ) -> list[Course]:
     """Let policies do the same on copies of a machine; it stays as it is."""
     fitting, courses = fitting or LINEAR, []
@@ -198,7 +197,7 @@ def compare(
         pilot = TakeOver(twin, name, goal, fitting, cycle)
         rows.clear()
         begin = twin.time
-        while twin.time - begin < time and not any(x.fault for x in twin.drives.values()):
+        while twin.time - begin < TIME and not any(x.fault for x in twin.drives.values()):
             pilot.step()
         fault = next((x.fault for x in twin.drives.values() if x.fault), "")
         times, value, torque = np.array(rows).T

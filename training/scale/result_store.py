@@ -29,7 +29,7 @@ class ResultStore:
         except (OSError, ValueError):
             return None
 
-    def put(self, job: Job, data: bytes) -> None:
+    def save(self, job: Job, data: bytes) -> None:
         """Keep a result. Raises OSError as the disk does, naming the file."""
         if self.folder is None:
             return

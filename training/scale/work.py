@@ -74,7 +74,7 @@ class Work:
                 bar = shown.add_task("jobs", total=len(jobs), completed=len(jobs) - len(missing))
                 todo = [jobs[i] for i in missing]
                 for k, data in self._done(todo, warm, console) if todo else ():
-                    kept.put(todo[k], data)
+                    kept.save(todo[k], data)
                     found[missing[k]] = result = decoded(data)
                     tell(missing[k], result)
                     shown.update(bar, advance=1, description=todo[k].name)
@@ -96,11 +96,11 @@ class Work:
         if then is None or self.alone:
             yield then or (lambda i, result: None)
             return
-        told: list[Future[None]] = []
+        calls: list[Future[None]] = []
         thread = ThreadPoolExecutor(1, "servogym")
         try:
-            yield lambda i, result: told.append(thread.submit(then, i, result))
-            for each in told:
+            yield lambda i, result: calls.append(thread.submit(then, i, result))
+            for each in calls:
                 each.result()
         finally:
             thread.shutdown(cancel_futures=True)

@@ -1,4 +1,4 @@
-"""What frames mean, told in the terms of CiA 301, 305 and 402."""
+"""Explains frames in the terms of CiA 301, 305 and 402."""
 
 from .decoder import Decoder
 

@@ -1,9 +1,9 @@
-"""The frames of a CANopen log by meaning (CiA 301, 305, 402).
+"""Explains the frames of a CANopen log (CiA 301, 305, 402).
 
-The PDO mapping begins as the drive model has it and follows what the log shows being written to or
-read from 1400h.., 1600h.., 1800h.., 1A00h..; the bits of controlword and statusword are named after
-the mode of operation last seen. Not named are the two statusword bits that stand in every state of
-a drive on a bus, voltage_enabled and remote.
+The PDO mapping starts as in the drive model and follows the reads and writes of 1400h.., 1600h..,
+1800h.. and 1A00h.. in the log. The bits of controlword and statusword are named according to the
+last mode of operation. The statusword bits voltage_enabled and remote, which are set in every state
+of a drive on a bus, are not printed.
 """
 
 from collections.abc import Callable, Iterable
@@ -25,13 +25,13 @@ NMT = {
 
 
 class Decoder:
-    """Frames of a bus by meaning.
+    """Explains the frames of a bus.
 
     Args:
         model: the drive model of the nodes.
-        node_ids: the nodes that are such a drive; what others send is shown as bytes.
-        heard: is told node-id, object and value (drive units) of each number that passes, in a PDO
-            or by SDO; a write when the drive has confirmed it.
+        node_ids: the nodes that are such drives; frames of others are shown as bytes.
+        heard: called with node-id, object and value (drive units) of each number transferred by
+            PDO or SDO; for a write, once the drive has confirmed it.
 
     Raises:
         ValueError: unknown model, a node-id out of range.
@@ -52,7 +52,7 @@ class Decoder:
             self._nodes[node_id] = Node(drive, node_id, self._listen, heard)
 
     def decode(self, frame: Frame) -> str:
-        """One line about a frame; never raises, what it does not know it gives as bytes."""
+        """Explain a frame in one line; never raises, and shows unknown frames as bytes."""
         text = None
         if not frame.extended:
             if frame.id == Base.NMT:
@@ -84,7 +84,7 @@ class Decoder:
         return f"NMT {NMT[command]} {f'node {node_id}' if node_id else 'all nodes'}"
 
     def _listen(self, node: Node, before: Iterable[int]) -> None:
-        """The identifiers of a node have changed."""
+        """Register the identifiers of a node after a change."""
         for identifier in before:
             self._by_id[identifier].remove(node)
         for identifier in node.services:

@@ -1,4 +1,4 @@
-"""LSS by meaning: how a master gives node-ids and bit rates to slaves it may not know (CiA 305)."""
+"""Explains LSS frames, by which a master assigns node-ids and bit rates (CiA 305)."""
 
 import struct
 
@@ -38,7 +38,7 @@ LSS = {  # command specifier -> name, and the fields behind it
 
 
 def tell(frame: Frame) -> str | None:
-    """One line about an LSS frame, None where it is none of CiA 305."""
+    """Explain an LSS frame in one line; None if CiA 305 does not define it."""
     if frame.remote or len(frame.data) != 8:
         return None
     service = LSS[frame.id].get(frame.data[0])

@@ -1,4 +1,4 @@
-"""One node of a CANopen log: what its frames mean after what has been seen of it (CiA 301, 402)."""
+"""Explains the frames of one node of a CANopen log, given its earlier frames (CiA 301, 402)."""
 
 import json
 import struct
@@ -33,7 +33,7 @@ EPOCH = datetime(1984, 1, 1)  # CiA 301, TIME_OF_DAY
 
 
 class Known:
-    """What a drive model tells a decoder: objects with their defaults, PDOs, names of faults."""
+    """What a decoder uses of a drive model: objects with defaults, PDOs, names of faults."""
 
     def __init__(self, model: DriveModel):
         self.rows = {(row.index, row.subindex): row for row in rows(model)}
@@ -45,14 +45,14 @@ class Known:
 
 
 class Service(NamedTuple):
-    """What a node has on an identifier; those with the lowest rank are shown."""
+    """A service of a node on an identifier; those with the lowest rank are shown."""
 
     tell: Callable[[Frame], str | None]
     rank: int = 0
 
 
 class Node:
-    """What the log has shown of one node."""
+    """The state of one node as far as the log has shown it."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class Node:
         return row.default + self.id * row.per_node
 
     def _listen(self) -> None:
-        """Which identifier means what."""
+        """Register the services by identifier."""
         before = [*self.services]
         self.services = {}
         for identifier, tell in (
@@ -114,12 +114,12 @@ class Node:
         return f"{row.name if row else 'unknown object'} ({index:04X}h:{subindex:02X})"
 
     def size(self, index: int, subindex: int) -> int:
-        """Bytes of an object, 0 where that is not known or not fixed."""
+        """Length of an object in bytes; 0 if it is unknown or variable."""
         row = self._drive.rows.get((index, subindex))
         return row.size if row else 0
 
     def text(self, index: int, subindex: int, data: bytes) -> str:
-        """A value by meaning."""
+        """Format a value with its meaning."""
         row = self._drive.rows.get((index, subindex))
         if row is None or (row.format and len(data) != row.size):
             return f"{data.hex(' ').upper()} (bytes)" if data else "nothing"
@@ -128,7 +128,7 @@ class Node:
         return self._number(row, row.unpack(data))
 
     def learn(self, index: int, subindex: int, data: bytes) -> None:
-        """The object has this value from now on."""
+        """Note the new value of an object."""
         row = self._drive.rows.get((index, subindex))
         if row is None or not row.format or len(data) != row.size:
             return

@@ -1,7 +1,7 @@
 """Decodes the SDO channel of one node in a log: expedited, segmented, block (CiA 301, SDO).
 
-Both sides are followed, so that the value of a transfer in parts is told with its last part. What
-cannot follow what went before is told as bytes; a log may begin or break off anywhere.
+Both sides are tracked, so the value of a segmented transfer is printed with its last segment.
+Frames that do not fit the transfer are shown as bytes, because a log may begin or end anywhere.
 """
 
 import binascii
@@ -156,7 +156,7 @@ class Channel:
         return text
 
     def _segment(self, data: bytes) -> bool:
-        """Take a part; -> whether it was the last one."""
+        """Process a segment; -> whether it was the last one."""
         self._data += data[1 : 8 - (data[0] >> 1 & 7)]
         return bool(data[0] & 1)
 
@@ -190,7 +190,7 @@ class Channel:
     # ------------------------------------------------------------------ block
 
     def _part(self, data: bytes) -> str:
-        """A part without a command: sequence number, bit 7 in the last one, seven bytes."""
+        """Process a segment of a block: sequence number (bit 7: the last one) and seven bytes."""
         number = data[0] & 0x7F
         if number == len(self._block) + 1:
             self._block.append(data[1:])
@@ -200,7 +200,7 @@ class Channel:
         return self._say(f", block part {number}{' (last)' * (data[0] >> 7)}")
 
     def _acknowledge(self, data: bytes, next_phase: _Phase) -> str:
-        """Take over what the other side has received; the rest comes again."""
+        """Note which segments the other side has received; the others are repeated."""
         self._data += b"".join(self._block[: data[1]])
         self._block = []
         self._block_size = data[2]
@@ -209,7 +209,7 @@ class Channel:
         return self._say(f", {data[1]} parts received")
 
     def _ended(self, data: bytes) -> str:
-        """The side that sends tells the bytes not used in the last part, and the CRC."""
+        """End a block transfer with the number of unused bytes and the CRC of the sender."""
         content = self._data[: len(self._data) - (data[0] >> 2 & 7)]
         (crc,) = struct.unpack_from("<H", data, 1)
         wrong = self._crc and binascii.crc_hqx(content, 0) != crc

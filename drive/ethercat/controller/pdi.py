@@ -30,7 +30,7 @@ class SyncManager(NamedTuple):
 
 
 class Pdi:
-    """Registers, mailboxes and events of one slave, as its services have them.
+    """Registers, mailboxes and events of one slave, as seen from its services.
 
     Args:
         escs: the ESC records of the segment.
@@ -46,7 +46,7 @@ class Pdi:
         """A register of `size` bytes."""
         return int.from_bytes(self.memory[address : address + size].tobytes(), "little")
 
-    def put(self, address: int, size: int, value: int) -> None:
+    def set(self, address: int, size: int, value: int) -> None:
         """Write a register of `size` bytes."""
         self.memory[address : address + size] = list(value.to_bytes(size, "little"))
 
@@ -61,8 +61,8 @@ class Pdi:
         """Write 0130h (bit 4 = error) and 0134h."""
         if status != self.get(R.AL_STATUS, 2):
             self.memory[R.ECAT_EVENT] |= 1 << 3
-        self.put(R.AL_STATUS, 2, status)
-        self.put(R.AL_STATUS_CODE, 2, code)
+        self.set(R.AL_STATUS, 2, status)
+        self.set(R.AL_STATUS_CODE, 2, code)
 
     @property
     def alias(self) -> int:

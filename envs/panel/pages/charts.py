@@ -1,4 +1,4 @@
-"""Charts: Bode, a step of the velocity, the following error on a move, policies side by side."""
+"""Charts: Bode plot, velocity step, following error on a move, policies side by side."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -81,7 +81,7 @@ def move_chart(before: Trial, after: Trial, unit: str) -> dict[str, Any]:
 
 
 def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
-    """What is looked at, and the torque, of policies over time; one colour each."""
+    """The displayed quantity and the torque of several policies over time, a colour each."""
     series = []
     for course, colour in zip(courses, COLOURS, strict=False):
         series.append(_line(course.policy, course.time, course.value, colour, 0))

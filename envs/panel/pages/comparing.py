@@ -1,4 +1,4 @@
-"""Parameters of the drive, the factory and a file; the difference is written back after a yes."""
+"""Compares parameters of the drive with factory and file, and writes them back on request."""
 
 from nicegui import events, ui
 
@@ -12,7 +12,7 @@ COLUMNS = ("object", "name", "drive", FACTORY, FILE)
 
 
 class CompareCard:
-    """A part of the objects page."""
+    """Card of the objects page that compares parameter sets."""
 
     def __init__(self, desk: Desk):
         self.desk = desk
@@ -82,10 +82,10 @@ class CompareCard:
 
 
 def _row(each: Difference) -> dict[str, str]:
-    def told(value: float | None) -> str:
+    def shown(value: float | None) -> str:
         return "–" if value is None else f"{value:.10g} {hexadecimal(value, each.row)}".strip()
 
     return {
-        "object": each.address, "name": each.row.name.replace("_", " "), "drive": told(each.node),
-        FACTORY: told(each.factory), FILE: told(each.file),
+        "object": each.address, "name": each.row.name.replace("_", " "), "drive": shown(each.node),
+        FACTORY: shown(each.factory), FILE: shown(each.file),
     }

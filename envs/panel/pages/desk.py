@@ -1,4 +1,4 @@
-"""What one tab of the browser has: its axis, its right to command, its way to the session."""
+"""A tab of the browser: its axis, its right to command, and its access to the session."""
 
 import asyncio
 import time
@@ -27,11 +27,11 @@ async def beside(work: Callable[..., Any], *arguments: Any) -> Any:
 
 
 class Desk:
-    """A tab in front of a session.
+    """A tab that shows and commands a session.
 
     Args:
-        clock: that runs the session.
-        tab: its own text, the same after a reload.
+        clock: runs the session.
+        tab: identifier of the tab, which survives a reload.
     """
 
     def __init__(self, clock: Clock, tab: str):
@@ -42,17 +42,17 @@ class Desk:
 
     @property
     def shown(self) -> dict[str, Any]:
-        """All there is to see of now."""
+        """The present state of the session."""
         return self.clock.shown
 
     @property
     def status(self) -> dict[str, Any]:
-        """The same of the axis of this tab."""
+        """The present state of the axis of this tab."""
         return self.clock.shown["axes"][self.axis]
 
     @property
     def bench(self) -> Bench:
-        """For what does not change while it runs, such as models and units."""
+        """The bench, for constants such as models and units."""
         return self.clock.session
 
     @property
@@ -70,7 +70,7 @@ class Desk:
         return await asyncio.wrap_future(self.clock.ask(request))
 
     def beat(self) -> None:
-        """This tab is there."""
+        """Note that this tab is alive."""
         self.clock.session.control.beat(self.tab, time.monotonic())
 
     async def command(self, request: Request) -> Any:
@@ -88,7 +88,7 @@ class Desk:
         return await self.tried(self.clock.stop_motion(self._signed(stop)))
 
     def _checked(self, request: Request) -> Request:
-        """Only of the tab that has control."""
+        """Wrap a request so that it is refused unless this tab has control."""
         self.beat()
 
         def checked(session: Bench) -> Any:
@@ -99,15 +99,15 @@ class Desk:
         return checked
 
     def _signed(self, request: Request) -> Request:
-        """In the log with the name of this window."""
+        """Wrap a request so that the log shows the name of this window."""
 
         def signed(session: Bench) -> Any:
             control = session.control
-            control.who = control.name(self.tab)
+            control.window = control.name(self.tab)
             try:
                 return request(session)
             finally:
-                control.who = ""
+                control.window = ""
 
         return signed
 
@@ -123,22 +123,22 @@ REFUSED = (ServoError, SdoAbort, ValueError, RuntimeError, OSError, ImportError)
 
 
 class Refusal(str):
-    """Why something was refused, in words."""
+    """The reason for a refusal."""
 
 
 def in_words(error: BaseException) -> str:
-    """An error as people read it."""
+    """Format an error for the user."""
     if isinstance(error, ServoError):
         return "; ".join(filter(None, words(error)))
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def over(words: Any) -> bool:
-    """Whether a motion was ended by another command: who gave it knows."""
+    """Whether a motion was ended by another command, which needs no message."""
     return words == "ended" or str(words).endswith(ENDED)
 
 
 def refuse(words: Any) -> None:
-    """Show why something was refused; nothing where it was not."""
+    """Show the reason for a refusal; nothing if the text is empty."""
     if words and not over(words):
         ui.notify(str(words), type="negative", position="bottom-left", multi_line=True)

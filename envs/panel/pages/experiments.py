@@ -20,7 +20,7 @@ LONGEST = 400  # characters of what is wrong with a policy
 
 
 class ExperimentsPage:
-    """What happens if."""
+    """Page with faults, disturbances, snapshots and policies."""
 
     name, title, icon = "experiments", "Experiments", "science"
 
@@ -211,7 +211,7 @@ class ExperimentsPage:
                     Tag("span", text)
 
     def show(self) -> None:
-        """The present."""
+        """Show the present state."""
         session: Any = self.desk.clock.session
         for row, value, place in self.rows:
             value.set_text(f"{row.read(session, place) / row.scale:.4g}")

@@ -10,7 +10,7 @@ PAST = 0.022  # how far the drawing passes an edge, so that turning back is seen
 
 
 def homing_svg(method: int, own: Mapping[int, Method] | None = None) -> str:
-    """The picture, as text; methods of a drive model's `own` are those of its homing.csv."""
+    """The diagram as SVG text; `own` contains the methods of the model's homing.csv."""
     paths = [homing_path(method, start, own) for start in STARTS]
     here = all(len(path) == 1 for path in paths)
     runs = paths[:1] if here else paths
@@ -59,7 +59,7 @@ def _line(x1: float, y1: float, x2: float, y2: float, kind: str) -> str:
 
 
 def _path(path: list[float], y: float, number: int) -> str:
-    """A run, downwards step by step."""
+    """The path of one run, step by step downwards."""
     if not path:
         return ""
     at, points = path[0], [(_x(path[0]), y)]

@@ -1,10 +1,7 @@
-"""Exercises: what is to be done, what is done already, and what went wrong."""
-
-from collections.abc import Sequence
+"""Exercises: the steps, those already done, and mistakes."""
 
 from nicegui import ui
 
-from ...course.exercise import Exercise
 from ..lessons import Progress, begin, leave
 from ..session import Session
 from .desk import Desk, refuse
@@ -12,13 +9,13 @@ from .widgets import Tag, button, card
 
 
 class LessonPage:
-    """A classroom's page."""
+    """Page with the exercises of a course."""
 
     name, title, icon = "lessons", "Lessons", "school"
 
-    def __init__(self, desk: Desk, lessons: Sequence[Exercise] | None = None):
+    def __init__(self, desk: Desk):
         self.desk = desk
-        self.lessons = list(lessons if lessons is not None else desk.clock.session.lessons)
+        self.lessons = list(desk.clock.session.lessons)
         self._drawn: Progress | None = None
         with ui.element("div").classes("columns lesson-columns"):
             with card("Exercises"):
@@ -54,7 +51,7 @@ class LessonPage:
             await self._start(number)
 
     def _after(self, at: Progress | None) -> int | None:
-        """Number of the exercise behind one that is done."""
+        """Number of the exercise after one that is done."""
         if at is None or at.text or at.wrong or at.exercise not in self.lessons:
             return None
         number = self.lessons.index(at.exercise) + 1
@@ -78,7 +75,7 @@ class LessonPage:
         refuse(await self.desk.command(predict))
 
     def show(self) -> None:
-        """The present step."""
+        """Show the present step."""
         at = self.desk.shown["lesson"]
         if at == self._drawn and at is not None:
             return

@@ -12,7 +12,7 @@ COLUMNS = ("time", "kind", "by", "event", "remedy")
 
 
 class LogPage:
-    """What has happened."""
+    """Page with the log of events."""
 
     name, title, icon = "log", "Log", "receipt_long"
 
@@ -40,7 +40,7 @@ class LogPage:
         ui.download.content(text.encode(), "log.csv", "text/csv")
 
     def show(self) -> None:
-        """The newest events."""
+        """Show the newest events."""
         events, kind = self.desk.bench.log.events, str(self.kind.value)
         now = (events[-1].number if events else 0, kind)
         if now == self._last:
@@ -52,4 +52,4 @@ class LogPage:
 
 def _row(event: Event) -> dict[str, str | int]:
     return {"number": event.number, "time": f"{event.time:.3f} s", "kind": event.kind,
-            "by": event.who, "event": event.text, "remedy": event.remedy}
+            "by": event.window, "event": event.text, "remedy": event.remedy}

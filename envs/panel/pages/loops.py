@@ -1,4 +1,4 @@
-"""Loops: Bode with margins, measured on a copy of the machine; autotuning, taken over or not."""
+"""Loops: Bode plot with margins, measured on a copy of the machine; autotuning."""
 
 import asyncio
 import copy
@@ -24,7 +24,7 @@ VIEWS = {"bode": "Bode", "step": "Step", "move": "Move"}
 
 
 class LoopsPage:
-    """What the gains are worth."""
+    """Page with Bode plots and autotuning."""
 
     name, title, icon = "loops", "Loops", "ssid_chart"
 
@@ -233,7 +233,7 @@ class LoopsPage:
 
 
 def faulty(axis: str, fault: str, remedy: str, what: str = "it") -> str:
-    """Why nothing can be measured on a drive in fault; empty without one."""
+    """The reason why nothing can be measured on a drive in fault; empty without a fault."""
     return f"{axis}: {what} is in FAULT, {fault}; {remedy}" if fault else ""
 
 

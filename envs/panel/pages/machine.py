@@ -1,4 +1,4 @@
-"""Machine: it moves in 3D, with its switches, limits and target as ghosts."""
+"""Machine: the axes in 3D, with switches, limits and target as ghosts."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ class Scene(Element, component=STATIC / "scene.js", esm={"nicegui-scene": str(TH
 
 
 class MachinePage:
-    """The machine as it stands."""
+    """Page with the machine in 3D."""
 
     name, title, icon = "machine", "Machine", "view_in_ar"
 

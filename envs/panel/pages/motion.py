@@ -37,9 +37,10 @@ FASTEST = ("max_profile_velocity", "profile_velocity")  # not every model has th
 
 
 class Choice:
-    """What was chosen in a list, until the drive shows it.
+    """A value chosen in a list, kept until the drive displays it.
 
-    The value before, shown again for a moment, could be chosen anew without a word to the drive.
+    Otherwise the list would show the previous value again for a moment, and choosing that value
+    would send nothing to the drive.
     """
 
     def __init__(self) -> None:
@@ -48,7 +49,7 @@ class Choice:
         self._arrived = 0.0  # s
 
     def is_new(self, value: int, present: int) -> bool:
-        """Whether a value has to go to the drive, which shows another one, or is to get one."""
+        """Whether a chosen value differs from the one displayed or sent, and has to be sent."""
         if value == (present if self._wanted is None else self._wanted):
             return False
         self._wanted = value
@@ -56,12 +57,12 @@ class Choice:
         return True
 
     def arrived(self, now: float) -> None:
-        """Note that the drive has taken or refused a value."""
+        """Note that the drive has accepted or refused a value."""
         self._under_way -= 1
         self._arrived = now
 
     def keeps(self, present: int, now: float) -> bool:
-        """Whether the list keeps what was chosen, although the drive shows another value."""
+        """Whether the list keeps the chosen value although the drive displays another one."""
         given_up = not self._under_way and now > self._arrived + SHOWN_WITHIN
         if present == self._wanted or given_up:
             self._wanted = None
@@ -69,7 +70,7 @@ class Choice:
 
 
 class MotionPage:
-    """Makes the axis move."""
+    """Page with power, mode, jog, moves and homing."""
 
     name, title, icon = "motion", "Motion", "open_with"
 
@@ -236,7 +237,7 @@ class MotionPage:
             await self._go("jog", 0.0, at_once=True)
 
     def _top_speed(self) -> None:
-        """The range of the jog speed, and a twentieth of it at first."""
+        """Set the range of the jog speed, and a twentieth of it as the initial value."""
         bench, axis = self.desk.bench, self.desk.axis
         name = next((name for name in FASTEST if name in self.names), "")
         top = bench.value(axis, name) if name else 1e9
@@ -247,7 +248,7 @@ class MotionPage:
             self._jog_speed, self.jog.high = top, speed
 
     def show(self) -> None:
-        """The present."""
+        """Show the present state."""
         seen = self.desk.status
         self._top_speed()
         digits = 0 if self.unit == "units" else 3
@@ -285,7 +286,7 @@ def _method_name(method: int, own: bool = False) -> str:
 
 
 class _Parameter:
-    """An object of the drive: its live value, and a field for another one."""
+    """An object of the drive: its live value, and a field for a new one."""
 
     def __init__(self, desk: Desk, row: Object):
         self.desk, self.name, self.row = desk, row.name, row
@@ -312,12 +313,12 @@ class _Parameter:
         return str(words or "")
 
     def show(self) -> None:
-        """The value of now."""
+        """Show the present value."""
         value = self.desk.bench.value(self.desk.axis, self.name)
         live(self.value, "…" if value is None else f"{value}")
         if value is not None and self.factor:
-            told = f"{float(value) * self.factor:.6g} {self.unit}"
-            live(self.plain, f"{self.address} = {told}")
+            amount = f"{float(value) * self.factor:.6g} {self.unit}"
+            live(self.plain, f"{self.address} = {amount}")
 
 
 class _Stroke:
@@ -346,7 +347,7 @@ class _Stroke:
         self._at: tuple[float, float] = (-1.0, -1.0)
 
     def show(self, seen: dict[str, Any]) -> None:
-        """The place of now."""
+        """Show the present position."""
         low, high = self._ends()
         low, high = (low, high) if low < high else (-180.0, 180.0)
         if (low, high) != self._scaled:

@@ -30,21 +30,21 @@ class Plot(
     component=STATIC / "scope.js",
     esm={"uplot": str(STATIC / "uplot")},
 ):
-    """The picture of the scope."""
+    """The chart of the scope."""
 
     def configure(self, channels: list[dict[str, Any]]) -> None:
-        """Other channels."""
+        """Change the channels."""
         self.run_method("configure", channels)
 
     def draw(self, window: Window, info: dict[str, Any]) -> None:
-        """A new picture."""
+        """Draw new samples."""
         packed = np.concatenate((window.time[None], window.values)).astype("<f4")
         text = base64.b64encode(packed.tobytes()).decode()
         self.run_method("draw", text, info | {"points": len(window.time), "state": window.state})
 
 
 class ScopePage:
-    """Pictures of channels over time."""
+    """Page that plots channels over time."""
 
     name, title, icon = "scope", "Scope", "show_chart"
 
@@ -132,7 +132,7 @@ class ScopePage:
         )
 
     def _shown(self, channel: str) -> tuple[float, str]:
-        """What the values of a channel are multiplied by, and the unit then."""
+        """Factor by which the values of a channel are displayed, and the resulting unit."""
         bench = self.desk.bench
         axis, name = bench.found(channel)
         row = next((row for row in bench.rows(axis) if row.name == name), None)
@@ -140,7 +140,7 @@ class ScopePage:
         return (factor, unit) if factor else (1.0, bench.unit_of(channel))
 
     def _units(self) -> None:
-        """Other units: the level of the trigger stays where it is in the picture."""
+        """Change the units; the level of the trigger stays where it is in the chart."""
         trigger = self.desk.bench.scope.trigger
         if trigger:
             factor, _ = self._shown(trigger.channel)

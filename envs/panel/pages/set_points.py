@@ -11,7 +11,7 @@ TIME = 5.0  # s of a wave
 
 
 class SetPointCard:
-    """A part of the motion page."""
+    """Card of the motion page for set-points and the function generator."""
 
     def __init__(self, desk: Desk):
         self.desk = desk

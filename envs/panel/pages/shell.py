@@ -1,4 +1,4 @@
-"""The frame around the pages: who commands, what the drive does, time, the way to each page."""
+"""The frame around the pages: control, state of the drive, time, and navigation."""
 
 import inspect
 import json
@@ -57,13 +57,13 @@ class Shell:
     """One tab of the browser.
 
     Args:
-        clock: that runs the session.
-        tab: the tab's own text.
-        kept: what the tab keeps over a reload.
-        pictures: a second, at most.
-        pages: what there is to see, in this order.
-        place: whose machine it is, in a classroom.
-        watches: whether it takes no control by itself.
+        clock: runs the session.
+        tab: identifier of the tab.
+        kept: values that survive a reload.
+        pictures: maximum number of pictures per second.
+        pages: the pages, in the order of the rail.
+        place: the place in a classroom whose machine is shown.
+        watches: whether the tab only watches unless it takes control.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class Shell:
                 self.links[page.name] = link
 
     def go(self, name: str) -> None:
-        """Show a page; it is made when it is first seen."""
+        """Show a page; it is created when it is first opened."""
         if name not in self._kinds:
             name = next(iter(self._kinds))
         self.present = self.kept["page"] = name
@@ -227,7 +227,7 @@ class Shell:
         refuse(await self.desk.stop(lambda session: session.quick_stop()))
 
     async def _broken(self, error: Exception) -> None:
-        """A mistake of ours in a page is told as well; the log has it."""
+        """Report an internal error of a page in the log."""
         said = f"{type(error).__name__}: {in_words(error)}"
         await self.desk.ask(lambda session: session.tell("alarm", f"an error of the panel: {said}"))
 
@@ -263,7 +263,7 @@ class Shell:
     # ----------------------------------------------------------------- present
 
     async def show(self) -> None:
-        """A new picture."""
+        """Show the present state."""
         shown, seen, clock = self.desk.shown, self.desk.status, self.clock
         state = State(seen["state"]) if seen["state"] >= 0 else None
         name = state.name.replace("_", " ").lower() if state is not None else "state not known"
@@ -316,7 +316,7 @@ class Shell:
         for event in events:
             if event.number > self.desk.last_message:
                 self.desk.last_message = event.number
-                if event.kind == "info" and not event.who:
+                if event.kind == "info" and not event.window:
                     ui.notify(event.text, position="bottom-left")
                 elif event.kind in ("alarm", "fault"):
                     refuse("; ".join(filter(None, (event.text, event.remedy))))
@@ -335,14 +335,14 @@ class Shell:
         self.desk.beat()
 
     def lose(self) -> None:
-        """The browser is gone: an axis that was jogged comes to rest."""
+        """Stop jogging because the browser has disconnected."""
         if self.desk.jogging:
             self.desk.jogging = False
             axis = self.desk.axis
             self.clock.move(lambda session: session.jog(axis, 0.0), at_once=True)
 
     def leave(self) -> None:
-        """The tab is closed for good."""
+        """Release control because the tab was closed."""
         self.lose()
         tab = self.desk.tab
         open_still = any(
@@ -353,7 +353,7 @@ class Shell:
 
 
 def leave(session: Any, tab: str) -> None:
-    """Stand up; what the window had set in motion comes to rest."""
+    """Release control; motions started by this window are stopped."""
     if session.control.holds(tab):
         session.control.leave(tab)
         session.abandon("nobody has control any more")
@@ -366,7 +366,7 @@ def leave_if_gone(clock: Clock, session: Any, tab: str) -> None:
 
 
 class _Absent:
-    """A page that cannot be had here, and why."""
+    """Placeholder for a page that is not available here, with the reason."""
 
     def __init__(self, title: str, why: str):
         with card(title, "absent"):
@@ -402,11 +402,11 @@ async def show_class(room: Classroom, teacher: Any, address: str) -> None:
         address: where pupils come in.
     """
     request = ui.context.client.request
-    who, path = request.scope[PERSON], request.scope["path"].strip("/")
+    place, path = request.scope[PERSON], request.scope["path"].strip("/")
     number = path.removeprefix("place/")
-    if who is not teacher:
-        ui.page_title(f"{who.name} · servogym")
-        await build(who.clock, room.pictures, place=who)
+    if place is not teacher:
+        ui.page_title(f"{place.name} · servogym")
+        await build(place.clock, room.pictures, place=place)
     elif number.isdecimal() and int(number) in room.places:
         place = room.places[int(number)]
         ui.page_title(f"{place.name} · servogym classroom")

@@ -9,7 +9,7 @@ from .widgets import Bits, button, card
 
 
 class StatePage:
-    """What the drive shows and what it is told."""
+    """Page with state diagram, statusword, controlword and process data."""
 
     name, title, icon = "state", "State", "account_tree"
 
@@ -59,7 +59,7 @@ class StatePage:
         refuse(await self.desk.motion(lambda session: session.reset_fault(axis)))
 
     def show(self) -> None:
-        """The present."""
+        """Show the present state."""
         seen = self.desk.status
         self.diagram.show(seen["state"])
         self.controlword.show(seen["controlword"], controlword_bits(seen["mode"], self.own_modes))
@@ -80,7 +80,7 @@ class StatePage:
 
 
 class _Bytes:
-    """A process image: each mapped object with its bytes."""
+    """A process image: the mapped objects with their bytes."""
 
     def __init__(self, name: str, test: str):
         with ui.element("div").classes("image").props(f"data-test={test}"):
@@ -91,7 +91,7 @@ class _Bytes:
         self._shown = b""
 
     def show(self, image: bytes, rows: list) -> None:
-        """The bytes of now."""
+        """Show the present bytes."""
         layout = tuple(row.name for row in rows)
         if layout != self._layout:
             self._layout, self._labels, at = layout, [], 0

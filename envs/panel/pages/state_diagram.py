@@ -1,4 +1,4 @@
-"""The state diagram of CiA 402 as SVG: the present state lit, what is possible to be clicked."""
+"""The state diagram of CiA 402 as SVG: the present state is lit, possible commands are buttons."""
 
 from collections.abc import Awaitable, Callable
 
@@ -40,7 +40,7 @@ ARROWS = {
 
 
 class StateDiagram:
-    """The diagram; `command` gets the transition that was clicked."""
+    """The diagram; `command` is called with the transition that was clicked."""
 
     def __init__(self, command: Callable[[Transition], Awaitable[None]]):
         self._rows = transitions()
@@ -101,7 +101,7 @@ class StateDiagram:
             await self._command(row)
 
     def show(self, state: int) -> None:
-        """The state of now; -1: not known."""
+        """Show the present state; -1 if it is unknown."""
         if state == self._shown:
             return
         self._shown = state

@@ -1,11 +1,11 @@
-"""Units that people read, of objects in drive units."""
+"""Physical units of objects in drive units."""
 
 from ....drive.model.rows import Object, quantity
 from ..bench import Bench
 
 
 def physical(bench: Bench, axis: str, row: Object) -> tuple[float, str]:
-    """What makes a drive unit one that people read, and that one; 0 where it is not known."""
+    """Factor from drive units to a physical unit, and that unit; the factor is 0 if unknown."""
     unit, scale = bench.unit(axis)
     units = bench.units(axis)
     if unit == "units":

@@ -71,7 +71,7 @@ class PlaceCard:
                     client.run_javascript("location.reload()")
 
     def show(self, here: bool) -> None:
-        """The present of the place."""
+        """Show the present state of the place."""
         shown: dict[str, Any] = self.place.clock.shown
         axes = shown["axes"]
         worst = max(axes, key=lambda axis: KINDS.get(axes[axis]["state"], "") == "bad")
@@ -107,7 +107,7 @@ class Wall:
 
     Args:
         room: the classroom.
-        address: where pupils come in.
+        address: address that the pupils open.
     """
 
     def __init__(self, room: Classroom, address: str):
@@ -155,7 +155,7 @@ class Wall:
         ui.download.content(self.room.csv().encode(), "results.csv", "text/csv")
 
     def show(self) -> None:
-        """The present."""
+        """Show the present state."""
         places = self.room.places
         for number, known in [*self.cards.items()]:
             if places.get(number) is not known.place:

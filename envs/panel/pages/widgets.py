@@ -36,22 +36,22 @@ class Tag(Element):
             self._text = text
 
     def say(self, text: str) -> None:
-        """Another text."""
+        """Set the text."""
         if text != self._text:
             self._text = text
             self.update()
 
     def lit(self, name: str, on: bool) -> None:
-        """Have a class, or not."""
+        """Add or remove a CSS class."""
         if (name in self._classes) != on:
             self.classes(name) if on else self.classes(remove=name)
 
 
 def live(label: ui.label, text: str) -> None:
-    """Another text of a label that changes with each picture.
+    """Set the text of a label that changes with each picture.
 
-    It goes to the browser as it is, with the next `pending`: an update of an element would let the
-    browser look through all elements of all pages, which takes longer than a picture lasts.
+    The text is sent to the browser with the next `pending`. A regular update of the element would
+    make the browser visit all elements of all pages, which takes longer than a picture lasts.
     """
     if text == label._text:
         return
@@ -63,7 +63,7 @@ def live(label: ui.label, text: str) -> None:
 
 
 def pending(client_id: str) -> dict[str, str]:
-    """Texts that this browser has not got yet, by the id of their element; they are handed over."""
+    """Return and clear the texts not yet sent to this browser, by the id of their element."""
     return _PENDING.pop(client_id, {})
 
 
@@ -80,14 +80,14 @@ class Readout:
                 self._unit = ui.label(unit).classes("readout-unit")
 
     def show(self, value: float | str, unit: str | None = None) -> None:
-        """The value of now."""
+        """Show the present value."""
         live(self._value, value if isinstance(value, str) else formatted(value))
         if unit is not None:
             self._unit.set_text(unit)
 
 
 def formatted(value: float, digits: int = 3) -> str:
-    """A number of steady width."""
+    """Format a number with constant width."""
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}f}"
@@ -95,7 +95,7 @@ def formatted(value: float, digits: int = 3) -> str:
 
 
 def hexadecimal(value: object, row: Object) -> str:
-    """A whole number of an object as drive engineers write it, ``0B54h``; nothing for others."""
+    """Format an integer of an object like ``0B54h``; an empty text for other types."""
     try:
         number = int(str(value))
     except ValueError:
@@ -106,17 +106,17 @@ def hexadecimal(value: object, row: Object) -> str:
 
 
 class Entry:
-    """A field for a number. What it cannot be is said beside it, and nothing is sent.
+    """A field for a number. An invalid number is explained beside it, and nothing is sent.
 
     Args:
-        name: what the number is.
-        unit: of the number.
+        name: label of the field.
+        unit: unit of the number.
         low, high: range.
-        value: at first.
-        send: called with the number on Enter; gives words where it is refused.
-        whole: whether it has to be a whole number.
-        test: its name in tests.
-        spoken: what a screen reader says where no name is shown.
+        value: initial value.
+        send: called with the number on Enter; returns the reason of a refusal.
+        whole: whether the number has to be an integer.
+        test: name for tests.
+        spoken: label for screen readers if no name is shown.
     """
 
     def __init__(
@@ -157,17 +157,17 @@ class Entry:
         return None
 
     def number(self) -> float | None:
-        """The number; None where it is none, which is then said beside the field."""
+        """The number; None if it is invalid, which is then shown beside the field."""
         if not self.field.validate():
             return None
         return entry.number(self.field.value, self.low, self.high, self.unit, whole=self.whole)
 
     def refuse(self, words: str) -> None:
-        """Say why the number was refused."""
+        """Show the reason why the number was refused."""
         self.field.error = words
 
     def send_to(self, send: Callable[[float], Awaitable[Any]]) -> None:
-        """What is called with the number on Enter."""
+        """Set the function that is called with the number on Enter."""
         self._send = send
 
     async def apply(self) -> None:
@@ -181,7 +181,7 @@ class Entry:
 
 
 class Bits:
-    """The sixteen bits of a word by name, one a row; `click` gets the mask of a bit."""
+    """The sixteen bits of a word by name, one per row; `click` is called with the mask of a bit."""
 
     def __init__(self, name: str, click: Callable[[int], Any], test: str):
         self._names: tuple[str, ...] = ()
@@ -201,7 +201,7 @@ class Bits:
         self._shown = -1
 
     def show(self, word: int, bits: Sequence[Bit]) -> None:
-        """The word of now, with the names of its bits."""
+        """Show the present word with the names of its bits."""
         names = tuple(bit.name for bit in bits)
         if word == self._shown and names == self._names:
             return
@@ -234,7 +234,7 @@ def button(
 
 
 def file_button(text: str, load: Callable[..., Any], test: str) -> ui.button:
-    """A button that asks for a file; `load` gets the upload. Quasar's own box is out of sight."""
+    """A button that asks for a file and calls `load` with it; Quasar's own box is hidden."""
     loader = ui.upload(auto_upload=True, max_file_size=1_000_000, on_upload=load,
                        on_rejected=lambda: ui.notify(f"{text}: the file is too large"))
     loader.props(f"data-test={test}").classes("out-of-sight")
@@ -242,9 +242,9 @@ def file_button(text: str, load: Callable[..., Any], test: str) -> ui.button:
 
 
 def two_sided(text: str, press: Callable[[str], Any], test: str = "", kind: str = "") -> ui.button:
-    """A button that says one thing or another; `press` gets what it showed when it was pressed.
+    """A button with two texts; `press` is called with the text shown when it was pressed.
 
-    What it stands for may have changed meanwhile: nobody gets the other thing for that.
+    The text may have changed since, and the user must not trigger the other action.
     """
     made = button(text, None, test, kind)
     shown = "(event) => emit(event.currentTarget.textContent.trim())"

@@ -45,16 +45,16 @@ def _shape(z, does):
 
 
 @entry
-def forward(numbers, widths, inner, last, seen, told):
+def forward(numbers, widths, inner, last, seen, output):
     """What the last layer tells of what is seen.
 
     Args:
         numbers: of each layer the weights, (inputs, outputs), and the biases, float32.
-        widths: numbers seen, and told by each layer.
+        widths: of the input, and of the output of each layer.
         inner: TANH, RELU or CLIP: of all layers but the last.
         last: of the last.
         seen: shape ``(widths[0],)``, float32.
-        told: to write, shape ``(widths[-1],)``, float32.
+        output: to write, shape ``(widths[-1],)``, float32.
     """
     x, begin = seen, 0
     for layer in range(widths.shape[0] - 1):
@@ -68,4 +68,4 @@ def forward(numbers, widths, inner, last, seen, told):
                 z[j] += w[k, j] * x[k]
         _shape(z, last if layer == widths.shape[0] - 2 else inner)
         x = z
-    told[:] = x
+    output[:] = x

@@ -143,10 +143,10 @@ def compiled(
     widths = np.array([shape[0], *(len(b) for _, b in layers)])
 
     def mean(x: np.ndarray) -> np.ndarray:
-        told = np.empty(shape[1], np.float32)
+        output = np.empty(shape[1], np.float32)
         seen = np.ascontiguousarray(x, np.float32)
-        forward(numbers, widths, kind.activation, kind.output, seen, told)
-        return told
+        forward(numbers, widths, kind.activation, kind.output, seen, output)
+        return output
 
     return mean
 
