@@ -59,13 +59,8 @@ class Drive:
     """
 
     def __init__(
-        self,
-        model: str | Path | DriveModel = "generic",
-        *,
-        bus: str | None = None,
-        axes: np.ndarray | None = None,
-        index: int = 0,
-        node_id: int = 1,
+        self, model: str | Path | DriveModel = "generic", *, bus: str | None = None,
+        axes: np.ndarray | None = None, index: int = 0, node_id: int = 1,
         parameter_file: str | Path | None = None,
     ):
         self.model = load(model, bus)
@@ -260,8 +255,7 @@ class Drive:
     # ----------------------------------------------------------- process data
 
     def map_pdos(
-        self,
-        rpdos: Iterable[Iterable[str]] | None = None,
+        self, rpdos: Iterable[Iterable[str]] | None = None,
         tpdos: Iterable[Iterable[str]] | None = None,
     ) -> None:
         """Map objects into PDOs by the procedure of CiA 301, one list of names for each PDO.

@@ -113,11 +113,7 @@ class Observer:
     """
 
     def __init__(
-        self,
-        line: Line,
-        model: "str | DriveModel" = "generic",
-        *,
-        read_only: bool = False,
+        self, line: Line, model: "str | DriveModel" = "generic", *, read_only: bool = False,
         tell: Callable[[str], None] = lambda text: None,
     ):
         self._line = line

@@ -79,11 +79,7 @@ class Recording:
     """
 
     def __init__(
-        self,
-        units: Mapping[str, str],
-        *,
-        depth: int | None = None,
-        trigger: Trigger | None = None,
+        self, units: Mapping[str, str], *, depth: int | None = None, trigger: Trigger | None = None,
         before: int = 0,
     ):
         self.channels = tuple(units)
@@ -140,13 +136,8 @@ class Trace(Recording):
     """Samples of channels of one drive. Raises ValueError for an unknown channel."""
 
     def __init__(
-        self,
-        drive: Drive,
-        channels: Iterable[str],
-        *,
-        depth: int | None = None,
-        trigger: Trigger | None = None,
-        before: int = 0,
+        self, drive: Drive, channels: Iterable[str], *, depth: int | None = None,
+        trigger: Trigger | None = None, before: int = 0,
     ):
         names = tuple(dict.fromkeys(channels))
         self._readers = [reader(drive, name) for name in names]

@@ -17,32 +17,10 @@ from .plants.rotary_parameters import ROTARY_FAMILY, RotaryParameters
 from .tasks import ON_MODELS, POINT_TO_POINT, SWINGING_LOAD, TASKS
 
 __all__ = [
-    "FAMILY",
-    "METRE",
-    "POINT_TO_POINT",
-    "ROTARY_FAMILY",
-    "SWINGING_LOAD",
-    "TASKS",
-    "Gantry",
-    "GantryParameters",
-    "LinearAxisParameters",
-    "Machine",
-    "RotaryParameters",
-    "ServoEnv",
-    "action",
-    "bode",
-    "clip",
-    "commission_joint",
-    "episode",
-    "faulted",
-    "gantry",
-    "limited",
-    "linear_axis",
-    "observation",
-    "register",
-    "rotary_axis",
-    "task",
-    "tune",
+    "FAMILY", "METRE", "POINT_TO_POINT", "ROTARY_FAMILY", "SWINGING_LOAD", "TASKS", "Gantry",
+    "GantryParameters", "LinearAxisParameters", "Machine", "RotaryParameters", "ServoEnv", "action",
+    "bode", "clip", "commission_joint", "episode", "faulted", "gantry", "limited", "linear_axis",
+    "observation", "register", "rotary_axis", "task", "tune",
 ]
 
 for _task in (*TASKS, *ON_MODELS):

@@ -102,13 +102,8 @@ def run(
 
 
 def _episode(
-    env: Any,
-    policy: Policy,
-    seed: int | None,
-    stride: int,
-    frame: Callable[[], bool],
-    follow: Callable[[], None],
-    advance: Callable[[float], None],
+    env: Any, policy: Policy, seed: int | None, stride: int, frame: Callable[[], bool],
+    follow: Callable[[], None], advance: Callable[[float], None],
 ) -> tuple[bool, str]:
     """Whether an episode came to its end, and what happened; a frame each `stride` steps."""
     observation, info = env.reset(seed=seed)

@@ -250,9 +250,6 @@ def _complete(
     if node_id is not None:
         serial = model.objects.get((0x1018, 4))
         file["DeviceComissioning"].update(
-            NodeName=_ascii(f"{model.name}_{node_id}"),
-            NetNumber="1",
-            NetworkName="servogym",
-            CANopenManager="0",
-            LSS_SerialNumber=str(serial.default if serial else 0),
+            NodeName=_ascii(f"{model.name}_{node_id}"), NetNumber="1", NetworkName="servogym",
+            CANopenManager="0", LSS_SerialNumber=str(serial.default if serial else 0),
         )

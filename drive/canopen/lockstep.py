@@ -30,10 +30,7 @@ class LockStep:
     """
 
     def __init__(
-        self,
-        machines: Sequence[Machine],
-        period: int = 1000,
-        bus: Loopback | None = None,
+        self, machines: Sequence[Machine], period: int = 1000, bus: Loopback | None = None
     ):
         self.period = period
         self.bus = bus or Loopback()

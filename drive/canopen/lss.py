@@ -63,10 +63,7 @@ class LssSlave:
     """
 
     def __init__(
-        self,
-        identity: tuple[int, int, int, int],
-        node_id: int,
-        send: Callable[[bytes], None],
+        self, identity: tuple[int, int, int, int], node_id: int, send: Callable[[bytes], None],
         bit_rate: int | None = None,
         store: Callable[[int, int | None], bool] = lambda node_id, bit_rate: True,
     ):

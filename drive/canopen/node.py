@@ -63,11 +63,8 @@ class Node:
         )  # synchronous TPDOs, dropped when the window closes
         vendor, product, revision, serial = (drive.objects.value(0x1018, n) for n in range(1, 5))
         self.lss = LssSlave(
-            (vendor, product, revision, serial),
-            node_id,
-            self._sender(Base.LSS_RESPONSE),
-            stored_bit_rate or None,
-            drive.parameters.keep_lss,
+            (vendor, product, revision, serial), node_id, self._sender(Base.LSS_RESPONSE),
+            stored_bit_rate or None, drive.parameters.keep_lss,
         )
         self.emergency = Emergency(drive, self._send)
         self.sync = Sync(drive, self.emergency)

@@ -55,13 +55,8 @@ class Observer(_Observer):
     """
 
     def __init__(
-        self,
-        bus: FramePort,
-        node_id: int,
-        model: "str | DriveModel" = "generic",
-        *,
-        read_only: bool = False,
-        timeout: float = 0.5,
+        self, bus: FramePort, node_id: int, model: "str | DriveModel" = "generic", *,
+        read_only: bool = False, timeout: float = 0.5,
         tell: Callable[[str], None] = lambda text: None,
     ):
         line = CanLine(bus, node_id, timeout)

@@ -39,12 +39,8 @@ class CanOpenPort:
     latency = LATENCY
 
     def __init__(
-        self,
-        bus: FramePort,
-        nodes: int | Mapping[str, int] = 1,
-        model: str | Path | DriveModel = "generic",
-        *,
-        sdo_timeout: float = 1.0,
+        self, bus: FramePort, nodes: int | Mapping[str, int] = 1,
+        model: str | Path | DriveModel = "generic", *, sdo_timeout: float = 1.0,
         units: Units | None = None,
     ):
         self._bus = bus
@@ -256,8 +252,7 @@ class RemoteObjects:
             refused = error
         if self.answers.twice:
             raise BusError(
-                f"node {self.node_id}",
-                f"two nodes answer to this node-id: {self.answers}",
+                f"node {self.node_id}", f"two nodes answer to this node-id: {self.answers}",
                 "switch one of them off, or give it another node-id",
             ) from refused
         if refused is not None:

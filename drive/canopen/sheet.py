@@ -280,8 +280,7 @@ def _entry(
     follows = _NODE.search(default) is not None
     sheet.entries[index, sub] = Entry(
         index, sub, section.get("parametername"), kind, data_type, access,
-        _small(sheet, section, "pdomapping", 0) != 0,
-        value if value and not follows else default,
+        _small(sheet, section, "pdomapping", 0) != 0, value if value and not follows else default,
         section.get("lowlimit"), section.get("highlimit"), section.line, group,
     )
 

@@ -98,11 +98,8 @@ class AlMachine:
     """
 
     def __init__(
-        self,
-        rules: AlRules,
-        check: Callable[[AlState, AlState], AlStatusCode],
-        entered: Callable[[AlState, AlState], None],
-        identification: Callable[[], int],
+        self, rules: AlRules, check: Callable[[AlState, AlState], AlStatusCode],
+        entered: Callable[[AlState, AlState], None], identification: Callable[[], int],
     ):
         self._rules = rules
         self._check = check

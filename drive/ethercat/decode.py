@@ -144,8 +144,7 @@ class EtherCatDecoder:
     """
 
     def __init__(
-        self,
-        model: str | Path | DriveModel | None = None,
+        self, model: str | Path | DriveModel | None = None,
         heard: Callable[[str, Object, float], None] = lambda slave, row, value: None,
     ):
         self.others = 0  # frames of other protocols

@@ -197,12 +197,8 @@ def _pdos(
             entries.append(Entry(target, subindex, bits, data_type, row.name if row else ""))
         pdos.append(
             Pdo(
-                index,
-                f"{letter}xPDO {index:04X}h",
-                manager if index in assigned else UNASSIGNED,
-                0 if place < flexible else FIXED,
-                tuple(entries),
-                tuple(sorted(apart[index])),
+                index, f"{letter}xPDO {index:04X}h", manager if index in assigned else UNASSIGNED,
+                0 if place < flexible else FIXED, tuple(entries), tuple(sorted(apart[index])),
             )
         )
     return tuple(sorted(pdos, key=lambda pdo: pdo.index))

@@ -70,13 +70,8 @@ def of_model(model: DriveModel) -> Esi:
     assert model.ethercat is not None
     dictionary = {
         (row.index, row.subindex): EsiEntry(
-            row.index,
-            row.subindex,
-            row.name,
-            DATA_TYPES[row.data_type],
-            bits(row),
-            "ro" if row.access == "const" else row.access,
-            _MAPPABLE[row.pdo],
+            row.index, row.subindex, row.name, DATA_TYPES[row.data_type], bits(row),
+            "ro" if row.access == "const" else row.access, _MAPPABLE[row.pdo],
         )
         for row in described(model)
     }
@@ -122,10 +117,7 @@ def write(esi: Esi) -> str:
     ).rstrip()
     element = _sub(_sub(descriptions, "Devices"), "Device", Physics=physics)
     _sub(
-        element,
-        "Type",
-        device.order,
-        ProductCode=_hex(device.product_code, 8),
+        element, "Type", device.order, ProductCode=_hex(device.product_code, 8),
         RevisionNo=_hex(device.revision_number, 8),
     )
     _sub(element, "Name", device.name)
@@ -139,12 +131,8 @@ def write(esi: Esi) -> str:
         _sub(element, "Fmmu", FMMU_KINDS.get(kind, FMMU_KINDS[0]))
     for manager in device.sync_managers:
         _sub(
-            element,
-            "Sm",
-            SM_KINDS[manager.kind],
-            DefaultSize=manager.length,
-            StartAddress=_hex(manager.start),
-            ControlByte=_hex(manager.control, 2),
+            element, "Sm", SM_KINDS[manager.kind], DefaultSize=manager.length,
+            StartAddress=_hex(manager.start), ControlByte=_hex(manager.control, 2),
             Enable=manager.enable,
         )
     for tag, pdos in (("RxPdo", device.rpdos), ("TxPdo", device.tpdos)):

@@ -303,8 +303,7 @@ class _Reader:
                     self._number(sm.get("StartAddress"), sm, f"Sm {n}"),
                     self._number(sm.get("DefaultSize"), sm, f"Sm {n}"),
                     self._number(sm.get("ControlByte"), sm, f"Sm {n}", CONTROL.get(kind, 0), 8),
-                    self._number(sm.get("Enable"), sm, f"Sm {n}", 1, 8),
-                    kind,
+                    self._number(sm.get("Enable"), sm, f"Sm {n}", 1, 8), kind,
                 )
             )
         return tuple(found)

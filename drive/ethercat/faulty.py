@@ -139,13 +139,8 @@ class FaultyBus(Bus):
     )
 
     def __init__(
-        self,
-        segment: Segment,
-        machines: Sequence[Machine] = (),
-        clock: Clock | str = Clock.FRAME,
-        *,
-        faults: Sequence[str | Fault] = (),
-        seed: int | np.random.Generator = 0,
+        self, segment: Segment, machines: Sequence[Machine] = (), clock: Clock | str = Clock.FRAME,
+        *, faults: Sequence[str | Fault] = (), seed: int | np.random.Generator = 0,
     ):
         super().__init__(segment, machines, clock)
         self._random = np.random.default_rng(seed)

@@ -38,11 +38,7 @@ class MailboxClient:
     """
 
     def __init__(
-        self,
-        sender: Sender,
-        station: int,
-        out: tuple[int, int],
-        into: tuple[int, int],
+        self, sender: Sender, station: int, out: tuple[int, int], into: tuple[int, int],
         polls: int = POLLS,
     ):
         self._sender = sender

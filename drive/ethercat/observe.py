@@ -100,10 +100,7 @@ class EtherCatLine:
     """
 
     def __init__(
-        self,
-        slaves: Sequence[Asked],
-        position: int,
-        wait: Callable[[float], object],
+        self, slaves: Sequence[Asked], position: int, wait: Callable[[float], object],
         read_only: str = "",
     ):
         self.about = {"bus": "ethercat", "position": position}

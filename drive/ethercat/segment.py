@@ -88,12 +88,8 @@ class Segment:
     """
 
     def __init__(
-        self,
-        stations: Sequence[Station],
-        *,
-        hop: int = HOP,
-        links: Iterable[tuple[tuple[int, int], tuple[int, int]]] | None = None,
-        ring: bool = False,
+        self, stations: Sequence[Station], *, hop: int = HOP,
+        links: Iterable[tuple[tuple[int, int], tuple[int, int]]] | None = None, ring: bool = False,
         clocks: Sequence[int] = (),
     ):
         self.stations = list(stations)

@@ -503,12 +503,8 @@ def advance(axis: Axis):
 def _along(axis: Axis, i, t):
     """(position, velocity, acceleration) at the time `t` in the segment `i`, which is under way."""
     return _after(
-        axis.segment_position,
-        axis.segment_velocity,
-        t,
-        axis.segment_acceleration[i],
-        axis.segment_jerk[i],
-        axis.segment_wave[i],
+        axis.segment_position, axis.segment_velocity, t, axis.segment_acceleration[i],
+        axis.segment_jerk[i], axis.segment_wave[i],
     )
 
 

@@ -200,15 +200,8 @@ class Drives:
         return NoPower(what, "no power", "it needs enable() first", self._shown(axis))
 
     def _until(
-        self,
-        condition: Callable[[str, int], bool],
-        timeout: float,
-        what: str,
-        hint: str = "",
-        *,
-        faulty: bool = False,
-        powered: bool = False,
-        homing: bool = False,
+        self, condition: Callable[[str, int], bool], timeout: float, what: str, hint: str = "", *,
+        faulty: bool = False, powered: bool = False, homing: bool = False,
         alarm: Callable[[], str] | None = None,
     ) -> None:
         """Look at the drives until `condition` of name and statusword holds for all of them.

@@ -175,13 +175,8 @@ class Master(Drives):
         self.control(ENABLED)
 
     def move_to(
-        self,
-        position: float | Mapping[str, float],
-        *,
-        relative: bool = False,
-        immediate: bool = False,
-        change_on_set_point: bool = False,
-        wait: bool = True,
+        self, position: float | Mapping[str, float], *, relative: bool = False,
+        immediate: bool = False, change_on_set_point: bool = False, wait: bool = True,
         timeout: float = 30.0,
     ) -> None:
         """Command one profile position set-point with the complete handshake.
@@ -274,9 +269,7 @@ class Master(Drives):
         }
 
     def jog(
-        self,
-        velocity: float | Mapping[str, float],
-        duration: float | None = None,
+        self, velocity: float | Mapping[str, float], duration: float | None = None,
         timeout: float = 10.0,
     ) -> None:
         """Move at a velocity in profile velocity mode; 0 stops.
@@ -378,9 +371,7 @@ class Master(Drives):
             self._tell(axis, name, self.port.read(axis, "position_actual_value") if here else 0)
 
     def home(
-        self,
-        method: int | Mapping[str, int] | None = None,
-        timeout: float = 60.0,
+        self, method: int | Mapping[str, int] | None = None, timeout: float = 60.0,
         alarm: Callable[[], str] | None = None,
     ) -> None:
         """Home all drives at the same time; return when all have finished.

@@ -264,8 +264,7 @@ def _cells(folder: Path, referring: tuple[Path, ...] = ()) -> Cells:
         return cells
     standard = _folder(toml.get("objects_of", STANDARD), path)
     return referred(
-        read_cells(path / "objects.csv"),
-        cells,
+        read_cells(path / "objects.csv"), cells,
         {} if standard == folder else _cells(standard, referring),
     )
 

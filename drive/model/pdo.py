@@ -71,11 +71,8 @@ def read_pdos(
         if int(cob_id.partition("+")[0], 0) + 127 >= 1 << 32:
             raise ValueError(f"{where}: cob_id {cob_id} has more than 32 bits")
         found[direction][number] = Mapping(
-            number,
-            cob_id,
-            integer(row["transmission_type"], where, "transmission_type", 8),
-            integer(row["inhibit_time"] or "0", where, "inhibit_time", 16),
-            entries,
+            number, cob_id, integer(row["transmission_type"], where, "transmission_type", 8),
+            integer(row["inhibit_time"] or "0", where, "inhibit_time", 16), entries,
         )
     for pdos in found.values():
         if sorted(pdos) != list(range(1, len(pdos) + 1)):

@@ -35,12 +35,8 @@ def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, 
             raise ValueError(f"{row.where}: when {row.when!r} is unknown, use one of {known}")
     slots = {
         (row.index, row.subindex): Slot(
-            row,
-            None,
-            RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00),
-            place(model, row),
-            READ_RULES.get((row.index, row.subindex)),
-            _hook(model, row),
+            row, None, RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00),
+            place(model, row), READ_RULES.get((row.index, row.subindex)), _hook(model, row),
         )
         for row in rows
     }

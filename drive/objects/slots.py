@@ -17,12 +17,8 @@ class Slot:
     __slots__ = ("code", "hook", "kept", "offset", "raw", "reads", "row", "view", "writable")
 
     def __init__(
-        self,
-        row: Object,
-        view: memoryview | None,
-        rule: Callable[..., Abort] | None = None,
-        kept: int | None = None,
-        read_rule: Callable[..., Any] | None = None,
+        self, row: Object, view: memoryview | None, rule: Callable[..., Abort] | None = None,
+        kept: int | None = None, read_rule: Callable[..., Any] | None = None,
         hook: Hook | None = None,
     ):
         self.row = row

@@ -28,9 +28,7 @@ class Adapter:
     """
 
     def __init__(
-        self,
-        bus: can.BusABC,
-        reopen: Callable[[], can.BusABC] | None = None,
+        self, bus: can.BusABC, reopen: Callable[[], can.BusABC] | None = None,
         tell: Callable[[str], None] = lambda text: None,
     ):
         self.bus = bus

@@ -24,9 +24,7 @@ ECHOES = 1024  # messages that may be on their way back
 def to_message(frame: Frame) -> can.Message:
     """Convert a frame to a message of python-can."""
     return can.Message(
-        arbitration_id=frame.id,
-        data=frame.data,
-        is_extended_id=frame.extended,
+        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended,
         is_remote_frame=frame.remote,
     )
 
@@ -36,10 +34,7 @@ def to_frame(message: can.Message) -> Frame | None:
     if message.is_error_frame or message.is_fd:
         return None
     return Frame(
-        message.arbitration_id,
-        bytes(message.data),
-        message.is_remote_frame,
-        message.is_extended_id,
+        message.arbitration_id, bytes(message.data), message.is_remote_frame, message.is_extended_id
     )
 
 
@@ -107,10 +102,7 @@ class CanPort:
     """
 
     def __init__(
-        self,
-        bus: Any,
-        wait: float = 0.002,
-        log: Callable[[can.Message], object] | None = None,
+        self, bus: Any, wait: float = 0.002, log: Callable[[can.Message], object] | None = None
     ):
         self._send, self._receive, self.patience, self._log = bus.send, bus.recv, wait, log
         self._echoes = Echoes(bus)
@@ -139,8 +131,7 @@ class CanPort:
                 heard = self._receive(0)
         except TROUBLE as error:
             raise BusError(
-                "receiving",
-                f"the adapter fails: {' '.join(str(error).split())}",
+                "receiving", f"the adapter fails: {' '.join(str(error).split())}",
                 "check that it is plugged in, then open the bus anew",
             ) from error
         return [frame for frame in received if frame is not None]

@@ -34,12 +34,8 @@ BUSY = (AlState.BOOTSTRAP, AlState.SAFE_OPERATIONAL, AlState.OPERATIONAL)
 
 
 def observe(
-    interface: str,
-    position: int = 0,
-    model: "str | DriveModel" = "generic",
-    *,
-    read_only: bool = False,
-    tell: Callable[[str], None] = lambda text: None,
+    interface: str, position: int = 0, model: "str | DriveModel" = "generic", *,
+    read_only: bool = False, tell: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Observe a slave and return the result.
 

@@ -57,13 +57,8 @@ QUIET = 0.15  # of the rated torque: more ripple, before there is an excitation,
 
 
 def bode(
-    machine: Machine,
-    drive: str | None = None,
-    *,
-    amplitude: float = 0.1,
-    speed: float | None = None,
-    lowest: float | None = None,
-    highest: float | None = None,
+    machine: Machine, drive: str | None = None, *, amplitude: float = 0.1,
+    speed: float | None = None, lowest: float | None = None, highest: float | None = None,
     seed: int = 0,
 ) -> Response:
     """Measure the loops of one drive of a machine, which is afterwards as it was before.

@@ -21,9 +21,7 @@ class Asked(loops.Asked):
 
 
 def fit(
-    response: Response,
-    asked: loops.Asked,
-    ease: float = 1.0,
+    response: Response, asked: loops.Asked, ease: float = 1.0,
     allowed: Mapping[str, tuple[float, float]] = loops.ANY,
 ) -> Gains | None:
     """Gains that keep the margins with a reserve; None: there are none.

@@ -103,12 +103,10 @@ def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
     stable = abs(end) < math.pi / 2
     gain = math.inf if worst is None else float(decibel[worst])
     return Margins(
-        gain=gain,
-        phase=math.inf if least is None else float(abs(phases[least])),
+        gain=gain, phase=math.inf if least is None else float(abs(phases[least])),
         crossover=float(max(at_gain, default=math.nan) / (2 * np.pi)),
         phase_crossover=math.nan if worst is None else float(at_phase[worst] / (2 * np.pi)),
-        stable=bool(stable),
-        doubtful=_doubtful(2 * np.pi * frequencies, loop, at_phase),
+        stable=bool(stable), doubtful=_doubtful(2 * np.pi * frequencies, loop, at_phase),
     )
 
 

@@ -149,10 +149,7 @@ class Attempt:
     """
 
     def __init__(
-        self,
-        exercise: Exercise,
-        machine: Machine,
-        axis: str = "x",
+        self, exercise: Exercise, machine: Machine, axis: str = "x",
         tell: Callable[[str], None] = lambda text: None,
     ):
         self.exercise, self.machine, self.axis = exercise, machine, axis

@@ -238,8 +238,7 @@ def _step(number: int, row: Any, wrong: tuple[tuple[dict[str, Any], str], ...]) 
         return Step(
             _text(row, "text"), tuple(check(each) for each in goal), tuple(hints),
             check(row["throughout"]) if "throughout" in row else {}, (*_wrong(row), *wrong),
-            _prediction(row["predict"]) if "predict" in row else None,
-            _begin(row.get("begin", {})),
+            _prediction(row["predict"]) if "predict" in row else None, _begin(row.get("begin", {})),
         )
     except (TypeError, ValueError) as error:
         raise ValueError(f"step {number}: {error}") from None

@@ -296,8 +296,7 @@ def _protected(context, batch, job):
         context.call_internal_no_propagate(inner, work.fndesc, work.signature, [function.args[3]])
         inner.ret_void()
         apply = builder.module.globals.get("mjb_apply") or ir.Function(
-            builder.module,
-            ir.FunctionType(small, [number, number, small, number, number, small]),
+            builder.module, ir.FunctionType(small, [number, number, small, number, number, small]),
             "mjb_apply",
         )
         zero = small(0)
@@ -336,10 +335,7 @@ if DISABLED:
 
 
 def run(
-    worlds: np.ndarray,
-    ticks: int,
-    rpdos: np.ndarray,
-    tpdos: np.ndarray,
+    worlds: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray,
     stopped: Callable[[], bool] | None = None,
 ) -> None:
     """Advance machines by `ticks` physics steps, exchanging the process images of their drives.

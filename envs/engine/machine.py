@@ -217,12 +217,8 @@ class Machine:
 
     @classmethod
     def from_mjcf(
-        cls,
-        mjcf: str | Path,
-        drives: Mapping[str, str | Path | DriveModel],
-        *,
-        gears: Mapping[str, float] | None = None,
-        folder: str | Path | None = None,
+        cls, mjcf: str | Path, drives: Mapping[str, str | Path | DriveModel], *,
+        gears: Mapping[str, float] | None = None, folder: str | Path | None = None,
     ) -> "Machine":
         """Build a machine from the MJCF of any robot: a file, or text that begins with ``<``.
 

@@ -25,11 +25,8 @@ def rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, in
     longest = max(cycles, key=lambda name: cycles[name])
     for name, cycle in cycles.items():
         whole_ratio(
-            cycles[longest],
-            cycle,
-            f"position cycle of drive {longest!r}",
-            f"position cycle of drive {name!r}",
-            "drive model for one of them",
+            cycles[longest], cycle, f"position cycle of drive {longest!r}",
+            f"position cycle of drive {name!r}", "drive model for one of them",
         )
     steps = whole_ratio(cycles[longest], model.opt.timestep, "machine cycle", "physics step")
     return cycles[longest], steps

@@ -45,10 +45,8 @@ def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = Non
         )
     try:
         gymnasium.register(
-            identity,
-            entry_point=f"{task.__module__}:{task.__name__}",
-            vector_entry_point=vector or partial(vectors, task),
-            max_episode_steps=task.STEPS,
+            identity, entry_point=f"{task.__module__}:{task.__name__}",
+            vector_entry_point=vector or partial(vectors, task), max_episode_steps=task.STEPS,
         )
     except gymnasium.error.Error as error:
         raise ValueError(f"task {task.__name__}, ID = {identity!r}: {error}") from None

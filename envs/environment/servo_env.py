@@ -98,20 +98,12 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
     def __init__(
-        self,
-        drive: str | Path | DriveModel = "generic",
-        *,
-        step_time: float | None = None,
-        action: str = "setpoint",
-        history: int = 1,
-        previous_action: bool = False,
+        self, drive: str | Path | DriveModel = "generic", *, step_time: float | None = None,
+        action: str = "setpoint", history: int = 1, previous_action: bool = False,
         prices: Mapping[str, float] | None = None,
         randomise: Mapping[str, float | tuple[float, ...]] | str | None = None,
-        twin: str | Path | None = None,
-        faults: Faults = None,
-        tuned: bool = False,
-        port: "DriveSide | None" = None,
-        render_mode: str | None = None,
+        twin: str | Path | None = None, faults: Faults = None, tuned: bool = False,
+        port: "DriveSide | None" = None, render_mode: str | None = None,
     ):
         check(self, ServoEnv)
         causes, bus_faults = sort(faults)

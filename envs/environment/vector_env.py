@@ -43,14 +43,9 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     """
 
     def __init__(
-        self,
-        task: type[ServoEnv],
-        num_envs: int = 1,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int | None = None,
-        max_episode_steps: int | None = None,
-        **arguments: Any,
+        self, task: type[ServoEnv], num_envs: int = 1, *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, threads: int | None = None,
+        max_episode_steps: int | None = None, **arguments: Any
     ):
         if not (isinstance(task, type) and issubclass(task, ServoEnv)):
             raise ValueError(

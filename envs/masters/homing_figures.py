@@ -119,14 +119,8 @@ def _place(machine: Machine, leg: tuple[int, ...]) -> float:
 
 
 def built_in(
-    machine: Machine,
-    method: int,
-    start: float,
-    *,
-    stride: int = 10,
-    timeout: float = 60.0,
-    objects: Mapping[str, int] | None = None,
-    observer: Callable[[float], None] | None = None,
+    machine: Machine, method: int, start: float, *, stride: int = 10, timeout: float = 60.0,
+    objects: Mapping[str, int] | None = None, observer: Callable[[float], None] | None = None,
 ) -> HomingFigures:
     """Run a homing method of the drive of a machine with one axis; the machine is left as it was.
 

@@ -73,6 +73,5 @@ class MachinePort:
         record, gear, name = self._drives[axis].axis, *self.machine.joint(axis)
         return Units(
             float(record.rad_per_position_unit) / gear,
-            float(record.rad_s_per_velocity_unit) / gear,
-            name,
+            float(record.rad_s_per_velocity_unit) / gear, name,
         )

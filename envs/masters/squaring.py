@@ -9,10 +9,7 @@ from .port import MachinePort
 
 
 def square(
-    gantry: Gantry,
-    *,
-    max_twist: float = 0.01,
-    timeout: float = 60.0,
+    gantry: Gantry, *, max_twist: float = 0.01, timeout: float = 60.0,
     on_step: Callable[[], None] | None = None,
 ) -> float:
     """Home ``x1`` and ``x2`` together and bring both to position 0; -> skew left (m).

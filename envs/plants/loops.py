@@ -141,8 +141,7 @@ def filters_of(drive: Drive) -> Filters:
     notches = ((0.1 * float(f), 1e-3 * float(d), 1e-3 * float(g)) for f, d, g in rows)
     return Filters(
         cycle, float(od.torque_command_filter_time) * 1e-6,
-        tuple(each for each in notches if 0.0 < each[0] < 0.49 / cycle),
-        od.observer_bandwidth > 0,
+        tuple(each for each in notches if 0.0 < each[0] < 0.49 / cycle), od.observer_bandwidth > 0,
     )
 
 
@@ -268,9 +267,7 @@ def margins_of(
 
 
 def fastest(
-    plants: Sequence[Seen],
-    asked: Asked,
-    allowed: Mapping[str, tuple[float, float]],
+    plants: Sequence[Seen], asked: Asked, allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
     """The stiffest gains that keep the margins with a reserve; None: there are none.
@@ -303,9 +300,7 @@ def fastest(
 
 
 def fastest_pid(
-    plants: Sequence[Seen],
-    asked: Asked,
-    allowed: Mapping[str, tuple[float, float]],
+    plants: Sequence[Seen], asked: Asked, allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
     """Return the fastest PID position controller that keeps the margins."""

@@ -108,8 +108,7 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
     return Sizing(
         drive=name, model=drive.model.name, unit=unit, gear=gear, motor=motor, load=load,
         inertia_ratio=(inertia - own) / own if own > 0.0 else np.inf,
-        velocity=speed / gear, acceleration=rate / gear,
-        highest_velocity=FAST * motor.speed / gear,
+        velocity=speed / gear, acceleration=rate / gear, highest_velocity=FAST * motor.speed / gear,
         highest_acceleration=load.acceleration(PEAK * motor.torque(speed), speed) / gear,
         resonances=plant.resonances, gains=gains, crossover=plant.crossover(gains),
         velocity_margins=velocity, position_margins=position,

@@ -67,12 +67,9 @@ def load_of(machine: Machine, name: str, inertia: float) -> Load:
     machine.model.tendon_stiffness[:] = springs
     cogging = float(m.cogging_torque)
     return Load(
-        inertia=inertia,
-        holding=holding,
-        friction=(coulomb + drag) / gear + cogging,
+        inertia=inertia, holding=holding, friction=(coulomb + drag) / gear + cogging,
         breakaway=(coulomb * max(float(m.static_ratio), 1.0) + drag) / gear + cogging,
-        viscous=float(machine.model.dof_damping[coupling.dof]) / gear**2,
-        loss=float(m.gear_loss),
+        viscous=float(machine.model.dof_damping[coupling.dof]) / gear**2, loss=float(m.gear_loss),
     )
 
 

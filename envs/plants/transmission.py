@@ -28,11 +28,8 @@ def drive_elastically(spec: mujoco.MjSpec, body: str, stiffness: float, damping:
     motor_side.inertia = [MOTOR_SIDE_MASS * 1e-4] * 3
     motor_side.explicitinertial = True
     guide = spec.add_tendon(
-        name="x.guide",
-        limited=bool(motor.range[0] < motor.range[1]),
-        range=motor.range,
-        frictionloss=motor.frictionloss,
-        solref_limit=motor.solref_limit,
+        name="x.guide", limited=bool(motor.range[0] < motor.range[1]), range=motor.range,
+        frictionloss=motor.frictionloss, solref_limit=motor.solref_limit,
         solimp_limit=motor.solimp_limit,
     )
     guide.wrap_joint("x", 1.0)

@@ -12,15 +12,8 @@ from .sway import GantrySwayEnv
 from .tracking import LinearAxisTrackingEnv
 
 TASKS = (
-    LinearAxisEnv,
-    LinearAxisTrackingEnv,
-    RotaryAxisEnv,
-    CompliantAxisEnv,
-    HomingEnv,
-    CommissioningEnv,
-    GantrySyncEnv,
-    GantryContourEnv,
-    GantrySwayEnv,
+    LinearAxisEnv, LinearAxisTrackingEnv, RotaryAxisEnv, CompliantAxisEnv, HomingEnv,
+    CommissioningEnv, GantrySyncEnv, GantryContourEnv, GantrySwayEnv,
 )
 ON_MODELS = (RobotEnv,)  # their machine is an argument
 POINT_TO_POINT = LinearAxisEnv  # what speed and positioning are measured with

@@ -199,16 +199,9 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
     datasheet: LinearAxisParameters
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        action: str = PDO,
-        causes: Sequence[str] | None = None,
-        outage: int = 50,
-        tolerance: float = 0.5e-3,
-        payload: float = 5.0,
-        parameters: LinearAxisParameters | str | None = None,
-        **arguments: Any,
+        self, drive: str | DriveModel = "generic", *, action: str = PDO,
+        causes: Sequence[str] | None = None, outage: int = 50, tolerance: float = 0.5e-3,
+        payload: float = 5.0, parameters: LinearAxisParameters | str | None = None, **arguments: Any
     ):
         if action != PDO:
             raise ValueError(f'action = {action!r}: here the agent is the whole master, use "pdo"')

@@ -203,16 +203,10 @@ class CompliantAxisEnv(ServoEnv):
     datasheet: LinearAxisParameters
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        load_sensor: bool = True,
-        torque_range: float = 0.1,
-        parameters: LinearAxisParameters | str = PARAMETERS,
-        tolerance: float = 100e-6,
-        following_error_window: float = 0.02,
-        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
-        **arguments: Any,
+        self, drive: str | DriveModel = "generic", *, load_sensor: bool = True,
+        torque_range: float = 0.1, parameters: LinearAxisParameters | str = PARAMETERS,
+        tolerance: float = 100e-6, following_error_window: float = 0.02,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None, **arguments: Any
     ):
         parameters = chosen(parameters, PARAMETERS.payload)
         if not (parameters.stiffness > 0.0 and parameters.payload > 0.0):

@@ -249,17 +249,9 @@ steps × `feed` × step time |
     )
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        contour: str = "circle",
-        radius: float = 0.04,
-        feed: float = 0.2,
-        correction: float = 1e-3,
-        feed_forward: float = 0.0,
-        tolerance: float = 50e-6,
-        following_error_window: float = 5e-3,
-        **arguments: Any,
+        self, drive: str | DriveModel = "generic", *, contour: str = "circle", radius: float = 0.04,
+        feed: float = 0.2, correction: float = 1e-3, feed_forward: float = 0.0,
+        tolerance: float = 50e-6, following_error_window: float = 5e-3, **arguments: Any
     ):
         choice("contour", contour, CONTOURS)
         self.contour = contour

@@ -204,8 +204,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         Channel("bridge\n(mm)", lambda env: MM * joint(env, "x")[0], goal),
         Channel(
             "bridge beyond\nthe goal (mm)",
-            lambda env: MM * (joint(env, "x")[0] - env.episode.goal),
-            window=tolerance, nearest=15.0,
+            lambda env: MM * (joint(env, "x")[0] - env.episode.goal), window=tolerance, nearest=15.0
         ),
         Channel(
             "skew of the\nbridge (mm)", lambda env: MM * float(env.episode.skew),
@@ -215,17 +214,10 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     )
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        skew: float = 3e-3,
-        max_twist: float = 0.01,
-        tolerance: float = 1e-3,
-        skew_tolerance: float = 0.2e-3,
-        speed: float = 0.2,
+        self, drive: str | DriveModel = "generic", *, skew: float = 3e-3, max_twist: float = 0.01,
+        tolerance: float = 1e-3, skew_tolerance: float = 0.2e-3, speed: float = 0.2,
         following_error_window: float = 5e-3,
-        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
-        **arguments: Any,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None, **arguments: Any
     ):
         self.max_twist = in_range("max_twist", max_twist, 1e-3, MAX_SKEW, "m")
         self.skew = in_range("skew", skew, 0.0, self.max_twist, "m")

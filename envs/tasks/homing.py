@@ -273,8 +273,7 @@ the positive one; -1 the negative, 0 none |
     CHANNELS = (
         Channel("carriage\n(mm)", in_mm(position), lambda env: MM * _home(env)),
         Channel(
-            "beyond the true\nreference (mm)",
-            lambda env: MM * (position(env) - _home(env)),
+            "beyond the true\nreference (mm)", lambda env: MM * (position(env) - _home(env)),
             window=tolerance, nearest=30.0,
         ),
         Channel("velocity\n(m/s)", velocity),
@@ -297,16 +296,9 @@ the positive one; -1 the negative, 0 none |
     aim: float | None = None  # m, while a method of the drive runs that looks for another home
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        reference: str = "home_switch",
-        max_velocity: float = 0.5,
-        tolerance: float = 100e-6,
-        switch_tolerance: float = 5e-3,
-        payload: float = 5.0,
-        parameters: LinearAxisParameters | str | None = None,
-        **arguments: Any,
+        self, drive: str | DriveModel = "generic", *, reference: str = "home_switch",
+        max_velocity: float = 0.5, tolerance: float = 100e-6, switch_tolerance: float = 5e-3,
+        payload: float = 5.0, parameters: LinearAxisParameters | str | None = None, **arguments: Any
     ):
         choice("reference", reference, REFERENCES)
         self.reference = reference

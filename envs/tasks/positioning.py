@@ -184,15 +184,9 @@ class LinearAxisEnv(ServoEnv):
     datasheet: LinearAxisParameters
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        mode: str = "csp",
-        payload: float = 5.0,
-        parameters: LinearAxisParameters | str | None = None,
-        tolerance: float = 50e-6,
-        following_error_window: float = 0.02,
-        **arguments: Any,
+        self, drive: str | DriveModel = "generic", *, mode: str = "csp", payload: float = 5.0,
+        parameters: LinearAxisParameters | str | None = None, tolerance: float = 50e-6,
+        following_error_window: float = 0.02, **arguments: Any
     ):
         choice("mode", mode, COMMANDS)
         self.mode = mode

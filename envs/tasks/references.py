@@ -128,8 +128,7 @@ def _oscillate(generator, limits, start, times, first, last):
     # those of NumPy differ in the last bit from processor to processor
     sine, cosine = (np.array([*map(of, phase.tolist())]) for of in (math.sin, math.cos))
     return Reference(
-        start + amplitude * (1.0 - cosine) * moving,
-        amplitude * omega * sine * moving,
+        start + amplitude * (1.0 - cosine) * moving, amplitude * omega * sine * moving,
         amplitude * (omega**2 * cosine + rate * sine) * moving,
     )
 
@@ -173,11 +172,7 @@ REFERENCES: dict[str, Maker] = {
 
 
 def make_reference(
-    name: str,
-    generator: np.random.Generator,
-    limits: Limits,
-    start: float,
-    times: np.ndarray,
+    name: str, generator: np.random.Generator, limits: Limits, start: float, times: np.ndarray,
     way_points: Sequence[float] | None = None,
 ) -> Reference:
     """A random trajectory of the kind `name`, or one through given `way_points` (m).

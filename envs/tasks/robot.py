@@ -180,22 +180,12 @@ class RobotEnv(ServoEnv):
     )
 
     def __init__(
-        self,
-        drive: str | Path | DriveModel = "generic",
-        *,
-        mjcf: str | Path = ARM,
+        self, drive: str | Path | DriveModel = "generic", *, mjcf: str | Path = ARM,
         drives: Mapping[str, str | DriveModel] | Sequence[str] | None = None,
-        gears: Mapping[str, float] | None = None,
-        folder: str | Path | None = None,
-        goals: Sequence[str] | None = None,
-        site: str | None = None,
-        span: float = 0.25,
-        tolerance: float = 1e-3,
-        reach: float = 1.0,
-        resting: float = 0.05,
-        max_velocity: float | None = None,
-        max_acceleration: float | None = None,
-        **arguments: Any,
+        gears: Mapping[str, float] | None = None, folder: str | Path | None = None,
+        goals: Sequence[str] | None = None, site: str | None = None, span: float = 0.25,
+        tolerance: float = 1e-3, reach: float = 1.0, resting: float = 0.05,
+        max_velocity: float | None = None, max_acceleration: float | None = None, **arguments: Any
     ):
         self._robot = mjcf, gears, folder
         self._speeds: dict[str, Any] = {

@@ -158,10 +158,8 @@ class RotaryAxisEnv(ServoEnv):
     CHANNELS = (
         Channel("table\n(degree)", _degrees, lambda env: math.degrees(env.episode.goal)),
         Channel(
-            "table beyond\nthe goal (degree)",
-            lambda env: -math.degrees(env.episode.distance),
-            window=lambda env: math.degrees(env.tolerance),
-            nearest=15.0,
+            "table beyond\nthe goal (degree)", lambda env: -math.degrees(env.episode.distance),
+            window=lambda env: math.degrees(env.tolerance), nearest=15.0,
         ),
         Channel("velocity of the\ntable (rad/s)", lambda env: float(env.machine.data.qvel.sum())),
     )
@@ -169,14 +167,9 @@ class RotaryAxisEnv(ServoEnv):
     datasheet: RotaryParameters
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        mechanics: str = "rotary_table",
-        parameters: RotaryParameters | None = None,
-        tolerance: float = 5e-4,
-        following_error_window: float = 0.05,
-        **arguments: Any,
+        self, drive: str | DriveModel = "generic", *, mechanics: str = "rotary_table",
+        parameters: RotaryParameters | None = None, tolerance: float = 5e-4,
+        following_error_window: float = 0.05, **arguments: Any
     ):
         if mechanics not in ROTARY_FAMILY:
             raise ValueError(f"mechanics = {mechanics!r}, use one of {', '.join(ROTARY_FAMILY)}")

@@ -129,14 +129,12 @@ def _channels(d: int) -> tuple[Channel, ...]:
     axis, of = "xy"[d], f" {'XY'[d]}"
     return (
         Channel(
-            f"load in{of}\n(mm)",
-            lambda env: MM * _hanging(env, axis)[0],
+            f"load in{of}\n(mm)", lambda env: MM * _hanging(env, axis)[0],
             lambda env: MM * env.episode._goal[d],
         ),
         Channel(
             f"load beyond\nthe goal in{of} (mm)",
-            lambda env: MM * (_hanging(env, axis)[0] - env.episode._goal[d]),
-            window=tolerance,
+            lambda env: MM * (_hanging(env, axis)[0] - env.episode._goal[d]), window=tolerance,
             nearest=15.0,
         ),
         Channel(f"velocity of the\nload in{of} (m/s)", lambda env: _hanging(env, axis)[1]),
@@ -249,17 +247,10 @@ class GantrySwayEnv(ServoEnv):
     datasheet: GantryParameters
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        axes: str = "x",
-        sway_sensor: bool = True,
-        speed: float = 0.5,
-        tolerance: float = 5e-3,
-        resting: float = 0.02,
+        self, drive: str | DriveModel = "generic", *, axes: str = "x", sway_sensor: bool = True,
+        speed: float = 0.5, tolerance: float = 5e-3, resting: float = 0.02,
         following_error_window: float = 0.02,
-        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
-        **arguments: Any,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None, **arguments: Any
     ):
         if axes not in ("x", "xy"):
             raise ValueError(f"axes = {axes!r}, use one of x, xy")

@@ -223,17 +223,11 @@ class LinearAxisTrackingEnv(ServoEnv):
     datasheet: LinearAxisParameters
 
     def __init__(
-        self,
-        drive: str | DriveModel = "generic",
-        *,
-        reference: str | None = None,
-        correction: float = 1e-3,
-        payload: float = 5.0,
-        parameters: LinearAxisParameters | str | None = None,
-        tolerance: float = 20e-6,
+        self, drive: str | DriveModel = "generic", *, reference: str | None = None,
+        correction: float = 1e-3, payload: float = 5.0,
+        parameters: LinearAxisParameters | str | None = None, tolerance: float = 20e-6,
         following_error_window: float = 5e-3,
-        randomise: Mapping[str, float | tuple[float, ...]] | None = None,
-        **arguments: Any,
+        randomise: Mapping[str, float | tuple[float, ...]] | None = None, **arguments: Any
     ):
         self.reference = None if reference is None else choice("reference", reference, REFERENCES)
         self.correction = in_range("correction", correction, 1e-6, 0.1, "m")

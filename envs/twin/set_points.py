@@ -200,8 +200,7 @@ def _lead(first: float, speed: float, lead: int, per: int, step: float) -> np.nd
     moved = np.where(time > -even, speed * time, 0.0)
     rising = (time <= -even) & (time > -even - ramp)
     moved = np.where(
-        rising,
-        -speed * even + speed * (time + even) + speed * (time + even) ** 2 / (2 * ramp),
+        rising, -speed * even + speed * (time + even) + speed * (time + even) ** 2 / (2 * ramp),
         moved,
     )
     moved = np.where(time <= -even - ramp, -speed * even - 0.5 * speed * ramp, moved)

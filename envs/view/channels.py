@@ -63,8 +63,7 @@ def linear_axis(what: str, *more: Channel) -> tuple[Channel, ...]:
     return (
         Channel(f"{what}\n(mm)", in_mm(position), goal),
         Channel(
-            f"{what} beyond\nthe goal (mm)",
-            lambda env: MM * (position(env) - env.episode.goal),
+            f"{what} beyond\nthe goal (mm)", lambda env: MM * (position(env) - env.episode.goal),
             window=tolerance, nearest=15.0,
         ),
         Channel(f"velocity of the\n{what} (m/s)", velocity),

@@ -88,8 +88,7 @@ def _line(machine: Machine, i: int, name: str, drive: Drive) -> Line:
         float(axis.following_error) * scale,
         float(f"{float(axis.following_error_window) * abs(scale):.4g}"),
         "mm" if sliding else "mrad",
-        ", ".join(text for limit, text in LIMIT_NAME.items() if active & limit),
-        drive.fault,
+        ", ".join(text for limit, text in LIMIT_NAME.items() if active & limit), drive.fault,
     )
 
 

@@ -43,9 +43,7 @@ ROWS: tuple[tuple[str, str, bool, bool], ...] = (  # key, name, each step, with 
     ("position_cycle_every_step", "friction, position cycle every step", True, True),
     ("rates_of_the_model_frictionless", "no friction, rates of the model", False, False),
     (
-        "position_cycle_every_step_frictionless",
-        "no friction, position cycle every step",
-        True,
+        "position_cycle_every_step_frictionless", "no friction, position cycle every step", True,
         False,
     ),
 )

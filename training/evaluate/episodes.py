@@ -99,17 +99,9 @@ class Evaluator:
     """
 
     def __init__(
-        self,
-        env: str | type[ServoEnv],
-        *,
-        drive: str | DriveModel = "generic",
-        episodes: int = 50,
-        seed: int = 0,
-        seeds: Sequence[int] | None = None,
-        options: Sequence[dict[str, Any]] = (),
-        traced: int | None = 0,
-        prepare: Callable[[ServoEnv], None] | None = None,
-        **arguments: Any,
+        self, env: str | type[ServoEnv], *, drive: str | DriveModel = "generic", episodes: int = 50,
+        seed: int = 0, seeds: Sequence[int] | None = None, options: Sequence[dict[str, Any]] = (),
+        traced: int | None = 0, prepare: Callable[[ServoEnv], None] | None = None, **arguments: Any
     ):
         self.task = task(env)
         self.metrics = metrics(self.task)

@@ -212,11 +212,9 @@ def _chosen(
         )
     own, baseline = (
         _Policy(
-            name,
-            {m: Summary(**row) for m, row in policies[name]["summary"].items()},
+            name, {m: Summary(**row) for m, row in policies[name]["summary"].items()},
             {m: Difference(**row) for m, row in policies[name]["differences"].items()},
-            policies[name]["trainings"],
-            _values(policies[name], metric),
+            policies[name]["trainings"], _values(policies[name], metric),
         )
         for name in (LEARNED, against)
     )

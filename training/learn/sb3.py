@@ -183,11 +183,8 @@ class ServoVecEnv(VecEnv):
             setattr(env, attr_name, value)
 
     def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: int | Iterable[int] | None = None,
-        **method_kwargs: Any,
+        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None,
+        **method_kwargs: Any
     ) -> list[Any]:
         """What a method of the environments returns."""
         return [

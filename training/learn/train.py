@@ -286,8 +286,7 @@ def _learn(
     callbacks += [bar] if bar else []
     try:
         model.learn(
-            training.steps - model.num_timesteps, callbacks,
-            reset_num_timesteps=not training.resume,
+            training.steps - model.num_timesteps, callbacks, reset_num_timesteps=not training.resume
         )
     except BaseException as error:
         if bar and hasattr(bar, "pbar"):  # or it may wait at the end, for ever

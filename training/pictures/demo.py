@@ -20,18 +20,10 @@ from ...envs.masters.port import MachinePort
 from ...envs.plants.linear_axis import LinearAxisParameters, linear_axis
 
 CHANNELS = (
-    "position_demand_value",
-    "position_actual_value",
-    "velocity_demand_value",
-    "velocity_actual_value",
-    "following_error_actual_value",
-    "statusword",
-    "modes_of_operation_display",
-    "axis.torque_command",
-    "axis.torque",
-    "axis.torque_limit_positive",
-    "axis.torque_limit_negative",
-    "following_error_window",
+    "position_demand_value", "position_actual_value", "velocity_demand_value",
+    "velocity_actual_value", "following_error_actual_value", "statusword",
+    "modes_of_operation_display", "axis.torque_command", "axis.torque",
+    "axis.torque_limit_positive", "axis.torque_limit_negative", "following_error_window",
 )
 NEEDED = (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.HOMING)
 TARGETS = (0.3, 0.06, 0.42)  # m

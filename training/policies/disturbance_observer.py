@@ -48,8 +48,7 @@ class DisturbanceObserver(FeedForward):
         seen, axis = self._known.named(observation), self._axis
         self.observe(
             float(seen.reference_acceleration) * axis.profile.acceleration,
-            float(seen.reference_velocity) * axis.fastest,
-            float(seen.torque) * axis.force,
+            float(seen.reference_velocity) * axis.fastest, float(seen.torque) * axis.force,
         )
         error = float(seen.error)
         self._sum = FADING * self._sum + INTEGRAL * error

@@ -38,9 +38,7 @@ class Decoder:
     """
 
     def __init__(
-        self,
-        model: str | Path | DriveModel = "generic",
-        node_ids: Iterable[int] = range(1, 128),
+        self, model: str | Path | DriveModel = "generic", node_ids: Iterable[int] = range(1, 128),
         heard: Callable[[int, Object, float], None] = lambda node_id, row, value: None,
     ):
         drive = Known(load(model))

@@ -55,10 +55,7 @@ class Node:
     """The state of one node as far as the log has shown it."""
 
     def __init__(
-        self,
-        drive: Known,
-        node_id: int,
-        changed: Callable[["Node", Iterable[int]], None],
+        self, drive: Known, node_id: int, changed: Callable[["Node", Iterable[int]], None],
         heard: Callable[[int, Object, float], None],
     ):
         self._drive = drive

@@ -28,11 +28,8 @@ def take_outputs(esc):
     if esc.outputs_on == 0 or esc.axis == 0 or esc.sm_length[OUTPUTS] != esc.rpdo_size:
         return
     latch(
-        bytes_at(esc.axis, AXIS_SIZE),
-        axes_at(esc.axis, 1)[0],
-        pdos_at(esc.rpdos, esc.rpdo_count),
-        esc.local,
-        esc.sm_start[OUTPUTS],
+        bytes_at(esc.axis, AXIS_SIZE), axes_at(esc.axis, 1)[0], pdos_at(esc.rpdos, esc.rpdo_count),
+        esc.local, esc.sm_start[OUTPUTS],
     )
 
 
@@ -49,9 +46,7 @@ def give_inputs(esc):
     if esc.inputs_on == 0 or esc.sm_length[INPUTS] != esc.tpdo_size:
         return
     collect(
-        bytes_at(esc.axis, AXIS_SIZE),
-        pdos_at(esc.tpdos, esc.tpdo_count),
-        esc.local,
+        bytes_at(esc.axis, AXIS_SIZE), pdos_at(esc.tpdos, esc.tpdo_count), esc.local,
         esc.sm_start[INPUTS],
     )
     esc.sm_fresh[INPUTS] = 1

@@ -34,9 +34,7 @@ FIELDS = (
     # departures from the standard that the model declares (drive.toml, quirks)
     ("older_factor_group", "u1", "", "1: 6093h, 6094h, 6097h as in DSP 402 V2"),
     (
-        "values_keep_meaning",
-        "u1",
-        "",
+        "values_keep_meaning", "u1", "",
         "1: a changed factor or polarity changes numbers, not values",
     ),
     ("fault_shows_reaction", "u1", "", "1: FAULT shows 000Fh, see `statusword`"),
@@ -46,12 +44,7 @@ FIELDS = (
     ("limit_bit_is_i2t", "u1", "", "1: bit 11 shows the I²t limit only"),
     ("manufacturer_bit", "u1", "", "1: bit 14 from manufacturer status, mask and inversion"),
     ("top_bit", "u1", "", "bit 15: 0 nothing, 1 referenced, 2 sampled, 3 too hot soon"),
-    (
-        "set_point_capacity",
-        "u1",
-        "",
-        "set-points, with the running one; 0 = as many as fit",
-    ),
+    ("set_point_capacity", "u1", "", "set-points, with the running one; 0 = as many as fit"),
     ("halt_ends_job", "u1", "", "1: a halted set-point is dropped, a halted homing has failed"),
     ("torque_mode_coasts", "u1", "", "1: without controller enable the power goes off at once"),
     ("limit_at_set_point", "u1", "", "1: 607Dh ends position set-points where they reach it"),

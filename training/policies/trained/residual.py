@@ -78,13 +78,8 @@ class ResidualVectorEnv(ServoVectorEnv):
     """
 
     def __init__(
-        self,
-        task: type[ServoEnv],
-        num_envs: int = 1,
-        *,
-        residual: str,
-        bounds: Sequence[float],
-        **arguments: Any,
+        self, task: type[ServoEnv], num_envs: int = 1, *, residual: str, bounds: Sequence[float],
+        **arguments: Any
     ):
         registered(residual, "--residual")
         super().__init__(task, num_envs, **arguments)

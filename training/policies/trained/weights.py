@@ -232,6 +232,5 @@ def _write(folder: Path, network, shape: tuple[int, int], statistics) -> None:
         kept |= {"mean": statistics.obs_rms.mean, "variance": statistics.obs_rms.var}
         limits = statistics.clip_obs, statistics.epsilon
     np.savez_compressed(
-        folder / WEIGHTS, shape=np.array(shape), limits=np.array(limits), allow_pickle=False,
-        **kept,
+        folder / WEIGHTS, shape=np.array(shape), limits=np.array(limits), allow_pickle=False, **kept
     )
