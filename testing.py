@@ -11,6 +11,8 @@ import pytest
 
 from .envs.serve.laboratory import Laboratory
 
+__all__ = ["laboratory"]
+
 
 @pytest.fixture
 def laboratory() -> Iterator[Callable[[str | Path | Mapping[str, Any]], Laboratory]]:

@@ -1,7 +1,7 @@
-"""AL state machine: which request leads where, and what is said of a refusal.
+"""AL state machine: transitions, and the status codes of refusals.
 
 Source: ETG.1000.6, 6.4.1 (states, AL Control, AL Status) and table 11 (status codes); ETG.1020,
-error acknowledge and explicit device identification. What a model does otherwise is a row of its
+error acknowledge and explicit device identification. Departures of a model are rows of its
 `ethercat.toml`.
 """
 
@@ -70,7 +70,7 @@ class AlRules:
     codes: Mapping[str, int] = field(default_factory=dict)  # by name of `AlStatusCode`
 
     def code(self, code: AlStatusCode) -> int:
-        """The number the model has for a code of the standard."""
+        """The model's number for a code of the standard."""
         return self.codes.get(code.name.lower(), int(code))
 
     def answer(self, state: AlState, request: int) -> tuple[AlState, int]:
@@ -92,8 +92,8 @@ class AlMachine:
 
     Args:
         rules: departures of the model.
-        check: what a step upwards needs; gives the code of what is wrong with it.
-        entered: told of each change, old and new state.
+        check: checks a transition to a higher state; returns an error code or none.
+        entered: called with the old and the new state after each transition.
         identification: value of explicit device identification.
     """
 
@@ -108,7 +108,7 @@ class AlMachine:
         self.power_on()
 
     def power_on(self) -> None:
-        """INIT, without an error; nobody is told."""
+        """Enter INIT without an error and without calling `entered`."""
         self.state = AlState.INIT
         self.error = False
         self._error_code = 0
@@ -148,7 +148,7 @@ class AlMachine:
             self._enter(wanted)
 
     def fail(self, code: AlStatusCode | int, state: AlState) -> None:
-        """The drive itself leaves for a lower state with an error; 0 for `state`: it stays."""
+        """Enter a lower state with an error on behalf of the drive; with 0 for `state` it stays."""
         self._refuse(self._rules.code(code) if isinstance(code, AlStatusCode) else code)
         if state < self.state:
             self._enter(state)

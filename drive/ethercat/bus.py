@@ -1,13 +1,13 @@
-"""A segment, the machines its drives move, and the time of both: one code path for three clocks.
+"""A segment with the machines that its drives move, and the time of both, for three clocks.
 
-``frame``: each process-data frame lets one period pass, that of SYNC0 for a drive that is
-synchronised and 60C2h for any other, so runs are bit-identical and as fast as they can be. ``dc``:
-time comes from outside; machines of drives that are synchronised run at the edges of SYNC0, for one
-SYNC0 cycle. ``real``: time comes from outside; machines follow it, at most one period of physics
-between two frames, and what they cannot follow is counted.
+``frame``: each frame of process data advances time by one period, the SYNC0 cycle of a synchronised
+drive or 60C2h of any other, so runs are bit-identical and as fast as possible. ``dc``: time is
+given by the caller, and machines of synchronised drives run for one SYNC0 cycle at each edge of
+SYNC0. ``real``: time is given by the caller, and machines follow it by at most one period between
+two frames; periods that they miss are counted.
 
-`receive` answers a frame; `advance` lets the machines run afterwards, because a master does not
-wait for physics. Times are in ns; there is no clock in here.
+`receive` answers a frame, and `advance` runs the machines afterwards, because a master does not
+wait for physics. Times are in ns; this module reads no clock.
 """
 
 import copy
@@ -28,7 +28,7 @@ IDLE_MOST = 50_000_000  # ns of physics at a time, where no process data are exc
 
 
 class Clock(StrEnum):
-    """Who makes time pass."""
+    """The source of time of a segment."""
 
     FRAME = "frame"
     DC = "dc"
@@ -37,7 +37,7 @@ class Clock(StrEnum):
 
 @dataclass
 class Statistics:
-    """What has happened on a bus."""
+    """Counters of a bus."""
 
     frames: int = 0  # received
     answered: int = 0
@@ -47,7 +47,7 @@ class Statistics:
 
 
 class _Plant:
-    """One machine and the slaves its drives stand behind."""
+    """One machine and the slaves of its drives."""
 
     def __init__(self, machine: Machine, slaves: list[int]):
         self.machine = machine
@@ -64,7 +64,7 @@ class _Plant:
         return max(interpolation_ns(self.drive) // self.cycle, 1) * self.cycle
 
     def run(self, span: int) -> bool:
-        """Let whole cycles of `span` ns pass; -> whether there was one."""
+        """Run the whole cycles in `span` ns; -> whether there was one."""
         cycles = span // self.cycle
         if cycles > 0:
             self.machine.step(cycles)
@@ -72,12 +72,12 @@ class _Plant:
 
 
 class Bus:
-    """A segment with what its drives move.
+    """A segment with the machines that its drives move.
 
     Args:
         segment: the slaves.
         machines: with the slaves' drives; a drive without a machine does not run.
-        clock: who makes time pass.
+        clock: source of time.
     """
 
     KEPT: ClassVar[tuple[str, ...]] = ("time", "statistics", "extra")  # by `state`
@@ -104,7 +104,7 @@ class Bus:
     def receive(self, length: int, now: int, port: int = 0) -> bool:
         """Let the frame in ``segment.frame[:length]`` pass; -> whether it comes back.
 
-        `now` (ns) is not looked at by the clock ``frame``.
+        The clock ``frame`` ignores `now` (ns).
         """
         if self.clock != Clock.FRAME:
             self._edges(now)
@@ -115,10 +115,10 @@ class Bus:
         return answered
 
     def exchange(self, frame: bytes, now: int = 0, port: int = 0) -> bytes | None:
-        """A frame as bytes, and everything that follows from it; -> the reply.
+        """Exchange a frame given as bytes, with all its effects; -> the reply.
 
         Raises:
-            ValueError: no bytes, a time (ns) or port of the master that is none.
+            ValueError: not bytes, or an invalid time (ns) or port.
         """
         length = len(octets("frame", frame))
         whole("now", now, -LATEST, LATEST, "ns")
@@ -145,7 +145,7 @@ class Bus:
             self._follow(now, bool(touched))
 
     def notes(self) -> list[str]:
-        """What a master should know that has just set the SYNC unit of a slave."""
+        """Hints for a master that has just set the SYNC unit of a slave."""
         lines = []
         for slave in self.segment.take_clocked():
             record = self.segment.escs[slave]
@@ -166,9 +166,9 @@ class Bus:
         return lines
 
     def let_pass(self, span: int) -> None:
-        """Let `span` ns pass for the slaves alone: machines run elsewhere, and no frame comes.
+        """Advance the slaves alone by `span` ns, without frames; the machines run elsewhere.
 
-        Raises ValueError for a span that is negative or none.
+        Raises ValueError for a negative or invalid span.
         """
         whole("span", span, 0, LATEST, "ns")
         self._edges(self.time + span)
@@ -207,7 +207,7 @@ class Bus:
         return self.segment.pdis[plant.slaves[0]].get(R.SYNC0_CYCLE, 4)
 
     def _edges(self, until: int) -> None:
-        """Edges of SYNC0 and watchdogs up to a time, and the cycles that begin with them."""
+        """Process edges of SYNC0 and watchdogs up to a time, and the cycles that begin there."""
         while (due := self.segment.next_time) <= until:
             self.segment.poll(due)
             counts = self.segment.escs["sync0_count"]
@@ -246,13 +246,13 @@ class Bus:
     # ------------------------------------------------------------------ state
 
     def state(self) -> dict[str, Any]:
-        """All it knows beside its segment and machines, which have snapshots of their own."""
+        """Return the state except segment and machines, which have snapshots of their own."""
         plants = [(plant.time, plant.due, plant.edges) for plant in self._plants]
         own = {name: getattr(self, name) for name in self.KEPT}
         return copy.deepcopy({"plants": plants} | own)
 
     def become(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state` was told, with the same segment and machines."""
+        """Continue from a `state` with the same segment and machines."""
         kept = copy.deepcopy(dict(state))
         for plant, row in zip(self._plants, kept.pop("plants"), strict=True):
             plant.time, plant.due, plant.edges = row

@@ -1,9 +1,9 @@
-"""Delays between the clocks of a segment, from the times at which a frame reached each port.
+"""Delays between the clocks of a segment, from the arrival times of a frame at each port.
 
 Source: ESC data sheet, section I (propagation delay measurement). A frame enters a slave at one
-port, goes on at the others in the order 0-3-1-2 and comes back at each; half of what the way to a
-neighbour and back takes, without the neighbour's own ways, is the delay of the cable. A slave that
-it enters at another port than 0 processes it on its way back, behind slaves that lie further away.
+port, leaves at the others in the order 0-3-1-2 and returns at each. The delay of a cable is half
+the time to the neighbour and back, less the time spent behind the neighbour. A slave that the frame
+enters at a port other than 0 processes it on the way back, after slaves that are further away.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +17,7 @@ OPEN = 2  # of a port in 0110h: loop open, communication established
 
 
 class Way(NamedTuple):
-    """A frame's way through a slave."""
+    """The path of a frame through a slave."""
 
     times: list[int]  # at its open ports, in the order in which it came there (ns)
     before: int  # neighbours that it has been at when it is processed
@@ -25,7 +25,7 @@ class Way(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """A slave, and what lies behind its further open ports."""
+    """A slave and the branches behind its other open ports."""
 
     slave: int  # number in the order of processing
     behind: "list[Branch]"
@@ -35,13 +35,13 @@ def measure(send: Callable[..., Any], slaves: Sequence[Any]) -> dict[int, int]:
     """Set 0920h and 0928h of all slaves, the first one being the reference.
 
     Args:
-        send: datagrams out and back.
+        send: sends datagrams and returns them.
         slaves: `RemoteSlave`, in the order of their processing units.
 
     Returns: delay from the reference by position (ns), negative where it is processed before.
 
     Raises:
-        RuntimeError: their open ports do not fit together; has a link broken meanwhile?
+        RuntimeError: the open ports are inconsistent; a link may have broken meanwhile.
     """
     send(Datagram(Command.BWR, 0, R.RECEIVE_TIME, bytes(4)))
     units = [slave.number(R.RECEIVE_TIME_UNIT, 8) for slave in slaves]
@@ -64,7 +64,7 @@ def measure(send: Callable[..., Any], slaves: Sequence[Any]) -> dict[int, int]:
 
 
 def _trees(ways: Sequence[Way], begin: int, limit: int) -> Iterator[tuple[Branch, int]]:
-    """What may lie at the end of a cable, of the slaves from `begin` up to `limit`.
+    """The possible branches at the end of a cable, made of the slaves from `begin` up to `limit`.
 
     Yields a branch and the number of the first slave behind it.
     """

@@ -1,8 +1,8 @@
 """CoE: SDO, SDO information and emergencies in the mailbox (ETG.1000.6, 5.6; tables 27-50).
 
-A body begins with two bytes: number (bits 0-8) and service (bits 12-15). An SDO telegram goes on
-as on CAN, with command, index and sub-index, but normal and segmented transfers fill the mailbox.
-An abort is a telegram of the service SDO request with the command 80h, whoever sends it.
+A body begins with two bytes: number (bits 0-8) and service (bits 12-15). An SDO telegram continues
+as on CAN with command, index and sub-index, but normal and segmented transfers fill the mailbox. An
+abort by either side is a telegram of the service SDO request with the command 80h.
 """
 
 import struct
@@ -55,7 +55,7 @@ class Sdo:
         self._announced = 0
 
     def request(self, body: bytes) -> Answer:
-        """A body of the service SDO request, -> the answers."""
+        """Process the body of an SDO request; -> the answers."""
         if len(body) < SHORTEST:
             return MailboxError.SIZE_TOO_SHORT
         _, command, index, subindex = _SDO.unpack_from(body)
@@ -151,12 +151,12 @@ class Sdo:
         return self._answer(DOWNLOADED << 5, bytes(4))
 
     def _own_length(self) -> int:
-        """Length of an expedited download that does not say it."""
+        """Length of an expedited download that does not state it."""
         slot, _ = self._objects.find(*self._address[:2])
         return min(slot.row.size, 4) if slot else 4
 
     def _writable(self, total: int) -> Abort:
-        """What is known of a segmented download before its data are there."""
+        """Check a segmented download before its data arrive."""
         if total > LIMIT:
             return Abort.LENGTH_TOO_HIGH
         index, subindex, complete = self._address
@@ -226,7 +226,7 @@ class Coe:
         self._info = info
 
     def request(self, body: bytes) -> Answer:
-        """The body of a telegram of type CoE."""
+        """Process the body of a telegram of type CoE."""
         if len(body) < 2:
             return MailboxError.SIZE_TOO_SHORT
         service = struct.unpack_from("<H", body)[0] >> 12
@@ -238,10 +238,11 @@ class Coe:
 
 
 class Emergencies:
-    """What the drive has to tell: one body of a CoE emergency for each entry of its history.
+    """Emergencies to be sent: one CoE emergency body for each entry of the drive's error history.
 
-    Code, error register, five bytes of the manufacturer (ETG.1000.6, table 50). When all that was
-    told has gone from the error register, a body with the code 0 says so.
+    A body has code, error register and five manufacturer-specific bytes (ETG.1000.6, table 50).
+    When all errors that were sent have gone from the error register, a body with the code 0 is
+    sent.
     """
 
     _BODY = struct.Struct("<HHB5x")
@@ -254,17 +255,17 @@ class Emergencies:
         self.reset()
 
     def reset(self) -> None:
-        """What has happened so far has been told."""
+        """Regard all earlier errors as sent."""
         self._seen = self._events.item(0)
         self._told = self._register.item(0)
 
     @property
     def pending(self) -> bool:
-        """Whether there is something to tell."""
+        """Whether an emergency has to be sent."""
         return self._events.item(0) != self._seen or self._register.item(0) != self._told
 
     def bodies(self) -> list[bytes]:
-        """What is new, oldest first."""
+        """Return the new emergency bodies, oldest first."""
         events, register = self._events.item(0), self._register.item(0)
         codes = [code for code, _ in self._drive.errors_since(self._seen)]
         if not codes and self._told & ~register:

@@ -1,7 +1,7 @@
 """Complete access: a whole object in one transfer (ETG.1000.6, 5.6.2; ETG.1020).
 
-The values of an array or record follow one another, sub-index 0 filled up to 16 bits; a transfer
-may begin at sub-index 0 or 1.
+The values of an array or record are concatenated, with sub-index 0 padded to 16 bits; a transfer
+may start at sub-index 0 or 1.
 """
 
 from ..objects.abort import Abort
@@ -12,7 +12,7 @@ FIRST = 2  # bytes of sub-index 0
 
 
 def _slots(objects: ObjectDictionary, index: int, first: int) -> tuple[list[Slot], Abort]:
-    """The entries from sub-index `first` on, or why there are none to be had at once."""
+    """The entries from sub-index `first` on, or the reason why complete access is impossible."""
     numbers = sorted(sub for i, sub in objects.slots if i == index and sub >= first)
     if not numbers:
         return [], objects.find(index, first)[1]
@@ -22,7 +22,7 @@ def _slots(objects: ObjectDictionary, index: int, first: int) -> tuple[list[Slot
 
 
 def _in_use(objects: ObjectDictionary, index: int, slots: list[Slot]) -> list[Slot]:
-    """The entries that sub-index 0 counts, where a master may change that number."""
+    """The entries counted by sub-index 0, if a master may change that number."""
     head = objects.slots.get((index, 0))
     if head is None or not head.writable:
         return slots
@@ -30,7 +30,7 @@ def _in_use(objects: ObjectDictionary, index: int, slots: list[Slot]) -> list[Sl
 
 
 def read(objects: ObjectDictionary, index: int, subindex: int) -> tuple[bytes, Abort]:
-    """All values from `subindex` (0 or 1) on; what can only be written reads as zeros."""
+    """Read all values from `subindex` (0 or 1) on; write-only values read as zeros."""
     slots, abort = _slots(objects, index, subindex)
     if abort:
         return b"", abort
@@ -46,10 +46,10 @@ def read(objects: ObjectDictionary, index: int, subindex: int) -> tuple[bytes, A
 
 
 def write(objects: ObjectDictionary, index: int, subindex: int, data: bytes) -> Abort:
-    """Write all values from `subindex` (0 or 1) on; a refused one leaves all as they were.
+    """Write all values from `subindex` (0 or 1) on; if one is refused, none changes.
 
-    What can only be read is passed over. Where sub-index 0 counts the entries and can be written,
-    it is 0 while they change, and the data end with the last one in use.
+    Read-only values are skipped. If sub-index 0 counts the entries and is writable, it is 0 while
+    they change, and the data end with the last entry in use.
     """
     slots, abort = _slots(objects, index, subindex)
     if abort:

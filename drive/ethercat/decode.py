@@ -1,9 +1,9 @@
-"""The frames of an EtherCAT capture by meaning: registers, states, mailboxes, process data.
+"""Explains the frames of an EtherCAT capture: registers, states, mailboxes, process data.
 
-Configuration is followed as it passes: station addresses, sync managers, FMMUs, PDO assignment and
-mapping, so that process data of anybody's bus are told by object names. A slave's drive model is
-known from its identity in the EEPROM, or is the one that was given. Of process data only changes
-are told. A frame on its way out is remembered, because slaves overwrite what a master wrote.
+The configuration in the capture is tracked (station addresses, sync managers, FMMUs, PDO assignment
+and mapping), so process data of any bus are named by objects. The drive model of a slave follows
+from its identity in the EEPROM unless one is given. Only changes of process data are printed. An
+outgoing frame is remembered, because slaves overwrite what the master wrote.
 """
 
 import functools
@@ -67,7 +67,7 @@ class _Fmmu:
 
 @dataclass
 class _Slave:
-    """What the capture has told of a slave so far."""
+    """The state of a slave as far as the capture has shown it."""
 
     name: str
     model: DriveModel | None
@@ -83,7 +83,7 @@ class _Slave:
     mode: int = 0
 
     def entries(self, manager: int) -> list[int]:
-        """Mapped objects of a sync manager, as the capture or the model has them."""
+        """Mapped objects of a sync manager according to the capture or the model."""
         pdos = self.assigned.get(manager)
         index = {2: 0x1C12, 3: 0x1C13}[manager]
         if pdos is None:
@@ -102,12 +102,12 @@ class _Slave:
         return _mappings(self.model).get(pdo, []) if self.model else []
 
     def object(self, index: int, subindex: int) -> str:
-        """Name of an object, else its address."""
+        """Name of an object, or its address if it is unknown."""
         row = self.model.objects.get((index, subindex)) if self.model else None
         return row.name if row else f"{index:04X}h:{subindex:02X}"
 
     def tell(self, index: int, subindex: int, data: bytes) -> str:
-        """A value by name."""
+        """Format a value with the name of its object."""
         if 0x1600 <= index < 0x1C00 and subindex and len(data) == 4:
             *target, bits = mapping_entry(int.from_bytes(data, "little"))
             return f"{index:04X}h:{subindex:02X} = {self.object(*target)}, {bits} bits"
@@ -132,12 +132,13 @@ class _Slave:
 
 
 class EtherCatDecoder:
-    """Frames of a segment by meaning.
+    """Explains the frames of a segment.
 
     Args:
-        model: drive model of slaves whose identity does not pass; None: they stay numbers.
-        heard: is told slave, object and value (drive units) of each number that passes, in process
-            data or by SDO; a write when the slave has confirmed it.
+        model: drive model of slaves whose identity is not in the capture; None: objects are shown
+            by number.
+        heard: called with slave, object and value (drive units) of each number in process data or
+            SDO; for a write, once the slave has confirmed it.
 
     Raises:
         ValueError: unknown model.
@@ -157,9 +158,9 @@ class EtherCatDecoder:
         self._known = _identities()
 
     def decode(self, frame: bytes) -> list[str]:
-        """Lines about a frame; none for what tells nothing new, or is not an EtherCAT frame.
+        """Explain a frame in lines; none if nothing is new, or if it is not an EtherCAT frame.
 
-        It never raises; `others` counts frames that are not EtherCAT's.
+        Never raises; `others` counts frames of other protocols.
         """
         if body_of(frame) < 0:
             self.others += 1
@@ -180,10 +181,10 @@ class EtherCatDecoder:
         return lines
 
     def returned(self, frame: bytes, rows: list[Datagram], sent: bool) -> bool:
-        """Whether a frame has passed the slaves: they set a bit of its source address.
+        """Whether a frame has passed the slaves, which set a bit of its source address.
 
-        Some masters have it set already, as in each address that is administered locally; then a
-        frame has passed that was sent before, or that a slave has counted.
+        Locally administered addresses, used by some masters, have that bit set from the start; then
+        a frame has passed if it was sent before, or if a slave has counted it.
         """
         if not frame[RETURNED] & PASSED:
             self._marked = True
@@ -191,7 +192,7 @@ class EtherCatDecoder:
         return self._marked or sent or any(row.wkc for row in rows)
 
     def named(self, index: int, subindex: int) -> tuple[str, Object | None]:
-        """Address and name of an object of the given model, and its row where it has it."""
+        """Address and name of an object, and its row in the model if there is one."""
         row = self._given.objects.get((index, subindex)) if self._given else None
         return f"{index:04X}h:{subindex:02X}h {row.name if row else ''}".rstrip(), row
 
@@ -215,7 +216,7 @@ class EtherCatDecoder:
         return self._register(name, slave, sent, back)
 
     def addressee(self, row: Datagram) -> tuple[str, _Slave | None]:
-        """Name and state of the slave a datagram is for; None: of all."""
+        """Name and state of the slave that a datagram addresses; None for all slaves."""
         if row.command in BROADCAST:
             return "all slaves", None
         if row.command in POSITION:
@@ -226,7 +227,7 @@ class EtherCatDecoder:
         return slave.name, slave
 
     def mailbox_of(self, slave: _Slave, address: int) -> int | None:
-        """0 or 1 where the mailbox out or in of a slave begins at an address."""
+        """0 or 1 if the outgoing or incoming mailbox of a slave begins at an address."""
         for n in (0, 1):
             if n in slave.managers and slave.managers[n][0] == address:
                 return n
@@ -270,7 +271,7 @@ class EtherCatDecoder:
     def _configured(
         self, slave: _Slave, address: int, data: bytes, writes: bool
     ) -> list[str] | None:
-        """Follow addresses, EEPROM, FMMUs and sync managers; -> what is told, None for others."""
+        """Track addresses, EEPROM, FMMUs and sync managers; -> text, None for other registers."""
         if writes and address == R.STATION_ADDRESS and len(data) >= 2:
             station = int.from_bytes(data[:2], "little")
             self._stations[station] = slave
@@ -311,7 +312,7 @@ class EtherCatDecoder:
         return None
 
     def _eeprom(self, slave: _Slave, data: bytes) -> list[str]:
-        """A command to the EEPROM; reads are so many that only what they find is told."""
+        """Explain a command to the EEPROM; of the many reads only the results are printed."""
         value = int.from_bytes(data[:2], "little")
         command = value >> 8 & 7
         if command in (0, 1):
@@ -395,7 +396,7 @@ class EtherCatDecoder:
         return [] if kind == 3 else [f"segment {len(body) - 1} bytes"]
 
     def _follow(self, slave: _Slave, index: int, subindex: int, data: bytes) -> None:
-        """PDO assignment and mapping as a master writes or reads them."""
+        """Track PDO assignment and mapping as a master writes or reads them."""
         value = int.from_bytes(data[:4], "little")
         if index in ASSIGNMENTS:
             rows = slave.assigned.setdefault(ASSIGNMENTS[index], [])
@@ -474,7 +475,7 @@ def _place(address: int) -> str:
 
 
 def _state(data: bytes, requested: bool) -> str:
-    """AL Control as it is `requested`, else AL Status: bits 4 and 5 mean something else there."""
+    """Format AL Control if `requested`, else AL Status; their bits 4 and 5 differ."""
     value = data[0]
     state = value & 0x0F
     text = AlState(state).name if state in set(AlState) else f"{state:X}h"

@@ -1,7 +1,6 @@
-"""What a device says of itself: one value behind SII image and ESI file.
+"""The description of a device, from which SII image and ESI file are made.
 
-Both are made from it and parsed back into it, so that what a master reads from the EEPROM, from
-the file and from the dictionary is the same (ETG.2000, ETG.2010).
+Both can be parsed back into it, so EEPROM, file and dictionary agree (ETG.2000, ETG.2010).
 """
 
 from dataclasses import dataclass, field
@@ -83,7 +82,7 @@ class Mailboxes:
 
 @dataclass(frozen=True)
 class Description:
-    """A device; what only one of SII and ESI has, is named there."""
+    """A device; fields that only SII or only ESI contains are marked."""
 
     vendor_id: int
     product_code: int
@@ -125,9 +124,9 @@ def default_assignment(model: DriveModel, index: int) -> list[int]:
 
 
 def describe(model: DriveModel, alias: int = 0) -> Description:
-    """What a model with an EtherCAT face says of itself; `alias` is its station alias.
+    """Describe a model with EtherCAT; `alias` is its station alias.
 
-    Raises ValueError for a model without that face.
+    Raises ValueError for a model without EtherCAT.
     """
     ethercat = model.ethercat
     if ethercat is None:

@@ -1,8 +1,9 @@
-"""Ethernet over EtherCAT: an address is taken and announced, nothing is behind it.
+"""Ethernet over EtherCAT: the address is accepted and announced; there are no services behind it.
 
-Source: ETG.1000.6, 5.7. The first word of a telegram has its type and whether it is the last
-fragment; the second, of a frame, number, size and number of the frame, of an answer, the result.
-That a drive announces the address by ARP was observed; the frame is that of RFC 5227 (inferred).
+Source: ETG.1000.6, 5.7. The first word of a telegram contains the type and the last-fragment bit.
+The second word of a frame contains fragment number, size and frame number, that of an answer the
+result. That a drive announces the address by ARP was observed; the frame is that of RFC 5227
+(inferred).
 """
 
 import struct

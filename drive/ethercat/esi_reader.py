@@ -1,8 +1,8 @@
-"""ESI files as makers write them (ETG.2000), read leniently: what departs is told, not refused.
+"""Reads ESI files of any manufacturer (ETG.2000) leniently: departures are reported, not refused.
 
-A file of anybody is read, those that `esi` writes as well: several devices, data types of the
-maker's own, arrays, defaults as bytes, sync managers without a name, another encoding than the one
-declared. What cannot be read at all is refused with file and line.
+Files may contain several devices, manufacturer-specific data types, arrays, defaults as bytes, sync
+managers without a name, or an encoding other than the declared one. A file that cannot be read is
+refused with the line.
 """
 
 import re
@@ -66,7 +66,7 @@ class EsiObject:
 
 @dataclass
 class EsiFile:
-    """What a file says of one device."""
+    """The description of one device in a file."""
 
     device: Description
     vendor: str
@@ -75,15 +75,15 @@ class EsiFile:
 
 
 def read_esi(path: Path, device: str | None = None) -> EsiFile:
-    """A device of a file.
+    """Read one device of a file.
 
     Args:
         path: the file.
         device: its type, name or product code (``#x00414B44``); the first drive if not given.
 
     Raises:
-        ValueError: no ESI file, cut off, too large, with entities of its own, without such a
-            device; tells file and line.
+        ValueError: the file is not an ESI, is truncated or too large, defines entities, or does
+            not contain the device; with file and line.
     """
     return _Reader(path).read(device)
 
@@ -106,7 +106,7 @@ class _Reader:
         self.repairs.append(Repair(line, where, str(says), str(taken), why))
 
     def error(self, line: int, text: str) -> ValueError:
-        """A refusal with file and line."""
+        """Return an error with file and line."""
         return ValueError(f"{self.path}, line {line}: {text}")
 
     # -------------------------------------------------------------------- XML
@@ -168,7 +168,7 @@ class _Reader:
         self, text: str | None, element: Any, what: str, otherwise: int = 0, bits: int = 16,
         low: int = 0,
     ) -> int:
-        """``#x1C12``, ``0x1C12`` or ``7186``; what is none, or has more bits, is told."""
+        """Parse ``#x1C12``, ``0x1C12`` or ``7186``; invalid or too long numbers are reported."""
         text = (text or "").strip()
         if not text:
             return otherwise
@@ -186,7 +186,7 @@ class _Reader:
     # ----------------------------------------------------------------- devices
 
     def read(self, wanted: str | None) -> EsiFile:
-        """The device that is wanted."""
+        """Read the chosen device."""
         if self.root.tag != "EtherCATInfo":
             line = getattr(self.root, "line", 1)
             raise self.error(line, f"the root of an ESI file is EtherCATInfo, not {self.root.tag}")
@@ -355,7 +355,7 @@ class _Reader:
     # -------------------------------------------------------------- dictionary
 
     def _type(self, element: Any, name: str, bits: int, where: str) -> int:
-        """Number of a data type; of an unknown name that of its length."""
+        """Number of a data type; for an unknown name, that of a type with its length."""
         plain = name.partition("(")[0].strip().upper()
         if plain in TYPES:
             return TYPES[plain]

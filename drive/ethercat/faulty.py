@@ -1,12 +1,12 @@
-"""A bus with faults to order: seeded by a rate, or scripted by milestones.
+"""Fault injection on a segment: at random with a seed, or scripted by milestones.
 
 >>> bus = FaultyBus(segment, machines, faults=["drop at=cycle:100 count=3",
 ...                                            "retreat at=op:50 slave=1 code=0x1B"])
 
-A fault is a line: what happens, then ``key=value``. ``at=MILESTONE:N`` lets it happen from the N-th
-frame (``frame``), frame of process data (``cycle``) or mailbox request (``mailbox``) on, or N
-frames after all slaves are in OPERATIONAL for the first time (``op``); ``count`` says how often
-(once; 0 = again and again), ``rate`` with which probability at each opportunity.
+A fault is a line: its kind, then ``key=value`` pairs. ``at=MILESTONE:N`` starts it at the N-th
+frame (``frame``), frame of process data (``cycle``) or mailbox request (``mailbox``), or N frames
+after all slaves were first in OPERATIONAL (``op``). ``count`` is the number of occurrences (1; 0
+means unlimited), ``rate`` the probability at each opportunity.
 """
 
 from collections.abc import Iterator, Sequence
@@ -59,7 +59,7 @@ KINDS = {
 class Fault:
     """One fault of a script.
 
-    Raises ValueError naming what is wrong with it.
+    Raises ValueError naming the invalid part.
     """
 
     kind: str
@@ -102,7 +102,7 @@ class Fault:
 
     @classmethod
     def parse(cls, line: str) -> "Fault":
-        """A fault from its line. Raises ValueError."""
+        """Parse a fault from its line. Raises ValueError."""
         kind, *pairs = line.split() or [""]
         kinds = {field.name: field.type for field in fields(cls)}
         values: dict[str, object] = {}
@@ -121,17 +121,17 @@ class Fault:
 
 
 class FaultyBus(Bus):
-    """A `Bus` on which things go wrong.
+    """A `Bus` with injected faults.
 
     Args:
         segment: the slaves.
         machines: with their drives.
-        clock: who makes time pass.
-        faults: lines, or `Fault`.
-        seed: of the rates, or a generator.
+        clock: source of time.
+        faults: lines, or `Fault` objects.
+        seed: seed of the rates, or a generator.
 
     Raises:
-        ValueError: a fault that is none, or of a slave or port that is not there.
+        ValueError: an invalid fault, or one of a slave or port that does not exist.
     """
 
     KEPT: ClassVar[tuple[str, ...]] = (
@@ -150,7 +150,7 @@ class FaultyBus(Bus):
         self.order(faults)
 
     def order(self, faults: Sequence[str | Fault]) -> None:
-        """Let these faults happen instead, milestones counted from now on. Raises ValueError."""
+        """Replace the script of faults; milestones count from now on. Raises ValueError."""
         self.faults = [f if isinstance(f, Fault) else Fault.parse(f) for f in faults]
         for fault in self.faults:
             if not -1 <= fault.slave < len(self.segment):
@@ -169,7 +169,7 @@ class FaultyBus(Bus):
     # ----------------------------------------------------------------- frames
 
     def receive(self, length: int, now: int, port: int = 0) -> bool:
-        """Let the frame in ``segment.frame[:length]`` pass, with what goes wrong."""
+        """Let the frame in ``segment.frame[:length]`` pass, with the faults that are due."""
         frame = self.segment.frame
         self._seen["frame"] += 1
         self._seen["cycle"] += bool(length > 16 and frame[16] in LOGICAL)
@@ -193,7 +193,7 @@ class FaultyBus(Bus):
         return answered
 
     def _spoil(self, due: list[Fault], kinds: set[str], length: int, reply: bytes) -> bool:
-        """What happens to a frame on its way back; -> whether it arrives now."""
+        """Apply faults to a returning frame; -> whether it arrives now."""
         for fault in due:
             if fault.kind == "wkc":
                 self._add(fault, length)
@@ -217,7 +217,7 @@ class FaultyBus(Bus):
         return reply
 
     def _add(self, fault: Fault, length: int) -> None:
-        """An offset on working counters."""
+        """Add an offset to working counters."""
         frame = self.segment.frame
         at = body_of(frame[:length].tobytes()) + 2
         station = int.from_bytes(
@@ -258,7 +258,7 @@ class FaultyBus(Bus):
         self._later.append((self._seen["frame"] + fault.frames, fault, reply))
 
     def _catch_up(self) -> None:
-        """End what has lasted its number of frames."""
+        """End faults that have lasted their number of frames."""
         due = [row for row in self._later if row[0] <= self._seen["frame"]]
         for row in due:
             self._later.remove(row)
@@ -278,7 +278,7 @@ class FaultyBus(Bus):
     # ------------------------------------------------------------------ slaves
 
     def _act(self, fault: Fault) -> None:
-        """What a fault does to a slave or a cable."""
+        """Apply a fault to a slave or a cable."""
         segment, slave = self.segment, max(fault.slave, 0)
         if fault.kind in ("disconnect", "break_link"):
             port = 0 if fault.kind == "disconnect" else fault.port
@@ -297,7 +297,7 @@ class FaultyBus(Bus):
             segment.stations[slave].fail(fault.code or AlStatusCode.WATCHDOG)
 
     def _spoil_mailbox(self, slave: int, now: int) -> None:
-        """What happens to an answer that lies in sync manager 1."""
+        """Apply faults to an answer in sync manager 1."""
         memory = self.segment.escs["memory"][slave]
         status = R.SYNC_MANAGER + 8 + 5
         if not memory[status] & FULL:
@@ -324,7 +324,7 @@ class FaultyBus(Bus):
 
 
 def _abort(answer: bytes, code: int) -> bytes:
-    """An SDO abort in place of an answer, with its counter and address."""
+    """Replace an answer by an SDO abort with the same counter and address."""
     _length, address, channel, kind = MAILBOX_HEADER.unpack_from(answer)
     at = MAILBOX_HEADER.size
     place = answer[at + 3 : at + 6]

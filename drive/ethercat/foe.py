@@ -1,7 +1,7 @@
 """FoE: a file of the drive, read and written in packets (ETG.1000.6, 5.8; tables 62-69).
 
-A body is opcode, a reserved byte and four bytes (password, packet number or error code), then the
-name of the file or data. A packet shorter than the mailbox is the last one.
+A body consists of opcode, a reserved byte, four bytes (password, packet number or error code), and
+file name or data. A packet shorter than the mailbox is the last one.
 """
 
 import struct
@@ -44,7 +44,7 @@ class FoeError(IntEnum):
 
 
 class File(NamedTuple):
-    """A file by name: `read` gives its content, `write` takes it and tells why it is refused."""
+    """A file: `read` returns the content; `write` stores it and returns the reason of a refusal."""
 
     read: Callable[[], bytes]
     write: Callable[[bytes], str]

@@ -48,7 +48,7 @@ LOGICAL = (Command.LRD, Command.LWR, Command.LRW)
 
 
 class Datagram(NamedTuple):
-    """One datagram; `command` is an int where it is none of `Command`."""
+    """One datagram; `command` is an int if `Command` does not contain it."""
 
     command: int
     adp: int  # position, station address, or low word of the logical address
@@ -81,10 +81,10 @@ def logical(command: Command, address: int, data: bytes, index: int = 0) -> Data
 
 
 def pack(datagrams: Iterable[Datagram], source: bytes = MASTER) -> bytes:
-    """An Ethernet frame, filled up to its shortest length.
+    """Pack an Ethernet frame, padded to the minimum length.
 
     Raises:
-        ValueError: no datagram, more than a frame holds, or a field that is out of its range.
+        ValueError: no datagram, more than fits a frame, or a field out of range.
     """
     parts, rows = [], list(datagrams)
     for number, row in enumerate(rows, 1):
@@ -108,7 +108,7 @@ def pack(datagrams: Iterable[Datagram], source: bytes = MASTER) -> bytes:
 
 
 def body_of(frame: bytes) -> int:
-    """Where the EtherCAT header of a frame begins (VLAN tag, UDP); -1 where it has none."""
+    """Offset of the EtherCAT header in a frame (with VLAN tag or UDP); -1 if there is none."""
     at = 12
     kind = int.from_bytes(frame[at : at + 2], "big")
     if kind == VLAN:
@@ -124,10 +124,10 @@ def body_of(frame: bytes) -> int:
 
 
 def unpack(frame: bytes) -> list[Datagram]:
-    """The datagrams of an Ethernet frame.
+    """Unpack the datagrams of an Ethernet frame.
 
     Raises:
-        ValueError: no EtherCAT frame, of another type, or shorter than it says.
+        ValueError: not an EtherCAT frame, of another type, or shorter than stated.
     """
     at = body_of(frame)
     if at < 0 or len(frame) < at + 2:
@@ -154,5 +154,5 @@ def _datagrams(body: bytes, length: int) -> Iterator[Datagram]:
 
 
 def text(frame: bytes) -> str:
-    """A frame on one line."""
+    """Format a frame in one line."""
     return " | ".join(map(str, unpack(frame)))

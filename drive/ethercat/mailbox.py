@@ -1,7 +1,7 @@
-"""Mailbox: telegrams of sync managers 0 and 1 as whole buffers (ETG.1000.4, 5.6; ETG.1000.6, 5.6).
+"""Mailbox: telegrams in sync managers 0 and 1 as whole buffers (ETG.1000.4, 5.6; ETG.1000.6, 5.6).
 
-Six bytes stand before the body of each: length of the body, address, channel and priority, type
-and counter. A telegram that nobody can serve gets a mailbox error; none is left unanswered.
+A header of six bytes precedes each body: length of the body, address, channel and priority, type
+and counter. A telegram without a service is answered with a mailbox error; none is left unanswered.
 """
 
 import struct
@@ -52,9 +52,9 @@ def pack(kind: int, body: bytes, counter: int = 0, address: int = 0, channel: in
 
 
 class Mailbox:
-    """Telegrams in, telegrams out, in order.
+    """Receives telegrams and sends answers in order.
 
-    `services` take the body of a request and give the bodies of the answer, or the error.
+    `services` take the body of a request and return the bodies of the answer, or an error.
     """
 
     def __init__(self, services: Mapping[int, Service]):
@@ -62,7 +62,7 @@ class Mailbox:
         self.reset()
 
     def reset(self) -> None:
-        """Empty, as after INIT."""
+        """Empty the mailbox, as after INIT."""
         self._waiting: deque[tuple[int, bytes, int, int]] = deque()
         self._counter = 0  # of the last telegram sent
         self._request = b""  # the last one with a counter, until its answer has been fetched
@@ -74,10 +74,10 @@ class Mailbox:
         return len(self._waiting) < QUEUE
 
     def receive(self, buffer: bytes) -> None:
-        """A buffer of sync manager 0.
+        """Process a buffer of sync manager 0.
 
-        The same telegram with the same counter again, while the answer to the first has not been
-        fetched, is a repetition of the master's link layer and is not served twice.
+        If a telegram with the same counter is repeated before the answer was fetched, it comes from
+        the master's link layer and is not served twice.
         """
         if len(buffer) < HEADER.size:
             self._refuse(MailboxError.INVALID_SIZE, 0, 0)
@@ -107,29 +107,29 @@ class Mailbox:
         self._waiting.append((int(Kind.ERROR), body, address, channel))
 
     def post(self, kind: Kind, body: bytes) -> None:
-        """A telegram nobody has asked for, such as an emergency."""
+        """Queue an unsolicited telegram, such as an emergency."""
         self._waiting.append((int(kind), body, 0, 0))
 
     def next(self) -> bytes:
-        """The telegram for sync manager 1 that comes next, empty without one; see `sent`."""
+        """The next telegram for sync manager 1; empty if there is none; see `sent`."""
         if not self._waiting:
             return b""
         kind, body, address, channel = self._waiting[0]
         return pack(kind, body, self._counter % COUNTERS + 1, address, channel)
 
     def sent(self) -> None:
-        """The telegram of `next` is in the buffer of sync manager 1."""
+        """Note that the telegram of `next` is in the buffer of sync manager 1."""
         self._sent = self.next()
         self._waiting.popleft()
         self._counter = self._counter % COUNTERS + 1
 
     def fetched(self) -> None:
-        """The master has read sync manager 1."""
+        """Note that the master has read sync manager 1."""
         if not self._waiting:
             self._request = b""
 
     def again(self) -> bytes:
-        """Repeat request (080Eh bit 1): the last telegram once more, empty if there was none."""
+        """The last telegram, for a repeat request (080Eh bit 1); empty if there was none."""
         return self._sent
 
     # ---------------------------------------------------------------- snapshot

@@ -1,7 +1,7 @@
 """The master's side of a mailbox: telegrams and SDO transfers of one slave (ETG.1000.6, 5.6).
 
-What comes in between, such as an emergency, is kept. A lost frame is sent again; a lost answer is
-asked for again with the repeat request of sync manager 1.
+Unsolicited telegrams, such as emergencies, are kept. Lost frames are sent again; lost answers are
+requested again with the repeat request of sync manager 1.
 """
 
 import struct
@@ -20,21 +20,21 @@ REPEAT = 0x02  # 080Eh and 080Fh
 
 
 class Sender(Protocol):
-    """Who sends datagrams, again where a frame is lost."""
+    """Sends datagrams, and repeats lost frames."""
 
     def send(self, *datagrams: Datagram) -> list[Datagram]:
-        """Datagrams as they come back. Raises TimeoutError where none does."""
+        """Send datagrams; -> as they return. Raises TimeoutError if none returns."""
 
 
 class MailboxClient:
     """Mailbox of the slave at a station address.
 
     Args:
-        sender: the way to the segment.
+        sender: sends datagrams to the segment.
         station: address.
         out: start and length of sync manager 0.
         into: start and length of sync manager 1.
-        polls: looks at the mailbox before it is given up.
+        polls: number of reads of the mailbox before giving up.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class MailboxClient:
         return self.next(kind)
 
     def tell(self, kind: int, body: bytes) -> None:
-        """Send a telegram. Raises TimeoutError where the mailbox stays full."""
+        """Send a telegram. Raises TimeoutError if the mailbox stays full."""
         self._counter = self._counter % 7 + 1
         telegram = pack(kind, body, self._counter).ljust(self._out[1], b"\0")
         for _ in range(self._polls):
@@ -74,7 +74,7 @@ class MailboxClient:
         raise TimeoutError(f"slave {self._station:04X}h does not empty its mailbox")
 
     def next(self, kind: int) -> bytes:
-        """The next telegram of a type; as `ask`."""
+        """Return the next telegram of a type; errors as for `ask`."""
         for poll in range(self._polls):
             found = self._take()
             if found is not None and found[0] == kind:
@@ -87,12 +87,12 @@ class MailboxClient:
         raise TimeoutError(f"slave {self._station:04X}h does not answer in its mailbox")
 
     def waiting(self) -> bytes:
-        """The body of a telegram that waits, empty where none does."""
+        """The body of a waiting telegram; empty if there is none."""
         found = self._take()
         return b"" if found is None else found[1]
 
     def _take(self) -> tuple[int, bytes] | None:
-        """Read sync manager 1; emergencies are put aside."""
+        """Read sync manager 1 and set emergencies aside."""
         if not self._read(R.SYNC_MANAGER + 8 + 5, 1).data[0] & FULL:
             return None
         reply = self._read(self._in[0], self._in[1])
@@ -114,7 +114,7 @@ class MailboxClient:
     # ------------------------------------------------------------------- SDO
 
     def _sdo(self, body: bytes, index: int, subindex: int) -> bytes:
-        """A CoE telegram; -> the answer behind its header. Raises SdoAbort."""
+        """Send a CoE telegram; -> the answer without its header. Raises SdoAbort."""
         answer = self.ask(Kind.COE, header(Service.SDO_REQUEST) + body)[2:]
         if len(answer) < 8:
             raise SdoAbort(Abort.GENERAL, index, subindex, "the answer is too short")
@@ -124,7 +124,7 @@ class MailboxClient:
         return answer
 
     def upload(self, index: int, subindex: int = 0, *, complete: bool = False) -> bytes:
-        """The bytes of an object.
+        """Read the bytes of an object.
 
         Raises:
             SdoAbort: the drive refuses. ValueError: no object has such an address.
@@ -172,6 +172,6 @@ class MailboxClient:
 
 
 def _address(index: int, subindex: int) -> None:
-    """Raises ValueError for what no object can have."""
+    """Raise ValueError for an address that no object can have."""
     whole("index", index, 0, 0xFFFF)
     whole("subindex", subindex, 0, 0xFF)

@@ -1,6 +1,7 @@
 """What README and documentation show works: Python, commands, links, tables."""
 
 import contextlib
+import importlib
 import io
 import os
 import re
@@ -64,8 +65,15 @@ def test_the_first_two_commands_of_the_readme_are_make_demo_and_make_test():
     assert re.findall(r"^make \w+", PAGES["README.md"], re.M)[:2] == ["make demo", "make test"]
 
 
-def test_the_readme_has_at_most_150_lines():
-    assert PAGES["README.md"].count("\n") <= 150
+def test_what_contributing_calls_public_is_listed_by_its_module():
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    section = contributing.partition("## Compatibility")[2].partition("\n## ")[0]
+    modules = re.findall(r"`(servogym\.[\w.]+)`", section)
+    assert "servogym.testing" in modules
+    for name in modules:
+        module = importlib.import_module(name)
+        assert module.__all__, name
+        assert all(hasattr(module, public) for public in module.__all__), name
 
 
 def test_every_command_exists(capsys):
