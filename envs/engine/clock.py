@@ -1,11 +1,11 @@
-"""MuJoCo's clock, which stands still for a thread that steps a machine, and for no other.
+"""Stops MuJoCo's clock for threads that step a machine, and only for those.
 
-As the Python package sets MuJoCo up, a step of one axis reads the clock some fifty times for
-``MjData.timer``, which takes nearly as long as the physics. `clock` puts a reader of its own before
-MuJoCo's: in a thread that is inside the context it answers 0, in all others it asks MuJoCo's. So
-the timers of machines count calls and take no time, and those of any other MjData run on, in
-whatever thread it is stepped. A clock of the user's own (`mujoco.set_mjcb_time`) is left in place.
-Where threads are not those of POSIX, MuJoCo's reader stays too.
+With the settings of the Python package, a step of one axis reads the clock some fifty times for
+``MjData.timer``, which takes nearly as long as the physics. `clock` installs a reader that returns
+0 in a thread inside the context and calls MuJoCo's reader in all others. The timers of machines
+therefore count calls but no time, and those of any other MjData work as usual. A clock of the
+user's own (`mujoco.set_mjcb_time`) is kept, and so is MuJoCo's reader if threads are not POSIX
+threads.
 """
 
 import ctypes
@@ -50,7 +50,7 @@ class _Clock:
                 self._ours = self._compiled(key.value, self._of_mujoco)
 
     def _compiled(self, key: int, reader: int) -> int:
-        """Address of a reader that asks the one at `reader` outside of the context."""
+        """Return the address of a reader that calls the one at `reader` outside of the context."""
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         target = llvm.Target.from_default_triple().create_target_machine(opt=3)

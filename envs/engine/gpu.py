@@ -1,9 +1,9 @@
-"""What runs around the steps of mujoco-warp, for a GPU, from the same source as for a CPU.
+"""Compiles the code around the steps of mujoco-warp for a GPU, from the same source as for a CPU.
 
-numba-cuda takes the `parts` and all they are made of, the whole drive among it, as they are, but
-for three things core Numba has and it has not: a member of an IntEnum as an index, `math.gcd`, and
-a function whose result is a view of an array. They are registered here. Machine code is made, and
-kept beside that of the cores, without a GPU; what `launcher` does with it has been run on none.
+numba-cuda compiles the `parts`, and with them the whole drive, without changes. Three features of
+Numba that it lacks are registered here: members of an IntEnum as an index, `math.gcd`, and
+functions that return a view of an array. Machine code can be made and cached without a GPU;
+`launcher` has not been run on one.
 """
 
 import math
@@ -37,11 +37,11 @@ ENTRY = "servogym"
 
 
 def ptx(kernel: "Kernel", capability: tuple[int, int] = HOPPER) -> str:
-    """Code of a kernel for GPUs of a compute capability, of which there need not be one here.
+    """PTX of a kernel for GPUs of a compute capability; no GPU is needed.
 
     Args:
-        kernel: of a part of a step, `of_part`, or of a task, `of_task`.
-        capability: of the GPUs.
+        kernel: kernel of a part of a step (`of_part`) or of a task.
+        capability: compute capability of the GPUs.
 
     Raises:
         ImportError: numba-cuda or its compiler is not installed.
@@ -56,11 +56,11 @@ def ptx(kernel: "Kernel", capability: tuple[int, int] = HOPPER) -> str:
 
 
 def machine_code(text: str, capability: tuple[int, int] = HOPPER) -> bytes:
-    """PTX assembled for GPUs of a compute capability, as a driver does when it loads it.
+    """Assemble PTX for GPUs of a compute capability, as a driver does when it loads it.
 
     Raises:
         ImportError: nvJitLink is not installed.
-        Exception: of nvJitLink, that it does not assemble.
+        Exception: an error of nvJitLink, if the code does not assemble.
     """
     try:
         linker: Any = import_module("cuda.bindings.nvjitlink")
@@ -80,14 +80,14 @@ def machine_code(text: str, capability: tuple[int, int] = HOPPER) -> bytes:
 
 
 class Kernel(NamedTuple):
-    """What a GPU is to do, a thread a machine: the function is made once numba-cuda is there."""
+    """A kernel with one thread per machine; its function is made once numba-cuda is loaded."""
 
     make: Callable[[Any], Any]
     arguments: int  # whole numbers, the last is how many machines there are
 
 
 def of_part(name: str) -> Kernel:
-    """One of `PARTS`: the address of the first machine, the bytes to the next, how many."""
+    """Kernel of one of `PARTS`; arguments: address of the first machine, stride, count."""
     part = PARTS[name]
 
     def make(cuda: Any) -> Any:
@@ -102,10 +102,10 @@ def of_part(name: str) -> Kernel:
 
 
 def of_act(act: Any, drives: int, episode: np.dtype, command: np.dtype, rpdo: np.dtype) -> Kernel:
-    """``act`` of a task.
+    """Kernel of ``act`` of a task.
 
-    Called with addresses, of the numbers that are the addresses of the machines, of their episodes,
-    commands and RPDO images, and how many machines there are.
+    Its arguments are the addresses of the array of machine addresses, of the episodes, commands and
+    RPDO images, and the number of machines.
     """
     episodes_at, commands_at, images_at = viewer(episode), viewer(command), viewer(rpdo, 2)
     a, b, c = episode.itemsize, command.itemsize, rpdo.itemsize * drives
@@ -127,7 +127,7 @@ def of_act(act: Any, drives: int, episode: np.dtype, command: np.dtype, rpdo: np
 def of_judge(
     judge: Any, drives: int, episode: np.dtype, rpdo: np.dtype, tpdo: np.dtype, seen: np.dtype
 ) -> Kernel:
-    """``judge`` of a task, called as `of_act`: machines, episodes, RPDO and TPDO images, seen."""
+    """Kernel of ``judge``, see `of_act`: machines, episodes, RPDO and TPDO images, observations."""
     episodes_at, seen_at = viewer(episode), viewer(seen)
     rpdos_at, tpdos_at = viewer(rpdo, 2), viewer(tpdo, 2)
     a, b, c, d = episode.itemsize, rpdo.itemsize * drives, tpdo.itemsize * drives, seen.itemsize
@@ -150,7 +150,7 @@ def of_judge(
 def of_control(
     control: Any, modes: np.ndarray, drives: int, command: np.dtype, rpdo: np.dtype
 ) -> Kernel:
-    """`faces.control`, with modes to choose from: machines, controls and RPDO images."""
+    """Kernel of `faces.control` with the possible modes: machines, controls, RPDO images."""
     controls_at, images_at = viewer(command, 2), viewer(rpdo, 2)
     a, b = command.itemsize * drives, rpdo.itemsize * drives
 
@@ -171,7 +171,7 @@ def of_control(
 def of_report(
     report: Any, modes: np.ndarray, drives: int, tpdo: np.dtype, status: np.dtype
 ) -> Kernel:
-    """`faces.report`: machines, TPDO images and the status of each drive."""
+    """Kernel of `faces.report`: machines, TPDO images and the status of each drive."""
     images_at, status_at = viewer(tpdo, 2), viewer(status, 2)
     a, b = tpdo.itemsize * drives, status.itemsize * drives
 
@@ -189,7 +189,7 @@ def of_report(
 
 
 def code(kernel: Kernel, capability: tuple[int, int] = HOPPER) -> bytes:
-    """Machine code of a kernel, made once and kept; its one entry is called ENTRY.
+    """Machine code of a kernel, cached; its only entry is called ENTRY.
 
     Raises:
         ImportError: a package of the extra ``servogym[gpu]`` is missing.
@@ -213,19 +213,19 @@ def code(kernel: Kernel, capability: tuple[int, int] = HOPPER) -> bytes:
 
 
 def launcher(wp: Any, device: Any, kernel: Kernel, n: int) -> Callable[..., None]:
-    """A function that runs a kernel on `n` machines of a device, in the stream that warp uses.
+    """Return a function that runs a kernel on `n` machines of a device, in the stream of warp.
 
-    cuda.core loads and launches it, as numba-cuda would, in the primary context, which is warp's.
+    cuda.core loads and launches it in the primary context, which warp uses as well.
 
     Args:
         wp: warp.
-        device: of warp, with CUDA.
-        kernel: what is run.
-        n: machines.
+        device: warp device with CUDA.
+        kernel: the kernel to run.
+        n: number of machines.
 
     Raises:
         ImportError: a package of the extra ``servogym[gpu]`` is missing.
-        RuntimeError: the driver does not take the code.
+        RuntimeError: the driver refuses the code.
     """
     try:
         core: Any = import_module("cuda.core")
@@ -252,7 +252,7 @@ def launcher(wp: Any, device: Any, kernel: Kernel, n: int) -> Callable[..., None
 
 @cache
 def _cuda() -> Any:
-    """numba-cuda, with what it lacks."""
+    """Load numba-cuda and register the features that it lacks."""
     try:
         from numba import cuda
 
@@ -298,7 +298,7 @@ def _plain(kind: Any) -> Any:
 
 @contextmanager
 def _compiling_for(capability: tuple[int, int]) -> Iterator[None]:
-    """numba-cuda asks the present device for what it calls; it is told of one that need not be."""
+    """Make numba-cuda compile for a compute capability instead of that of the present device."""
     compiler: Any = import_module("numba.cuda.compiler")
     dispatcher: Any = import_module("numba.cuda.dispatcher")
     device = SimpleNamespace(compute_capability=capability)

@@ -1,8 +1,8 @@
-"""What keeps an error of MuJoCo, a callback that raises, or a second thread from doing harm.
+"""Protects the loop from errors of MuJoCo, raising callbacks, and concurrent threads.
 
 MuJoCo reports an error by a function that must not return; unhandled, it ends the process. MuJoCo's
-own batches survive it: `mjb_apply` calls a function and comes back when there was an error in it.
-The loop runs inside such a call, on a batch of one empty simulation, one for each thread.
+own batches survive errors: `mjb_apply` calls a function and returns if it failed. The loop runs
+inside such a call, on a batch of one empty simulation per thread.
 """
 
 import ctypes
@@ -81,7 +81,7 @@ _turns: "weakref.WeakSet[Turn]" = weakref.WeakSet()
 
 
 class Turn:
-    """One thread after the other: held while machines that share memory are stepped or read.
+    """Lock that is held while machines that share memory are stepped or read.
 
     Raises RuntimeError in a callback that MuJoCo calls while the same thread steps a machine.
     """
@@ -103,7 +103,7 @@ class Turn:
 
 
 def _forked() -> None:
-    """The threads that held turns are not there in a forked process."""
+    """Release all turns in a forked process, where their threads do not exist."""
     for turn in _turns:
         turn._lock = threading.RLock()
 

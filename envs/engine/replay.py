@@ -1,9 +1,9 @@
-"""Set-points into machines, row by row, in one call of the compiled loop.
+"""Plays set-points into machines, row by row, in one call of the compiled loop.
 
-A row is a position cycle: what is written before it, whether a process image arrives with it at
-all, and what is read after it. Many machines take the same rows side by side, each on its own, as
-the candidates of a fit do. The process images have a mapping of their own, which may name any
-variable or field of a drive's record, whether or not the model maps it.
+A row is a position cycle: values written before it, whether a process image arrives in it, and
+values read after it. Many machines can play the same rows in parallel, such as the candidates of a
+fit. The process images have a mapping of their own, which may contain any variable or field of a
+drive's record.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,12 +20,12 @@ KEPT = ("pdos", "latches", "latches_from", "latches_count")
 
 
 class Replay:
-    """A layout of rows for machines of one kind.
+    """Layout of rows for machines of one kind.
 
     Args:
-        drive: its name; the other drives of a machine stay as they are.
-        written: variables of the object dictionary, by their field.
-        read: fields of the record, or ``od.`` and a variable.
+        drive: name of the drive; other drives of a machine are not changed.
+        written: variables of the object dictionary, by field name.
+        read: fields of the record, or ``od.`` followed by a variable.
 
     Raises:
         ValueError: a name that is not a field.
@@ -55,16 +55,16 @@ class Replay:
     def run(
         self, machines: Sequence[Any], rows: np.ndarray, arrives: np.ndarray | None = None
     ) -> np.ndarray:
-        """Run all machines through the rows, each from where it stands.
+        """Play the rows on all machines, each from its present state.
 
         Args:
-            machines: alike in their cycles; each has the drive.
+            machines: machines with equal cycles that have the drive.
             rows: of dtype `written`, shape ``(n,)``.
-            arrives: whether a process image arrives with a row, shape ``(n,)``; if not given one
-                does with each. A drive interpolates where its period 60C2h has several rows.
+            arrives: whether a process image arrives in a row, shape ``(n,)``; by default in every
+                row. A drive interpolates if its period 60C2h covers several rows.
 
         Returns:
-            What was read after each row, of dtype `read`, shape ``(len(machines), n)``.
+            The values after each row, of dtype `read`, shape ``(len(machines), n)``.
 
         Raises as `Machine.step` does; an interrupted machine needs a `restore`.
         """
@@ -98,7 +98,7 @@ class Replay:
 
 
 def rows_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Columns of one length, by variable, as rows. Raises ValueError for other lengths."""
+    """Convert columns of equal length to rows. Raises ValueError for different lengths."""
     arrays = {name: np.atleast_1d(np.asarray(values)) for name, values in columns.items()}
     lengths = {len(values) for values in arrays.values()}
     if len(lengths) != 1:
@@ -110,5 +110,5 @@ def rows_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _widths(places: Sequence[int], kinds: np.dtype) -> dict[int, int]:
-    """Bytes of each field by its place."""
+    """Size of each field by its offset."""
     return {at: kinds[name].itemsize for at, name in zip(places, kinds.names or (), strict=True)}

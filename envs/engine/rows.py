@@ -1,4 +1,4 @@
-"""Arrays on a device of warp, one row a machine: brought there, waiting there, brought back."""
+"""Arrays on a warp device with one row per machine, and copies to and from the host."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,12 +14,12 @@ def aligned(record: np.dtype) -> np.dtype:
 
 
 class Rows:
-    """An array on a device, one row a machine, and beside it what waits to take its place.
+    """An array on a device with one row per machine, and waiting rows that can replace them.
 
     Args:
         wp: warp.
-        memory: on the device, without gaps; it stays the caller's.
-        n: rows.
+        memory: contiguous memory on the device, owned by the caller.
+        n: number of rows.
     """
 
     def __init__(self, wp: Any, memory: Any, n: int):
@@ -31,22 +31,22 @@ class Rows:
         self._waiting = wp.clone(self._live)
 
     def send(self, rows: Sequence[int], values: np.ndarray) -> None:
-        """Bring rows, one of `values` each."""
+        """Copy `values` to rows of the device."""
         self._write(self._live, rows, values)
 
     def keep(self, rows: Sequence[int], values: np.ndarray) -> None:
-        """Bring rows, to wait."""
+        """Copy `values` to the waiting rows."""
         self._write(self._waiting, rows, values)
 
     def begin(self, rows: Sequence[int]) -> None:
-        """What waits for these rows is there now."""
+        """Replace these rows by the waiting ones."""
         at = self._at(rows)
         self._wp.copy(
             self._wp.indexedarray(self._live, at), self._wp.indexedarray(self._waiting, at)
         )
 
     def fetch(self, rows: Sequence[int]) -> np.ndarray:
-        """Bring rows back, shape ``(len(rows), bytes)``."""
+        """Copy rows back, shape ``(len(rows), bytes)``."""
         some = self._wp.empty((len(rows), self._live.shape[1]), dtype=self._live.dtype,
                               device=self._live.device)
         self._wp.copy(some, self._wp.indexedarray(self._live, self._at(rows)))
@@ -65,15 +65,15 @@ class Rows:
 
 
 class Records:
-    """An array of a batch, and the same on the device, as records that a GPU can read.
+    """An array of a batch and its copy on the device, as records that a GPU can read.
 
     Args:
         wp: warp.
-        device: of warp.
-        here: of the batch, one row an environment.
-        kind: record there.
-        columns: of it; 0: one dimension.
-        memory: on the device; None: of its own.
+        device: the warp device.
+        here: array of the batch with one row per environment.
+        kind: record type on the device.
+        columns: number of columns; 0 for one dimension.
+        memory: memory on the device; by default allocated here.
     """
 
     def __init__(
@@ -93,22 +93,22 @@ class Records:
         self._same = same and here.nbytes == self._staged.nbytes
 
     def view(self) -> np.ndarray:
-        """The records there, where the device is a CPU."""
+        """The records on the device, if it is a CPU."""
         records = self.rows.memory.numpy().view(accessible(self.kind))
         return records.reshape(-1, self._columns) if self._columns else records
 
     def numbers(self, number: Any) -> Any:
-        """The records there as a tensor of torch, shape ``(n, numbers)``, the same memory."""
+        """The records on the device as a torch tensor, shape ``(n, numbers)``, same memory."""
         return self._wp.to_torch(self.rows.memory).view(number).view(len(self._here), -1)
 
     def keep(self, rows: Sequence[int]) -> None:
-        """Bring rows to the device, to wait."""
+        """Copy rows to the waiting rows of the device."""
         rows = list(rows)
         self._move(self._here, self._staged, rows)
         self.rows.keep(rows, self._staged[rows])
 
     def fetch(self, target: np.ndarray) -> None:
-        """Bring all rows back."""
+        """Copy all rows back."""
         self._wp.copy(self._staged_bytes, self.rows.memory)
         self._wp.synchronize_device(self.rows.memory.device)
         self._move(self._staged, target.view(np.ndarray), slice(None))

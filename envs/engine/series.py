@@ -1,7 +1,7 @@
-"""Many cycles of a machine with a value for each, by the compiled loop.
+"""Runs many cycles of a machine in the compiled loop, with values for each cycle.
 
-The process images of a step, one a cycle: with a mapping of their own, which may name any field of
-a drive's record, mapped by the model or not.
+Each cycle has a process image with a mapping of its own, which may contain any field of a drive's
+record.
 """
 
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from .world import PDOS, mapped
 
 
 class Series:
-    """What is written before each cycle, and read after it.
+    """Values to be written before and read after each cycle.
 
     Args:
-        machine: whose PDOs stay as they are.
-        drives: names of those that are written and read, in the order of the machine.
-        written: an object of each drive, by its field.
+        machine: the machine; its PDO mapping does not change.
+        drives: names of the drives, in the order of the machine.
+        written: an object of each drive, by field name.
         read: fields of each drive's record.
     """
 
@@ -41,9 +41,9 @@ class Series:
                 self._directory[i] = address(self._rpdos), 1, address(self._tpdos), 1
 
     def run(self, values: np.ndarray) -> np.ndarray:
-        """A cycle for each row of `values`, shape ``(n, drives)``; -> what was read, likewise.
+        """Run a cycle for each row of `values`, shape ``(n, drives)``; -> the values read.
 
-        Raises as `Machine.step` does; where it is interrupted, the machine needs a `restore`.
+        Raises as `Machine.step` does; an interrupted machine needs a `restore`.
         """
         machine, count = self._machine, self._count
         images = np.ascontiguousarray(values, self._value).reshape(len(values), count)
@@ -62,5 +62,5 @@ class Series:
 
 
 def _bytes(rows: np.ndarray) -> np.ndarray:
-    """A row of bytes for each row; a view."""
+    """View rows as rows of bytes."""
     return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)

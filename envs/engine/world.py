@@ -1,4 +1,4 @@
-"""What the loop knows of a machine: records that say where its things lie in memory."""
+"""Records by which the loop finds the data of a machine in memory."""
 
 from collections.abc import Mapping
 
@@ -124,9 +124,9 @@ FIELD = np.dtype([("address", "i8"), ("length", "i8")])
 
 
 def mapped(places: Mapping[int, int]) -> np.ndarray:
-    """One PDO of so many bytes at places of a drive's record.
+    """Return a PDO with bytes at the given places of a drive's record.
 
-    Raises ValueError for more places than a PDO has.
+    Raises ValueError for more places than a PDO can have.
     """
     if len(places) > process_data.ENTRIES:
         raise ValueError(f"{len(places)} columns, at most {process_data.ENTRIES} are possible")

@@ -1,14 +1,14 @@
-"""Worlds: many machines of one structure, stepped together by mujoco-warp, with their drives.
+"""Steps many machines of one structure together with their drives, on mujoco-warp.
 
-The second back-end of the engine. What a machine consists of (WORLD, AXIS, COUPLING, MECHANICS and
-PDO records, coordinates) lies in one row of bytes on the device, and says by addresses where the
-arrays of mujoco-warp are. Between the halves of its steps run the `parts`, the same code as in
-`loop`: on its CPU device compiled by Numba, on a GPU by numba-cuda (`gpu`), on the same stream and
-memory. Single precision is all that differs: mujoco-warp has no other.
+This is the second back-end of the engine. The data of a machine (WORLD, AXIS, COUPLING, MECHANICS
+and PDO records, coordinates) form one row of bytes on the device, with addresses of the arrays of
+mujoco-warp. The `parts` run between the halves of its steps: the same code as in `loop`, compiled
+by Numba on the CPU device and by numba-cuda on a GPU (`gpu`), on the same stream and memory. Only
+the precision differs, because mujoco-warp has single precision only.
 
-A machine is set up, homed and reset as ever, alone on the CPU; `put` brings it here, `fetch` back.
-What it will begin anew with can be brought before its time, `keep`: it waits on the device beside
-what is stepped, and `begin` moves any number of machines there at once, in the same stream.
+A machine is set up, homed and reset alone on the CPU; `send` copies it to the device, `fetch`
+copies it back. The initial state of its next episode can be copied in advance with `keep`: it waits
+on the device, and `begin` starts any number of machines from there at once, in the same stream.
 """
 
 import copy
@@ -30,7 +30,7 @@ from .world import COUPLING, MOVE, PDOS, SINGLE
 
 
 class Images(NamedTuple):
-    """Process images of a machine: of each direction the record of one drive, and of how many."""
+    """Process images of a machine: the record of a drive in each direction, and the drives."""
 
     rpdo: tuple[np.dtype, int]
     tpdo: tuple[np.dtype, int]
@@ -44,7 +44,7 @@ def _offset(record: np.dtype, name: str) -> int:
 
 
 class _Table:
-    """Images of all machines, as bytes and as records, and how the bytes get from one to other."""
+    """Images of all machines as bytes and as records, and the conversion between them."""
 
     def __init__(self, memory: Callable[[Any], Any], record: np.dtype, drives: int, n: int):
         even = aligned(record)
@@ -63,18 +63,18 @@ class _Table:
 
 
 class Worlds:
-    """Machines on a device of warp.
+    """Machines on a warp device.
 
     Args:
         machines: of one structure; they may differ in `machine.VARIABLE`.
         device: "cuda", one such as "cuda:1", or "cpu".
-        ticks: physics steps of a step of the agent.
-        images: process images of a machine; None: there are none.
+        ticks: physics steps in a step of the agent.
+        images: process images of a machine, or None.
 
     Raises:
         ImportError: a package of the extra ``servogym[gpu]`` is missing.
-        ValueError: there is no such device, or mujoco-warp cannot take the model.
-        MemoryError: of the device, for so many.
+        ValueError: the device does not exist, or mujoco-warp does not support the model.
+        MemoryError: the device has too little memory for so many machines.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Worlds:
         ]
 
     def _bytes(self, what: int | np.ndarray) -> Any:
-        """So many bytes on the device, or those of records."""
+        """Allocate bytes on the device, or copy those of records."""
         wp = self.wp
         if isinstance(what, np.ndarray) and what.size:
             return wp.array(what.view(np.uint8), dtype=wp.uint8, device=self.device)
@@ -159,7 +159,7 @@ class Worlds:
         return lambda part: parts.ON_CPU[part](first, stride, n)
 
     def _address(self, row: int) -> None:
-        """Write down where everything of a machine is."""
+        """Enter the addresses of a machine's data in its row."""
         d, m = self._data, self._model
         world = self._rows["world"][row : row + 1]
         own = int(self.addresses[row])
@@ -202,21 +202,21 @@ class Worlds:
         return self._data.ctrl.numpy()
 
     def leave_out(self, rows: np.ndarray) -> None:
-        """Which machines stand still from now on, a mask of shape ``(n,)``."""
+        """Set which machines stand still from now on, a mask of shape ``(n,)``."""
         self.present.assign(np.where(rows, 0, self.addresses))
 
     def send(self, rows: Sequence[int]) -> None:
-        """Bring machines here as they are now."""
+        """Copy machines to the device in their present state."""
         for place, values in self._packed(rows):
             place.send(rows, values)
 
     def keep(self, rows: Sequence[int]) -> None:
-        """Bring machines as they are now, to wait until they `begin`."""
+        """Copy the present state of machines to the device, where it waits for `begin`."""
         for place, values in self._packed(rows):
             place.keep(rows, values)
 
     def begin(self, rows: Sequence[int]) -> None:
-        """Machines go on as what they have been kept as."""
+        """Continue machines from the state that was copied by `keep`."""
         for place in (self._own, *self._models):
             place.begin(rows)
 
@@ -251,7 +251,7 @@ class Worlds:
                 at += len(pdos)
 
     def fetch(self, rows: Sequence[int] | np.ndarray, *, physics: bool = True) -> None:
-        """Bring machines back as they are here, for whoever looks at them; or the drives alone."""
+        """Copy machines, or only their drives, back from the device."""
         if not len(rows):
             return
         rows = [int(row) for row in rows]
@@ -273,7 +273,7 @@ class Worlds:
                 mujoco.mj_fwdPosition(machine.model, data)
 
     def step(self, steps: int | None = None) -> None:
-        """A step of the agent, or any number of physics steps where there are no images."""
+        """Run a step of the agent, or any number of physics steps if there are no images."""
         with self.wp.ScopedDevice(self.device):
             self._launch("begin")
             for _ in range(self.ticks if steps is None else steps):
@@ -281,7 +281,7 @@ class Worlds:
             self._launch("end")
 
     def _tick(self) -> None:
-        """One physics step; on a GPU captured in a graph at the first, when all code is loaded."""
+        """Run one physics step; on a GPU it is captured in a graph after the first one."""
         if self._graph is not None and self.in_graphs:
             self.wp.capture_launch(self._graph)
             return
@@ -319,7 +319,7 @@ def packages() -> tuple[Any, Any]:
 
 
 def found(wp: Any, device: str) -> Any:
-    """A device of warp. Raises ValueError in one line where there is none."""
+    """Return a warp device. Raises ValueError in one line if there is none."""
     names = [str(each) for each in wp.get_devices()]
     wanted = "cuda:0" if str(device) == "cuda" else str(device)  # torch and warp have their own
     if wanted not in names:
@@ -333,7 +333,7 @@ def found(wp: Any, device: str) -> Any:
 
 @contextmanager
 def room(n: int, device: Any) -> Iterator[None]:
-    """Where memory of a device is taken for so many machines: MemoryError says that in a line."""
+    """Wraps allocations on a device; MemoryError names the number of machines in one line."""
     try:
         yield
     except RuntimeError as error:
@@ -343,7 +343,7 @@ def room(n: int, device: Any) -> Iterator[None]:
 
 
 def _takeable(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy that mujoco-warp takes; it resets nothing by itself, and knows no flag for that."""
+    """Copy a model so that mujoco-warp accepts it; it has no automatic reset and no flag for it."""
     if model.na:
         raise ValueError(
             f"the model has {model.na} actuator activations, which are not part of what a device "
@@ -355,7 +355,7 @@ def _takeable(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _row(machine: Machine) -> np.dtype:
-    """All of one machine, side by side."""
+    """Record type with all data of one machine."""
     n, nq, nv = len(machine.axes), machine.model.nq, machine.model.nv
     pdos = sum(len(drive.rpdos) + len(drive.tpdos) for drive in machine.drives.values())
     return np.dtype(

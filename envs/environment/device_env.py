@@ -1,10 +1,10 @@
-"""Many environments of one task on a device of warp: physics, drives and task where the agent is.
+"""Many environments of one task on a warp device: physics, drives and task run beside the agent.
 
-`vectors` is what Gymnasium calls for ``gymnasium.make_vec``: with ``device`` a `DeviceVectorEnv`,
-else a `ServoVectorEnv`. A machine is reset, enabled and referenced alone on the CPU, as ever. On a
-GPU that is done while it steps, before the time: an environment's next episode waits on the device
-and begins there, with any number of others, by a few copies in the same stream. What is drawn is
-what `ServoVectorEnv` draws, since no one else draws from the generator of the environment.
+Gymnasium calls `vectors` for ``gymnasium.make_vec``; it returns a `DeviceVectorEnv` if ``device``
+is given, otherwise a `ServoVectorEnv`. A machine is reset, enabled and referenced alone on the CPU.
+With a GPU this happens in advance while the GPU steps: the next episode of an environment waits on
+the device, and any number of episodes begin there by a few copies in the same stream. The random
+draws equal those of `ServoVectorEnv`, because only the environment itself draws from its generator.
 """
 
 import importlib
@@ -29,23 +29,23 @@ KNOWN = ("episodes", "tpdos")  # of a batch, what a step brings back
 
 
 class DeviceVectorEnv(ServoVectorEnv):
-    """`ServoVectorEnv` whose physics and drives mujoco-warp and Numba step on a device.
+    """`ServoVectorEnv` whose physics and drives are stepped on a device by mujoco-warp and Numba.
 
-    Observations, rewards, terminations and truncations are tensors of torch on the device, actions
-    may be, and then never leave it; infos are arrays as ever. What a step returns is that of
-    `ServoVectorEnv` but for single precision (`servogym.envs.engine.worlds`).
+    Observations, rewards, terminations and truncations are torch tensors on the device. Actions may
+    be as well, and then never leave it. Infos are NumPy arrays. The results of a step are those of
+    `ServoVectorEnv` except for single precision (`servogym.envs.engine.worlds`).
 
     Args:
         task: class of the environments.
-        num_envs: how many.
-        device: of warp: "cuda", one such as "cuda:1", or "cpu".
+        num_envs: number of environments.
+        device: warp device: "cuda", a specific one such as "cuda:1", or "cpu".
         **arguments: of `ServoVectorEnv` but `threads`, and of the task but faults of a bus, whose
             frames are made in Python, one environment after the other.
 
     Raises:
         ImportError: a package of the extra ``servogym[gpu]``, or torch, is missing.
-        ValueError: there is no such device, what is not there, and as `ServoVectorEnv` does.
-        MemoryError: of the device, for so many.
+        ValueError: the device does not exist or lacks a feature, and as for `ServoVectorEnv`.
+        MemoryError: the device has too little memory for so many environments.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._done = self._wp.Event(there.device) if there.device.is_cuda else None
 
     def _make_tables(self, there: Worlds) -> None:
-        """What the task works on, there, and what of it torch sees."""
+        """Allocate the arrays of the task on the device, and their torch tensors."""
         wp, torch, coming, first = self._wp, self._torch, self._coming, self.envs[0]
         rpdo, tpdo = map(aligned, first._images)
         on, drives = there.device, len(first.drives)
@@ -123,7 +123,7 @@ class DeviceVectorEnv(ServoVectorEnv):
         return self._seen[0].device
 
     def _compiled(self, name: str, *names: str) -> Callable[[], None]:
-        """What stands before or after the physics of a step, on the tables that it works on."""
+        """Compile the function before or after the physics of a step, with its arrays."""
         first, there, modes = self.envs[0], self._there, self._batch.modes
         tables = [self._tables[each] for each in names]
         if not there.device.is_cuda:
@@ -149,7 +149,7 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     @contextmanager
     def _in_stream(self) -> Iterator[None]:
-        """What torch does meanwhile stands in the stream of warp, in line with the caller's."""
+        """Run torch in the stream of warp, ordered with the caller's stream."""
         if self._stream is None:
             yield
             return
@@ -198,7 +198,7 @@ class DeviceVectorEnv(ServoVectorEnv):
             env.parameters = present
 
     def _keep(self, made: "dict[int, _Ready]") -> None:
-        """Bring episodes that have been made to the device, where they wait."""
+        """Copy prepared episodes to the device, where they wait."""
         if rows := list(made):
             self._there.keep(rows)
             for table in self._tables.values():
@@ -270,7 +270,7 @@ class DeviceVectorEnv(ServoVectorEnv):
             self._batch.charge(self._parts[0], before)
 
     def _fetch_episodes(self) -> None:
-        """Bring back what is known of the episodes; their memory, long paths even, stays there."""
+        """Copy the public data of the episodes back; private data (long paths) stay there."""
         brought = self._bytes_of_episodes[:, self._known].cpu().numpy()
         here = self._batch.episodes.view(np.ndarray).view(np.uint8).reshape(self.num_envs, -1)
         here[:, self._known_here] = brought
@@ -291,7 +291,7 @@ class DeviceVectorEnv(ServoVectorEnv):
                 self._there.send([i])
 
     def _looked(self) -> Any:
-        """What all see at present, without history."""
+        """The present observations of all environments, without history."""
         return self._torch.cat(self._seen, 1)
 
     def _remember(self, moving: np.ndarray) -> None:
@@ -322,19 +322,19 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._there.in_graphs = given
 
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, speeds and torques of the physics, shape ``(n, ...)`` each, for a look."""
+        """Positions, speeds and torques of the physics, shape ``(n, ...)`` each."""
         return self._there.qpos, self._there.qvel, self._there.ctrl
 
     def step_physics(self) -> None:
-        """The drives and the physics of a step alone, under the RPDOs there are: for a bench."""
+        """Step drives and physics alone with the present RPDOs, for benchmarks."""
         self._there.step()
 
     def synchronize(self) -> None:
-        """Wait until the device has done what it was given."""
+        """Wait until the device has finished."""
         self._wp.synchronize_device(self._there.device)
 
     def render(self) -> tuple[Any, ...] | None:
-        """An image of each environment, brought back for it."""
+        """Return an image of each environment, whose state is copied back for it."""
         if self.render_mode is None:
             return None
         self._there.fetch(range(self.num_envs))
@@ -344,12 +344,12 @@ class DeviceVectorEnv(ServoVectorEnv):
         return super().render()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """It is not copied."""
+        """Raise TypeError: it cannot be copied or pickled."""
         raise TypeError("a vector on a device is not copied or pickled: make it where it is needed")
 
 
 class _Ready(NamedTuple):
-    """An episode that has been made and waits on the device."""
+    """An episode that waits on the device."""
 
     generator: np.random.Generator  # of its environment
     before: Any  # the state of it, before it was made
@@ -359,14 +359,14 @@ class _Ready(NamedTuple):
 def vectors(
     task: type[ServoEnv], num_envs: int = 1, *, device: str | None = None, **arguments: Any
 ) -> gym.vector.VectorEnv:
-    """Environments of a task, on a device of warp where one is given."""
+    """Return environments of a task, on a warp device if one is given."""
     if device is None:
         return ServoVectorEnv(task, num_envs, **arguments)
     return DeviceVectorEnv(task, num_envs, device=device, **arguments)
 
 
 def _torch(found: Any, device: str) -> Any:
-    """Torch, for a device of warp. Raises ImportError or ValueError in one line."""
+    """Load torch for a warp device. Raises ImportError or ValueError in one line."""
     try:
         torch: Any = importlib.import_module("torch")
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""What a task has to say of itself before it can be made, and how it is told where it is wrong."""
+"""The attributes that a task has to define, and the messages if one is missing or wrong."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ def _texts(value: Any) -> bool:
 
 
 def _numbers(kind: str) -> Callable[[Any], bool]:
-    """A record, with records in it or not, of one kind of numbers."""
+    """A record, possibly nested, whose numbers are all of one type."""
 
     def fits(value: Any) -> bool:
         return isinstance(value, np.dtype) and bool(value.names) and all(map(leaf, _parts(value)))
@@ -68,11 +68,11 @@ NEEDED = {
 
 
 def check(task: Any, base: type) -> None:
-    """Raises ValueError naming what a task lacks or has wrong, and what to give it.
+    """Raise ValueError naming a missing or wrong attribute of a task, and the remedy.
 
     Args:
-        task: an environment; some of it may depend on its arguments.
-        base: the class of which all tasks are; what only that one has, a task lacks.
+        task: an environment; some attributes may depend on its arguments.
+        base: base class of all tasks; an attribute defined only there is missing.
     """
     name = type(task).__name__
     for attribute, need in NEEDED.items():
@@ -85,7 +85,7 @@ def check(task: Any, base: type) -> None:
 
 
 def built(task: Any, machine: Any) -> Machine:
-    """What ``_make`` of a task has returned. Raises ValueError where it is not a machine."""
+    """Check the result of ``_make`` of a task. Raises ValueError if it is not a machine."""
     if not isinstance(machine, Machine):
         raise ValueError(
             f"task {type(task).__name__}: _make returned {machine!r:.80}: return the machine, as "

@@ -1,4 +1,4 @@
-"""A task on a machine that was found from a log: `servogym twin`."""
+"""A task on a twin, a machine identified from a log by `servogym twin`."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ FROM = "twin"  # in place of ranges: the intervals of what was found
 
 
 def found(task: Any, twin: str | Path | None, drive: str | Path | DriveModel) -> tuple[Any, Any]:
-    """Take the plant of a twin for that of the task; -> the twin, None without, and the drive.
+    """Use the plant of a twin for the task; -> the twin (None without one) and the drive.
 
     Raises ValueError for a folder without one, another kind of machine, another drive.
     """
@@ -32,7 +32,7 @@ def found(task: Any, twin: str | Path | None, drive: str | Path | DriveModel) ->
 
 
 def ranges(given: Any, twin: Twin | None) -> Any:
-    """What is drawn from. Raises ValueError for ``"twin"`` without one."""
+    """The ranges to draw from. Raises ValueError for ``"twin"`` without a twin."""
     if given != FROM:
         return given
     if twin is None:
