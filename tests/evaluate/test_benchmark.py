@@ -35,14 +35,16 @@ ROOT = Path(__file__).parents[2]
 
 def test_the_committed_leaderboard_is_of_the_committed_entries():
     """Whether their weights give these values `servogym results` has told, which wrote the page."""
-    found, v1 = Path("assets", "suites", "v1"), suite.read("v1")
+    found, v2 = Path("assets", "suites", "v2"), suite.read("v2")
     entries = {path.stem: read(path) for path in sorted((ROOT / found).glob("*.npz"))}
     for name, entry in entries.items():
         assert entry.name == name
-        fits(Path(name), entry, v1)
-    assert {env for entry in entries.values() for env in entry.table} == {*v1.parts}
+        fits(Path(name), entry, v2)
+        assert entry.fitted == entry.fitted_here
+    assert {env for entry in entries.values() for env in entry.table} == {*v2.parts}
     committed = (ROOT / "docs" / "results" / "leaderboard.md").read_text(encoding="utf-8")
-    assert leaderboard.page(v1, entries, found) == committed
+    command = f"servogym results {found.as_posix()} --suite v2 -o out/leaderboard.md"
+    assert leaderboard.page(v2, entries, command) == committed
 
 
 @pytest.fixture
@@ -158,6 +160,32 @@ def test_a_stranger_checks_an_entry_of_one_training_folder_from_the_file_alone(
     row = next(line for line in board.splitlines() if line.startswith("| mine | 1 |"))
     value = np.mean(made.table["LinearAxis-v0"]["nominal"]["episode_return"])
     assert f" {value:.0f} " in row or f" {value:.1f} " in row
+
+
+def test_a_public_text_draws_the_same_episodes_for_all_and_no_byte_of_an_entry_changes_them(
+    small, capsys
+):
+    """Who hands in many copies of a policy with other bytes in each meets the same episodes."""
+    hidden = SMALL.replace("seed = 181", 'seed = "of_submission"')
+    (small / "small.toml").write_text(hidden, encoding="utf-8")
+    seed = suite.read("small.toml").announced("7 11 23").seed
+    assert suite.read("small.toml").announced("7 11 24").seed != seed
+    by_hand = {}
+    for name in ("trapezoid", "jerk_limited"):
+        assert entered(name) == 0
+        played = comparison.evaluate("LinearAxis-v0", [name], "generic", 1, seed, {})[0]
+        by_hand[name] = played.values["settling_time"].item()
+    assert cli.main([*RESULTS, "--public", "7 11 23", "-o", "board.md"]) == 0
+    board = Path("board.md").read_text(encoding="utf-8")
+    assert "drawn from the public text `7 11 23`" in board
+    assert "--suite small.toml --public '7 11 23' -o board.md`, which wrote this page" in board
+    for name, value in by_hand.items():
+        row = next(line for line in board.splitlines() if line.startswith(f"| {name} |"))
+        assert f" {value:.3f} [" in row
+    assert "letters, digits" in refused(capsys, *RESULTS, "--public", "7 | 11")
+    assert "add --suite" in refused(capsys, "results", "entries", "--public", "7")
+    (small / "small.toml").write_text(SMALL, encoding="utf-8")
+    assert "has the seed 181" in refused(capsys, *RESULTS, "--public", "7")
 
 
 def test_weights_that_give_other_numbers_are_told_and_the_others_ranked(entries, capsys):

@@ -25,7 +25,7 @@ def test_all_committed_results_are_listed_with_a_command_that_exists():
     found = costs.results(ROOT)
     files = {one.file for one in found}
     files |= {Path(file).with_suffix(".md").as_posix() for file in files}  # data beside a page
-    for pattern in ("docs/results/*.md", "assets/policies/*/compare.json", "assets/suites/*/*.npz"):
+    for pattern in ("docs/results/*.md", "assets/policies/*/compare.json"):
         listed = {path.relative_to(ROOT).as_posix() for path in ROOT.glob(pattern)}
         assert listed - {costs.PAGE.as_posix()} <= files, pattern
     for command in {one.command for one in found if one.command.startswith("servogym ")}:

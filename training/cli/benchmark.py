@@ -10,7 +10,7 @@ from rich.console import Console
 
 from . import arguments
 
-SUITE, POLICY = "v1", "learned"
+SUITE, POLICY = "v2", "learned"
 OF_SUITES = ("suite", "entry", "tasks", "conditions")
 OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file")
 

@@ -1,6 +1,7 @@
 """`servogym results`."""
 
 import argparse
+import re
 import shlex
 from pathlib import Path
 
@@ -33,6 +34,11 @@ def add(results: argparse.ArgumentParser) -> None:
         help="check the submissions in the folder for this suite and write the leaderboard",
     )
     results.add_argument(
+        "--public", metavar="TEXT",
+        help="with --suite: draw the episodes of all entries from a text that nobody could know "
+        "before the last entry was handed in, such as the numbers of a lottery",
+    )
+    results.add_argument(
         "--run-code", action="store_true",
         help="run the programs that the folder names; read them first",
     )
@@ -53,6 +59,8 @@ def _results(options: argparse.Namespace, console: Console) -> int:
         return costs.run(options.folder or Path(), options.costs, console)
     if options.suite is not None:
         return _leaderboard(options, console)
+    if options.public is not None:
+        raise ValueError("--public draws the episodes of a suite: add --suite")
     if options.train is not None:
         return _train(options, console)
     if options.again:
@@ -87,10 +95,14 @@ def _leaderboard(options: argparse.Namespace, console: Console) -> int:
 
     if options.folder is None or options.again or options.train is not None:
         raise ValueError("--suite: name the folder of the submissions, without --again and --train")
+    chosen = suite.read(options.suite, run_code=options.run_code)
+    if options.public is not None:
+        if not re.fullmatch(r"[\w.,:+ -]+", options.public):
+            raise ValueError(f"--public {options.public!r}: letters, digits, space, . , : + - _")
+        chosen = chosen.announced(options.public)
     return leaderboard.rank(
-        suite.read(options.suite, run_code=options.run_code), options.folder,
-        options.out or options.folder / "README.md", console, arguments.work(options),
-        run_code=options.run_code,
+        chosen, options.folder, options.out or options.folder / "README.md", console,
+        arguments.work(options), run_code=options.run_code,
     )
 
 

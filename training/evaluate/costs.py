@@ -1,8 +1,9 @@
 """`servogym results --costs`: every committed result, the command that makes it, and what it takes.
 
 Results name their commands themselves, so nothing is listed twice: the pages in docs/results, the
-comparisons, the numbers of the tuner, the trainings and the entries of the suites. The processor
-time of a command is measured when this command repeats it, and kept in a JSON file beside the page.
+comparisons, the numbers of the tuner and the trainings. The entries of a suite are not listed,
+because the command of the leaderboard plays them all again. The processor time of a command is
+measured when this command repeats it, and kept in a JSON file beside the page.
 """
 
 import json
@@ -21,7 +22,6 @@ from rich.console import Console
 from ...drive.model import foreign
 from ..report import markdown, number, origin, write_json, write_text
 from . import repeat
-from .submission import ENDING, read
 
 PAGE = Path("docs", "results", "repeat.md")
 OWN = re.compile(  # the command of a page, the last one on it
@@ -33,7 +33,7 @@ NOTES = """*CPU-seconds* are those of the process and its children, all threads 
 and import. A command takes up to twice as many on a loaded machine; *load* is the load average when
 it ended. *The same again* says whether the command wrote the committed files once more, byte by
 byte (of `tuned.json` the entry of the row). Trainings state their processor time in their
-checkpoints."""
+checkpoints. The command of the leaderboard plays every entry of the suite again."""
 
 
 class Result(NamedTuple):
@@ -64,8 +64,6 @@ def results(root: Path) -> list[Result]:
     for tasks in foreign.table(policies / "tuned.json").values():
         found += [(policies / "tuned.json", one["command"]) for one in tasks.values()]
     found.append((policies / "basis_feed_forward.npz", "servogym tune-policy basis_feed_forward"))
-    for path in sorted((root / "assets" / "suites").glob(f"*/*{ENDING}")):
-        found.append((path, read(path).command))
     return [Result(path.relative_to(root).as_posix(), command) for path, command in found]
 
 
@@ -76,25 +74,37 @@ def run(root: Path, pattern: str, console: Console) -> int:
 
     Args:
         root: of the checkout.
-        pattern: part of a command, or empty to repeat nothing.
+        pattern: a command or part of some, or empty to repeat nothing.
         console: prints what was done.
     """
     every, kept = results(root), (root / PAGE).with_suffix(".json")
     known: dict[str, Any] = foreign.table(kept) if kept.is_file() else {}
     commands = dict.fromkeys(one.command for one in every if one.command.startswith("servogym "))
     chosen = [command for command in commands if pattern and pattern in command]
+    chosen = [pattern] if pattern in chosen else chosen  # a whole command stands for itself alone
     if pattern and not chosen:
         raise ValueError(f"--costs {pattern!r}: no command of a committed result contains that")
     for command in chosen:
-        out = root / "out" / "repeat" / re.sub(r"[^\w]+", "_", command)[-80:]
         console.print(command, soft_wrap=True, highlight=False)
-        known[command] = _measured(command, out)
-        files = [root / one.file for one in every if one.command == command]
-        known[command]["same"] = all(_same(file, out) for file in files)
+        took = _measured(command, _place(root, command))
+        known = foreign.table(kept) if kept.is_file() else {}  # others may measure beside this
+        known[command] = took
         write_json(kept, dict(sorted(known.items())))
+    known = {command: known[command] for command in sorted(commands) if command in known}
+    for command, own in known.items():  # a committed file may have changed since
+        out = _place(root, command)
+        if out.is_dir():
+            files = [root / one.file for one in every if one.command == command]
+            own["same"] = all(_same(file, out) for file in files)
+    write_json(kept, known)
     write_text(root / PAGE, page(root, every, known))
     console.print(f"{root / PAGE}", soft_wrap=True)
     return 0
+
+
+def _place(root: Path, command: str) -> Path:
+    """The folder in which a command is repeated."""
+    return root / "out" / "repeat" / re.sub(r"[^\w]+", "_", command)[-80:]
 
 
 def _measured(command: str, out: Path) -> dict[str, Any]:

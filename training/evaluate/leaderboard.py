@@ -5,6 +5,7 @@ are never below 0, so ending an episode early gains nothing. A condition that a 
 support earns 0.
 """
 
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -170,6 +171,8 @@ def rank(
 ) -> int:
     """Play each submission in a folder again, and write the leaderboard; -> exit status.
 
+    In a suite that was `announced`, all play the same episodes, and not those of their tables.
+
     A submission that cannot be checked, or whose table differs, is reported in one line and left
     out; then the exit status is 2.
     """
@@ -201,7 +204,9 @@ def rank(
             print(f"servogym results: {' '.join(str(error).split())}", file=sys.stderr)
             status = 2
     if entries:
-        write_text(out, page(suite, entries, folder))
+        command = ["servogym", "results", folder.as_posix(), "--suite", suite.asked]
+        command += ["--public", suite.public] if suite.public else []
+        write_text(out, page(suite, entries, shlex.join([*command, "-o", out.as_posix()])))
         console.print(f"{out}", soft_wrap=True)
     return status
 
@@ -212,7 +217,8 @@ def check(
     """Play a submission again -> the same submission with the table that was played.
 
     Raises:
-        ValueError: it brings code without consent to run it, or its table differs.
+        ValueError: it brings code without consent to run it, or its table of the same episodes
+            differs.
     """
     if submission.code:
         foreign.consent(f"{file} brings {submission.code}, which", run_code)
@@ -234,7 +240,7 @@ def check(
         found = play(suite.drawn(submission.identity), chosen, console, work)
     for env, conditions in found.items():
         _apart(f"{file}, {env}", conditions)
-        for condition, values in conditions.items():
+        for condition, values in conditions.items() if not suite.public else ():
             _same(f"{file}, {env}, {condition}", submission, submission.table[env][condition],
                   values, suite.parts[env].setup.task)
     return replace(submission, table=found)
@@ -287,10 +293,11 @@ def _same(
     )
 
 
-def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
-    """The leaderboard."""
+def page(suite: Suite, entries: Mapping[str, Submission], command: str) -> str:
+    """The leaderboard that a command writes."""
     conditions = len(dict.fromkeys(row.name for p in suite.parts.values() for row in p.rows))
     whose = "drawn for each entry from its hash" if suite.seed is None else "the same for all"
+    whose += f", drawn from the public text `{suite.public}`" if suite.public else ""
     text = (
         f"# Benchmark, suite {suite.version}\n\nEach entry plays {suite.episodes} episodes, "
         f"{whose}, in each of up to {conditions} conditions: `{suite.file}`. Entries are ranked "
@@ -313,9 +320,8 @@ def page(suite: Suite, entries: Mapping[str, Submission], folder: Path) -> str:
     text += "## Entries\n\n" + markdown(heading, rows)
     versions = {", ".join(f"{n} {one.versions[n]}" for n in DECIDING) for one in entries.values()}
     return text + (
-        "\nAll numbers were reproduced from the weights by `servogym results "
-        f"{folder.as_posix()} --suite {suite.asked}`, which wrote this page, with "
-        f"{'; '.join(sorted(versions))}. Other versions refuse these entries.\n"
+        f"\nAll numbers were reproduced from the weights by `{command}`, which wrote this page, "
+        f"with {'; '.join(sorted(versions))}. Other versions refuse these entries.\n"
     )
 
 

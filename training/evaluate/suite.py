@@ -49,6 +49,7 @@ class Suite:
     parts: Mapping[str, Part]  # by task, without the name space
     file: str  # as a page names it
     digest: str  # of the file
+    public: str = ""  # text the seed is drawn from, known only after the last entry
 
     @property
     def asked(self) -> str:
@@ -58,12 +59,31 @@ class Suite:
     def drawn(self, identity: str) -> "Suite":
         """Return the suite with the seed of a submission, if it does not have its own.
 
-        Nobody knows this seed before the policy is finished, and anybody can derive it again.
+        Nobody knows this seed before the policy is finished, and anybody can derive it again. Who
+        changes a byte of a finished policy gets another one, so seeds can be tried: `announced`
+        draws seeds that nobody can try.
 
         Args:
             identity: of the submission, hexadecimal digits.
         """
         return self if self.seed is not None else replace(self, seed=int(identity[:16], 16) % MANY)
+
+    def announced(self, public: str) -> "Suite":
+        """Return the suite with one seed for all entries, drawn from a public text.
+
+        Args:
+            public: what nobody could know before the last entry was handed in.
+
+        Raises:
+            ValueError: the suite has its own seed.
+        """
+        if self.seed is not None:
+            raise ValueError(
+                f"suite {self.version} has the seed {self.seed}: only a suite with "
+                f'seed = "{OF_SUBMISSION}" draws its episodes'
+            )
+        identity = hashlib.sha256(f"{self.digest} {public}".encode()).hexdigest()
+        return replace(self.drawn(identity), public=public)
 
     def only(self, tasks: Sequence[str], conditions: Sequence[str]) -> "Suite":
         """A part of the suite; empty lists select all. Raises ValueError for unknown names."""
