@@ -8,6 +8,7 @@ from ..plants.twins import Twin
 from .fit import Fitted
 
 ABSOLUTE = ("load_force", "backlash")  # told in their units
+ALARM = 2.0  # half widths of a 95 % interval: of 2,500 unchanged parameters one is beyond (t, 23)
 WATCHED = (  # in the order they are told
     "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "load_stiffness",
     "transmission_stiffness", "load_damping", "transmission_damping", "backlash",
@@ -28,8 +29,11 @@ class Change:
 
     @property
     def certain(self) -> bool:
-        """Whether the interval excludes zero."""
-        return not self.low <= 0.0 <= self.high
+        """Whether zero is twice as far away as the 95 % interval reaches.
+
+        Of many logs with several parameters each, some intervals exclude zero by chance.
+        """
+        return abs(self.change) > ALARM * (self.high - self.low) / 2
 
     def __str__(self) -> str:
         name = self.name.replace("_", " ")

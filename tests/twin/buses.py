@@ -1,16 +1,11 @@
 """Logs of each drive model on each bus: what a master sends in csp, ip or pp, and a logger keeps.
 
-    python tests/twin/buses.py [MODEL] [can|ethercat] [pp|ip|csp] [1|10] [seed=N]
-
 The hidden parameters of a rigid axis are drawn with the seed; the master maps PDOs, sets the mode
 and commands moves as a controller does, one process image a bus cycle. 0.5 % of the frames are
-missing from the log, their stamps jitter by 0.2 ms. A line a cell: held-out error over the floor.
+missing from the log, their stamps jitter by 0.2 ms. `campaign.py` plays each cell.
 """
 
-import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 from machines import hide, moves
@@ -33,7 +28,7 @@ from servogym.drive.wire.pcapng import Writer
 from servogym.envs import linear_axis
 from servogym.envs.engine import parameters
 from servogym.envs.twin import logs
-from servogym.envs.twin.experiment import Scale, Unusable
+from servogym.envs.twin.experiment import Scale
 from servogym.envs.twin.families import FAMILIES
 from servogym.envs.twin.fit import fit
 
@@ -225,7 +220,7 @@ def record(machine, file, rng, mode, period, *, fieldbus="can", name="x", droppe
 
 
 def cell(model, fieldbus, mode, period, seed, folder, known=True):
-    """One machine: log, twin, errors, what it costs."""
+    """One machine: its log's twin, what was hidden, the twin's own noise floor (m), CPU-s."""
     rng = np.random.default_rng(seed)
     machine = linear_axis(load(model, fieldbus))
     hidden = hide(machine, rng, HIDDEN)
@@ -236,32 +231,4 @@ def cell(model, fieldbus, mode, period, seed, folder, known=True):
     rigid = FAMILIES["rigid"]
     (found,) = logs.read([file], rigid.make(model), model, "x")
     twin = fit([found], model, rigid, gains_known=known)
-    return twin, hidden, time.process_time() - begin
-
-
-def main(words):
-    pick = [word for word in words if "=" not in word]
-    seed = int(next((word[5:] for word in words if word.startswith("seed=")), 0))
-    with tempfile.TemporaryDirectory() as folder:
-        for model, fieldbus, modes in CELLS:
-            for mode in modes:
-                for ms in (1, 10):
-                    if not {*pick} <= {model, fieldbus, mode, f"{ms}"}:
-                        continue
-                    head = f"{model:17} {fieldbus:8} {mode:3} {ms:2} ms"
-                    try:
-                        twin, hidden, cost = cell(
-                            model, fieldbus, mode, 1e-3 * ms, seed, Path(folder))
-                    except (Unusable, ValueError) as error:
-                        print(f"{head}  {error}", flush=True)
-                        continue
-                    shown = ", ".join(
-                        f"{n} {100 * (twin.values[n] / v - 1):+.1f} %" + (
-                            "" if twin.estimate.interval(n)[0] <= v <= twin.estimate.interval(n)[1]
-                            else " !") for n, v in hidden.items())
-                    print(f"{head}  {1e6 * twin.held_position:8.2f} µm {twin.ratio:6.2f} "
-                          f"{twin.verdict:8} {cost:3.0f} s  {shown}", flush=True)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    return twin, hidden, twin.floor_position, time.process_time() - begin

@@ -2,19 +2,25 @@
 
     python tests/twin/campaign.py ROWS.jsonl [SERIES[:COUNT] ...]
 
-plays what is missing in the rows, of all series or of some, and adds a line for each machine. A log
-has 0.5 % of its frames missing, stamps that jitter by 0.2 ms and an encoder with noise of 0.2 to
-1 µm. `page.py` makes docs/results/twin.md of the rows.
+plays what is missing in the rows, of all series or of those whose names begin so, and adds a line
+for each machine. A log has 0.5 % of its frames missing, stamps that jitter by 0.2 ms and an encoder
+with noise of 0.2 to 1 µm. `page.py` makes the tables of docs/results/twin.md of the rows.
 """
 
 import hashlib
 import json
 import math
 import sys
+import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import health
 import numpy as np
+from buses import CELLS, cell
 from machines import hide, moves
 
 import servogym.envs.twin
@@ -80,26 +86,6 @@ def stream(machine, name, set_points, period, rng, *, dropped=0.005, jitter=2e-4
     return signals
 
 
-# series -> what is fitted, how the log was made, first seed, machines
-SERIES = {
-    "rigid, gains unknown": ("rigid", {"known": False}, 1000, 20),
-    "rigid": ("rigid", {}, 1100, 20),
-    "load on a spring": ("spring", {}, 1200, 20),
-    "a spring as rigid": ("rigid", {"truth": "spring"}, 1300, 20),
-    "toothed belt": ("toothed_belt", {}, 1400, 5),
-    "ball screw": ("ball_screw", {}, 1410, 5),
-    "vertical": ("vertical", {}, 1420, 5),
-    "rotary table": ("rotary_table", {}, 1430, 5),
-    "conveyor": ("conveyor", {}, 1440, 5),
-    "gantry.x": ("gantry.x", {}, 1450, 5),
-    "gantry.y": ("gantry.y", {}, 1460, 5),
-    "rack and pinion": ("rack_pinion", {}, 1470, 5),
-    "linear motor": ("linear_motor", {}, 1480, 5),
-    "rigid, 10 ms": ("rigid", {"period": 1e-2}, 1490, 5),
-    "rigid, kollmorgen_akd": ("rigid", {"drive": "kollmorgen_akd"}, 1500, 5),
-}
-
-
 def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic", seconds=4.0):
     """One machine, its log, its twin; -> the twin, what was hidden, the noise floor (m), CPU-s.
 
@@ -129,37 +115,97 @@ def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic"
     return twin, hidden, floor, cost
 
 
-def row(series, seed):
-    """What is kept of one machine."""
-    fitted_as, arguments, _, _ = SERIES[series]
-    kept = {"series": series, "seed": seed, "code": CODE}
-    try:
-        twin, hidden, floor, cost = one(seed, fitted_as, **arguments)
-    except Unusable as error:
-        return kept | {"verdict": "unusable", "said": str(error)}
+def machine(fitted_as, seed, **more):
+    """What is kept of one machine: errors, floor, cost, and each hidden parameter."""
+    return _kept(*one(seed, fitted_as, **more))
+
+
+def bus(cell_of, seed):
+    """The same of a log of a bus."""
+    with tempfile.TemporaryDirectory() as folder:
+        return _kept(*cell(*cell_of, seed, Path(folder)))
+
+
+def _kept(twin, hidden, floor, cost):
     found = {}
     for name, value in hidden.items():
         low, high = twin.estimate.interval(name)
-        found[name] = {"true": _short(value), "found": _short(twin.values[name]),
-                       "low": _short(low), "high": _short(high)}
-    return kept | {
-        "verdict": twin.verdict, "held_out": _short(twin.held_position),
-        "floor": _short(twin.floor_position if floor != floor else floor),
-        "cpu": round(cost, 1), "parameters": found,
+        found[name] = {"true": value, "found": twin.values[name], "low": low, "high": high}
+    return {
+        "verdict": twin.verdict, "held_out": twin.held_position,
+        "floor": twin.floor_position if floor != floor else floor, "cpu": round(cost, 1),
+        "parameters": found,
     }
+
+
+class Series(NamedTuple):
+    """Rows of one kind: what plays one of a seed, the seeds, how many are wanted."""
+
+    play: Callable[[int], dict[str, Any]]
+    first: int
+    count: int
+    kind: str = "machine"
+
+
+def _machines(fitted_as, first, count, **more):
+    return Series(partial(machine, fitted_as, **more), first, count)
+
+
+SERIES = {
+    "rigid, gains unknown": _machines("rigid", 1000, 20, known=False),
+    "rigid": _machines("rigid", 1100, 20),
+    "load on a spring": _machines("spring", 1200, 20),
+    "a spring as rigid": _machines("rigid", 1300, 20, truth="spring"),
+    "toothed belt": _machines("toothed_belt", 1400, 5),
+    "ball screw": _machines("ball_screw", 1410, 5),
+    "vertical": _machines("vertical", 1420, 5),
+    "rotary table": _machines("rotary_table", 1430, 5),
+    "conveyor": _machines("conveyor", 1440, 5),
+    "gantry.x": _machines("gantry.x", 1450, 5),
+    "gantry.y": _machines("gantry.y", 1460, 5),
+    "rack and pinion": _machines("rack_pinion", 1470, 5),
+    "linear motor": _machines("linear_motor", 1480, 5),
+    "rigid, 10 ms": _machines("rigid", 1490, 5, period=1e-2),
+    "rigid, kollmorgen_akd": _machines("rigid", 1500, 5, drive="kollmorgen_akd"),
+    **{
+        f"bus: {model}, {fieldbus}, {mode}, {ms} ms": Series(
+            partial(bus, (model, fieldbus, mode, 1e-3 * ms)), 1, 1, "bus")
+        for model, fieldbus, modes in CELLS for mode in modes for ms in (1, 10)
+    },
+    **{
+        f"health: {mechanics}, {name}": Series(
+            partial(health.play, mechanics, change), 1600, count, "health")
+        for mechanics, name, change, count in health.CHANGES
+    },
+}
+
+
+def row(series, seed):
+    """What is kept of one seed."""
+    kept = {"series": series, "seed": seed, "code": CODE}
+    try:
+        return _short(kept | SERIES[series].play(seed))
+    except Unusable as error:
+        return kept | {"verdict": "unusable", "said": str(error)}
 
 
 def code():
     """What the twins were made by: a hash of the estimator's files."""
-    files = sorted(Path(servogym.envs.twin.__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
+    folder = Path(servogym.envs.twin.__file__).parent
+    text = b"".join((folder / f"{name}.py").read_bytes() for name in FILES)
+    return hashlib.sha256(text).hexdigest()[:8]
 
 
+FILES = ("candidates", "estimate", "experiment", "families", "fit", "logs", "reconstruction",
+         "regression", "set_points")
 CODE = code()
 
 
 def _short(value):
-    return float(f"{value:.6g}")
+    """Numbers to six figures."""
+    if isinstance(value, dict):
+        return {name: _short(each) for name, each in value.items()}
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def rows(file):
@@ -170,16 +216,17 @@ def rows(file):
 
 def main(words):
     file = Path(words[0])
-    wanted = [word.rpartition(":") if word.rpartition(":")[2].isdigit() else (word, "", "")
-              for word in words[1:]]
-    for name, _, most in wanted or [(name, "", "") for name in SERIES]:
-        _, _, first, count = SERIES[name]
+    for word in words[1:] or [""]:
+        start, _, most = word.rpartition(":")
+        start, most = (start, most) if most.isdigit() else (word, "")
+        names = [start] if start in SERIES else [n for n in SERIES if n.startswith(start)]
         there = {(each["series"], each["seed"]) for each in rows(file)}
-        for seed in range(first, first + (int(most) if most else count)):
-            if (name, seed) in there:
-                continue
-            with file.open("a", encoding="utf-8") as out:
-                out.write(json.dumps(row(name, seed), ensure_ascii=False) + "\n")
+        for name in names:
+            _, first, count, _ = SERIES[name]
+            for seed in range(first, first + int(most or count)):
+                if (name, seed) not in there:
+                    with file.open("a", encoding="utf-8") as out:
+                        out.write(json.dumps(row(name, seed), ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ def test_a_log_comes_back_out_of_the_machine_that_made_it(model, bus, mode, tmp_
     [(*each, period) for each in EACH for period in (1e-3, 1e-2)],
 )
 def test_a_twin_comes_out_of_each_log(model, bus, mode, period, tmp_path):
-    twin, hidden, _ = cell(model, bus, mode, period, 1, tmp_path)
+    twin, hidden, *_ = cell(model, bus, mode, period, 1, tmp_path)
     assert twin.ratio < 2.0
     assert twin.values["payload"] == pytest.approx(hidden["payload"], rel=0.05)
 
