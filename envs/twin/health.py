@@ -33,7 +33,7 @@ class Change:
 
         Of many logs with several parameters each, some intervals exclude zero by chance.
         """
-        return abs(self.change) > ALARM * (self.high - self.low) / 2
+        return bool(abs(self.change) > ALARM * (self.high - self.low) / 2)
 
     def __str__(self) -> str:
         name = self.name.replace("_", " ")

@@ -4,7 +4,8 @@
 
 It takes a table with one set-point of csp a millisecond, as `servogym twin --plan` writes it, and
 plays the master too: it maps PDOs by SDO, enables the drive and sends a set-point with each SYNC.
-What passes on the bus is logged as candump does. Payload and friction come from SEED.
+What passes on the bus is logged as candump does. Payload and friction come from SEED, and its
+loops are as soft as a careful service engineer leaves them.
 """
 
 import csv
@@ -22,6 +23,7 @@ from servogym.envs import linear_axis
 from servogym.envs.engine import parameters
 
 SEED, NODE, NOISE = 12, 1, 0.4e-6  # m, standard deviation of the encoder
+SOFT = {"velocity_gain": 0.3, "integral_time": 2.0, "position_gain": 0.4}  # of commissioned ones
 RPDO = ((0x6040, 16), (0x607A, 32), (0x60B2, 16))
 TPDO = ((0x6041, 16), (0x6064, 32), (0x6077, 16))
 CSP = 8
@@ -39,6 +41,8 @@ nominal = parameters.get(machine, names)
 hidden = {n: v * float(np.exp(rng.uniform(-0.9, 0.9))) for n, v in nominal.items()}
 parameters.apply(machine, hidden)
 parameters.apply(machine, {"encoder_noise": NOISE})
+commissioned = parameters.get(machine, SOFT)
+parameters.apply(machine, {name: share * commissioned[name] for name, share in SOFT.items()})
 
 targets = column(sys.argv[1], 1)
 torques = column(sys.argv[3], 1) if len(sys.argv) > 3 else [0] * len(targets)

@@ -38,8 +38,12 @@ FACTS = {
     "11_write_your_own_drive": lambda g: (
         [int(code) >> 8 for code in g["refused"]] == [0x060900] * 2
     ),
-    # the twin foretells the torque of the node, the data sheet does not
-    "12_your_machine_in_ten_minutes": lambda g: 3 * g["wrong"]["twin"] < g["wrong"]["data sheet"],
+    # the twin foretells the torque of the node, and what was learned on it helps the node; the data
+    # sheet does neither
+    "12_your_machine_in_ten_minutes": lambda g: (
+        3 * g["wrong"]["twin"] < g["wrong"]["data sheet"]
+        and 3 * g["far"]["twin"] < min(g["far"]["none"], g["far"]["data sheet"])
+    ),
 }
 
 

@@ -33,7 +33,7 @@ def _log(mechanics, change, seed, file):
     machine = family.make("generic")
     hide(machine, np.random.default_rng(1600), [family.mass, *HIDDEN])
     before = parameters.get(machine, list(change))
-    parameters.put(machine, {n: f * before[n] + more for n, (f, more) in change.items()})
+    parameters.apply(machine, {n: f * before[n] + more for n, (f, more) in change.items()})
     csp_log(machine, file, np.random.default_rng(seed), dropped=0.005, jitter=2e-4, seconds=4.0,
             **SLOW.get(mechanics, {}))
     return machine, {name: value - before[name]

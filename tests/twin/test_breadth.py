@@ -4,6 +4,7 @@ The normal suite replays a log into the machine that made it; the slow one makes
 oracle is the machine, the master is another program path than the reader: objects by SDO and PDO.
 """
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+import buses
 from buses import CELLS, HIDDEN, cell, record
 from campaign import stream
 from machines import Node, hide, moves
@@ -29,6 +31,7 @@ from servogym.envs.twin.experiment import experiment
 from servogym.envs.twin.families import FAMILIES
 from servogym.envs.twin.fit import best_lag
 from servogym.envs.twin.reconstruction import restored, timed
+from servogym.training.cli import main
 
 EACH = [(model, bus, mode) for model, bus, modes in CELLS for mode in modes]
 SAMPLE = [("generic", "can", "pp"), ("kollmorgen_akd", "ethercat", "pp"),
@@ -61,6 +64,52 @@ def test_a_log_comes_back_out_of_the_machine_that_made_it(model, bus, mode, tmp_
     record(machine, log, rng, mode, 1e-3, fieldbus=bus, noise=NOISE, seconds=1.0)
     (found,) = logs.read([log], RIGID.make(model), model, "x")
     assert left_over(found, model, hidden) < 4 * NOISE
+
+
+def without_torque(patch):
+    patch.setattr(buses, "INPUTS", ("statusword", "position_actual_value"))
+
+
+def with_a_gap(patch):
+    stamp = buses.Logged.stamp
+    patch.setattr(buses.Logged, "stamp", lambda log, now, often=True: (
+        None if log.cyclic and 1.0 < now < 2.2 else stamp(log, now, often)))
+
+
+def of_a_still_axis(patch):
+    patch.setattr(buses, "moves", lambda rng, seconds, period, low, high: np.full(
+        round(seconds / period), 0.5 * (low + high)))
+
+
+def of_an_akd(folder):
+    """Moves of an AKD on EtherCAT, captured at the master's interface; -> the words of a twin."""
+    log = record(linear_axis(load("kollmorgen_akd", "ethercat")), folder / "a.pcapng",
+                 np.random.default_rng(1), "csp", 1e-3, fieldbus="ethercat", seconds=2.5)
+    return ["twin", str(log), "--mechanics", "rigid", "-o", str(folder / "twin"), "--drive"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(without_torque, "no torque"), (with_a_gap, "recorded"), (of_a_still_axis, "does not move")],
+)
+def test_what_is_wrong_with_an_ethercat_log_is_one_line(change, said, tmp_path, monkeypatch,
+                                                        capsys):
+    change(monkeypatch)
+    out = tmp_path / "twin"
+    assert main([*of_an_akd(tmp_path), "kollmorgen_akd"]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert said in error
+    assert re.search("record|map|say|give|--", error), error
+    assert not (out / "twin.json").exists()
+
+
+@pytest.mark.slow
+def test_an_ethercat_log_of_another_drive_ends_with_a_verdict(tmp_path, capsys):
+    assert main([*of_an_akd(tmp_path), "festo_cmmp_as"]) == 1
+    said = capsys.readouterr().out
+    assert "refused: do not trust it" in said
+    assert "the drive model" in said
 
 
 @pytest.mark.slow
