@@ -19,6 +19,8 @@ from .sdo_client import ATTEMPTS, SdoClient
 T = TypeVar("T")
 PDOS = 512  # of each direction at most (CiA 301)
 PATIENCE = 0.1  # s, that a PDO is believed without being asked about
+TIMES = 3  # that an RPDO is sent again; if its values are others then, the drive has changed them
+EVIDENT = {"controlword", "modes_of_operation"}  # the drive shows by itself whether these came
 LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
 
 
@@ -57,6 +59,11 @@ class CanOpenPort:
         """Time of the bus (s)."""
         return self._bus.now()
 
+    @property
+    def silence(self) -> float:
+        """Time (s) that passed until lost SDO transfers were begun anew."""
+        return sum(node.sdo.silence for node in self.nodes.values())
+
     def read(self, axis: str, name: str) -> int | float:
         """Read an object (drive units) from the last PDO that contains it, otherwise by SDO."""
         return self.nodes[axis].read(name)
@@ -68,6 +75,10 @@ class CanOpenPort:
     def write(self, axis: str, name: str, value: int | float) -> None:
         """Set an object (drive units), by SDO, or by PDO with the next exchange."""
         self.nodes[axis].write(name, value)
+
+    def arrived(self, axis: str) -> bool:
+        """Whether a drive has what was sent to it; an RPDO that was lost is sent again."""
+        return self.nodes[axis].arrived()
 
     def exchange(self, frames: Iterable[Frame] = (), *, sync: bool = True) -> list[Frame]:
         """Send frames, changed RPDOs, and a SYNC if a PDO needs one; -> the frames received.
@@ -114,6 +125,7 @@ class Pdo:
     synchronous: bool = False
     at: float = 0.0  # s, when it was sent or heard, or asked about last
     unsure: bool = False  # sent, and nothing shows that it has come
+    again: int = 0  # how often it was sent again since something was written into it
 
 
 class Answers:
@@ -198,15 +210,27 @@ class RemoteObjects:
         now = self.port.now()
         for pdo in self._rpdos:
             if pdo.unsure and now - pdo.at > PATIENCE:
-                if self._asked(pdo) != pdo.data:
-                    self._pending[pdo.cob_id] = pdo
-                pdo.unsure = False
+                self._came(pdo)
         for pdo in self._tpdos:
             if pdo.heard and name in pdo.places:
                 if now - pdo.at > PATIENCE:
                     pdo.data[:], pdo.at = self._asked(pdo), self.port.now()
                 return self._model.number(name).code.unpack_from(pdo.data, pdo.places[name])[0]
         return self.upload(name)
+
+    def arrived(self) -> bool:
+        """Whether the drive has what RPDOs carried; what it does not have is sent again."""
+        asked = [pdo for pdo in self._rpdos if pdo.unsure and pdo.places.keys() - EVIDENT]
+        return all([self._came(pdo) for pdo in asked])
+
+    def _came(self, pdo: Pdo) -> bool:
+        """Ask the drive for what an RPDO carried; send it again if that is something else."""
+        pdo.unsure = False
+        if pdo.again == TIMES or self._asked(pdo) == pdo.data:
+            return True
+        pdo.again += 1
+        self._pending[pdo.cob_id] = pdo
+        return False
 
     def _asked(self, pdo: Pdo) -> bytearray:
         """Read the present content of a PDO by SDO."""
@@ -236,6 +260,7 @@ class RemoteObjects:
             at = pdo.places[name]
             pdo.data[at : at + len(data)] = data
         if carriers:
+            carriers[0].again = 0
             self._pending[carriers[0].cob_id] = carriers[0]
             return
         self._by_sdo(lambda: self.sdo.download(row.index, row.subindex, data))

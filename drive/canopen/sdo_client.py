@@ -45,6 +45,7 @@ class SdoClient:
         self._node_id = node_id
         self._timeout = timeout
         self._attempts = attempts
+        self.silence = 0.0  # s, that passed until a lost transfer was begun anew
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
         """The bytes of an object. Raises SdoAbort if refused, Timeout without an answer."""
@@ -60,10 +61,11 @@ class SdoClient:
         Raises the last `Timeout` if no attempt was answered.
         """
         for _ in range(self._attempts - 1):
+            begin = self._port.now()
             try:
                 return transfer()
             except Timeout:
-                pass
+                self.silence += self._port.now() - begin
             except SdoAbort as aborted:
                 if aborted.code not in LOST:
                     raise

@@ -231,7 +231,7 @@ class Drives:
                     raise Interlock(what, f"{reason}; all drives were stopped")
                 for axis in self.axes:
                     self._check(axis, what, faulty, powered, homing)
-                if self.port.now() >= end:
+                if self._now() >= end:
                     shown = self._shown(*late)
                     step = hint or advice.advice(
                         self.port.models[late[0]], shown[0].statusword, shown[0].controlword
@@ -248,7 +248,11 @@ class Drives:
         """Until when to wait (s)."""
         if not isinstance(timeout, Real) or not timeout >= 0.0:
             raise ValueError(f"timeout = {timeout!r}: give seconds, 0 or more")
-        return self.port.now() + float(timeout)
+        return self._now() + float(timeout)
+
+    def _now(self) -> float:
+        """Time (s) without that spent on waiting for lost frames, which no time limit counts."""
+        return self.port.now() - float(getattr(self.port, "silence", 0.0))
 
     def _touching(self, *axes: str) -> str:
         """What is in the way of the drives, where the port can see it."""
@@ -302,5 +306,13 @@ class Drives:
             raise self._no_power(what, axis)
 
     def _sure(self, axis: str, condition: Callable[..., bool], *arguments: Any) -> bool:
-        """Whether the statusword fulfils a condition; process data are confirmed by an upload."""
-        return condition(self._word(axis), *arguments) and condition(self._fresh(axis), *arguments)
+        """Whether the statusword fulfils a condition; process data are confirmed by an upload.
+
+        It may fulfil it with an earlier command, as long as the last one has not arrived.
+        """
+        arrived = getattr(self.port, "arrived", None)
+        return (
+            condition(self._word(axis), *arguments)
+            and (arrived is None or arrived(axis))
+            and condition(self._fresh(axis), *arguments)
+        )

@@ -113,7 +113,7 @@ class Master(Drives):
         faults = ", ".join(f"{axis}: {self._fault(axis)}" for axis in faulty)
         end = self._end(timeout)
         while still := [axis for axis in faulty if in_fault(self._fresh(axis))]:
-            if self.port.now() >= end:
+            if self._now() >= end:
                 raise Timeout(
                     "fault reset", f"not within {timeout:g} s",
                     f"the cause of {faults} is still present", self._shown(*still),
@@ -234,16 +234,16 @@ class Master(Drives):
         if full:  # such a set-point needs no room
             self.wait(self.port.latency)
         else:
-            self._until(lambda axis, word: not word & S.MODE_12, end - self.port.now(),
+            self._until(lambda axis, word: not word & S.MODE_12, end - self._now(),
                         "set-point acknowledge to fall", powered=True)
         self.control(bits | C.NEW_SET_POINT)
         if full:
             self.wait(self.port.latency)
-        self._until(lambda axis, word: bool(word & S.MODE_12), end - self.port.now(),
+        self._until(lambda axis, word: bool(word & S.MODE_12), end - self._now(),
                     "set-point acknowledge", powered=True)
         self.control(bits)
         if wait:
-            self._until(lambda axis, word: word & HOMED == S.TARGET_REACHED, end - self.port.now(),
+            self._until(lambda axis, word: word & HOMED == S.TARGET_REACHED, end - self._now(),
                         what, powered=True)
 
     def _line(
@@ -396,7 +396,7 @@ class Master(Drives):
         self.wait(self.port.latency)
         try:
             self._until(
-                lambda axis, word: word & HOMED == HOMED, end - self.port.now(), "homing",
+                lambda axis, word: word & HOMED == HOMED, end - self._now(), "homing",
                 powered=True, homing=True, alarm=alarm,
             )
         except (HomingFailed, Timeout):

@@ -462,7 +462,7 @@ def test_a_refusal_is_not_asked_again():
         SdoClient(script, 1).upload(0x1001)
 
 
-@pytest.mark.parametrize("seed", range(5, 8))
+@pytest.mark.parametrize("seed", range(5, 15))
 @pytest.mark.parametrize("pdo", [False, True], ids=["sdo", "pdo"])
 @pytest.mark.parametrize("lost", [0.02, 0.04])
 def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost, pdo, seed):
@@ -480,7 +480,7 @@ def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost, pdo, s
         return left
 
     bench.bus.exchange = lossy
-    port = CanOpenPort(bench.bus, 1, sdo_timeout=0.05)
+    port = CanOpenPort(bench.bus, 1)  # with its own time limits: a lost frame costs a second
     if pdo:
         port.use_pdos()
     master = Master(port)
