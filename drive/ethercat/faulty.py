@@ -103,6 +103,8 @@ class Fault:
     @classmethod
     def parse(cls, line: str) -> "Fault":
         """Parse a fault from its line. Raises ValueError."""
+        if not isinstance(line, str):
+            raise ValueError(f"fault {line!r}: give a line such as 'drop at=frame:5 count=3'")
         kind, *pairs = line.split() or [""]
         kinds = {field.name: field.type for field in fields(cls)}
         values: dict[str, object] = {}
@@ -111,6 +113,8 @@ class Fault:
             if key not in kinds or key == "kind":
                 known = ", ".join(name for name in kinds if name != "kind")
                 raise ValueError(f"fault {line!r}: {key!r} is unknown, use of {known}")
+            if key in values:
+                raise ValueError(f"fault {line!r}: {key!r} is there twice")
             try:
                 values[key] = {"int": lambda t: int(t, 0), "float": float}.get(
                     str(kinds[key]).removeprefix("<class '").removesuffix("'>"), str

@@ -42,6 +42,7 @@ LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="raw soc
         (["--udp", "--fault", "explode"], "fault 'explode': choose one of drop, "),
         (["--udp", "--fault", "drop at=noon:1"], "at=noon:1: give one of frame, "),
         (["--udp", "--fault", "drop when=1"], "'when' is unknown, use of "),
+        (["--udp", "--fault", "drop count=1 count=2"], "'count' is there twice"),
     ],
 )
 def test_a_mistake_is_one_line_that_says_the_next_step(refused, arguments, says):

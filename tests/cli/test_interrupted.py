@@ -39,7 +39,7 @@ def test_ctrl_c_while_a_module_is_loaded(module):
 
 # a library in C that is loaded then tells an error of its own
 LOADED = """
-import os, signal, sys
+import ctypes, os, signal, sys
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -59,7 +59,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("error", ["ImportError", "SystemError"])
+@pytest.mark.parametrize("error", ["ImportError", "SystemError", "ctypes.ArgumentError"])
 @pytest.mark.parametrize("words", ["'demo'", "'bode', 'rigid'"])
 def test_ctrl_c_that_a_library_turns_into_an_error_of_its_own(error, words):
     done = subprocess.run(

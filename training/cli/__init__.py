@@ -2,6 +2,7 @@
 
 import argparse
 import atexit
+import ctypes
 import gc
 import importlib
 import io
@@ -178,6 +179,7 @@ COMMANDS = {
     ),
 }
 FORMAT = warnings.formatwarning
+OF_LIBRARIES = (SystemError, ctypes.ArgumentError)  # what libraries in C make of Ctrl-C
 # threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
 BLAS = "OPENBLAS_NUM_THREADS"
 
@@ -322,7 +324,7 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(signal.SIGINT, interrupt)
     try:
         return _main(arguments, interrupts)
-    except (KeyboardInterrupt, SystemError) as error:
+    except (KeyboardInterrupt, *OF_LIBRARIES) as error:
         if not (interrupts or isinstance(error, KeyboardInterrupt)):
             raise
         print("interrupted", file=sys.stderr)
@@ -377,7 +379,7 @@ def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
     except Exception as error:
         from ..report import interrupted
 
-        loading = isinstance(error, ImportError | SystemError)  # of libraries in C, of Ctrl-C
+        loading = isinstance(error, (ImportError, *OF_LIBRARIES))
         if interrupted(error) or (loading and interrupts):
             raise KeyboardInterrupt from error
         line = _told(error)
