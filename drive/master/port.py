@@ -15,7 +15,11 @@ class Units(NamedTuple):
 
 
 class Port(Protocol):
-    """A connection to one or more drives that receive process data at the same time."""
+    """A connection to one or more drives that receive process data at the same time.
+
+    One that can lose frames may also have `silence`, the time (s) spent on lost requests, which no
+    time limit counts, and `arrived(axis)`: whether a drive has what was sent to it.
+    """
 
     @property
     def models(self) -> Mapping[str, DriveModel]:

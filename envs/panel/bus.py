@@ -399,7 +399,12 @@ class _Port:
         self._bus, self._bench = bus, bench
         self.models = bus.models
         self.latency = bus.latency
-        self.now, self.units = bus.now, bus.units
+        self.now, self.units, self.arrived = bus.now, bus.units, bus.arrived
+
+    @property
+    def silence(self) -> float:
+        """Time (s) that passed until lost SDO transfers were begun anew."""
+        return self._bus.silence
 
     def upload(self, axis: str, name: str) -> int | float:
         """Read an object by SDO."""

@@ -491,6 +491,30 @@ def test_a_bus_that_loses_frames_does_not_end_a_masters_work(shaft, lost, pdo, s
     assert bench.drive.read("position_actual_value") == pytest.approx(TURN, abs=WINDOW)
 
 
+@pytest.mark.parametrize("lost", [1, 2, 3])
+def test_a_target_whose_frame_was_lost_is_not_reported_as_reached(shaft, lost):
+    """The drive would answer to the set-point before: acknowledged, and reached at once."""
+    bench = Bench(shaft, True)
+    port, exchange, left = CanOpenPort(bench.bus, 1), bench.bus.exchange, [lost]
+
+    def without(frames):
+        kept = []
+        for frame in frames:
+            gone = frame.id == 0x301 and left[0] > 0
+            left[0] -= gone
+            kept += [frame] * (not gone)
+        return exchange(kept)
+
+    port.use_pdos()
+    master = Master(port)
+    master.enable()
+    master.home(37)
+    bench.bus.exchange = without
+    master.move_to(TURN)
+    assert left == [0]
+    assert bench.drive.read("position_actual_value") == pytest.approx(TURN, abs=WINDOW)
+
+
 def test_two_nodes_with_one_node_id_are_told():
     nodes = [Node(Drive("generic")), Node(Drive("generic"))]
     port = CanOpenPort(NodePort(linear_axis(), *nodes), 1)
