@@ -27,18 +27,34 @@ def cache_directory() -> Path:
         folder = Path(chosen)
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if hasattr(os, "getuid") and not _trusted(folder, (os.getuid(), 0)):
-            raise OSError(f"{folder} can be written by others, and a cache is run: chmod 700 it")
+            raise OSError(
+                f"{folder} or a folder above it can be written by others, and a cache is run: "
+                "chmod 700 it"
+            )
     except (OSError, RuntimeError) as error:  # no home, none to write to, or one of others
         folder = _temporary_directory()
-        cannot_keep(f"{error}; compiled code goes to {folder}")
+        said = getattr(error, "strerror", None)
+        reason = f"{error.filename}: {said}" if said else f"{error}"  # type: ignore[union-attr]
+        cannot_keep(f"{reason}; compiled code goes to {folder}")
     return folder
 
 
 def _trusted(folder: Path, owners: tuple[int, ...]) -> bool:
-    """Whether nobody but `owners` can have put code into a folder; one's own group may write."""
+    """Whether nobody but `owners` can have put code into a folder, or another folder in its place.
+
+    One's own group may write. Of the folders above it, one with the sticky bit may be open to all.
+    """
     found = folder.stat()
+    parents = (place.stat() for place in folder.resolve().parents)
+    return (
+        stat.S_ISDIR(found.st_mode) and found.st_uid in owners and not _open(found)
+        and not any(_open(above) and not above.st_mode & stat.S_ISVTX for above in parents)
+    )
+
+
+def _open(found: os.stat_result) -> bool:
     others = stat.S_IWOTH | (0 if found.st_gid == os.getgid() else stat.S_IWGRP)
-    return stat.S_ISDIR(found.st_mode) and not found.st_mode & others and found.st_uid in owners
+    return bool(found.st_mode & others)
 
 
 def _temporary_directory() -> Path:

@@ -382,12 +382,19 @@ def test_a_temporary_folder_somebody_has_prepared_is_not_used(temporary, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("mode", "used"), [(0o700, True), (0o755, True), (0o777, False), (0o757, False)]
+    ("mode", "above", "used"),
+    [
+        (0o700, 0o755, True), (0o755, 0o755, True), (0o777, 0o755, False), (0o757, 0o755, False),
+        (0o700, 0o1777, True), (0o700, 0o777, False),  # another folder in its place
+    ],
 )
-def test_a_cache_that_others_can_write_is_not_run(temporary, monkeypatch, capsys, mode, used):
-    folder = temporary.parent / "cache"
-    folder.mkdir()
+def test_a_cache_that_others_can_write_is_not_run(
+    temporary, monkeypatch, capsys, mode, above, used
+):
+    folder = temporary.parent / "above" / "cache"
+    folder.mkdir(parents=True)
     folder.chmod(mode)
+    folder.parent.chmod(above)
     monkeypatch.setenv("SERVOGYM_CACHE_DIR", str(folder))
     monkeypatch.delenv("SERVOGYM_QUIET", raising=False)
     code_cache.cache_directory.cache_clear()
