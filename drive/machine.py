@@ -40,3 +40,9 @@ class Standing:
             for _ in range(cycles):
                 drive.cycle(0.0)
         self.time += cycles * self.cycle_time
+
+    def reset(self, positions: Mapping[str, float] | None = None) -> None:
+        """Switch the drives off and on again; nothing has a position."""
+        for drive in self.drives.values():
+            drive.reset()
+        self.time = 0.0

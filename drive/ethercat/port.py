@@ -139,7 +139,8 @@ class EtherCatPort:
 
     def write(self, axis: str, name: str, value: int | float) -> None:
         """Set an object (drive units), by SDO, or with the next exchange of process data."""
-        self.nodes[axis].write(name, value)
+        if self.nodes[axis].write(name, value) and self.cyclic:
+            self.exchange()
 
     def exchange(self) -> bool:
         """Exchange process data once; -> whether every working counter was right."""
@@ -232,8 +233,8 @@ class RemoteObjects:
         row = self._model.number(name)
         return row.unpack(self.slave.mailbox.upload(row.index, row.subindex))
 
-    def write(self, name: str, value: int | float) -> None:
-        """Set an object (drive units), in the outputs if they have it, else by SDO.
+    def write(self, name: str, value: int | float) -> bool:
+        """Set an object (drive units), in the outputs if they have it, else by SDO; -> whether so.
 
         Raises:
             ValueError: unknown name, or a value that does not fit the object's type.
@@ -246,3 +247,4 @@ class RemoteObjects:
             self.slave.mailbox.download(row.index, row.subindex, data)
         else:
             self.slave.outputs[at : at + len(data)] = data
+        return at is None

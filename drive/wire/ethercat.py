@@ -1,4 +1,4 @@
-"""Drives as EtherCAT slaves on Ethernet ports: what `servogym ethercat` runs."""
+"""Drives as EtherCAT slaves on Ethernet ports."""
 
 import select
 import time
@@ -70,15 +70,11 @@ class EtherCatServer:
         """Working counter of the first datagram of the last frame with process data."""
         return self._counter
 
-    def run(self, every: float = 0.5, show: Callable[[], None] | None = None) -> None:
-        """Serve until `stop`; `show` is called about every so many seconds."""
-        again = self.now
+    def run(self) -> None:
+        """Serve until `stop`."""
         serve = self.serve if len(self.ports) == 1 else self.serve_both
         while not self._stopped:
             serve()
-            if show and self.now - again >= every * 1e9:
-                again = self.now
-                show()
 
     def serve(self, port: int = 0) -> None:
         """Wait for a frame at a port, answer it, and advance the machines."""

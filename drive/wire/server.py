@@ -1,4 +1,4 @@
-"""Drives as CANopen nodes on a bus of python-can, in real time: what `servogym node` runs."""
+"""Drives as CANopen nodes on a bus of python-can, in real time."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -84,14 +84,10 @@ class Server:
         """Make `run` return; may be called from another thread."""
         self._stopped = True
 
-    def run(self, look: Callable[[], None] = lambda: None, every: float = 0.25) -> None:
-        """Serve until `stop`, calling `look` about every `every` seconds."""
-        due = time.monotonic()
+    def run(self) -> None:
+        """Serve until `stop`."""
         while not self._stopped:
             self.serve(self.adapter.recv(WAIT))
-            if time.monotonic() >= due:
-                look()
-                due = time.monotonic() + every
 
     def serve(self, message: can.Message | None) -> None:
         """Handle a received message, run the due cycles, and send the answers."""

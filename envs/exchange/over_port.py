@@ -35,10 +35,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...drive.canopen.frame import Frame
+from ...drive.canopen.frame import Base, Frame
 from ...drive.canopen.node import NmtCommand
 from ...drive.canopen.port import FramePort
 from ...drive.canopen.remote import SYNC, CanOpenPort
+from ...drive.ethercat.al import AlState
 from ...drive.ethercat.port import EtherCatPort, SegmentMaster
 from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
@@ -84,6 +85,10 @@ APPROACH = 0.4  # of them, on the way to the start: its gains may be set for slo
 REST = 0.3  # s that an axis stands before an episode: its integrator has come to rest
 NEAR = 1e-5  # m or rad from where an episode begins; no motion there
 MISSED, BRIDGED = 3, 0.01  # steps, and time (s), without answers or actions until a guard stops
+HELD_UP = (
+    "no frame came within the time of its watchdog (0420h), because this computer or the drive's "
+    "was held up; begin anew, with less beside it"
+)
 QUICK_STOP = 0x02  # controlword
 GUARDED = {  # objects an agent may command on a bus: those the guard looks at
     "controlword", "modes_of_operation", "target_position", "target_velocity", "target_torque",
@@ -144,6 +149,9 @@ class DriveSide(Protocol):
 
     def awake(self) -> None:
         """See that process data are exchanged, before an episode."""
+
+    def trouble(self) -> str:
+        """What the bus knows of drives that do not do as they are told; empty for nothing."""
 
     def connect(
         self, axes: Sequence[str], rpdos: Sequence[Sequence[str]], tpdos: Sequence[Sequence[str]]
@@ -256,6 +264,17 @@ class CanDrives:
         self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
         self._bus = _Beating(bus, self.pace.real)
         self.port = CanOpenPort(self._bus, nodes, model)
+
+    def trouble(self) -> str:
+        """Nodes whose TPDOs do not follow the SYNC because they wait for another one (1005h)."""
+        said = []
+        for axis, node in self.port.nodes.items():
+            with suppress(ServoError, SdoAbort):
+                awaited = int.from_bytes(node.sdo.upload(0x1005, 0), "little") & 0x7FF
+                if awaited != Base.SYNC:
+                    said.append(f"; {axis} waits for the SYNC {awaited:X}h (1005h): set it to "
+                                f"{Base.SYNC:X}h")
+        return "".join(said)
 
     def awake(self) -> None:
         """From now on SYNCs go out, and nodes that have left OPERATIONAL go back to it."""
@@ -396,6 +415,15 @@ class EtherCatDrives:
         )
         self.port.cyclic = self.pace.real
 
+    def trouble(self) -> str:
+        """Slaves that have left OPERATIONAL take no process data, whatever these command."""
+        fallen = [
+            f"{axis} is in {slave.state.name}"
+            for axis, slave in zip(self._axes, self._master.slaves, strict=False)
+            if slave.state != AlState.OPERATIONAL
+        ]
+        return f"; {', '.join(fallen)}: {HELD_UP}" if fallen else ""
+
     def awake(self) -> None:
         """Slaves whose watchdog has expired while nothing was exchanged go on."""
         self._master.recover()
@@ -492,7 +520,7 @@ class PortLine:
         self.unwatched: list[str] = []  # drives without a watchdog for a lost master
         self.refused: list[str] = []  # of real time, by the system
         self.home: int | None = None  # method 6098h by which drives are referenced, once
-        self._sure = False  # that all drives are referenced
+        self._sure = False  # that all drives answer and are referenced, or are to be homed
         self.dry = False  # all but the power: controlwords stay 0
         self.stopped: Stopped | None = None
         self.on_step: Callable[[np.ndarray], object] | None = None  # answers of the drives
@@ -631,14 +659,20 @@ class PortLine:
             if not limits.low <= position <= limits.high:
                 raise self.stop(Stopped(axis, f"the start {position:.4g} is out of the envelope"))
         try:
-            if search is None:
-                self._referenced()
-            else:
+            if not self._sure:
+                self._answering()
+                if search is None and self.home is None:
+                    self._referenced()
+                self._sure = True
+            if search is not None:
                 self._can_search(*search)
             if not self.dry:
                 self._go(positions, mode, None if search is None else search[0])
         except (ServoError, SdoAbort, TimeoutError) as error:
-            raise self.stop(Stopped("", f"on the way to the start: {error}")) from error
+            said = f"on the way to the start: {error}"
+            self.stop(Stopped("", said))
+            self.stopped = Stopped("", f"{said}{self._side.trouble()}")
+            raise self.stopped from error
         except BaseException as error:
             self.stop(error)
             raise
@@ -649,11 +683,15 @@ class PortLine:
         self._deadline = self._side.pace.now()
         return others | here
 
+    def _answering(self) -> None:
+        """Raises Stopped, before there is power, where process data do not come back."""
+        patience = BEAT if self._side.pace.real else LOCK_STEP_PATIENCE
+        if not any(self._side.sample(patience) for _ in range(LIVES)):
+            said = f"no process data come back{self._side.trouble()}"
+            raise self.stop(Stopped("", said))
+
     def _referenced(self) -> None:
-        """Raises ValueError for a drive that does not know where it is, and is not to be homed."""
-        if self.home is not None or self._sure:
-            return
-        self._sure = True
+        """Raises ValueError for a drive that does not know where it is."""
         self.master.set_mode(Mode.HOMING)
         for axis in self._axes:
             if not int(self._side.port.upload(axis, "statusword")) & REFERENCED:

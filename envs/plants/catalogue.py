@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ...drive.canopen.frame import Base, Frame
 from ...drive.canopen.node import NmtCommand, Node
@@ -34,37 +35,75 @@ AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
 }
 
 
+def _held(model: DriveModel) -> Standing:
+    """A drive whose motor is held."""
+    Drive(model).cycle(0.0)  # the first one compiles
+    return Standing({"x": Drive(model)}, model.cycle_time["position"])
+
+
+SERVED: dict[str, tuple[Callable[..., Any], dict[str, float]]] = AXES | {"none": (_held, {})}
+
+
+def of_axis(
+    axis: str, drive: str | Path | DriveModel, parameters: Mapping[str, Any] | None = None,
+    named: Callable[[str], str] = str,
+) -> tuple[Any, dict[str, float]]:
+    """A machine, commissioned, and where its joints stand at power-on (m or rad).
+
+    Args:
+        axis: key of `AXES`; ``none``: a drive whose motor is held.
+        drive: drive model by name or folder.
+        parameters: keywords of the machine's factory.
+        named: the name under which a person gave an argument.
+
+    Raises ValueError: unknown model or axis, or what the factory refuses.
+    """
+    if axis not in SERVED:
+        raise ValueError(f"{named('axis')} = {axis!r}: {hint(axis, SERVED)}")
+    make, places = SERVED[axis]
+    return make(drive, **(parameters or {})), places
+
+
+def deliver(
+    machine: Any, bus: str, places: Mapping[str, float], node_id: int = 0,
+    parameter_file: Path | None = None, named: Callable[[str], str] = str,
+) -> None:
+    """Switch a machine on for a bus: node-ids, stored parameters, all compiled that it needs.
+
+    Args:
+        machine: at rest.
+        bus: ``can`` or ``ethercat``.
+        places: of its joints (m or rad), by drive.
+        node_id: of its first drive on CAN; 1..127 has to hold for the last one too.
+        parameter_file: where a drive stores its parameters; of several drives each has its own,
+            with the node-id or its name in the file's name.
+        named: the name under which a person gave an argument.
+
+    Raises ValueError: node-id out of range, no folder for the parameter file.
+    """
+    if parameter_file is not None and not parameter_file.parent.is_dir():
+        raise ValueError(
+            f"{named('parameter_file')} = {parameter_file}: there is no folder "
+            f"{parameter_file.parent}; make it first"
+        )
+    if bus == "can":
+        number_nodes(machine, node_id, named("node_id"))
+        warm_up(next(iter(machine.drives.values())).model)
+    if parameter_file is not None:
+        alone = len(machine.drives) == 1
+        for name, drive in machine.drives.items():
+            own = f"{drive.node_id if bus == 'can' else name}"
+            drive.use_parameter_file(parameter_file if alone else named_for(parameter_file, own))
+    if not isinstance(machine, Standing):
+        power_on(machine, places)
+
+
 def axis_for(
     drive: str, node_id: int, axis: str = "linear", parameter_file: Path | None = None
 ) -> Machine:
-    """A machine whose drives have node-ids from `node_id` on, with all compiled that it needs.
-
-    Args:
-        drive: drive model by name or folder.
-        node_id: of the first drive; 1..127 has to hold for the last one too.
-        axis: key of `AXES`.
-        parameter_file: where a drive stores its parameters; of several drives each has its own,
-            with the node-id in its name.
-
-    Raises ValueError: unknown model or axis, one without CAN, node-id out of range, no folder for
-        the parameter file.
-    """
-    if axis not in AXES:
-        raise ValueError(f"--axis = {axis!r}: {hint(axis, AXES)}")
-    if parameter_file is not None and not parameter_file.parent.is_dir():
-        raise ValueError(
-            f"--parameter-file = {parameter_file}: there is no folder {parameter_file.parent}; "
-            "make it first"
-        )
-    make, places = AXES[axis]
-    machine = make(load(drive, "can"))
-    number_nodes(machine, node_id, "--node-id")
-    if parameter_file is not None:
-        alone = len(machine.drives) == 1
-        for x in machine.drives.values():
-            x.use_parameter_file(parameter_file if alone else named(parameter_file, x.node_id))
-    power_on(machine, places)
-    warm_up(drive)
+    """A machine whose drives have node-ids from `node_id` on, see `of_axis` and `deliver`."""
+    machine, places = of_axis(axis, load(drive, "can"))
+    deliver(machine, "can", places, node_id, parameter_file)
     return machine
 
 
@@ -131,29 +170,9 @@ def number_nodes(machine: Machine, node_id: int, what: str) -> None:
         drive.reset_communication()
 
 
-def named(parameter_file: Path, node_id: int) -> Path:
+def named_for(parameter_file: Path, own: str) -> Path:
     """The parameter file of one of several drives."""
-    return parameter_file.with_stem(f"{parameter_file.stem}_{node_id}")
-
-
-def machines_for(
-    drive: str, node_ids: Sequence[int], axis: str, parameter_file: Path | None = None
-) -> list[Machine]:
-    """A machine for each node-id; a drive of two axes has the next node-id for its second one."""
-    machines = []
-    axes = load(drive, "can").axes
-    several = len(node_ids) * axes > 1
-    for node_id in node_ids:
-        for _ in range(axes):
-            file = parameter_file
-            if file is not None and several and axis in ("linear", "vertical"):
-                file = named(file, node_id)
-            machines.append(axis_for(drive, node_id, axis, file))
-            node_id += len(machines[-1].drives)
-    served = [x.node_id for machine in machines for x in machine.drives.values()]
-    if len(set(served)) != len(served):
-        raise ValueError(f"--node-id {[*node_ids]}: the nodes would be {served}, some twice")
-    return machines
+    return parameter_file.with_stem(f"{parameter_file.stem}_{own}")
 
 
 def ethercat_line(
@@ -163,28 +182,18 @@ def ethercat_line(
 
     Args:
         models: drive models by name or folder; a machine of several axes has a slave for each.
-        axis: key of `AXES`; ``none``: drives whose motor is held.
+        axis: see `of_axis`.
         ring: the last slave leads back to a second port of the master.
 
     Raises ValueError: unknown model or axis, a model without EtherCAT.
     """
-    if axis not in (*AXES, "none"):
-        raise ValueError(f"--axis = {axis!r}: {hint(axis, [*AXES, 'none'])}")
     machines: list[Moved] = []
-    drives: list[Drive] = []
     for name in models:
-        model = load(name, "ethercat")
-        if axis == "none":
-            Drive(model).cycle(0.0)  # the first one compiles
-            drives.append(Drive(model))
-            machines.append(Standing({"x": drives[-1]}, model.cycle_time["position"]))
-            continue
-        make, places = AXES[axis]
-        machine = make(model)
-        power_on(machine, places)
+        machine, places = of_axis(axis, load(name, "ethercat"))
+        deliver(machine, "ethercat", places)
         machines.append(machine)
-        drives += machine.drives.values()
-    segment = Segment([Slave(drive) for drive in drives], ring=ring)
+    slaves = [Slave(drive) for machine in machines for drive in machine.drives.values()]
+    segment = Segment(slaves, ring=ring)
     segment.warm_up()
     return segment, machines
 

@@ -22,16 +22,19 @@ A machine file is TOML::
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
+from ...drive.canopen.faulty import Faults
 from ...drive.model.files import content
+from ...drive.model.model import load
 from ...drive.model.names import hint
 from ..engine.checks import in_range, whole
 from ..environment.registry import of_a_file
+from ..plants.catalogue import AXES, named_for
 
 CAN_CLOCKS = ("real", "sync", "sync_end")
 ETHERCAT_CLOCKS = ("frame", "dc", "real")
@@ -54,7 +57,9 @@ class BusRow:
         udp: of EtherCAT, the address to listen on at UDP port 88A4h instead of an interface.
         period_us: of CAN with the clock ``sync`` or ``sync_end`` (µs); of a task its step, if 0.
         options: of CAN, further keywords of ``can.Bus``.
-        faults: of EtherCAT, lines as ``servogym ethercat --fault`` takes them.
+        faults: of EtherCAT, lines as ``servogym ethercat --fault`` takes them; of CAN, how often
+            what happens to a frame, as ``{ drop = 0.001 }``, see
+            `servogym.drive.canopen.faulty.Faults`.
         log: file for all frames; ``.pcapng`` on EtherCAT, a format of python-can on CAN.
 
     Raises:
@@ -69,7 +74,7 @@ class BusRow:
     udp: str = ""
     period_us: int = 0
     options: dict = field(default_factory=dict)
-    faults: list = field(default_factory=list)
+    faults: list | dict = field(default_factory=list)
     log: str = ""
 
     def __post_init__(self) -> None:
@@ -80,14 +85,18 @@ class BusRow:
         if not self.clock:
             object.__setattr__(self, "clock", allowed[0])
         if self.clock not in allowed:
-            raise ValueError(f"clock = {self.clock!r}: {hint(self.clock, allowed)}")
+            raise ValueError(f"clock = {self.clock!r}: use one of {', '.join(allowed)}")
         whole("period_us", self.period_us, 0, 10**9)
         if self.kind == "can":
-            if not isinstance(self.interface, str) or not self.interface:
+            given = self.interface or self.options.get("config_context")
+            if not (isinstance(self.interface, str) and given):
                 raise ValueError("interface: name one of python-can, such as udp_multicast")
-            if self.udp or self.faults:
-                raise ValueError("udp and faults are for buses of kind ethercat")
+            if self.udp:
+                raise ValueError("udp is for buses of kind ethercat")
+            self.rates()
         else:
+            if isinstance(self.faults, dict):
+                raise ValueError('faults: give lines, as ["drop at=cycle:100 count=3"]')
             if self.channel or self.options:
                 raise ValueError("channel and options are for buses of kind can")
             if bool(self.interfaces) == bool(self.udp):
@@ -95,7 +104,24 @@ class BusRow:
             if len(self.interfaces) > 2:
                 raise ValueError(f"interface = {self.interface!r}: two at most (redundancy)")
             if self.log and not self.log.endswith(".pcapng"):
-                raise ValueError(f"log = {self.log!r}: captures of EtherCAT are .pcapng")
+                raise ValueError(f"log = {self.log!r}: captures are .pcapng")
+
+    def rates(self) -> Faults:
+        """Faults of a CAN bus. Raises ValueError for what is none."""
+        if not isinstance(self.faults, dict):
+            if self.faults:
+                raise ValueError("faults: give a table, as { drop = 0.001 }")
+            return Faults()
+        known = [each.name for each in fields(Faults)]
+        for name in self.faults:
+            if name not in known:
+                raise ValueError(f"faults: {name!r} is unknown: {hint(name, known)}")
+        return Faults(**self.faults)
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of ``can.Bus`` for a CAN bus."""
+        return {"interface": self.interface, "channel": self.channel} | self.options
 
     @property
     def interfaces(self) -> list[str]:
@@ -111,7 +137,8 @@ class MachineRow:
 
     Args:
         bus: name of the bus that all its drives are on.
-        axis: kind of machine, as ``servogym node --axis`` has it; or
+        axis: kind of machine, as ``servogym node --axis`` has it, or ``none``: a drive whose motor
+            is held; or
         mjcf: file of a robot of one's own; or
         task: an environment by its id, whose machine it is, as `servogym deploy` commands it.
         drive: drive model by name or folder; of `mjcf` one for each joint, by its name.
@@ -120,6 +147,8 @@ class MachineRow:
         positions: of joints at power-on (m or rad), by drive.
         node_id: of its first drive on CAN; the others follow.
         write: objects that are set before the machine is served, by drive and name.
+        parameter_file: into which 1010h and LSS store and from which power-on loads; of several
+            drives each has its own, with the node-id in its name (on EtherCAT its name).
 
     Raises:
         ValueError: names the field and what it may be.
@@ -135,6 +164,7 @@ class MachineRow:
     positions: dict = field(default_factory=dict)
     node_id: int = 0
     write: dict = field(default_factory=dict)
+    parameter_file: str = ""
 
     def __post_init__(self) -> None:
         if sum(map(bool, (self.axis, self.mjcf, self.task))) != 1:
@@ -175,7 +205,11 @@ class EventRow:
 
 @dataclass(frozen=True)
 class Description:
-    """All of a machine file.
+    """All of a machine file, or what the options of a command say instead of one.
+
+    Args:
+        folder: that relative paths start from.
+        by_options: it comes from options, so errors name these instead of rows and fields.
 
     Raises:
         ValueError: a machine names a bus that is not there, or two have one node-id.
@@ -184,7 +218,16 @@ class Description:
     buses: tuple[BusRow, ...]
     machines: tuple[MachineRow, ...]
     events: tuple[EventRow, ...] = ()
-    folder: Path = Path()  # that relative paths start from
+    folder: Path = Path()
+    by_options: bool = False
+
+    def named(self, field: str) -> str:
+        """A field of a row as the person who gave it knows it."""
+        return f"--{field.replace('_', '-')}" if self.by_options else field
+
+    def row(self, kind: str, name: str) -> str:
+        """What an error about a row begins with."""
+        return "" if self.by_options else f"{kind}.{name}: "
 
     @property
     def drive_models(self) -> set[str | Path]:
@@ -208,6 +251,28 @@ class Description:
     def of(self, bus: BusRow) -> list[MachineRow]:
         """The machines on a bus, in the order of the file."""
         return [machine for machine in self.machines if machine.bus == bus.name]
+
+
+def nodes(
+    drive: str, node_ids: Sequence[int], axis: str = "linear", parameter_file: str = ""
+) -> tuple[MachineRow, ...]:
+    """A machine for each node-id; a drive of two axes has the next node-id for its second one.
+
+    Raises ValueError: a model without CAN, node-ids of which two machines would have one.
+    """
+    size = len(AXES[axis][1]) if axis in AXES else 1
+    step = size * load(drive, "can").axes
+    served = [first + n for first in node_ids for n in range(step)]
+    if len(set(served)) != len(served):
+        raise ValueError(f"--node-id {[*node_ids]}: the nodes would be {served}, some twice")
+    return tuple(
+        MachineRow(
+            f"node {node_id}", "bus", axis, drive=drive, node_id=node_id,
+            parameter_file=f"{named_for(Path(parameter_file), str(node_id))}"
+            if parameter_file and size == 1 < len(served) else parameter_file,
+        )
+        for first in node_ids for node_id in range(first, first + step, size)
+    )
 
 
 def model_of(folder: Path, name: str) -> str | Path:

@@ -23,18 +23,21 @@ from ...drive.ethercat.bus import Bus
 from ...drive.ethercat.faulty import FaultyBus
 from ...drive.ethercat.segment import Segment
 from ...drive.ethercat.slave import Slave
+from ...drive.machine import Standing
 from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint
+from ...drive.wire.bad_bus import BadBus
 from ...drive.wire.can_link import CanLink, Traced
 from ...drive.wire.ethercat import EtherCatServer, Port
 from ...drive.wire.ethernet import RawPort, UdpPort
+from ...drive.wire.interfaces import opened
 from ...drive.wire.log import LogFile
 from ...drive.wire.pcapng import Writer
 from ...drive.wire.server import WAIT, Server
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..environment.registry import task
-from ..plants.catalogue import AXES, number_nodes, power_on, warm_up
+from ..plants.catalogue import deliver, of_axis
 from ..plants.commissioning import commission_joint
 from .description import BusRow, Description, EventRow, MachineRow, model_of, read
 
@@ -47,6 +50,7 @@ class Bench(Protocol):
     """A bus, served frame by frame."""
 
     where: str
+    server: Any  # what answers: `Server`, `EtherCatServer` or `LockStep`
 
     def serve(self) -> None:
         """Wait for a frame (ms at most), answer it, and let the time pass that is due."""
@@ -64,21 +68,25 @@ class Bench(Protocol):
 class _CanRealTime:
     """Nodes that follow the wall clock."""
 
-    def __init__(self, row: BusRow, bus: can.BusABC, machines: list[Machine]):
+    def __init__(
+        self, row: BusRow, bus: can.BusABC, machines: list[Machine],
+        again: Callable[[], can.BusABC], told: Callable[[str], None],
+    ):
         self.where = f"{row.interface} {row.channel}".strip()
-        self._server = Server(bus, machines, LogFile(row.log) if row.log else None)
+        log = LogFile(row.log, told) if row.log else None
+        self.server = Server(bus, machines, log, reopen=again, tell=told)
 
     def serve(self) -> None:
-        self._server.serve(self._server.adapter.recv(WAIT))
+        self.server.serve(self.server.adapter.recv(WAIT))
 
     def ahead(self, seconds: float) -> None:
-        self._server.skip(seconds)
+        self.server.skip(seconds)
 
     def power_cycle(self, machine: Machine) -> None:
-        _restart(self._server.nodes, machine, 0)
+        _restart(self.server.nodes, machine, 0)
 
     def close(self) -> None:
-        self._server.close()
+        self.server.close()
 
 
 class _CanLockStep:
@@ -86,19 +94,19 @@ class _CanLockStep:
 
     def __init__(self, row: BusRow, bus: can.BusABC, machines: list[Machine]):
         self.where = f"{row.interface} {row.channel}".strip()
-        self._bus, self._lock_step = bus, LockStep(machines, row.period_us)
+        self._bus, self.server = bus, LockStep(machines, row.period_us)
         self._ends = row.clock == "sync_end"
         link = CanLink(bus, wait=WAIT)
         self._link = Traced(link, row.log) if row.log else link
 
     def serve(self) -> None:
-        self._lock_step.serve(self._link, ends=self._ends)
+        self.server.serve(self._link, ends=self._ends)
 
     def ahead(self, seconds: float) -> None:
         pass  # time of the bus is that of its SYNCs
 
     def power_cycle(self, machine: Machine) -> None:
-        _restart(self._lock_step.nodes, machine, self._lock_step.time)
+        _restart(self.server.nodes, machine, self.server.time)
 
     def close(self) -> None:
         if isinstance(self._link, Traced):
@@ -109,38 +117,45 @@ class _CanLockStep:
 class _EtherCat:
     """Slaves in a line, in the order of their machines."""
 
-    def __init__(self, row: BusRow, machines: list[Machine], seed: int):
-        ports: list[Port] = [RawPort(name) for name in row.interfaces] or [UdpPort(row.udp)]
+    def __init__(
+        self, row: BusRow, machines: list[Machine], seed: int, told: Callable[[str], None]
+    ):
+        ports: list[Port] = []
         try:
+            for name in row.interfaces:
+                ports.append(RawPort(name))
+            if row.udp:
+                ports.append(UdpPort(row.udp))
             slaves = [Slave(drive) for machine in machines for drive in machine.drives.values()]
             segment = Segment(slaves, ring=len(ports) == 2)
             segment.warm_up()
             names = tuple(port.name for port in ports)
             self.where = ", ".join(names)
             bus = (
-                FaultyBus(segment, machines, row.clock, faults=row.faults, seed=seed)
+                FaultyBus(segment, machines, row.clock, faults=[*row.faults], seed=seed)
                 if row.faults
                 else Bus(segment, machines, row.clock)
             )
-            self._server = EtherCatServer(bus, ports, Writer(row.log, names) if row.log else None)
+            log = Writer(row.log, names) if row.log else None
+            self.server = EtherCatServer(bus, ports, log, told)
         except BaseException:
             for port in ports:
                 port.close()
             raise
-        self.serve = self._server.serve if len(ports) == 1 else self._server.serve_both
+        self.serve = self.server.serve if len(ports) == 1 else self.server.serve_both
         self._slave_of = {id(slave.drive): i for i, slave in enumerate(slaves)}
 
     def ahead(self, seconds: float) -> None:
-        self._server.bus.segment.publish(self._server.bus.time)
+        self.server.bus.segment.publish(self.server.bus.time)
 
     def power_cycle(self, machine: Machine) -> None:
-        segment, now = self._server.bus.segment, self._server.bus.time
+        segment, now = self.server.bus.segment, self.server.bus.time
         for drive in machine.drives.values():
             for on in (False, True):
                 segment.power(self._slave_of[id(drive)], on, now)
 
     def close(self) -> None:
-        self._server.close()
+        self.server.close()
 
 
 def _restart(nodes: list[Node], machine: Machine, time: int) -> None:
@@ -161,12 +176,16 @@ class Laboratory:
     Args:
         source: a machine file, or a mapping of the same form, see `description`.
         seed: of faults with a rate.
+        told: takes a line about trouble with a bus or a log, and what a master should know.
 
     Raises:
         ValueError: names file, row, field and what it may be, or the bus that cannot be opened.
     """
 
-    def __init__(self, source: str | Path | Mapping[str, Any] | Description, seed: int = 0):
+    def __init__(
+        self, source: str | Path | Mapping[str, Any] | Description, seed: int = 0,
+        told: Callable[[str], None] = lambda line: None,
+    ):
         self.description = source if isinstance(source, Description) else read(source)
         self.machines: dict[str, Machine] = {}
         self.drives: dict[str, Drive] = {}  # as "machine.drive"
@@ -175,9 +194,11 @@ class Laboratory:
         kinds = {bus.name: bus.kind for bus in self.description.buses}
         for row in self.description.machines:
             try:
-                machine, places = made(row, kinds[row.bus], self.description.folder)
+                machine, places = made(
+                    row, kinds[row.bus], self.description.folder, self.description.named
+                )
             except (ValueError, TypeError, OSError) as error:
-                raise ValueError(f"machine.{row.name}: {error}") from None
+                raise ValueError(f"{self.description.row('machine', row.name)}{error}") from None
             self.machines[row.name], self._places[row.name] = machine, places
             self.drives |= {f"{row.name}.{name}": drive for name, drive in machine.drives.items()}
         events = [(self._drive(event.drive), event) for event in self.description.events]
@@ -193,7 +214,9 @@ class Laboratory:
                 _refuse_twins(own)
             script = [(own[at[0]], at[1], event) for at, event in events if at[0] in own]
             timed = replace(bus, period_us=_period(bus, self.description.of(bus)))
-            make = partial(_bench, timed, list(own.values()), seed)
+            make = partial(
+                _bench, timed, list(own.values()), seed, told, self.description.named
+            )
             self._threads[bus.name] = _Thread(bus.name, make, own, script)
 
     def __repr__(self) -> str:
@@ -212,7 +235,7 @@ class Laboratory:
                 try:
                     thread.open()
                 except (ValueError, OSError, can.CanError) as error:
-                    raise ValueError(f"bus.{name}: {error}") from None
+                    raise ValueError(f"{self.description.row('bus', name)}{error}") from None
         except ValueError:
             self.stop()
             raise
@@ -225,6 +248,17 @@ class Laboratory:
         for thread in self._threads.values():
             thread.stop()
         self.check()
+
+    def run(
+        self, ended: threading.Event, look: Callable[[], object] = lambda: None, every: float = 0.25
+    ) -> None:
+        """Serve until `ended` is set; `look` is called every so many seconds, about.
+
+        Raises what ended a bus before.
+        """
+        while not ended.wait(every):
+            self.check()
+            look()
 
     def check(self) -> None:
         """Raise what ended the thread of a bus, if anything did."""
@@ -243,6 +277,11 @@ class Laboratory:
     def where(self) -> dict[str, str]:
         """Interface on which each bus is served, by name of the bus."""
         return {name: thread.where for name, thread in self._threads.items()}
+
+    @property
+    def servers(self) -> dict[str, Any]:
+        """What answers on each bus that is open: a `Server`, `EtherCatServer` or `LockStep`."""
+        return {n: thread.bench.server for n, thread in self._threads.items() if thread.bench}
 
     # -------------------------------------------------------------- true world
 
@@ -467,29 +506,39 @@ class _Thread:
             future.set_exception(error)
 
 
-def _bench(row: BusRow, machines: list[Machine], seed: int) -> Bench:
+def _bench(
+    row: BusRow, machines: list[Machine], seed: int, told: Callable[[str], None],
+    named: Callable[[str], str],
+) -> Bench:
     """Open a bus."""
     if row.kind == "ethercat":
-        return _EtherCat(row, machines, seed)
-    options: dict[str, Any] = {"interface": row.interface} | row.options
-    if row.channel:
-        options["channel"] = row.channel
-    if row.interface == "udp_multicast":
-        options.setdefault("fd", False)
+        return _EtherCat(row, machines, seed, told)
+
+    def again() -> Any:
+        bus = opened(row.keywords, named)
+        return BadBus(bus, row.rates(), seed) if row.faults else bus
+
+    bus = again()
     try:
-        bus = can.Bus(**options)
-    except Exception as error:  # python-can and its back-ends raise anything
-        raise ValueError(f"{row.interface} {row.channel}: {error}") from None
-    kind = _CanRealTime if row.clock == "real" else _CanLockStep
-    try:
-        return kind(row, bus, machines)
+        if row.clock == "real":
+            return _CanRealTime(row, bus, machines, again, told)
+        return _CanLockStep(row, bus, machines)
     except BaseException:
         bus.shutdown()
         raise
 
 
-def made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, float]]:
-    """A machine with all compiled that it needs, and where its joints are at power-on."""
+def made(
+    row: MachineRow, bus: str, folder: Path, named: Callable[[str], str] = str
+) -> tuple[Machine, dict[str, float]]:
+    """A machine with all compiled that it needs, and where its joints are at power-on.
+
+    Args:
+        row: of the machine.
+        bus: ``can`` or ``ethercat``.
+        folder: that relative paths start from.
+        named: see `Description.named`.
+    """
 
     def model(name: str) -> DriveModel:
         return load(model_of(folder, name), bus)
@@ -505,20 +554,15 @@ def made(row: MachineRow, bus: str, folder: Path) -> tuple[Machine, dict[str, fl
             commission_joint(machine, name)
         places = {}
     else:
-        if row.axis not in AXES:
-            raise ValueError(f"axis = {row.axis!r}: {hint(row.axis, AXES)}")
-        make, places = AXES[row.axis]
-        machine = make(model(str(row.drive)), **row.parameters)
+        machine, places = of_axis(row.axis, model(str(row.drive)), row.parameters, named)
     places = places | row.positions
     for name, values in row.write.items():
         if not isinstance(values, dict):
             raise ValueError(f"write: name the drive, as {{ x = {{ {name} = {values!r} }} }}")
         for object_name, value in values.items():
             machine.drives[name].write(object_name, value)
-    if bus == "can":
-        number_nodes(machine, row.node_id, "node_id")
-        warm_up(next(iter(machine.drives.values())).model)
-    power_on(machine, places)
+    file = folder / row.parameter_file if row.parameter_file else None
+    deliver(machine, bus, places, row.node_id, file, named)
     return machine, places
 
 
@@ -557,6 +601,9 @@ def _refuse_twins(machines: Mapping[str, Machine]) -> None:
 
 
 def _coupling(machine: Machine, drive: Drive) -> Any:
+    """Raises ValueError for a drive whose motor is held."""
+    if isinstance(machine, Standing):
+        raise ValueError("axis = 'none': its motor is held, no joint moves")
     return machine.couplings[[*machine.drives.values()].index(drive)]
 
 

@@ -242,7 +242,7 @@ def test_keywords_that_an_interface_takes_without_naming_them_are_known():
     from can.interfaces.kvaser import KvaserBus
     from can.interfaces.pcan import PcanBus
 
-    from servogym.training.cli.bus import _keywords
+    from servogym.drive.wire.interfaces import _keywords
 
     assert {"f_clock_mhz", "nom_brp", "state"} <= _keywords(PcanBus.__init__)
     assert {"accept_virtual", "tseg1"} <= _keywords(KvaserBus.__init__)

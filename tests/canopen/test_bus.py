@@ -21,7 +21,7 @@ from servogym.drive.wire.bus import CanPort, to_frame, to_message
 from servogym.drive.wire.can_link import CanLink, Traced
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
-from servogym.training.cli.node import Line
+from servogym.training.cli.status import Line
 
 GROUP = "239.74.163.78"
 PORT = 40_000 + os.getpid() % 20_000  # one port, one bus, whatever the group; pytest -n has several

@@ -4,8 +4,7 @@ import sys
 
 import pytest
 
-from servogym.drive.wire.ethercat import EtherCatServer
-from servogym.drive.wire.server import Server
+from servogym.envs.serve.laboratory import Laboratory
 from servogym.training import cli
 
 OBJECTS = """\
@@ -53,11 +52,7 @@ def own(tmp_path):
 def served(monkeypatch):
     """Servers that end at once; -> the drives that they had."""
     drives = []
-    monkeypatch.setattr(Server, "run", lambda s, *_: drives.extend(n.drive for n in s.nodes))
-    monkeypatch.setattr(
-        EtherCatServer, "run",
-        lambda s, **_: drives.extend(x.drive for x in s.bus.segment.stations),
-    )
+    monkeypatch.setattr(Laboratory, "run", lambda it, *_: drives.extend(it.drives.values()))
     return drives
 
 

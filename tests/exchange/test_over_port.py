@@ -415,6 +415,18 @@ def test_an_axis_that_is_not_referenced_is_refused_before_power():
     assert served.drives[0].state is not State.OPERATION_ENABLED
 
 
+def test_a_drive_that_waits_for_another_sync_is_refused_before_power():
+    served = CanBus(LINEAR, 5)
+    served.drives[0].write(0x1005, 0x81)
+    served.drives[0].write("controlword", 0)
+    env = gym.make(LINEAR, port=served.side()).unwrapped
+    served.passes = True
+    said = r"no process data come back; x waits for the SYNC 81h \(1005h\): set it to 80h"
+    with pytest.raises(Stopped, match=said):
+        env.reset(seed=5)
+    assert served.drives[0].state is not State.OPERATION_ENABLED
+
+
 def at_the_start(served, line):
     """The way to the start takes time; the drives are then what they were before it."""
     place, snapshot = line.place, served.machine.snapshot()

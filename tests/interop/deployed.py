@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -46,14 +47,14 @@ def _rows(task, bus, clock):
     return {"bus": {"bus": kinds[bus]}, "machine": {"axis": machine}}
 
 
-def _serve(pipe, task, bus, clock):
+def _serve(pipe, rows, task, bus):
     """The process of the machine: does what is asked for between two frames."""
     from servogym.drive.model.model import load
     from servogym.envs.environment.registry import task as named
     from servogym.envs.serve.laboratory import Laboratory
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    laboratory, kept = Laboratory(_rows(task, bus, clock)), b""
+    laboratory, kept = Laboratory(rows), b""
     with laboratory:
         pipe.send("ready")
         while (order := pipe.recv()) is not None:
@@ -74,6 +75,8 @@ def _serve(pipe, task, bus, clock):
                 laboratory.reset("axis")
             elif what == "inject":
                 laboratory.inject(next(iter(laboratory.drives)), given[0])
+            elif what == "mode":
+                said = next(iter(laboratory.drives.values())).mode.name
             elif what == "look":
                 said = [
                     (laboratory.state(name), laboratory.position(name), laboratory.velocity(name))
@@ -83,12 +86,17 @@ def _serve(pipe, task, bus, clock):
             pipe.send(said)
 
 
-@contextlib.contextmanager
 def served(task, bus, clock=""):
-    """A server in another process -> a function that asks it for something."""
+    """The machine of a task in another process -> a function that asks it for something."""
+    return machine_served(_rows(task, bus, clock), task, bus)
+
+
+@contextlib.contextmanager
+def machine_served(rows, task="", bus=""):
+    """A machine file in another process -> a function that asks it for something."""
     here, there = multiprocessing.Pipe()
     process = multiprocessing.get_context("fork").Process(
-        target=_serve, args=(there, task, bus, clock)
+        target=_serve, args=(there, rows, task, bus)
     )
     process.start()
     there.close()
@@ -235,8 +243,12 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
     }
 
 
-def bring_up(bus, clock, seed=3):
-    """Homed and at its start in real time: the state and place there, and after the end."""
+def bring_up(bus, clock, seed=3, pause=0.0):
+    """Homed and at its start in real time: the state and place there, and after the end.
+
+    With a pause (s) this process is held up between the homing and the way to the start.
+    """
+    from servogym.drive.kernel.words import Mode
     from servogym.envs.exchange.envelope import Stopped
 
     _network()
@@ -245,6 +257,13 @@ def bring_up(bus, clock, seed=3):
     with served(task, bus, clock) as ask, side_on(bus, axes, lock_step=False) as side:
         env = kind(model, port=side, randomise={})
         env.line.home, stopped = 17, ""
+        set_mode = env.line.master.set_mode
+
+        def held_up(mode):
+            time.sleep(pause * (mode == Mode.PROFILE_POSITION))
+            set_mode(mode)
+
+        env.line.master.set_mode = held_up
         try:
             env.reset(seed=seed)
         except Stopped as error:
@@ -436,34 +455,68 @@ def hostile(bus, names):
 # -------------------------------------------------------------- nobody there
 
 
-def killed(bus, number=signal.SIGKILL):
-    """The drive before and after the process that commands it has gone."""
+INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
+ENDINGS = {  # of the deploying process: when, and the signals it gets one after the other
+    "in the first second": ("numpy", (INT,)), "while it loads": ("mujoco", (INT,)),
+    "terminated while it loads": ("mujoco", (TERM,)),
+    "on the way to a start": ("moving", (INT,)), "twice": ("moving", (INT, INT)),
+    "terminated": ("moving", (TERM,)), "three kinds": ("moving", (INT, TERM, INT)),
+    "in an episode": ("playing", (INT,)), "twice in an episode": ("playing", (INT, INT)),
+    "terminated in an episode": ("playing", (TERM,)),
+    "the terminal is closed": ("playing", (HUP,)), "killed": ("moving", (KILL,)),
+    "killed in an episode": ("playing", (KILL,)),
+}
+MOMENTS = ("numpy", "mujoco")  # libraries that it is loading
+WAYS = ("HOMING", "PROFILE_POSITION")  # modes on the way to a start
+
+
+def ended(bus, names):
+    """The drive after signals to the process that commands it, and what that has said, by name."""
     _network()
-    task = TASKS["linear"]
-    with served(task, bus, {"can": "real", "ethercat": "real"}[bus]) as ask:
-        where = (
-            ["--ethercat", "vb"] if bus == "ethercat"
-            else ["-i", CAN["interface"], "-c", CAN["channel"]]
-        )
-        command = [
-            sys.executable, "-m", "servogym.training.cli", "deploy", "LinearAxis-v0", "--yes",
-            "--policy", "hold", "--episodes", "50", "--home", "17", *where,
-        ]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
-            until = time.monotonic() + 60.0
-            moved = set()
-            while time.monotonic() < until and process.poll() is None:
-                ((state, _, velocity),) = ask("look")
-                moved.add(state)
-                if state == "OPERATION_ENABLED" and abs(velocity) > 0.05:
-                    break  # on its way to a start
-                time.sleep(2e-3)
-            process.send_signal(number)
-            time.sleep(1.0)
+    where = (
+        ["--ethercat", "vb"] if bus == "ethercat"
+        else ["-i", CAN["interface"], "-c", CAN["channel"]]
+    )
+    command = [
+        sys.executable, "-m", "servogym.training.cli", "deploy", "LinearAxis-v0", "--yes",
+        "--policy", "trapezoid", "--episodes", "50", "--home", "17", "--time-limit", "60", *where,
+    ]
+    told = {}
+    with served(TASKS["linear"], bus, "real") as ask:
+        for name in names or ENDINGS:
+            moment, signals = ENDINGS[name]
+            ask("reset")
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+            before = _at_the_moment(moment, process, ask)
+            for number in signals:
+                process.send_signal(number)
+                time.sleep(0.05)
+            said, _ = process.communicate(timeout=60)
+            time.sleep(0.4)  # its watchdog, and the stop that follows
             ((after, _, velocity),) = ask("look")
-            process.kill()
-            said = process.stdout.read().decode()
-    return {"before": state, "after": after, "stands": abs(velocity) < QUIET, "said": said[-600:]}
+            told[name] = {
+                "before": before, "after": after, "stands": abs(velocity) < QUIET,
+                "status": process.returncode, "said": said.decode()[-1500:],
+            }
+    return told
+
+
+def _at_the_moment(moment, process, ask):
+    """Wait for it; -> state of the drive."""
+    until, state = time.monotonic() + 60.0, ""
+    if moment in MOMENTS:
+        maps = Path(f"/proc/{process.pid}/maps")
+        while time.monotonic() < until and moment not in maps.read_text():
+            time.sleep(1e-3)
+        return ask("look")[0][0]
+    while time.monotonic() < until and process.poll() is None:
+        ((state, _, velocity),) = ask("look")
+        mode = ask("mode")
+        moves = state == "OPERATION_ENABLED" and abs(velocity) > 0.05
+        if moves and (mode not in WAYS) == (moment == "playing"):
+            break
+        time.sleep(2e-3)
+    return state
 
 
 if __name__ == "__main__":  # for many episodes: a scenario and its arguments as JSON
@@ -476,7 +529,6 @@ if __name__ == "__main__":  # for many episodes: a scenario and its arguments as
 def twin_of_log(policy="ruckig", count=3):
     """What the command makes of a deployment's log: statuses, true values, intervals."""
     import tempfile
-    from pathlib import Path
 
     from servogym.envs.engine import parameters
     from servogym.envs.plants import twins

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from deployed import BUSES, HOSTILE, REFERENCES, TASKS
+from deployed import BUSES, ENDINGS, HOSTILE, KILL, MOMENTS, REFERENCES, TASKS
 from wire import on_the_wire
 
 SAMPLE = (
@@ -66,12 +66,48 @@ def test_in_real_time_an_episode_begins_on_each_clock_that_follows_it(bus, clock
     assert result["after"] != "OPERATION_ENABLED"
 
 
-@pytest.mark.parametrize("bus", BUSES)
-def test_where_the_deploying_process_is_killed_the_drive_stops_by_its_own_watchdog(bus):
-    result = over(bus, "killed")
-    assert result["before"] == "OPERATION_ENABLED", result["said"]
+@pytest.mark.parametrize(("bus", "says"), [
+    ("ethercat", "x is in SAFE_OPERATIONAL: no frame came within the time of its watchdog"),
+    ("can", "the connection to the master is lost"),
+])
+def test_a_master_that_was_held_up_on_the_way_to_the_start_is_told_so(bus, says):
+    result = over(bus, "bring_up", clock="real", pause=0.4)
+    assert result["stopped"].startswith("on the way to the start: ")
+    assert says in result["stopped"]
     assert result["after"] != "OPERATION_ENABLED"
-    assert result["stands"]
+
+
+def check_endings(told):
+    for name, row in told.items():
+        moment, signals = ENDINGS[name]
+        assert (row["before"] == "OPERATION_ENABLED") == (moment not in MOMENTS), (name, row)
+        assert row["after"] != "OPERATION_ENABLED", (name, row)
+        assert row["stands"], (name, row)
+        assert "Traceback" not in row["said"], (name, row)
+        if signals == (KILL,):
+            assert row["status"] == -KILL, (name, row)
+        elif moment in MOMENTS:
+            assert row["status"] in (130, -signals[0]), (name, row)
+        elif len(signals) == 1:
+            assert row["status"] == 1, (name, row)
+            assert "stopped: Ctrl-C" in row["said"], (name, row)
+        else:  # the last one may end what is said about the stop
+            assert row["status"] in (1, 130), (name, row)
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_where_the_deploying_process_is_killed_or_interrupted_the_drive_stands(bus):
+    told = over(bus, "ended", names=("killed", "twice in an episode"))
+    assert len(told) == 2
+    check_endings(told)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", BUSES)
+def test_however_a_deployment_ends_the_drive_stands_and_there_is_no_traceback(bus):
+    told = over(bus, "ended", names=[], timeout=600)
+    assert set(told) == set(ENDINGS)
+    check_endings(told)
 
 
 def same(bus, task, count):

@@ -3,7 +3,6 @@
 import json
 import os
 import random
-import shutil
 import subprocess
 import sys
 import time
@@ -17,8 +16,9 @@ from servogym.drive.drive import Drive
 from servogym.drive.model import files
 from servogym.drive.model.model import model_names
 from servogym.drive.objects import store
-from servogym.envs.plants.catalogue import machines_for
 from servogym.envs.plants.linear_axis import linear_axis
+from servogym.envs.serve.description import BusRow, Description, nodes
+from servogym.envs.serve.laboratory import Laboratory
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 ODD = (0, 1, -1, 2.5, 1e300, True, 10**30, -(10**30))
@@ -304,13 +304,24 @@ def test_a_linear_axis_takes_its_file_before_what_commissions_it(file):
 
 
 def test_each_of_several_drives_of_a_node_has_its_own_file(tmp_path):
-    machines = machines_for("generic", [3, 4], "linear", tmp_path / "p.json")
-    for machine in machines:
-        machine.drives["x"].write("save_all_parameters", SAVE)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["p_3.json", "p_4.json"]
-    shutil.rmtree(tmp_path)
-    with pytest.raises(ValueError, match=r"there is no folder .* make it first"):
-        machines_for("generic", [3], "linear", tmp_path / "p.json")
+    def machines(node_ids, axis):
+        bus = BusRow("bus", "can", interface="virtual")
+        rows = nodes("generic", node_ids, axis, f"{tmp_path / 'p.json'}")
+        return Laboratory(Description((bus,), rows, by_options=True)).machines.values()
+
+    for axis, drives, kept in (
+        ("linear", 2, ["p_3.json", "p_4.json"]), ("conveyor", 2, ["p_3.json", "p_4.json"]),
+        ("gantry", 3, ["p_3.json", "p_4.json", "p_5.json"]),
+    ):
+        for machine in machines([3] if drives == 3 else [3, 4], axis):
+            for drive in machine.drives.values():
+                drive.write("save_all_parameters", SAVE)
+        assert sorted(path.name for path in tmp_path.iterdir()) == kept
+        for path in tmp_path.iterdir():
+            path.unlink()
+    tmp_path.rmdir()
+    with pytest.raises(ValueError, match=r"^--parameter-file = .* there is no folder .* make it"):
+        machines([3], "linear")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ from servogym.drive.kernel.words import State
 from servogym.drive.master import Master
 from servogym.envs import gantry, linear_axis
 from servogym.envs.masters.port import MachinePort
-from servogym.envs.plants.catalogue import axis_for, machines_for
+from servogym.envs.plants.catalogue import axis_for
+from servogym.envs.serve.description import nodes
 
 G = 9.81
 
@@ -83,10 +84,10 @@ def test_node_ids_run_through_axes_and_machines():
     assert machine.drives["y"].read(0x1014) == 0x86
     two = axis_for("generic", 5, "gantry-x1x2")
     assert {x: d.node_id for x, d in two.drives.items()} == {"x1": 5, "x2": 6, "y": 7, "z": 8}
-    pair = machines_for("festo_cmmd", [10], "vertical")
-    assert [x.node_id for m in pair for x in m.drives.values()] == [10, 11]
+    assert [row.node_id for row in nodes("festo_cmmd", [10], "vertical")] == [10, 11]
+    assert [row.node_id for row in nodes("generic", [5, 9], "gantry-x1x2")] == [5, 9]
     with pytest.raises(ValueError, match="some twice"):
-        machines_for("festo_cmmd", [10, 11], "linear")
+        nodes("festo_cmmd", [10, 11], "linear")
     with pytest.raises(ValueError, match=r"126..128 is out of range"):
         axis_for("generic", 126, "gantry")
     with pytest.raises(ValueError, match="linear, vertical, rotary-table, conveyor, gantry"):

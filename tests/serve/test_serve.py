@@ -1,5 +1,6 @@
 """A served machine: foreign masters move it, and a test sees its true state beside the bus."""
 
+import signal
 import socket
 import subprocess
 import sys
@@ -221,6 +222,13 @@ AXIS = {"bus": "can", "axis": "linear", "node_id": 1}
             },
             "at = -1",
         ),
+        ({"bus": {"can": CAN | {"faults": {"drop": 2.0}}}, "machine": {"x": AXIS}}, "drop = 2.0"),
+        ({"bus": {"can": CAN | {"faults": {"dorp": 0.1}}}, "machine": {"x": AXIS}}, "mean drop"),
+        ({"bus": {"can": CAN | {"faults": ["drop"]}}, "machine": {"x": AXIS}}, "give a table"),
+        (
+            {"bus": {"can": CAN | {"options": {"preserve_timestamp": 1}}}, "machine": {"x": AXIS}},
+            "mean preserve_timestamps",
+        ),
         (
             {"bus": {"can": CAN | {"interface": "nosuch"}}, "machine": {"x": AXIS}},
             "nosuch",
@@ -262,3 +270,78 @@ def test_the_command_serves_the_file_of_the_page_and_ends_by_a_signal(tmp_path):
         finally:
             process.terminate()
         assert process.wait(20) == 0
+
+
+def test_on_a_bad_bus_frames_are_lost_and_the_master_asks_again(laboratory, network, request):
+    machine = laboratory(feeder(request.node.name, faults={"drop": 0.1}))
+    node = network.add_node(5, object_dictionary("generic", 5))
+    node.sdo.MAX_RETRIES, node.sdo.RESPONSE_TIMEOUT = 20, 0.05
+    for value in range(1000, 1100):
+        node.sdo["following_error_window"].raw = value
+        assert node.sdo["following_error_window"].raw == value
+    assert machine.servers["can"].bus.counts["drop"] > 20
+
+
+def test_a_drive_whose_motor_is_held_is_served_and_has_no_place(laboratory, network, request):
+    rows = feeder(request.node.name)
+    rows["machine"]["feeder"]["axis"] = "none"
+    machine = laboratory(rows)
+    assert enabled(network).statusword & 0x6F == 0x27
+    with pytest.raises(ValueError, match="its motor is held"):
+        machine.position("feeder.x")
+    machine.reset()
+    assert machine.state("feeder.x") == "SWITCH_ON_DISABLED"
+
+
+BOTH = """
+[bus.can]
+kind = "can"
+interface = "virtual"
+channel = "ended"
+[bus.line]
+kind = "ethercat"
+udp = "127.0.0.9"
+clock = "real"
+[machine.feeder]
+bus = "can"
+axis = "linear"
+node_id = 1
+[machine.lift]
+bus = "line"
+axis = "vertical"
+"""
+INT, TERM = signal.SIGINT, signal.SIGTERM
+
+
+@pytest.mark.parametrize(("moment", "signals"), [
+    ("serving", (INT, INT)),
+    pytest.param("serving", (INT,), marks=pytest.mark.slow),
+    pytest.param("serving", (TERM, INT, TERM), marks=pytest.mark.slow),
+    pytest.param("numpy", (INT,), marks=pytest.mark.slow),
+    pytest.param("mujoco", (INT, INT), marks=pytest.mark.slow),
+    pytest.param("mujoco", (TERM,), marks=pytest.mark.slow),
+])
+def test_however_serving_ends_there_is_no_traceback(tmp_path, moment, signals):
+    (tmp_path / "machine.toml").write_text(BOTH)
+    command = [sys.executable, "-m", "servogym.training.cli", "serve", "machine.toml"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(INT, signal.default_int_handler),
+    ) as process:
+        if moment == "serving":
+            assert "can on virtual" in process.stdout.readline()
+        else:
+            until = time.monotonic() + 30
+            while moment not in Path(f"/proc/{process.pid}/maps").read_text():
+                assert time.monotonic() < until
+                time.sleep(1e-3)
+        for number in signals:
+            process.send_signal(number)
+            time.sleep(0.02)
+        said, errors = process.communicate(timeout=30)
+    assert "Traceback" not in errors
+    if moment == "serving":
+        assert (process.returncode, errors) == (0, "")
+        assert "deadlines missed" in said
+    else:
+        assert process.returncode in (130, -signals[0])

@@ -70,8 +70,8 @@ def add(deploy: argparse.ArgumentParser) -> None:
     )
     deploy.add_argument(
         "--gap", action="store_true",
-        help="play the same episodes in memory (with --twin, in the twin) and report the "
-        "difference",
+        help="play the same episodes in memory and report the difference; --twin does so in the "
+        "twin",
     )
     deploy.add_argument("--report", type=Path, help="write episodes and times to this .json file")
     deploy.add_argument(
@@ -127,8 +127,8 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
                 ):
                     played[policy].append(episode)
                     _tell_episode(len(played[policy]), episode, console)
-        except Stopped as stopped:
-            reason = f"{stopped}"
+        except (Stopped, KeyboardInterrupt) as stopped:  # a second Ctrl-C comes while it stops
+            reason = f"{line.stop(stopped)}"
             console.print(f"stopped: {reason}", style="red", highlight=False, markup=False)
         env.close()
         if line.refused:
@@ -173,7 +173,7 @@ def _compared(
     first, *others = values
     for name in others:
         against(f"{name} - {first}", values[name], values[first])
-    if options.gap:
+    if options.gap or options.twin:
         env = in_process.environment(
             options.env, "ethercat" if options.ethercat else "can", options.drive,
             options.given, options.home,

@@ -1,20 +1,14 @@
 """`servogym ethercat`."""
 
 import argparse
-import signal
-from contextlib import ExitStack
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from rich.console import Console
-from rich.live import Live
-from rich.table import Table
 
 from . import arguments
-
-if TYPE_CHECKING:
-    from ...drive.wire.ethercat import EtherCatServer, Port
-
+from .serve import serve
 
 MOST_SLAVES = 0xFFFF  # their positions have 16 bits (ETG.1000.4)
 
@@ -57,101 +51,32 @@ def add(command: argparse.ArgumentParser) -> None:
 
 def _ethercat(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
-    from ...drive.ethercat.bus import Clock
     from ...drive.ethercat.faulty import Fault
-    from ...drive.wire.ethernet import RawPort, UdpPort
+    from ...envs.serve.description import BusRow, Description, MachineRow
 
     if bool(options.interface) == bool(options.udp) or len(options.interface) > 2:
         raise ValueError("name one interface with -i, two for redundancy, or use --udp")
-    if options.clock not in tuple(Clock):
-        raise ValueError(f"--clock = {options.clock!r}: use one of {', '.join(Clock)}")
-    if options.log and options.log.suffix != ".pcapng":
-        raise ValueError(f"--log = {options.log}: captures are .pcapng")
-    most = MOST_SLAVES // len(options.drive or [1])
+    try:
+        bus = BusRow(
+            "line", "ethercat", options.clock, options.interface, udp=options.udp or "",
+            faults=options.fault, log=f"{options.log or ''}",
+        )
+    except ValueError as error:
+        raise ValueError(f"--{error}") from None
+    drives = options.drive or ["kollmorgen_akd"]
+    most = MOST_SLAVES // len(drives)
     if not 1 <= options.slaves <= most:
         raise ValueError(
             f"--slaves = {options.slaves}: give 1 to {most}, a segment has at most {MOST_SLAVES}"
         )
     for line in options.fault:
         Fault.parse(line)
-    with ExitStack() as stack:
-        ports: list[Port] = []
-        for interface in options.interface:
-            ports.append(RawPort(interface))
-            stack.callback(ports[-1].close)
-        if options.udp:
-            ports.append(UdpPort(options.udp))
-            stack.callback(ports[-1].close)
-        return _serve(options, console, ports)
+    models = [drive for drive in drives for _ in range(options.slaves)]
+    machines = [MachineRow(f"{n}", "line", options.axis, drive=m) for n, m in enumerate(models)]
 
+    def said(laboratory: Any) -> Iterator[str]:
+        where = laboratory.where["line"]
+        yield f"{len(laboratory.drives)} slaves on {where}, clock {options.clock}"
 
-def _serve(options: argparse.Namespace, console: Console, ports: "list[Port]") -> int:
-    """Make the drives and answer at the ports."""
-    from ...drive.ethercat.bus import Bus
-    from ...drive.ethercat.faulty import FaultyBus
-    from ...drive.wire.ethercat import EtherCatServer
-    from ...drive.wire.pcapng import Writer
-    from ...envs.plants.catalogue import ethercat_line
-
-    models = [m for m in options.drive or ["kollmorgen_akd"] for _ in range(options.slaves)]
-    with console.status("compiling the control cycle, once per version (up to 40 s) ..."):
-        segment, machines = ethercat_line(models, options.axis, ring=len(ports) == 2)
-    names = tuple(port.name for port in ports)
-    bus = (
-        FaultyBus(segment, machines, options.clock, faults=options.fault, seed=options.seed)
-        if options.fault
-        else Bus(segment, machines, options.clock)
-    )
-    server = EtherCatServer(
-        bus, ports,
-        Writer(options.log, names) if options.log else None,
-        lambda line: console.print(line, soft_wrap=True),
-    )
-    signal.signal(signal.SIGTERM, lambda *_: server.stop())
-    signal.signal(signal.SIGINT, lambda *_: server.stop())
-    console.print(f"{len(segment)} slaves on {', '.join(names)}, clock {options.clock}")
-    arguments.real_time(options, console)
-    try:
-        if console.is_terminal:
-            with Live(_table(server, 0.0), console=console, auto_refresh=False) as live:
-                before = [server.now, 0]
-
-                def show() -> None:
-                    now, cycles = server.now, server.bus.statistics.cycles
-                    rate = (cycles - before[1]) / max(now - before[0], 1) * 1e9
-                    before[:] = now, cycles
-                    live.update(_table(server, rate), refresh=True)
-
-                server.run(show=show)
-        else:
-            server.run()
-    finally:
-        server.close()
-    s = server.bus.statistics
-    console.print(
-        f"{s.frames} frames received, {s.answered} answered, {s.cycles} cycles of process data, "
-        f"{s.missed} deadlines missed"
-    )
+    serve(Description((bus,), (*machines,), by_options=True), options, console, said)
     return 0
-
-
-def _table(server: "EtherCatServer", rate: float) -> Table:
-    """The status line of the slaves."""
-    s = server.bus.statistics
-    table = Table(
-        title=f"{s.cycles} cycles, {rate:.0f}/s, working counter {server.working_counter}, "
-        f"{s.missed} missed"
-    )
-    for column in ("slave", "drive", "AL state", "status", "device control"):
-        table.add_column(column)
-    for i, station in enumerate(server.bus.segment.stations):
-        pdi = server.bus.segment.pdis[i]
-        status, code = pdi.get(0x0130, 2), pdi.get(0x0134, 2)
-        table.add_row(
-            str(i), station.drive.model.name, AL_STATES.get(status & 0x0F, f"{status:02X}h"),
-            f"{code:04X}h" if status & 0x10 else "", station.drive.state.name,
-        )
-    return table
-
-
-AL_STATES = {1: "INIT", 2: "PRE_OP", 3: "BOOT", 4: "SAFE_OP", 8: "OP"}

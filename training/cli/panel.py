@@ -135,12 +135,11 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
         units = Units(position, velocity_unit, "m")
     adapter = Adapter(opened(options), lambda: opened(options), tell)
     nodes = {f"node {number}": number for number in options.node_id}
-    place = where(options) or f"{INTERFACE} {CHANNEL}"
     rate = RATE if options.samples is None else options.samples
     try:
         return BusBench(
             CanPort(adapter), nodes, options.drive, rate=rate, units=units,
-            listen=options.listen, title=f"{', '.join(nodes)} on {place}",
+            listen=options.listen, title=f"{', '.join(nodes)} on {where(options)}",
         ), adapter
     except ValueError:
         adapter.shutdown()

@@ -3,13 +3,19 @@
 import argparse
 import signal
 import threading
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.console import Console, Group
+from rich.live import Live
 
-from . import arguments
+from . import arguments, status
 from . import bus as buses
+
+if TYPE_CHECKING:
+    from ...envs.serve.description import Description
+    from ...envs.serve.laboratory import Laboratory
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -45,45 +51,77 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def _serve(options: argparse.Namespace, console: Console) -> int:
-    """Serve until Ctrl-C or SIGTERM."""
+    """Serve the file, or the task."""
     from ...drive import run_code
     from ...envs.serve.description import read
-    from ...envs.serve.laboratory import Laboratory
-
-    def tell(text: str) -> None:
-        console.print(text, markup=False, highlight=False)
 
     if arguments.asked(options):
         return arguments.listing(options.file, console)
-    if not _is_task(options.file):
+    if _is_task(options.file):
+        description = _of_task(options)
+    else:
         for name in ONLY_OF_TASKS:
             if getattr(options, name) not in (None, ""):
-                raise ValueError(f"--{name.replace('_', '-')}: it stands in the file")
-    source = _of_task(options) if _is_task(options.file) else options.file
-    description = read(source, run_code=options.run_code)
+                raise ValueError(f"{buses.option(name)}: it stands in the file")
+        description = read(options.file, run_code=options.run_code)
     for model in description.drive_models if options.run_code else ():
         run_code(model)
-    with console.status("building the machines ..."):
-        laboratory = Laboratory(description, options.seed)
-    if options.check:
+    serve(description, options, console, _said, check=options.check)
+    return 0
+
+
+def serve(
+    description: "Description", options: argparse.Namespace, console: Console,
+    said: Callable[["Laboratory"], Iterable[str]], check: bool = False,
+) -> None:
+    """Serve what is described until Ctrl-C or SIGTERM: `serve`, `node` and `ethercat`.
+
+    Args:
+        description: the machines and their buses.
+        options: with ``real_time``, and ``seed`` where faults have a rate.
+        console: of the command.
+        said: what is printed once the buses are open.
+        check: build the machines, but open no bus.
+    """
+    from ...envs.serve.laboratory import Laboratory
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    with console.status("compiling the control cycle, once per version (up to 40 s) ..."):
+        laboratory = Laboratory(description, getattr(options, "seed", 0), tell)
+    if check:
         tell(f"{options.file}: {', '.join(laboratory.drives)}: nothing to object to")
-        return 0
+        return
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     arguments.real_time(options, console)
     with laboratory:
-        for bus in laboratory.description.buses:
-            for machine in laboratory.description.of(bus):
-                drives = ", ".join(
-                    f"{name} ({drive.model.name}{f', node {drive.node_id}' * (bus.kind == 'can')})"
-                    for name, drive in laboratory.machines[machine.name].drives.items()
-                )
-                tell(f"{bus.name} on {laboratory.where[bus.name]}, clock {bus.clock}: "
-                     f"{machine.name} with {drives}")
-        while not ended.wait(0.25):
-            laboratory.check()
-    return 0
+        for line in said(laboratory):
+            tell(line)
+        shown = {name: status.of(server) for name, server in laboratory.servers.items()}
+        if console.is_terminal:
+            with Live(console=console, auto_refresh=False, transient=True) as live:
+                laboratory.run(ended, lambda: live.update(
+                    Group(*(each.now() for each in shown.values())), refresh=True
+                ))
+        else:
+            laboratory.run(ended)
+    for name, each in shown.items():
+        tell(f"{name}: {each.end()}" if len(shown) > 1 else each.end())
+
+
+def _said(laboratory: "Laboratory") -> Iterator[str]:
+    """A line for each machine: where it is, and its drives."""
+    for bus in laboratory.description.buses:
+        for machine in laboratory.description.of(bus):
+            drives = ", ".join(
+                f"{name} ({drive.model.name}{f', node {drive.node_id}' * (bus.kind == 'can')})"
+                for name, drive in laboratory.machines[machine.name].drives.items()
+            )
+            yield (f"{bus.name} on {laboratory.where[bus.name]}, clock {bus.clock}: "
+                   f"{machine.name} with {drives}")
 
 
 ONLY_OF_TASKS = ("drive", "interface", "channel", "ethercat", "node_id", "clock", "log", "argument")
@@ -94,19 +132,26 @@ def _is_task(name: str) -> bool:
     return not (Path(name).suffix or Path(name).exists())
 
 
-def _of_task(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the content of a machine file that has only this task."""
+def _of_task(options: argparse.Namespace) -> "Description":
+    """Describe the machine of a task on the bus of the options."""
+    from ...envs.serve.description import BusRow, Description, MachineRow
+
+    given = {"clock": options.clock, "log": options.log}
+    node_id = 0
     if options.ethercat:
         buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
-        bus = {"kind": "ethercat", "interface": options.ethercat}
+        given |= {"kind": "ethercat", "interface": options.ethercat}
     else:
-        bus = {
+        node_id = 1 if options.node_id is None else options.node_id
+        given |= {
             "kind": "can", "interface": options.interface or buses.INTERFACE,
             "channel": options.channel or (buses.CHANNEL if not options.interface else ""),
         }
-    machine = {"bus": "bus", "task": options.file, "drive": options.drive or "generic"}
-    if not options.ethercat:
-        machine["node_id"] = 1 if options.node_id is None else options.node_id
-    machine["parameters"] = dict(options.argument or ())
-    given = {"clock": options.clock, "log": options.log}
-    return {"bus": {"bus": bus | given}, "machine": {"machine": machine}}
+    machine = MachineRow(
+        "machine", "bus", task=options.file, drive=options.drive or "generic", node_id=node_id,
+        parameters=dict(options.argument or ()),
+    )
+    try:
+        return Description((BusRow("bus", **given),), (machine,), by_options=True)
+    except ValueError as error:
+        raise ValueError(f"--{error}") from None
