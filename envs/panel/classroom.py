@@ -35,6 +35,7 @@ CYCLES = 8  # position cycles an exchange: 4 ms at a position cycle of 0.5 ms
 NAP = 0.016  # s: many threads that wake seldom cost less than many that wake often
 LONGEST = 32  # characters of a name
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none is taken for another one
+LOOK_ALIKE = {"LATIN", "CYRILLIC", "GREEK"}  # alphabets with letters that read the same
 TEACHER = "the teacher"
 FORM = "servogym class 1"
 
@@ -68,7 +69,7 @@ class Place:
 
     def __init__(self, number: int, name: str, session: Session, pictures: float):
         self.number, self.name = number, name
-        self.code = code(4)
+        self.code = code(6)
         self.token = secrets.token_urlsafe(24)
         self.opened = False  # whether a browser has shown the token
         self.results: list[Result] = []
@@ -146,6 +147,9 @@ class Classroom:
             return "This is not the code of the class: the teacher has it."
         if not 1 <= len(name) <= LONGEST or not name.isprintable():
             return f"Give a name of 1 to {LONGEST} characters."
+        if len(alphabets := {unicodedata.name(each, "").partition(" ")[0]
+                             for each in name if each.isalpha()} & LOOK_ALIKE) > 1:
+            return f"Write the name in one alphabet; it has {' and '.join(sorted(alphabets))}."
         place = self.named(name)
         if place is not None:
             mine = hmac.compare_digest(_simple(own).encode(), place.code.encode())
@@ -351,7 +355,7 @@ def _rows(results: Iterable[Result], *, head: bool) -> str:
 
 def _given(session: Any, exercise: Exercise) -> None:
     lessons.begin(session, session.axes[0], exercise)
-    session.tell("info", f"A task for all: {exercise.title}. The page Lessons has it.")
+    session.tell("info", f"A task for everyone: {exercise.title}. It is on the page Lessons.")
 
 
 def _fresh(session: Any) -> None:
@@ -360,4 +364,4 @@ def _fresh(session: Any) -> None:
     session.restore(session.fresh)
     session.delay = 0.0
     session.underway.clear()
-    session.tell("info", "The teacher has given back the machine as it was at first.")
+    session.tell("info", "The teacher has reset the machine to its initial state.")

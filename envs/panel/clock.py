@@ -17,7 +17,7 @@ from .bench import ENDED, Bench, Interrupted
 
 SLOWEST, FASTEST = 0.1, 10.0
 NAP = 0.004  # s
-SILENT = "the window that has control is closed, cut off or stands still"
+SILENT = "the window in control was closed, disconnected or has frozen"
 DEBT = 0.1  # s behind the wall clock that are made up for; more are let go
 MEASURED = 1.0  # s over which the speed is measured
 
@@ -77,15 +77,15 @@ class Clock:
         self._motions.append((motion, future, at_once))
         return future
 
-    def stop_motion(self, stop: Callable[[Bench], Any]) -> "Future[Any]":
-        """Carry out a stop now; waiting motions are dropped and the present one ends."""
+    def stop_motion(self, stop: Callable[[Bench], Any], why: str = ENDED) -> "Future[Any]":
+        """Carry out a stop now; waiting motions are dropped (`why`) and the present one ends."""
         waiting = []
         while self._motions:
             waiting.append(self._motions.popleft()[1])
         future = self.move(stop, at_once=True)
         for dropped in waiting:
             if dropped.set_running_or_notify_cancel():
-                dropped.set_result(ENDED)
+                dropped.set_result(why)
         return future
 
     def set_speed(self, speed: float) -> None:
@@ -166,7 +166,7 @@ class Clock:
             if now - self._drawn >= self._picture:
                 self._show(now)
                 if self.session.control.lost(now):
-                    self.stop_motion(lambda s: s.abandon(SILENT))
+                    self.stop_motion(lambda s: s.abandon(SILENT), SILENT)
             if self.session.real_time:
                 return False
             if self.paused:

@@ -9,6 +9,7 @@ a proxy, an ``ssh -L`` with another port and by a bare name it is another one, a
 """
 
 import hmac
+import re
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Protocol
@@ -36,6 +37,8 @@ def is_loopback(host: str) -> bool:
     return host in LOOPBACK
 
 
+PAGE = re.compile("/_nicegui/client/([^/]+)/")  # what is sent to a page
+LARGEST = 1_000_000  # bytes of a file
 PERSON = "servogym.person"  # of a scope: who asks
 LEAVE = "/leave"  # the browser forgets its token
 JOIN = "/join"  # where strangers send their form
@@ -78,10 +81,14 @@ class Guard:
         door: recognises tokens.
         name: of the cookie, different for each server, because a browser stores cookies by host
             and not by port.
+        owner: of a page, by its id; None if there is no such page.
     """
 
-    def __init__(self, app: Callable[..., Awaitable[None]], door: Door, name: str):
-        self.app, self.door, self.name = app, door, name
+    def __init__(
+        self, app: Callable[..., Awaitable[None]], door: Door, name: str,
+        owner: Callable[[str], Any] = lambda page: None,
+    ):
+        self.app, self.door, self.name, self.owner = app, door, name, owner
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request, as ASGI defines."""
@@ -93,6 +100,7 @@ class Guard:
         secure = headers.get("x-forwarded-proto", scope.get("scheme", "")) in ("https", "wss")
         plain = scope["type"] == "http"
         wrong, given, person = self.judge(headers, scope.get("query_string", b"").decode("latin-1"))
+        wrong = wrong or self._sent_elsewhere(scope, headers, person)
         own = _with_headers(send)
         if not wrong and given and plain and scope["method"] == "GET":
             place = headers.get("x-forwarded-prefix", "") + scope["path"]
@@ -114,6 +122,17 @@ class Guard:
             scope, receive, own, lambda token: self._cookie(token, secure)
         ):
             await answer(own, 403, f"servogym panel: {wrong}\n")
+
+    def _sent_elsewhere(self, scope: Scope, headers: dict[str, str], person: Any) -> str:
+        """Why a file is refused: it is for another person's page, or too large."""
+        if (found := PAGE.match(scope["path"])) is None:
+            return ""
+        if self.owner(found[1]) not in (None, person):
+            return "that page is another person's"
+        length = headers.get("content-length", "" if scope.get("method") == "POST" else "0")
+        if not length.isdecimal() or int(length) > 2 * LARGEST:
+            return f"a file has to say how long it is, at most {LARGEST} bytes"
+        return ""
 
     @staticmethod
     def stranger(headers: dict[str, str]) -> str:

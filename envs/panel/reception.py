@@ -81,8 +81,8 @@ class Reception:
             return False
         form = await _form(receive)
         if self._waiting >= WAITING:
-            await answer(send, 503, _page(prefix, form, "Too many come at once: try again soon."),
-                         kind="text/html")
+            busy = "Too many people are entering at once: try again soon."
+            await answer(send, 503, _page(prefix, form, busy), kind="text/html")
             return True
         self._waiting += 1
         token, wrong = "", ""

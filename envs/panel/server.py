@@ -1,6 +1,7 @@
 """Serve the panel of a session, or a classroom, by default only on the loopback interface."""
 
 import asyncio
+import inspect
 import logging
 import os
 import secrets
@@ -8,11 +9,12 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs
 
 from .bench import Bench
 from .classroom import Classroom
 from .clock import Clock
-from .guard import Door, Guard, Owner, is_loopback
+from .guard import PERSON, Door, Guard, Owner, is_loopback
 from .reception import Reception
 
 PORT = 8402
@@ -132,6 +134,43 @@ def concerns_somebody(record: logging.LogRecord) -> bool:
     return not any(words in said for words in GONE)
 
 
+def owner(page: str) -> Any:
+    """Whose a page is, by its id; None if there is no such page."""
+    from nicegui import Client
+
+    client = Client.instances.get(page)
+    return client.request.scope.get(PERSON) if client is not None and client.request else None
+
+
+def speak_for_own_pages() -> None:
+    """Let a web socket send only what is well formed and for a page of its own person.
+
+    NiceGUI takes the id of a page in a message for proof enough.
+    """
+    from nicegui.nicegui import sio
+
+    def checked(kind: str, handle: Callable[..., Any]) -> Callable[..., Any]:
+        async def receive(socket: str, *sent: Any) -> Any:
+            person = sio.get_environ(socket)["asgi.scope"].get(PERSON)
+            message = sent[0] if sent and isinstance(sent[0], dict) else {}
+            page = message.get("client_id", "")
+            if kind == "connect":
+                page = parse_qs(message.get("QUERY_STRING", "")).get("client_id", [""])[0]
+            if owner(str(page)) not in (None, person):
+                return False
+            try:
+                done = handle(socket, *sent)
+                return await done if inspect.isawaitable(done) else done
+            except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+                logging.getLogger("servogym").warning("a message was dropped: %r", error)
+                return False
+
+        return receive
+
+    for kind in ("connect", "handshake", "event", "javascript_response", "ack", "log"):
+        sio.on(kind, checked(kind, sio.handlers["/"][kind]))
+
+
 def address(host: str, port: int) -> str:
     """The address for a browser."""
     if host in ("0.0.0.0", "::"):
@@ -171,7 +210,8 @@ def _run(
     app.on_startup(begin)
     app.on_startup(listening)
     app.on_shutdown(end)
-    app.add_middleware(Guard, door=door, name=f"servogym_panel_{port}")
+    app.add_middleware(Guard, door=door, name=f"servogym_panel_{port}", owner=owner)
+    speak_for_own_pages()
     ui.run(
         root, host=host, port=port, title=title, show=f"/?token={token}" if browser else False,
         reload=False, tailwind=False, show_welcome_message=False, dark=False, favicon="⚙️",

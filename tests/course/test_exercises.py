@@ -187,6 +187,39 @@ def after_trip(*writes, then=lambda lab: lab.master.move_to(0.4)):
     return solve
 
 
+def by_a_file(before, after, *writes):
+    """The parameters come in a file that was saved before."""
+
+    def cheat(lab):
+        kept = lab.machine.snapshot()
+        for name, value in writes:
+            lab.drive.write(name, value)
+        content = lab.drive.parameters.export()
+        lab.machine.restore(kept)
+        before(lab)
+        lab.control(0x00)
+        assert lab.drive.use_parameters(content) == ""
+        after(lab)
+
+    return cheat
+
+
+def on_another_node(solve):
+    """All of it is done, and the frames go to another drive, with another node id."""
+
+    def cheat(lab):
+        other = Laboratory(lab.exercise)
+        solve(other)
+        assert other.report.done
+        node = Node(other.drive, 2)
+        node.receive(Frame(0, bytes([1, 2])), 0)
+        for word in (0x06, 0x07, 0x0F):
+            node.receive(Frame(0x202, word.to_bytes(2, "little")), 0)
+            lab.wait(0.1)
+
+    return cheat
+
+
 def stop_by(*controlwords, wait=2.5):
     def solve(lab):
         under_way(lab)
@@ -506,6 +539,7 @@ WRONG = {
         "disable operation, and then the quick stop": powered(
             (0x0F,), (0x06,), (0x07, 0x0F), (0x07, 0x02), (0x06, 0x07, 0x0F)),
         "the quick stop is another one": changed(power, ("quick_stop_option_code", 0)),
+        "another node": on_another_node(power),
         "a fault cuts the power": fault_cuts_the_power,
         "enabled properly instead of refused": powered((0x06, 0x07, 0x0F)),
         "000Fh from Ready to switch on": powered((0x0F,), (0x06,), (0x0F,)),
@@ -515,6 +549,8 @@ WRONG = {
         "nothing is sent": lambda lab: lab.wait(1.0),
     },
     "12_stop_it": {
+        "another quick stop from a file": by_a_file(
+            lambda lab: None, stop_it, ("quick_stop_option_code", 0)),
         "the quick stop lets it coast": changed(stop_it, ("quick_stop_option_code", 0)),
         "the quick stop on another ramp": changed(stop_it, ("quick_stop_option_code", 1)),
         "a fault stops it": fault_stops_it,
@@ -558,6 +594,10 @@ WRONG = {
         "inched": inched,
         "while nobody looks": while_nobody_looks,
         "time turned back": time_turned_back,
+        "a wider window from a file": by_a_file(
+            tripped, lambda lab: (lab.control(0x00, 0x80), lab.master.enable(),
+                                  lab.master.move_to(0.4)),
+            ("following_error_window", 1_000_000)),
         "a wider window": after_trip(("following_error_window", 1_000_000)),
         "the window off": after_trip(("following_error_window", 0xFFFFFFFF)),
         "a longer time-out": after_trip(("following_error_time_out", 60_000)),
@@ -608,6 +648,8 @@ WRONG = {
             ("position_control_gain", 80_000), ("velocity_control_time", 4000)),
     },
     "51_gently": {
+        "a jerk without limit from a file": by_a_file(
+            lambda lab: None, gently, *((f"profile_jerk_{n}", 4_000_000_000) for n in (1, 2))),
         "a jerk without limit": lambda lab: gently(lab, lambda lab: [
             lab.drive.write(f"profile_jerk_{n}", 4_000_000_000) for n in (1, 2, 3, 4)]),
         "the last part in csp": last_part_in_csp,

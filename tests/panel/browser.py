@@ -4,6 +4,7 @@ import io
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -69,6 +70,32 @@ class Server:
         self.process.kill()
         self.process.wait()
         self.process.stdout.close()
+
+
+class Command:
+    """A command without pages, in a process of its own.
+
+    Args:
+        arguments: of the command.
+        until: text in its output by which it is ready.
+    """
+
+    def __init__(self, *arguments, until):
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "servogym.training.cli", *arguments], text=True,
+            stdout=subprocess.PIPE, env=environment | {"PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
+        )
+        said = ""
+        while until not in said:
+            line = self.process.stdout.readline()
+            assert line, said
+            said += line
+
+    def end(self):
+        """Interrupt it, so that it writes what it has to write."""
+        self.process.send_signal(signal.SIGINT)
+        self.process.communicate(timeout=30)
 
 
 # what a console says of a server that is away, or that refuses what it has to

@@ -109,21 +109,22 @@ class Page:
                 await self._connect(await answer.text())
         await self.until(lambda page: not page.socket.connected or page.find("state"))
 
-    async def send(self, test, kind, *arguments):
-        """An event of an element."""
-        while not self.socket.connected:
-            await self._again()
+    def message(self, test, kind, *arguments):
+        """An event of an element, as it goes through the line."""
         number, element = self.find(test)
         for event in element.get("events", ()):
             if event["type"] == kind:
                 shown = event["js_handler"] and (element.get("props", {}).get("label") or "")
                 args = [json.dumps(a) for a in ([shown] if shown is not None else arguments)]
-                await self.socket.emit("event", {
-                    "id": int(number), "client_id": self.client,
-                    "listener_id": event["listener_id"], "args": args,
-                })
-                return
+                return {"id": int(number), "client_id": self.client,
+                        "listener_id": event["listener_id"], "args": args}
         raise LookupError(f"{test} has no {kind}")
+
+    async def send(self, test, kind, *arguments):
+        """Send an event of an element."""
+        while not self.socket.connected:
+            await self._again()
+        await self.socket.emit("event", self.message(test, kind, *arguments))
 
     async def click(self, test):
         """Click it."""

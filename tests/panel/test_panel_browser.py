@@ -29,6 +29,8 @@ from browser import (
 )
 
 pytestmark = needs_chromium
+PLACES = """() => [...document.querySelectorAll(".page.open button, .page.open input")].map(
+    e => [e.dataset.test, e.textContent.trim(), Math.round(e.getBoundingClientRect().y)])"""
 
 
 @pytest.fixture(scope="module")
@@ -84,14 +86,30 @@ def test_what_is_no_target_is_refused_beside_the_field_and_nothing_moves(page):
     assert at(page, "position").inner_text() == before
 
 
-def test_each_field_refuses_a_text_beside_it_and_nothing_is_sent(page):
+def test_a_click_is_not_lost_where_what_was_said_of_a_field_goes_away(page):
+    """The button was moved from under the pointer between pressing and releasing."""
+    ready(page)
+    beside = page.locator(".q-field", has=at(page, "target")).locator(".q-field__messages")
+    move(page, "nan")
+    expect(beside).to_contain_text("not a finite number")
+    box = at(page, "move-to").bounding_box()
+    page.mouse.move(box["x"] + 9, box["y"] + box["height"] - 3)
+    at(page, "target").fill("900")
+    page.mouse.down()
+    expect(beside).to_have_count(0)
+    page.mouse.up()
+    expect(beside).to_contain_text("beyond the stroke")
+
+
+def test_each_field_refuses_a_text_beside_it_and_nothing_is_sent_or_moves(page):
     """A sample; all of it: test_panel_pace.py -k any_text."""
     ready(page)
     before, texts = parameters(page), cycle(NONSENSE)
     for name in FIELD_PAGES:
         open_page(page, name)
-        told = {test: next(texts) for test in fields(page, name)}
+        told, places = {test: next(texts) for test in fields(page, name)}, page.evaluate(PLACES)
         refused(page, told)
+        assert page.evaluate(PLACES) == places, name
     assert parameters(page) == before
     page.reload()  # fields as they were
 

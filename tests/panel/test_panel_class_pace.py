@@ -271,8 +271,8 @@ def monkeys(tmp_path, count, seconds, seed, tell, real=False):
             for number, page in enumerate(pages)
         ))
         tell("all stand; what is shown is compared with the drives")
+        await asyncio.gather(*(shown_is_drive(page) for page in pages))
         for page in pages:
-            await shown_is_drive(page)
             await page.leave()
         pressed, errors = await beside if real else (0, [])
         print(

@@ -571,7 +571,7 @@ class TestInBrowsers:
         expect(again.get_by_role("alert")).to_contain_text("Ada is here already")
         at(wall, "place-1-code").click()
         said = wall.locator(".q-notification").first.inner_text()
-        own = re.search(r"own code (\w{4})", said)[1]
+        own = re.search(r"own code (\w{6})", said)[1]
         again.context.close()
         ada = come(browser, server, "Ada", own)
         expect(ada.locator(".brand")).to_contain_text(f"own code {own}")

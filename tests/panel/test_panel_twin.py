@@ -1,11 +1,26 @@
 """A twin beside an axis: told what the drive is told; what differs is what the machine has more."""
 
+import csv
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import Server, at, expect, move, needs_chromium, open_page, picture, ready, shows, tab
+from browser import (
+    Command,
+    Server,
+    at,
+    expect,
+    move,
+    needs_chromium,
+    open_page,
+    picture,
+    ready,
+    shows,
+    tab,
+)
 
 from servogym.drive.canopen.node import Node
 from servogym.drive.canopen.port import NodePort
@@ -247,3 +262,48 @@ class TestInTheBrowser:
             picture(page, "twin")
         finally:
             server.kill()
+
+    def test_beside_a_node_the_scope_has_the_positions_of_the_nodes_own_log(
+        self, browser, folder, tmp_path
+    ):
+        """Each sample of the node is a value that the node has logged as sent."""
+        bus = ("-i", "udp_multicast", "-c", "239.74.163.47", "--bus-kwargs", "port=43147")
+        log = tmp_path / "node.log"
+        node = Command("node", "--node-id", "5", "--log", str(log), *bus, until="as node 5 on")
+        server = Server("--node-id", "5", "--units", "1e-6", "--twin", str(folder), "--samples",
+                        "100", "--pictures", "4", *bus)
+        try:
+            page = tab(browser, server)
+            open_page(page, "motion")
+            at(page, "enable").click()
+            shows(page, "state", "operation enabled")
+            at(page, "home").click()
+            expect(at(page, "position")).to_have_text(re.compile(r"^−4\.9"))
+            shows(page, "doing", "")
+            at(page, "set-profile_velocity").fill("50000")  # µm/s
+            at(page, "set-profile_velocity").press("Enter")
+            shows(page, "value-profile_velocity", "50000")
+            open_page(page, "scope")
+            at(page, "window").fill("8")
+            at(page, "window").press("Enter")
+            shows(page, "twin-state", "operation enabled")
+            open_page(page, "motion")
+            move(page, "100")
+            expect(at(page, "position")).to_have_text(re.compile(r"^(99\.9[89]|100\.0[012])\d$"))
+            shows(page, "doing", "")
+            open_page(page, "scope")
+            with page.expect_download() as download:
+                at(page, "csv").click()
+            rows = csv.DictReader(Path(download.value.path()).read_text().splitlines())
+            samples = [(float(row["position_actual_value (mm)"]),
+                        float(row["twin:position_actual_value (mm)"])) for row in rows]
+        finally:
+            server.kill()
+            node.end()
+        sent = re.findall(r" 585#43646000(\w{8})", log.read_text())
+        known = {int.from_bytes(bytes.fromhex(each), "little", signed=True) for each in sent}
+        here, beside = np.array([each for each in samples if not np.isnan(each).any()]).T
+        assert np.ptp(here) > 100.0  # mm: the whole move
+        assert {round(1000 * each) for each in here} <= known
+        assert abs(here - beside).max() < 50 * 0.1  # at 50 mm/s, an answer that is 0.1 s late
+        assert abs(here - beside)[-10:].max() < 0.05

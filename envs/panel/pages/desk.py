@@ -65,6 +65,10 @@ class Desk:
         """Whether this tab commands."""
         return self.shown["holder"] == self.tab
 
+    async def barred(self) -> Any:
+        """Why this tab may not command; empty if it may. The picture may be older than the seat."""
+        return "" if self.in_control else await self.command(lambda session: "")
+
     async def ask(self, request: Request) -> Any:
         """What a session says; for looking only."""
         return await asyncio.wrap_future(self.clock.ask(request))
@@ -79,8 +83,8 @@ class Desk:
 
     async def motion(self, motion: Request, *, at_once: bool = False) -> Any:
         """Let the session carry out a motion, as `Clock.move` does; words, where it fails."""
-        if not self.in_control:  # a motion under way is not ended by who may not command
-            return await self.command(lambda session: "")
+        if barred := await self.barred():  # who may not command ends no motion
+            return barred
         return await self.tried(self.clock.move(self._checked(motion), at_once=at_once))
 
     async def stop(self, stop: Request) -> Any:

@@ -88,12 +88,12 @@ class ExperimentsPage:
                     "Name", value="A", validation={"give it a name": lambda t: bool(t.strip())}
                 ).props(
                     "dense outlined hide-bottom-space maxlength=24 data-test=snapshot-name"
-                ).classes("entry grow")
+                ).classes("entry says grow")
                 button("Keep", self._keep, "keep", "main")
             self.kept = ui.element("div").classes("cluster")
             self._names: list[str] | None = None
             ui.label(
-                "A snapshot is everything: the machine, the drives, what they remember."
+                "A snapshot holds everything: the machine, the drives and their memory."
             ).classes("prose quiet")
 
     def _policies(self) -> None:
@@ -165,8 +165,8 @@ class ExperimentsPage:
             self.wrong.set_text("name a policy, a FILE.py:name or the folder of a training")
             return
         self.wrong.set_text("")
-        if not self.desk.in_control:
-            refuse(await self.desk.command(lambda s: ""))
+        if barred := await self.desk.barred():
+            refuse(barred)
             return
         self.take.props("loading")
         try:

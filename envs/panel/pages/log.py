@@ -31,8 +31,8 @@ class LogPage:
             )
             self.table.props("dense flat wrap-cells hide-bottom data-test=events").classes("events")
             ui.label(
-                f"The newest above, {SHOWN} of them; the file has all. Times are seconds of the "
-                "machine since the panel began."
+                f"The latest {SHOWN} events, newest first; the file has all of them. Times are "
+                "seconds of machine time since the panel started."
             ).classes("prose quiet")
 
     async def _csv(self) -> None:

@@ -224,8 +224,10 @@ class MotionPage:
     async def run(self, sign: int) -> None:
         """Begin to jog."""
         speed = self.jog.number()
-        if speed is None or not self.desk.in_control:
-            refuse("" if speed is None else await self.desk.command(lambda s: ""))
+        if speed is None:
+            return
+        if not self.desk.in_control:  # until the answer is there, the key may be released
+            refuse(await self.desk.barred() or "control has only now been taken: jog again")
             return
         self.desk.jogging = True
         await self._go("jog", sign * speed / self.scale)

@@ -102,7 +102,9 @@ class ObjectsPage:
         self._count = 0
 
     def _choose(self, event: events.GenericEventArguments) -> None:
-        self._take(str(event.args[1]["address"]))
+        address = str(event.args[1]["address"])
+        if address in self.rows:
+            self._take(address)
 
     def _choose_first(self) -> None:
         if self.table.rows:
@@ -149,20 +151,20 @@ class ObjectsPage:
         """The present; all values now and then, that of the chosen object always."""
         axis = self.desk.axis
         if self._count % EVERY == 0:
-            wanted = [row["address"] for row in self.table.rows]
-            rows = [self.rows[address] for address in wanted]
+            shown = [*self.table.rows]
+            rows = [self.rows[row["address"]] for row in shown]
             texts = await self.desk.ask(lambda bench: bench.texts(axis, rows))
-            self._values.update(zip(wanted, texts, strict=True))
             changed = False
-            for row in self.table.rows:
-                value = self._values[row["address"]]
-                changed = changed or row["value"] != value
-                row["value"] = value
+            for row, text in zip(shown, texts, strict=True):
+                changed = changed or row["value"] != text
+                row["value"] = self._values[row["address"]] = text
+            if shown != [*self.table.rows]:  # somebody has searched meanwhile
+                return
             if changed:
                 self.table.update()
-        elif self.chosen:
-            chosen = self.rows[self.chosen]
-            (self._values[self.chosen],) = await self.desk.ask(lambda s: s.texts(axis, [chosen]))
+        elif chosen := self.chosen:
+            its = self.rows[chosen]
+            (self._values[chosen],) = await self.desk.ask(lambda s: s.texts(axis, [its]))
         self._count += 1
         if self.chosen:
             its = self.rows[self.chosen]

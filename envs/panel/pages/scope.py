@@ -128,7 +128,8 @@ class ScopePage:
                 self.about = ui.label("").classes("prose quiet")
         rate = f"{1 / scope.period:g}"
         self.about.set_text(
-            f"{bench.sampling.format(rate=rate)} The trigger looks at each. {longest:g} s are kept."
+            f"{bench.sampling.format(rate=rate)} The trigger evaluates all of them; the last "
+            f"{longest:g} s are kept."
         )
 
     def _shown(self, channel: str) -> tuple[float, str]:
@@ -254,7 +255,7 @@ class ScopePage:
         await self._draw()
 
     async def _draw(self) -> None:
-        def look(session: Bench) -> tuple[Window, dict[str, Any]]:
+        def look(session: Bench) -> tuple[Window, dict[str, Any], tuple[str, ...]]:
             scope = session.scope
             ahead = scope.before if scope.trigger else 1.0
             info: dict[str, Any] = {
@@ -264,10 +265,10 @@ class ScopePage:
                 trigger = scope.trigger
                 level = trigger.level * self._shown(trigger.channel)[0]
                 info["trigger"] = {"channel": trigger.channel, "level": level}
-            return scope.view(), info
+            return scope.view(), info, scope.channels
 
-        window, info = await self.desk.ask(look)
-        if (window.number, window.state) == self._last or len(window.values) != len(self.channels):
+        window, info, channels = await self.desk.ask(look)
+        if (window.number, window.state) == self._last or channels != self.channels:
             return
         self._last = window.number, window.state
         self.plot.draw(window._replace(values=window.values * self._factors), info)

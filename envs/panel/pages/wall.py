@@ -57,7 +57,7 @@ class PlaceCard:
                   position="bottom-left", timeout=8000, close_button="Close")
 
     async def _reset(self) -> None:
-        if await sure(f"Give {self.place.name} the machine as it was at first?"):
+        if await sure(f"Reset the machine of {self.place.name} to its initial state?"):
             self.room.reset(self.place)
 
     async def _remove(self) -> None:
@@ -147,8 +147,8 @@ class Wall:
 
     async def _give(self) -> None:
         chosen = {each.name: each for each in self.room.exercises}.get(str(self.task.value))
-        what = f"Begin “{chosen.title}” on all machines now?" if chosen else "Leave the task?"
-        if await sure(f"{what} What pupils are doing ends." if chosen else what):
+        what = f"Begin “{chosen.title}” on all machines now?" if chosen else "End the task for all?"
+        if await sure(f"{what} This ends what pupils are doing." if chosen else what):
             self.room.give(chosen)
 
     def _csv(self) -> None:

@@ -10,6 +10,7 @@ from nicegui.element import Element
 from ....drive.diagrams import Bit
 from ....drive.model.rows import Object
 from .. import entry
+from ..guard import LARGEST
 
 # white text on the accent is not to be read in the dark theme; the text has the colour of ours
 TOGGLE = "no-caps unelevated toggle-text-color=ours"
@@ -137,7 +138,7 @@ class Entry:
         self.field = (
             ui.input(name, value="" if value is None else f"{value:g}", validation=self._wrong)
             .props("dense outlined hide-bottom-space stack-label autocomplete=off")
-            .classes("entry")
+            .classes("entry says")
         )
         self.field.without_auto_validation()
         if unit:
@@ -235,7 +236,7 @@ def button(
 
 def file_button(text: str, load: Callable[..., Any], test: str) -> ui.button:
     """A button that asks for a file and calls `load` with it; Quasar's own box is hidden."""
-    loader = ui.upload(auto_upload=True, max_file_size=1_000_000, on_upload=load,
+    loader = ui.upload(auto_upload=True, max_file_size=LARGEST, on_upload=load,
                        on_rejected=lambda: ui.notify(f"{text}: the file is too large"))
     loader.props(f"data-test={test}").classes("out-of-sight")
     return button(text, lambda: loader.run_method("pickFiles"), f"{test}-pick")
