@@ -53,6 +53,8 @@ class Pupil:
         self.look()
         page.locator("button.lesson", has_text=name).click()
         expect(at(page, "step-0")).to_be_visible()
+        page.evaluate("window.scrollTo(0, 0)")
+        expect(at(page, "step-0")).to_be_in_viewport()
         self.look()
 
     def look(self):
@@ -97,8 +99,10 @@ class Pupil:
             expect(at(self.page, "object-value")).to_have_value("")
 
     def answer(self, option):
+        self.page.evaluate("window.scrollTo(0, 0)")
         self.go("lessons")
         self.look()
+        expect(at(self.page, f"option-{option}")).to_be_in_viewport()
         at(self.page, f"option-{option}").click()
         expect(at(self.page, f"option-{option}")).to_have_count(0)
 

@@ -133,6 +133,7 @@ class ObjectsPage:
         words = await self.desk.command(lambda s: s.command(axis, row.index, row.subindex, value))
         if not words:
             self.entry.field.value, self.entry.field.error = "", None
+            self._count = 0  # the table shows it with the next picture
         return str(words or "")
 
     async def _save(self) -> None:

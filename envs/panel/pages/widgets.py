@@ -11,6 +11,7 @@ from ....drive.diagrams import Bit
 from ....drive.model.rows import Object
 from .. import entry
 from ..guard import LARGEST
+from .desk import refuse
 
 # white text on the accent is not to be read in the dark theme; the text has the colour of ours
 TOGGLE = "no-caps unelevated toggle-text-color=ours"
@@ -164,8 +165,14 @@ class Entry:
         return entry.number(self.field.value, self.low, self.high, self.unit, whole=self.whole)
 
     def refuse(self, words: str) -> None:
-        """Show the reason why the number was refused."""
-        self.field.error = words
+        """Say why the number was refused: the reason beside the field, and what to do in a message.
+
+        A fault and its remedy are told by the shell, whatever has caused it.
+        """
+        reason, _, remedy = words.partition("; ")
+        self.field.error = reason
+        if remedy and not reason.startswith("FAULT"):
+            refuse(words)
 
     def send_to(self, send: Callable[[float], Awaitable[Any]]) -> None:
         """Set the function that is called with the number on Enter."""
