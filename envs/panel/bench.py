@@ -76,7 +76,7 @@ class Bench:
     real_time = False  # time passes by itself: nobody paces it
     commands = True  # False: nothing is ever sent
     seats_who_comes = True  # who opens the page first has control
-    sampling = "Every position cycle is a sample, {rate} a second of the machine."
+    sampling = "One sample in each position cycle, {rate} in a second of machine time."
     absent: Mapping[str, str] = {}  # name of a page or part -> why it cannot be had here
 
     def __init__(self, port: Port, title: str):

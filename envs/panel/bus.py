@@ -36,7 +36,7 @@ WATCHED = (
     "digital_inputs",
 )
 ABSENT = {
-    "machine": "A picture in 3D needs the model of the machine; a bus tells positions alone.",
+    "machine": "A picture in 3D needs the model of the machine; a bus reports positions only.",
     "loops": "Loops are measured in every cycle of the controllers, on a copy of the machine; a "
     "bus shows a fraction of the cycles, and there is no copy of a machine that is elsewhere.",
     "experiments": "Faults, disturbances, snapshots and policies act on a simulated machine in "
@@ -70,7 +70,7 @@ class BusBench(Bench):
 
     real_time = True
     seats_who_comes = False
-    sampling = "Asked over the bus {rate} times a second, less often where the node is slow."
+    sampling = "Sampled over the bus {rate} times a second, less often if the node is slow."
     absent = ABSENT
 
     def __init__(

@@ -144,7 +144,7 @@ class Classroom:
             own: code of the place, of who has one.
         """
         if not hmac.compare_digest(_simple(word).encode(), _simple(self.word).encode()):
-            return "This is not the code of the class: the teacher has it."
+            return "This is not the code of the class: ask your teacher for it."
         if not 1 <= len(name) <= LONGEST or not name.isprintable():
             return f"Give a name of 1 to {LONGEST} characters."
         if len(alphabets := {unicodedata.name(each, "").partition(" ")[0]
@@ -161,7 +161,7 @@ class Classroom:
                 "to your name."
             )
         if not self.open:
-            return "The class is closed: nobody new may come."
+            return "The class is closed to new pupils."
         if len(self.places) >= self.most:
             return f"All {self.most} places are taken."
         return ""

@@ -67,7 +67,7 @@ class Session(Bench):
         self.scope = self._scope(machine.cycle_time * cycles)
         if cycles > 1:
             self.sampling = (
-                f"Every {cycles}th position cycle is a sample, {{rate}} a second of the machine."
+                f"One sample in {cycles} position cycles, {{rate}} in a second of machine time."
             )
         self.fresh = machine.snapshot()  # what an exercise begins with
 

@@ -11,6 +11,7 @@ import os
 import re
 import statistics
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -192,8 +193,8 @@ def test_any_text_in_any_field_is_refused_beside_it_and_nothing_is_sent(page):
     assert parameters(page) == before
 
 
-def test_the_first_move_comes_within_20_s_of_the_command():
-    """As a newcomer does it: the command, the page, Enable, Home, Move to."""
+def first_move():
+    """Seconds from the command to the first move, as a newcomer comes to it."""
     begin = time.monotonic()
     server = Server()
     try:
@@ -212,6 +213,12 @@ def test_the_first_move_comes_within_20_s_of_the_command():
             print(f"\nfirst move {passed:.1f} s after the command, {opened - begin:.1f} s of them "
                   f"until the browser is there, load {os.getloadavg()[0]:.1f}")
             browser.close()
+            return passed
     finally:
         server.kill()
-    assert passed < 20
+
+
+def test_the_first_move_comes_within_20_s_of_the_command():
+    """The command, the page, Enable, Home, Move to."""
+    with ThreadPoolExecutor(1) as another:  # the fixtures' browser has the loop of this thread
+        assert another.submit(first_move).result() < 20

@@ -108,6 +108,6 @@ class LessonPage:
                     for hint in at.hinted:
                         Tag("small", hint)
                     if step.predict is not None:
-                        Tag("small", f"First say: {step.predict.question}")
+                        Tag("small", f"First predict: {step.predict.question}")
                         for option, text in enumerate(step.predict.options if at.asks else ()):
                             button(text, lambda n=option: self._predict(n), f"option-{option}")

@@ -259,7 +259,7 @@ class MotionPage:
         self.torque.show(formatted(seen["torque"], 1))
         self.error.show(formatted(seen["following_error"], digits))
         self.homed.set_text(
-            "A bus does not tell whether the axis is referenced." if seen["homed"] is None
+            "A bus does not report whether the axis is referenced." if seen["homed"] is None
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."
         )
         keeps = self._choice.keeps(seen["mode"], time.monotonic())

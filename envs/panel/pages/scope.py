@@ -114,7 +114,7 @@ class ScopePage:
                     with card("Twin"), ui.element("div").classes("cluster"):
                         self.twin = Tag("span", "", data_test="twin-state").classes("prose")
                         button("Align", self._align, "align-twin").props(
-                            'title="Stand where the axis stands, in its mode"'
+                            'title="Place the twin where the axis stands, in its mode"'
                         )
                 with card("Set-up"), ui.element("div").classes("cluster"):
                     button("Save …", self._save, "save-set-up")

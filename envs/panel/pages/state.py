@@ -73,7 +73,7 @@ class StatePage:
         self.reset.set_visibility(bool(seen["fault"]))
         self.refused.set_text(seen["refused"] or "No command has been refused.")
         acting = ", ".join(seen["limits"])
-        self.limits.set_text(f"Limit that acts now: {acting}" if acting else "No limit acts.")
+        self.limits.set_text(f"Active limit: {acting}" if acting else "No limit is active.")
         bench, axis = self.desk.bench, self.desk.axis
         self.rpdo.show(seen["rpdo"], bench.mapped(axis, "rx"))
         self.tpdo.show(seen["tpdo"], bench.mapped(axis, "tx"))
