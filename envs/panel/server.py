@@ -151,7 +151,9 @@ def speak_for_own_pages() -> None:
 
     def checked(kind: str, handle: Callable[..., Any]) -> Callable[..., Any]:
         async def receive(socket: str, *sent: Any) -> Any:
-            person = sio.get_environ(socket)["asgi.scope"].get(PERSON)
+            if (line := sio.get_environ(socket)) is None:
+                return False  # cut meanwhile
+            person = line["asgi.scope"].get(PERSON)
             message = sent[0] if sent and isinstance(sent[0], dict) else {}
             page = message.get("client_id", "")
             if kind == "connect":
