@@ -219,6 +219,10 @@ def test_messages_that_are_replayed_or_make_no_sense_do_nothing(server):
                           {"value": "x"}, {"value": None}):
                 await page.socket.emit("event", mode | {"args": [json.dumps(value)]})
             await stands(page)
+            second = await window(page)
+            for _ in range(200):  # and the line is cut before they are read
+                await second.socket.emit("ack", {"client_id": second.client, "next_message_id": 0})
+            await second.socket.disconnect()
             await enables(page)
 
     asyncio.run(go())
