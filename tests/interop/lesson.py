@@ -1,6 +1,5 @@
-"""What the pages on deployment print, run in a network of its own."""
+"""What the page on deployment prints, run in a network of its own."""
 
-import json
 import re
 import shlex
 import signal
@@ -19,14 +18,6 @@ READY = 120  # s
 def blocks(page, kind):
     text = (PAGES / page).read_text(encoding="utf-8")
     return re.findall(rf"^```{kind}\n(.*?)^```", text, re.M | re.S)
-
-
-def of_the_page():
-    """The lesson: status and words of each command, and what the reports say of the gaps."""
-    folder = Path(tempfile.mkdtemp())
-    (folder / "machine.toml").write_text(blocks("sim_to_real.md", "toml")[0], encoding="utf-8")
-    lines = [x for block in blocks("sim_to_real.md", "sh") for x in block.splitlines()]
-    return _walked(folder, *lines)
 
 
 def of_an_own_program():
@@ -60,11 +51,7 @@ def _walked(folder, serve, *commands):
         finally:
             server.send_signal(signal.SIGINT)
             said, _ = server.communicate(timeout=30)
-    gaps = {}
-    for name in ("sheet", "gap"):
-        if (report := folder / f"{name}.json").exists():
-            gaps[name] = {row["metric"]: row for row in json.loads(report.read_text())["compared"]}
-    return {"told": told, "gaps": gaps, "served": said, "status": server.returncode}
+    return {"told": told, "served": said, "status": server.returncode}
 
 
 def _words(command):
