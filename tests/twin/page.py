@@ -77,7 +77,7 @@ def cost(own):
 
 def machines(found):
     """Machines with hidden parameters."""
-    lines = ["| machine | seeds | number | within 2 × floor | over the floor: median, largest | "
+    lines = ["| machine | seeds | played | within 2 × floor | over the floor: median, largest | "
              "verdicts | median error | intervals hold | CPU-s |",
              "|---|---|---:|---:|---|---|---|---:|---:|"]
     all_of = of_kind(found, "machine")
@@ -88,8 +88,9 @@ def machines(found):
         seeds = sorted(row["seed"] for row in own)
         count, true, _ = covered(own)
         lines.append(
-            f"| {series} | {seeds[0]}–{seeds[-1]} | {len(own)} | {sum(r <= FAIR for r in ratios)} "
-            f"| {np.median(ratios):.2f}, {max(ratios):.2f} | {told} | {errors(own)} | "
+            f"| {series} | {seeds[0]}–{seeds[-1]} | {len(own)} of {SERIES[series].count} | "
+            f"{sum(r <= FAIR for r in ratios)} | {np.median(ratios):.2f}, "
+            f"{max(ratios):.2f} | {told} | {errors(own)} | "
             f"{f'{true} of {count}' if count else '–'} | "
             f"{np.median([row['cpu'] for row in own if 'cpu' in row]):.0f} |")
     return [*lines, "", coverage(all_of), "", cost(all_of), *said(all_of)]
