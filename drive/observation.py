@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from .kernel.words import MODE_ABBREVIATION, State, state_of
-from .model.made import Made
+from .model.made import ModelFolder
 from .model.model import DriveModel, load
 from .model.rows import FORMATS, SIZES, Object
 from .objects.abort import TEXT, Abort, SdoAbort
@@ -354,7 +354,7 @@ def _answers(answers: Iterable[str]) -> str:
 
 def proposed(
     differences: Iterable[Difference], model: DriveModel, source: str, drive: Mapping[str, Any]
-) -> Made:
+) -> ModelFolder:
     """A model on top of `model` whose rows say what was observed, each marked so.
 
     Args:
@@ -363,7 +363,7 @@ def proposed(
         source: name of the observation.
         drive: the observation.
     """
-    made = Made(f"{model.title}, as observed", source, "servogym observe --compare")
+    made = ModelFolder(f"{model.title}, as observed", source, "servogym observe --compare")
     made.base = str(model.folder) if model.folder.name != model.name else model.name
     made.pdos = None
     rows: dict[str, dict[str, Any]] = {}

@@ -18,7 +18,7 @@ from ..kernel.factors.units import FRACTION_LIMIT
 from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS, parameter_place
 from ..kernel.record import VENDOR_BYTES
 from ..kernel.words import MODE_ABBREVIATION, Mode, mode_bit
-from ..model.made import Made, Repair, check_place, line, write
+from ..model.made import ModelFolder, Repair, check_place, line, write
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
 from ..model.rows import (
@@ -126,10 +126,10 @@ class _Import:
         self.pdos: list[tuple[Any, ...]] = []
         self.rpm = False  # velocities are in 1/min
         title = line(sheet.text("DeviceInfo", "ProductName") or sheet.path.stem) or "drive"
-        self.result = Made(title, sheet.path.name, "servogym drives --from-eds")
+        self.result = ModelFolder(title, sheet.path.name, "servogym drives --from-eds")
         self.result.repairs = sheet.repairs
 
-    def made(self) -> Made:
+    def made(self) -> ModelFolder:
         """The model. Raises ValueError where the file is not that of a CiA 402 drive."""
         sheet, made = self.sheet, self.result
         for index in NEEDED:

@@ -16,7 +16,7 @@ from .frame import Command, Datagram
 OPEN = 2  # of a port in 0110h: loop open, communication established
 
 
-class Way(NamedTuple):
+class FramePath(NamedTuple):
     """The path of a frame through a slave."""
 
     times: list[int]  # at its open ports, in the order in which it came there (ns)
@@ -63,7 +63,7 @@ def measure(send: Callable[..., Any], slaves: Sequence[Any]) -> dict[int, int]:
     return delays
 
 
-def _trees(ways: Sequence[Way], begin: int, limit: int) -> Iterator[tuple[Branch, int]]:
+def _trees(ways: Sequence[FramePath], begin: int, limit: int) -> Iterator[tuple[Branch, int]]:
     """The possible branches at the end of a cable, made of the slaves from `begin` up to `limit`.
 
     Yields a branch and the number of the first slave behind it.
@@ -77,7 +77,7 @@ def _trees(ways: Sequence[Way], begin: int, limit: int) -> Iterator[tuple[Branch
 
 
 def _row(
-    ways: Sequence[Way], begin: int, limit: int, count: int
+    ways: Sequence[FramePath], begin: int, limit: int, count: int
 ) -> Iterator[tuple[list[Branch], int]]:
     """`count` branches, one after the other."""
     if count == 0:
@@ -88,7 +88,7 @@ def _row(
             yield [branch, *others], last
 
 
-def _entered(ways: Sequence[Way], branch: Branch, time: int) -> dict[int, int]:
+def _entered(ways: Sequence[FramePath], branch: Branch, time: int) -> dict[int, int]:
     """When a frame enters each slave of a branch (ns)."""
     times = ways[branch.slave].times
     entered = {branch.slave: time}
@@ -99,7 +99,7 @@ def _entered(ways: Sequence[Way], branch: Branch, time: int) -> dict[int, int]:
     return entered
 
 
-def _way(slave: Any, unit: int) -> Way:
+def _way(slave: Any, unit: int) -> FramePath:
     """Read a slave's port times from its registers, which hold 32 bits of the time."""
     status = slave.number(R.DL_STATUS, 2)
     begin = unit - (1 << 31)
@@ -110,4 +110,4 @@ def _way(slave: Any, unit: int) -> Way:
     }
     row = sorted(times.values())
     before = row.index(times[0]) if 0 in times else len(row) - 1
-    return Way(row, before, (1 << 31) - row[0])
+    return FramePath(row, before, (1 << 31) - row[0])

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ..drive import Drive
-from ..machine import Standing
+from ..machine import HeldDrives
 from ..model.model import DriveModel, load
 from ..objects.abort import Abort, SdoAbort
 from ..observation import ASKED, SETTLED, Observer, danger, shown
@@ -61,8 +61,8 @@ ERROR, ACKNOWLEDGE = 0x10, 0x10
 POLLS = 200
 
 
-class Asked(Protocol):
-    """A slave in PRE_OP, as `RemoteSlave` and `servogym.drive.wire.soem.AskedSlave`."""
+class SlaveAccess(Protocol):
+    """A slave in PRE_OP: `RemoteSlave`, or `wire.ethercat_observe.ScannedSlave`."""
 
     position: int
     description: Description
@@ -78,7 +78,7 @@ class Asked(Protocol):
 def of_model(model: "str | DriveModel | Any") -> dict[str, Any]:
     """The observation of a model: of its slave, in this process. Raises ValueError as `load`."""
     drive = Drive(load(model, "ethercat"))
-    cycling = Standing({"x": drive}, float(drive.model.cycle_time["position"]))
+    cycling = HeldDrives({"x": drive}, float(drive.model.cycle_time["position"]))
     master = EtherCatMaster(Bus(Segment([Slave(drive)])))
     slaves = master.scan()
     master.to_preop()
@@ -100,7 +100,7 @@ class EtherCatLine:
     """
 
     def __init__(
-        self, slaves: Sequence[Asked], position: int, wait: Callable[[float], object],
+        self, slaves: Sequence[SlaveAccess], position: int, wait: Callable[[float], object],
         read_only: str = "",
     ):
         self.about = {"bus": "ethercat", "position": position}

@@ -1,7 +1,7 @@
 """A drive model made from somebody's file: its folder, and a README that says what became of what.
 
 Whatever the file is (an EDS, a device description, an EEPROM, answers of a real drive), the reader
-of it fills in a `Made`; the folder is written here, as a whole or not at all.
+of it fills in a `ModelFolder`; the folder is written here, as a whole or not at all.
 """
 
 import csv
@@ -36,7 +36,7 @@ class Repair(NamedTuple):
 
 
 @dataclass
-class Made:
+class ModelFolder:
     """A model to be written."""
 
     title: str
@@ -69,7 +69,7 @@ def check_place(folder: Path) -> None:
         raise ValueError(f"{folder}: there is no folder {folder.parent}; make it first")
 
 
-def write(made: Made, folder: Path, check: Callable[[Path], str]) -> None:
+def write(made: ModelFolder, folder: Path, check: Callable[[Path], str]) -> None:
     """Write the folder of a model.
 
     Args:
@@ -112,7 +112,7 @@ def _table(path: Path, columns: Iterable[str], rows: Iterable[Mapping[str, Any]]
         writer.writerows(rows)
 
 
-def _toml(made: Made) -> str:
+def _toml(made: ModelFolder) -> str:
     head = {"title": made.title, "based_on": made.base}
     plain = {key: value for key, value in made.toml.items() if not isinstance(value, dict)}
     lines = [f"# From {line(made.source)}; see README.md for what is inferred."]
@@ -129,7 +129,7 @@ def line(text: object, most: int = 120) -> str:
     return "".join(c for c in " ".join(str(text).split()) if c.isprintable())[:most]
 
 
-def readme(made: Made) -> str:
+def readme(made: ModelFolder) -> str:
     """The page of a model: where it comes from, and all repairs."""
 
     def listed(items: list[str]) -> str:

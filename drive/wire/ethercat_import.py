@@ -41,7 +41,7 @@ from ..kernel.process_data import ENTRIES
 from ..model.drive_toml import BUSES
 from ..model.ethercat import MEMORY, PROTOCOLS
 from ..model.files import content
-from ..model.made import PDO_COLUMNS, Made, Repair, check_place, line, write
+from ..model.made import PDO_COLUMNS, ModelFolder, Repair, check_place, line, write
 from ..model.model import load
 from ..model.rows import FORMATS, SIZES
 from ..statements import data_sheet
@@ -264,7 +264,7 @@ class _Maker(_Import):
         self._assigned: dict[int, list[int]] = {}
         self._mappable_pdos: list[int] = []  # of each direction
 
-    def made(self) -> Made:
+    def made(self) -> ModelFolder:
         """The model."""
         made = self.result
         if self.whole:

@@ -16,7 +16,7 @@ from ..ethercat.controller.registers import R
 from ..ethercat.frame import Command, Datagram
 from ..ethercat.mailbox_client import MailboxClient
 from ..ethercat.master import EtherCatMaster, RemoteSlave
-from ..ethercat.observe import Asked, EtherCatLine
+from ..ethercat.observe import EtherCatLine, SlaveAccess
 from ..model.model import DriveModel
 from ..objects.abort import SdoAbort
 from ..observation import Observer, danger
@@ -67,7 +67,7 @@ def observe(
             return Observer(line, model, tell=tell).observe()
     soem = SoemMaster(interface)
     try:
-        slaves = [AskedSlave(slave, n) for n, slave in enumerate(soem.scan())]
+        slaves = [ScannedSlave(slave, n) for n, slave in enumerate(soem.scan())]
         _check(interface, position, len(slaves))
         line = EtherCatLine(slaves, position, time.sleep, asked)
         return Observer(line, model, tell=tell).observe()
@@ -94,9 +94,9 @@ def _states(master: EtherCatMaster, interface: str) -> list[AlState]:
     return [AlState(n) if n in set(AlState) else AlState.INIT for n in found]
 
 
-def _standing(master: EtherCatMaster, states: list[AlState]) -> tuple[list[Asked], str]:
+def _standing(master: EtherCatMaster, states: list[AlState]) -> tuple[list[SlaveAccess], str]:
     """The slaves as another master left them, and why they must stay so ("" if none is at risk)."""
-    slaves: list[Asked] = []
+    slaves: list[SlaveAccess] = []
     reason = ""
     for n, state in enumerate(states):
         if state != AlState.PRE_OPERATIONAL:
@@ -162,7 +162,7 @@ class _Wire:
         return None  # what came was late, of a frame before
 
 
-class AskedSlave:
+class ScannedSlave:
     """A slave that SOEM has taken to PRE_OP, and that answers our own datagrams."""
 
     def __init__(self, slave: SoemSlave, position: int):

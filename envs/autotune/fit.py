@@ -5,15 +5,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..plants import loops
-from ..plants.loops import Gains, Seen
+from ..plants.loops import Gains, LoopPlant
 from .response import Response
 
 
-class Asked(loops.Asked):
-    """Margins of both loops, at least."""
+class Requirements(loops.RequiredMargins):
+    """The least margins of both loops, with a check of a measured response."""
 
     def kept(self, response: Response) -> bool:
-        """Whether a response has them."""
+        """Whether a measured response has these margins."""
         return all(
             found.stable and found.sure >= self.gain and found.phase >= self.phase
             for found in (response.velocity_margins, response.position_margins)
@@ -21,7 +21,7 @@ class Asked(loops.Asked):
 
 
 def fit(
-    response: Response, asked: loops.Asked, ease: float = 1.0,
+    response: Response, asked: loops.RequiredMargins, ease: float = 1.0,
     allowed: Mapping[str, tuple[float, float]] = loops.ANY,
 ) -> Gains | None:
     """Gains that keep the margins with a reserve; None: there are none.
@@ -37,15 +37,15 @@ def fit(
     return (loops.fastest_pid if pid else loops.fastest)(plants, asked, allowed, ease)
 
 
-def _seen(response: Response) -> Seen:
+def _seen(response: Response) -> LoopPlant:
     wide = response.wide
-    return Seen(
+    return LoopPlant(
         wide.frequencies, wide.plant, wide.position_plant, wide.cycle, wide.cycles,
         response.inertia, filters=wide.filters,
     )
 
 
-def why_not(response: Response, asked: Asked) -> str:
+def why_not(response: Response, asked: Requirements) -> str:
     """What stands in the way of the margins, in words."""
     loops = {"velocity": response.velocity_margins, "position": response.position_margins}
     turning = [name for name, found in loops.items() if not found.stable]

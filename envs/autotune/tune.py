@@ -14,7 +14,7 @@ from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..plants.loops import gains_of, in_units, ranges
 from .bode import HIGHEST, calm, lowest_of, measured, possible
-from .fit import Asked, fit, why_not
+from .fit import Requirements, fit, why_not
 from .needs import scipy
 from .response import Response
 from .stand import Stand
@@ -36,7 +36,7 @@ class Tuned:
     drive: str
     model: str
     unit: str  # of the joint
-    asked: Asked
+    asked: Requirements
     reached: bool  # the margins asked for, in the loops measured afterwards
     reason: str  # why not, in words
     objects: dict[str, int]  # in units of the drive
@@ -132,7 +132,7 @@ def tune(
     """
     scipy("optimize")
     possible(amplitude, seed)
-    asked = Asked(
+    asked = Requirements(
         in_range("gain_margin", gain_margin, 2.0, 40.0, "dB"),
         in_range("phase_margin", phase_margin, 10.0, 80.0, "degree"),
     )
@@ -185,7 +185,7 @@ def tune(
 
 
 def _no_better(
-    asked: Asked, before: Response, had: Trial, after: Response, found: Trial
+    asked: Requirements, before: Response, had: Trial, after: Response, found: Trial
 ) -> str:
     """Why the gains that the drive had are kept; empty where they are not."""
     if math.isinf(found.following_error) > math.isinf(had.following_error):

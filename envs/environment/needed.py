@@ -10,7 +10,7 @@ from ..engine.machine import Machine
 from ..exchange.batch import JUDGED_NAMES
 
 
-class Need(NamedTuple):
+class Requirement(NamedTuple):
     """A required attribute: its meaning, and a check of its value."""
 
     what: str
@@ -46,24 +46,24 @@ def _takes_one(value: Any) -> bool:
 
 
 NEEDED = {
-    "ID": Need(
+    "ID": Requirement(
         "its id in the registry of Gymnasium, such as 'mylab/Nudge-v0'",
         lambda value: isinstance(value, str),
     ),
-    "RPDO": Need("a tuple of the names of the objects the agent commands", _texts),
-    "TPDO": Need("a tuple of the names of the objects it sees", _texts),
-    "DRIVES": Need("a tuple of the names of the drives the agent commands", _texts),
-    "ACTION": Need("a record made by servogym.envs.action", _numbers("f8")),
-    "OBSERVATION": Need("a record made by servogym.envs.observation", _numbers("f4")),
-    "EPISODE": Need("a record made by servogym.envs.episode", _episode),
-    "STEPS": Need(
+    "RPDO": Requirement("a tuple of the names of the objects the agent commands", _texts),
+    "TPDO": Requirement("a tuple of the names of the objects it sees", _texts),
+    "DRIVES": Requirement("a tuple of the names of the drives the agent commands", _texts),
+    "ACTION": Requirement("a record made by servogym.envs.action", _numbers("f8")),
+    "OBSERVATION": Requirement("a record made by servogym.envs.observation", _numbers("f4")),
+    "EPISODE": Requirement("a record made by servogym.envs.episode", _episode),
+    "STEPS": Requirement(
         "the steps of an episode, a whole number from 1 on",
         lambda value: type(value) is int and value >= 1,
     ),
-    "act": Need("a compiled function (episode, action, rpdos)", callable),
-    "judge": Need("a compiled function (episode, rpdos, tpdos, observation)", callable),
-    "_make": Need("a method (model) that builds the machine", _takes_one),
-    "_begin": Need("a method (options) that begins an episode", _takes_one),
+    "act": Requirement("a compiled function (episode, action, rpdos)", callable),
+    "judge": Requirement("a compiled function (episode, rpdos, tpdos, observation)", callable),
+    "_make": Requirement("a method (model) that builds the machine", _takes_one),
+    "_begin": Requirement("a method (options) that begins an episode", _takes_one),
 }
 
 

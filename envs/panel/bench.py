@@ -21,7 +21,7 @@ from .control import Control
 from .log import Event, Log
 from .recorder import Recorder
 from .set_points import SetPoints
-from .twin import TWIN, Beside
+from .twin import TWIN, ParallelTwin
 
 CHANNELS = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
@@ -100,7 +100,7 @@ class Bench:
         self.no_policies = ""  # why there is none
         self.delay = 0.0  # s by which commands come late
         self.kept: dict[str, bytes] = {}  # snapshots of the machine by name
-        self.beside: Beside | None = None  # a twin
+        self.beside: ParallelTwin | None = None  # a twin
 
     def _scope(self, period: float) -> Recorder:
         """Make a scope with the usual channels of the first axis."""
@@ -232,9 +232,9 @@ class Bench:
     def put_beside(self, machine: Any, axis: str = "", drive: str = "") -> None:
         """Put a twin beside an axis, by default the first one; the scope shows both.
 
-        Raises ValueError as `twin.Beside`.
+        Raises ValueError as `twin.ParallelTwin`.
         """
-        self.beside = Beside(self, machine, axis or self.axes[0], drive)
+        self.beside = ParallelTwin(self, machine, axis or self.axes[0], drive)
         axis, known = self.beside.axis, self.beside.channels()
         pairs = [
             pair for name in ("position_actual_value", "following_error_actual_value")

@@ -30,14 +30,14 @@ KINDS = {
 }
 
 
-class Most(NamedTuple):
+class AxisLimits(NamedTuple):
     """Limits of an axis (SI at the load)."""
 
     velocity: float
     acceleration: float
 
 
-def travel(way: float, most: Most) -> tuple[Wave, float]:
+def travel(way: float, most: AxisLimits) -> tuple[Wave, float]:
     """Plan a rest-to-rest motion from 0 to `way`. Returns the wave and its duration.
 
     The trapezoid of velocity, in closed form.
@@ -59,7 +59,7 @@ def travel(way: float, most: Most) -> tuple[Wave, float]:
     return wave, total
 
 
-def position(shape: str, way: float, frequency: float, most: Most) -> Wave:
+def position(shape: str, way: float, frequency: float, most: AxisLimits) -> Wave:
     """A wave to `way` and back at a frequency (Hz). Raises ValueError beyond the limits."""
     half = 0.5 / frequency
     if shape == "sine":
@@ -79,7 +79,7 @@ def position(shape: str, way: float, frequency: float, most: Most) -> Wave:
     return wave
 
 
-def velocity(shape: str, size: float, frequency: float, most: Most) -> Wave:
+def velocity(shape: str, size: float, frequency: float, most: AxisLimits) -> Wave:
     """A wave of speeds up to `size` in both directions. Raises ValueError beyond the limits."""
     _within("speed", abs(size), most.velocity)
     if shape == "sine":
@@ -89,7 +89,7 @@ def velocity(shape: str, size: float, frequency: float, most: Most) -> Wave:
     return _square(size, frequency)
 
 
-def torque(shape: str, size: float, frequency: float, _: Most) -> Wave:
+def torque(shape: str, size: float, frequency: float, _: AxisLimits) -> Wave:
     """A wave of torques up to `size` in both directions."""
     if shape == "sine":
         return lambda time: size * math.sin(2 * math.pi * frequency * time)

@@ -5,7 +5,7 @@ from typing import Any
 
 from ...drive.diagrams import Mode, State
 from ...drive.master import Refused
-from .generator import KINDS, WAVES, Most, Wave, travel
+from .generator import KINDS, WAVES, AxisLimits, Wave, travel
 
 
 class SetPoints:
@@ -14,12 +14,12 @@ class SetPoints:
     def __init__(self, bench: Any):
         self.bench = bench
 
-    def most(self, axis: str) -> Most:
+    def most(self, axis: str) -> AxisLimits:
         """Speed and acceleration of the profile, 6081h and 6083h (SI at the load)."""
         bench = self.bench
         speed = float(bench.value(axis, "profile_velocity") or 0) * bench.units(axis).velocity
         rate = float(bench.value(axis, "profile_acceleration") or 0) * bench.acceleration(axis)
-        return Most(speed, rate)
+        return AxisLimits(speed, rate)
 
     def set(self, axis: str, kind: str, value: float) -> str:
         """Send a set-point of a kind (`generator.KINDS`); -> the reason of a refusal.
@@ -76,7 +76,7 @@ class SetPoints:
 
         return self.bench.run(f"{axis}: {kind} {shape}, {frequency:g} Hz", motion, axis)
 
-    def _streamed(self, axis: str) -> Most:
+    def _streamed(self, axis: str) -> AxisLimits:
         """The limits of a streamed set-point. Raises Refused if it cannot be streamed."""
         if self.bench.real_time:
             raise Refused("set-points", "the panel does not reach a node on a bus in each cycle",

@@ -27,17 +27,17 @@ COMMANDS = (  # what a policy hands over by PDO
 )
 
 
-class Beside:
-    """A twin beside an axis.
+class ParallelTwin:
+    """A twin that receives the same commands as an axis.
 
-    Before it follows it stands where the axis stands, in the same mode, enabled if the axis is. It
-    does so again when the axis has been referenced and when the machine was put somewhere else.
+    It is first brought to the position, mode and state of the axis, and again whenever the axis has
+    been referenced or the machine was moved in another way.
 
     Args:
         bench: `bench.Bench` with the axis.
-        machine: of the twin, as `plants.catalogue.of_twin` makes it.
-        axis: it is the twin of.
-        drive: of the machine; its first one if not given.
+        machine: machine of the twin, from `plants.catalogue.of_twin`.
+        axis: the axis that it represents.
+        drive: drive of that machine; by default the first one.
 
     Raises:
         ValueError: the bench has no such axis, or the joint turns where the axis slides.

@@ -167,8 +167,8 @@ ANY = dict.fromkeys(("velocity_gain", "integral_time", "position_gain"), (0.0, m
 
 
 @dataclass(frozen=True)
-class Asked:
-    """Margins of both loops, at least."""
+class RequiredMargins:
+    """The least margins of both loops."""
 
     gain: float = 6.0  # dB
     phase: float = 35.0  # degree
@@ -178,8 +178,8 @@ Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A plant as a drive sees it at its shaft. Arrays have shape ``(n,)``."""
+class LoopPlant:
+    """A plant as measured at the shaft of its drive. Arrays have shape ``(n,)``."""
 
     frequencies: np.ndarray  # Hz, from far below the crossovers to the Nyquist frequency
     velocity: np.ndarray  # complex, measured velocity over torque command (rad/s/Nm)
@@ -267,7 +267,7 @@ def margins_of(
 
 
 def fastest(
-    plants: Sequence[Seen], asked: Asked, allowed: Mapping[str, tuple[float, float]],
+    plants: Sequence[LoopPlant], asked: RequiredMargins, allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
     """The stiffest gains that keep the margins with a reserve; None: there are none.
@@ -300,7 +300,7 @@ def fastest(
 
 
 def fastest_pid(
-    plants: Sequence[Seen], asked: Asked, allowed: Mapping[str, tuple[float, float]],
+    plants: Sequence[LoopPlant], asked: RequiredMargins, allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
     """Return the fastest PID position controller that keeps the margins."""

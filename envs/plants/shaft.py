@@ -16,7 +16,7 @@ import numpy as np
 
 from ...drive.drive import Drive
 from ..engine.machine import Machine
-from .loops import Seen, filters_of
+from .loops import LoopPlant, filters_of
 
 GRID = 260  # frequencies
 AROUND = np.linspace(-6.0, 6.0, 25)  # more of them around a resonance, in units of its width
@@ -33,7 +33,7 @@ WITHOUT = (
 
 def plant_at_shaft(
     machine: Machine, names: str | Mapping[str, float], *, pushes: float = 1.0
-) -> Seen:
+) -> LoopPlant:
     """The plant of a drive, at the present place of the machine.
 
     Args:
@@ -93,7 +93,7 @@ def plant_at_shaft(
     velocity, position = (out @ states[..., 0].T).reshape(2, -1)
     low = int(np.searchsorted(frequencies, RIGID))
     inertia = float((1 / velocity[low]).imag / (2 * np.pi * frequencies[low]))
-    return Seen(
+    return LoopPlant(
         frequencies, velocity, position, period,
         round(drive.model.cycle_time["position"] / period), inertia,
         # what a still motor does not change is not seen at its shaft

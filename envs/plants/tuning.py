@@ -27,9 +27,9 @@ from .loops import (
     OBJECTS,
     RESERVE_GAIN,
     RESERVE_PHASE,
-    Asked,
     Gains,
-    Seen,
+    LoopPlant,
+    RequiredMargins,
     fastest,
     fastest_pid,
     gains_of,
@@ -50,7 +50,7 @@ REST = 400.0  # ms over the position gain (1/s): a soft loop crosses the window 
 SHORTEST = 5  # ms
 SPRUNG = 0.9  # of all inertia, less of which is before a spring
 UNSIGNED32 = 2**32
-ASKED = Asked()
+ASKED = RequiredMargins()
 
 
 class Unmovable(ValueError):
@@ -101,7 +101,9 @@ def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict
     }
 
 
-def fitting(plants: Sequence[Seen], drive: Drive, by_rule: Gains, stiffness: float) -> Gains | None:
+def fitting(
+    plants: Sequence[LoopPlant], drive: Drive, by_rule: Gains, stiffness: float
+) -> Gains | None:
     """Gains of a drive for a plant: those of the rule where they do.
 
     Args:
@@ -218,7 +220,7 @@ def turned(machine: Machine, name: str) -> None:
         )
 
 
-def _missing(plants: Sequence[Seen], drive: Drive) -> str:
+def _missing(plants: Sequence[LoopPlant], drive: Drive) -> str:
     """Why no gains of the drive do, with the objects whose range they leave, and what would."""
     needed, light = fastest(plants, ASKED, ANY), False
     out: list[str] = []

@@ -36,7 +36,7 @@ class Interrupted(Exception):
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameter:
     """A parameter that is looked for.
 
     Args:
@@ -73,7 +73,7 @@ class Free:
         """Width of the difference quotient, in the coordinate of the search."""
         return self.share * (math.log1p(self.step) if self.log else 1.0)
 
-    def finer(self, error: float) -> "Free":
+    def finer(self, error: float) -> "FreeParameter":
         """With differences of some standard errors, in which the machine is linear.
 
         Shorter ones would be of single events: where an axis sticks, and where a gap closes, is
@@ -140,12 +140,12 @@ class Estimate:
     values: dict[str, float]
     cost: float  # mean square of the white residuals, about 1 where the noise explains it
     covariance: np.ndarray  # of the inner coordinates
-    free: list[Free]
+    free: list[FreeParameter]
     noise: Noise
     jacobian: np.ndarray  # of the white residuals by the inner coordinates
     residuals: list[np.ndarray] = field(default_factory=list)
 
-    def finer(self, smooth: bool = True) -> list[Free]:
+    def finer(self, smooth: bool = True) -> list[FreeParameter]:
         """What is looked for, with differences of some standard errors, all others held.
 
         As they were where the machine is not `smooth`: its increments hide short differences.
@@ -249,8 +249,8 @@ class Search:
         return cost
 
     def descend(
-        self, free: Sequence[Free], values: Mapping[str, float], noise: Noise, steps: int = 10,
-        close: bool = False,
+        self, free: Sequence[FreeParameter], values: Mapping[str, float], noise: Noise,
+        steps: int = 10, close: bool = False,
     ) -> Estimate:
         """Levenberg and Marquardt, candidates side by side.
 
@@ -330,14 +330,14 @@ class Search:
         covariance = estimate.covariance * np.outer(wider, wider)
         return replace(estimate, values=values, covariance=covariance)
 
-    def _inside(self, free: Sequence[Free], x: np.ndarray) -> np.ndarray:
+    def _inside(self, free: Sequence[FreeParameter], x: np.ndarray) -> np.ndarray:
         return np.array([
             f.inner(max(f.outer(c), 1e-300) if f.log else f.outer(c))
             for f, c in zip(free, x, strict=True)
         ])
 
     def _linear(
-        self, free: Sequence[Free], x: np.ndarray, noise: Noise, central: bool
+        self, free: Sequence[FreeParameter], x: np.ndarray, noise: Noise, central: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         """White residuals, and their derivatives by the inner coordinates."""
         points = [x]
@@ -366,7 +366,7 @@ class Search:
         return flat[0], jacobian
 
     def _covariance(
-        self, free: Sequence[Free], x: np.ndarray, white: np.ndarray, jacobian: np.ndarray
+        self, free: Sequence[FreeParameter], x: np.ndarray, white: np.ndarray, jacobian: np.ndarray
     ) -> np.ndarray:
         """Covariance of the inner coordinates, for white noise or by blocks: the wider one."""
         gram = jacobian.T @ jacobian
@@ -389,7 +389,7 @@ class Search:
         return plain * np.outer(wider, wider)
 
 
-def _most(free: Sequence[Free]) -> np.ndarray:
+def _most(free: Sequence[FreeParameter]) -> np.ndarray:
     """Longest step of the search: half as much again, or ten differences."""
     return np.array([0.7 if f.log else 10.0 for f in free])
 
@@ -404,4 +404,4 @@ def _rough(values: np.ndarray) -> float:
     return middle / math.sqrt(math.comb(2 * DIFFERENCES, DIFFERENCES))
 
 
-__all__ = ["LAG", "Candidates", "Estimate", "Free", "Noise", "Search", "colour"]
+__all__ = ["LAG", "Candidates", "Estimate", "FreeParameter", "Noise", "Search", "colour"]

@@ -18,7 +18,7 @@ from ...drive.drive import Drive
 from ...drive.kernel.words import Mode
 from ...drive.wire.recording import Signal
 from ..engine.machine import Machine
-from .set_points import PROFILE, SI, Events, Lost, cyclic_rows, filled, occasional
+from .set_points import PROFILE, SI, Events, LostSetPoints, cyclic_rows, filled, occasional
 
 CYCLIC = {  # mode -> the set-point that comes once a bus cycle
     Mode.CYCLIC_SYNC_POSITION: "target_position", Mode.CYCLIC_SYNC_VELOCITY: "target_velocity",
@@ -68,7 +68,7 @@ class Experiment:
     notes: tuple[str, ...] = ()
     lost: float = 0.0  # share of the frames
     events: Events | None = None  # that the rows come from, where set-points are not cyclic
-    missed: Lost | None = None  # cyclic set-points that are not in the log
+    missed: LostSetPoints | None = None  # cyclic set-points that are not in the log
 
     def moved(self, cycles: np.ndarray) -> "Experiment":
         """With the motions of its `events` beginning so many rows later."""

@@ -11,7 +11,7 @@ from ...drive.model.model import DriveModel
 from ..engine import parameters
 from ..plants.tuning import inertia_at_shaft
 from .candidates import LAG, Candidates, Simulated
-from .estimate import Estimate, Free, Noise, Search
+from .estimate import Estimate, FreeParameter, Noise, Search
 from .experiment import Experiment, Unusable
 from .families import AUTO, GAINS, Family, family
 from .reconstruction import restored, timed
@@ -314,7 +314,7 @@ def best_lag(candidates: Candidates, experiment: Experiment, start: Mapping[str,
 def _free(
     chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool,
     strongest: float, inertia: float,
-) -> list[Free]:
+) -> list[FreeParameter]:
     """What is looked for; the strongest force and the inertia at the shaft give it its steps."""
     names = [*chosen.unknown, LAG]
     if not gains_known:
@@ -324,21 +324,21 @@ def _free(
     friction = max(start["coulomb_friction"], SLIGHT * strongest, 1e-9)
     for name in names:
         if name == LAG:
-            found.append(Free(LAG, start[LAG], -0.02, 0.2, 2e-5))
+            found.append(FreeParameter(LAG, start[LAG], -0.02, 0.2, 2e-5))
             continue
         row = parameters.PARAMETERS[name]
         low, high = row.low, row.high
         if name == chosen.mass:  # a small one beside the motor's: in shares of all that moves
-            found.append(Free(name, start[name], max(low, 1e-9), high, 0.05 * whole))
+            found.append(FreeParameter(name, start[name], max(low, 1e-9), high, 0.05 * whole))
         elif name in ("coulomb_friction", "load_force"):
-            found.append(Free(name, start[name], low, high, 0.05 * friction))
+            found.append(FreeParameter(name, start[name], low, high, 0.05 * friction))
         elif name == "backlash":
-            found.append(Free(name, start[name], low, high, GAP))
+            found.append(FreeParameter(name, start[name], low, high, GAP))
         elif name == "viscous_friction":
-            found.append(Free(name, start[name], low, high, max(0.1 * start[name], 1e-3)))
+            found.append(FreeParameter(name, start[name], low, high, max(0.1 * start[name], 1e-3)))
         else:
             grain = 1 / max(float(getattr(od, KEPT[name])), 1.0) if name in KEPT else 0.0
-            found.append(Free(name, start[name], max(low, 1e-9), high, 0.02, True, grain))
+            found.append(FreeParameter(name, start[name], max(low, 1e-9), high, 0.02, True, grain))
     return found
 
 

@@ -49,7 +49,7 @@ class Events:
 
 
 @dataclass(frozen=True)
-class Lost:
+class LostSetPoints:
     """Cyclic set-points that the logger missed, and what is known of them.
 
     In the log each lies on a cubic through its neighbours. How far off that is, the set-points
@@ -99,7 +99,7 @@ def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count)
         written["controlword"][at : at + max(per, 1) * max(round(APART / (per * step)), 1)] = word
         arrives[at] = 1
     written["controlword"][: arrives.nonzero()[0][1]] = ENABLE[0]
-    return written, arrives, Lost(lead + missing * per, per, target, error)
+    return written, arrives, LostSetPoints(lead + missing * per, per, target, error)
 
 
 def occasional(signals, target, mode, clock, step, lead, drive) -> Events:

@@ -8,7 +8,7 @@ from matrix import CASES, WORSE, Case, in_the_middle, made, play
 
 from servogym.drive.drive import Drive
 from servogym.envs import Machine, bode, commission_joint, gantry, linear_axis, tune
-from servogym.envs.autotune.fit import Asked, fit, why_not
+from servogym.envs.autotune.fit import Requirements, fit, why_not
 from servogym.envs.autotune.stand import detune, gains_of
 from servogym.training.cli import main
 
@@ -87,7 +87,7 @@ def test_the_parameter_set_is_what_an_axis_takes_and_only_the_gains_changed(tmp_
 
 def test_margins_that_no_gains_give_are_told_in_words():
     response = bode(made("rack_pinion"))
-    asked = Asked(gain=90.0, phase=80.0)
+    asked = Requirements(gain=90.0, phase=80.0)
     assert fit(response, asked) is None
     reason = why_not(response, asked)
     assert reason.startswith("no gains give 90 dB and 80°")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from servogym.drive.kernel.words import Mode, State
 from servogym.envs.panel.comparison import compare, of_file, write_back
-from servogym.envs.panel.generator import KINDS, WAVES, Most, travel
+from servogym.envs.panel.generator import KINDS, WAVES, AxisLimits, travel
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.linear_axis import linear_axis
 
@@ -30,7 +30,7 @@ def session():
 
 @given(st.floats(-1, 1), sizes, sizes)
 def test_a_travel_keeps_speed_and_acceleration_and_arrives_at_rest(way, speed, rate):
-    wave, total = travel(way, Most(speed, rate))
+    wave, total = travel(way, AxisLimits(speed, rate))
     times = np.linspace(0, total * 1.1 + 1e-6, 2001)
     at = np.array([wave(time) for time in times])
     step = times[1] - times[0]
@@ -44,7 +44,7 @@ def test_a_travel_keeps_speed_and_acceleration_and_arrives_at_rest(way, speed, r
 @given(st.sampled_from([(k, s) for k, kind in KINDS.items() for s in kind.shapes]), sizes, sizes,
        sizes)
 def test_a_wave_is_within_the_limits_or_refused(which, size, speed, rate):
-    (kind, shape), most = which, Most(speed, rate)
+    (kind, shape), most = which, AxisLimits(speed, rate)
     frequency = 1 / (2 * travel(1.01 * size, most)[1]) if kind == "position" else rate / 7 / size
     if kind == "velocity" and size > speed:
         with pytest.raises(ValueError, match="choose less"):

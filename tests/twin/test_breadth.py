@@ -26,7 +26,7 @@ from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import fresh
 from servogym.envs.twin import logs
 from servogym.envs.twin.candidates import LAG, Candidates
-from servogym.envs.twin.estimate import Free, Search
+from servogym.envs.twin.estimate import FreeParameter, Search
 from servogym.envs.twin.experiment import experiment
 from servogym.envs.twin.families import FAMILIES
 from servogym.envs.twin.fit import best_lag
@@ -48,7 +48,7 @@ def left_over(found, model, hidden):
     for _ in range(2):
         found = timed(candidates, found, values)
         search = Search(candidates, [found], hidden)
-        lag = Free(LAG, values[LAG], -0.02, 0.2, 2e-5)
+        lag = FreeParameter(LAG, values[LAG], -0.02, 0.2, 2e-5)
         values = search.descend([lag], values, search.start_noise(), 4).values
     run = candidates.simulate(found, [values])
     moving = found.moving

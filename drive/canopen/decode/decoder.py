@@ -13,7 +13,7 @@ from ...model.model import DriveModel, Object, load
 from ..frame import Base, Frame
 from ..node import NmtCommand
 from . import lss
-from .node import Known, Node
+from .node import ModelInfo, Node
 
 NMT = {
     NmtCommand.START: "start",
@@ -41,7 +41,7 @@ class Decoder:
         self, model: str | Path | DriveModel = "generic", node_ids: Iterable[int] = range(1, 128),
         heard: Callable[[int, Object, float], None] = lambda node_id, row, value: None,
     ):
-        drive = Known(load(model))
+        drive = ModelInfo(load(model))
         self._nodes: dict[int, Node] = {}
         self._by_id: dict[int, list[Node]] = {}
         for node_id in dict.fromkeys(node_ids):

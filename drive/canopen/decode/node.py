@@ -32,7 +32,7 @@ EMCY_CLASS = {
 EPOCH = datetime(1984, 1, 1)  # CiA 301, TIME_OF_DAY
 
 
-class Known:
+class ModelInfo:
     """What a decoder uses of a drive model: objects with defaults, PDOs, names of faults."""
 
     def __init__(self, model: DriveModel):
@@ -55,7 +55,7 @@ class Node:
     """The state of one node as far as the log has shown it."""
 
     def __init__(
-        self, drive: Known, node_id: int, changed: Callable[["Node", Iterable[int]], None],
+        self, drive: ModelInfo, node_id: int, changed: Callable[["Node", Iterable[int]], None],
         heard: Callable[[int, Object, float], None],
     ):
         self._drive = drive
