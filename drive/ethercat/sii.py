@@ -122,8 +122,7 @@ def _categories(device: Description, strings: _Strings) -> list[tuple[int, bytes
     general = _GENERAL.pack(
         number(device.group), 0, number(device.order), number(device.name),
         device.coe_details, device.foe_details, device.eoe_details, 0, device.ds402_channels, 0,
-        device.flags,
-        0, number(device.group), device.physical_ports, 0,
+        device.flags, 0, number(device.group), device.physical_ports, 0,
     )
     managers = b"".join(
         _SYNC_MANAGER.pack(sm.start, sm.length, sm.control, 0, sm.enable, sm.kind)

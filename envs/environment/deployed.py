@@ -299,26 +299,16 @@ def _guarded(line: PortLine) -> Iterator[None]:
 
 
 def play(
-    env: ServoEnv,
-    act: Callable[[np.ndarray], Any] | None = None,
-    episodes: int = 1,
-    **how: Any,
+    env: ServoEnv, act: Callable[[np.ndarray], Any] | None = None, episodes: int = 1, **how: Any
 ) -> list[Played]:
     """Play episodes to the end and return all of them; arguments and errors of `episodes_of`."""
     return [*episodes_of(env, act, episodes, **how)]
 
 
 def episodes_of(
-    env: ServoEnv,
-    act: Callable[[np.ndarray], Any] | None = None,
-    episodes: int = 1,
-    *,
-    make: Callable[[], Acting] | None = None,
-    patience: float | None = None,
-    slow: float = 1.0,
-    seed: int | None = None,
-    memory: int = MEMORY,
-    fast: bool = False,
+    env: ServoEnv, act: Callable[[np.ndarray], Any] | None = None, episodes: int = 1, *,
+    make: Callable[[], Acting] | None = None, patience: float | None = None, slow: float = 1.0,
+    seed: int | None = None, memory: int = MEMORY, fast: bool = False,
 ) -> Iterator[Played]:
     """Play episodes on an environment whose drives are on a bus; yield each when it is over.
 

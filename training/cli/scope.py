@@ -51,8 +51,7 @@ def add(scope: argparse.ArgumentParser) -> None:
         "--rate", type=arguments.POSITIVE, help=f"polls a second ({RATE:g})"
     )
     scope.add_argument(
-        "--duration", type=arguments.POSITIVE,
-        help=f"of a bus at most, s ({DURATION:g})",
+        "--duration", type=arguments.POSITIVE, help=f"of a bus at most, s ({DURATION:g})"
     )
     buses.add(scope)
     scope.add_argument(
