@@ -27,7 +27,7 @@ class Machine(Protocol):
 
 
 @dataclass
-class HeldDrives:
+class Standing:
     """Drives without a machine: their cycles pass, as with a motor that is held."""
 
     drives: Mapping[str, Drive]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ..drive import Drive
-from ..machine import HeldDrives
+from ..machine import Standing
 from ..master.errors import Timeout
 from ..model.model import DriveModel, load
 from ..objects.abort import Abort, SdoAbort
@@ -36,7 +36,7 @@ def of_model(model: "str | DriveModel | Any", node_id: int = 1) -> dict[str, Any
     """Observe a model through a node in this process. Raises ValueError as `load`."""
     drive = Drive(load(model, "can"), node_id=node_id)
     period = float(drive.model.cycle_time["position"])
-    port = NodePort(HeldDrives({"x": drive}, period), Node(drive))
+    port = NodePort(Standing({"x": drive}, period), Node(drive))
     return Observer(port, node_id, drive.model).observe()
 
 

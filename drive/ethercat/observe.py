@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ..drive import Drive
-from ..machine import HeldDrives
+from ..machine import Standing
 from ..model.model import DriveModel, load
 from ..objects.abort import Abort, SdoAbort
 from ..observation import ASKED, SETTLED, Observer, danger, shown
@@ -78,7 +78,7 @@ class SlaveAccess(Protocol):
 def of_model(model: "str | DriveModel | Any") -> dict[str, Any]:
     """The observation of a model: of its slave, in this process. Raises ValueError as `load`."""
     drive = Drive(load(model, "ethercat"))
-    cycling = HeldDrives({"x": drive}, float(drive.model.cycle_time["position"]))
+    cycling = Standing({"x": drive}, float(drive.model.cycle_time["position"]))
     master = EtherCatMaster(Bus(Segment([Slave(drive)])))
     slaves = master.scan()
     master.to_preop()

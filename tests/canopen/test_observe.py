@@ -13,7 +13,7 @@ from servogym.drive.canopen.node import Node
 from servogym.drive.canopen.observe import Observer, of_model
 from servogym.drive.canopen.port import NodePort
 from servogym.drive.drive import Drive
-from servogym.drive.machine import HeldDrives
+from servogym.drive.machine import Standing
 from servogym.drive.model.model import load, model_names
 from servogym.drive.observation import compare, opened, sealed
 from servogym.drive.wire.server import Server
@@ -156,7 +156,7 @@ def test_a_served_drive_is_observed_and_left_as_it_was(served, tmp_path, capsys)
 
 def test_nothing_is_written_to_a_drive_that_is_enabled():
     drive = Drive("generic", node_id=3)
-    bench = HeldDrives({"x": drive}, drive.model.cycle_time["position"])
+    bench = Standing({"x": drive}, drive.model.cycle_time["position"])
     port = NodePort(bench, Node(drive))
     for word in (0x06, 0x07, 0x0F):
         drive.write("controlword", word)
@@ -172,7 +172,7 @@ def test_nothing_is_written_to_a_drive_that_is_enabled():
 
 def test_nothing_is_written_while_another_drive_on_the_bus_is_enabled():
     drives = [Drive("generic", node_id=n) for n in (3, 4)]
-    bench = HeldDrives({str(d.node_id): d for d in drives}, drives[0].model.cycle_time["position"])
+    bench = Standing({str(d.node_id): d for d in drives}, drives[0].model.cycle_time["position"])
     nodes = [Node(drive) for drive in drives]
     drives[1].write(0x1017, 0, 50)  # its heartbeat is heard
     for word in (0x06, 0x07, 0x0F):

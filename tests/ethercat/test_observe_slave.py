@@ -11,7 +11,7 @@ from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.observe import EtherCatLine, of_model
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
-from servogym.drive.machine import HeldDrives
+from servogym.drive.machine import Standing
 from servogym.drive.model.model import load, model_names
 from servogym.drive.observation import Observer, compare, opened
 from servogym.training.cli import main
@@ -117,7 +117,7 @@ def test_an_observed_model_gives_back_that_model(name):
 
 def test_nothing_is_written_to_a_slave_that_is_enabled_nor_beside_it():
     drives = [Drive(load("generic", "ethercat")) for _ in range(2)]
-    cycling = HeldDrives({str(n): drive for n, drive in enumerate(drives)}, 0.00025)
+    cycling = Standing({str(n): drive for n, drive in enumerate(drives)}, 0.00025)
     master = EtherCatMaster(Bus(Segment([Slave(drive) for drive in drives])))
     slaves = master.scan()
     master.to_preop()
