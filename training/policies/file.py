@@ -33,7 +33,7 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
     if not isinstance(made, type):
         if callable(made):
             _takes(name, made, "observation")
-            return UserPolicy(name, Function(made))
+            return Own(name, Function(made))
         raise ValueError(f"policy {name!r} is {made!r}: it has to be a class or a function")
     for method in ("reset", "act"):
         if not callable(getattr(made, method, None)):
@@ -42,7 +42,7 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
     _takes(name, vars(made).get("reset"), "self", "observation", "info")
     _takes(name, vars(made).get("act"), "self", "observation")
     try:
-        return UserPolicy(name, made(datasheet, seed))
+        return Own(name, made(datasheet, seed))
     except Exception as error:
         raise ValueError(
             f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {error_line(error)}"
@@ -66,7 +66,7 @@ def _takes(name: str, function: Any, *arguments: str) -> None:
         )
 
 
-class UserPolicy:
+class Own:
     """A policy of the user's own: its errors name file and line, its actions are numbers."""
 
     def __init__(self, name: str, policy: Any):
