@@ -167,11 +167,10 @@ class Observer:
                 count = int(first, 16) if len(first) == 2 else 0
                 for subindex in range(1, 0xFF):
                     text = self._read(index, subindex)
-                    if text in (aborted(Abort.NO_SUBINDEX), aborted(Abort.NO_OBJECT)):
-                        if subindex >= count:
-                            break
-                        continue
-                    self._values[index, subindex] = text
+                    if subindex > count and text.startswith("abort"):
+                        break  # whatever the reason: nothing is behind the number of entries
+                    if text not in (aborted(Abort.NO_SUBINDEX), aborted(Abort.NO_OBJECT)):
+                        self._values[index, subindex] = text
 
     def _live(self) -> set[tuple[int, int]]:
         """Objects whose value changes by itself."""
