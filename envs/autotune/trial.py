@@ -29,6 +29,7 @@ class Trial:
     error: np.ndarray  # demand minus position
     torque: np.ndarray  # Nm
     following_error: float  # greatest of the move; inf: it was not made
+    settling: float  # s from the beginning of the move until it stays in the position window
     note: str = ""
 
 
@@ -99,9 +100,12 @@ def trial(stand: Stand, distance: float | None) -> Trial:
     except ServoError as error:
         note, moved = f"{error}", False
     time, demand, error_, torque = np.array(rows or [(0.0,) * 4]).T
+    window = float(axis.position_window) / abs(stand.gear)
+    away = np.flatnonzero(abs(demand - error_ - demand[-1]) > window)
     return Trial(
         *step, time=time - time[0], demand=demand - demand[0], error=error_, torque=torque,
-        following_error=float(np.max(abs(error_))) if moved else math.inf, note=note,
+        following_error=float(np.max(abs(error_))) if moved else math.inf,
+        settling=float(time[away].max(initial=time[0]) - time[0]) if moved else math.inf, note=note,
     )
 
 

@@ -22,7 +22,10 @@ from .trial import Friction, Trial, friction, trial
 
 TRIES = 3  # with less gain each, where what was measured afterwards is less than asked for
 EASE = 0.8
-WORTH = 0.9  # of the following error that it had: gains that keep the margins stay for no less
+# of the following error that it had, for gains that keep the margins stay for no less; and of the
+# stiffness that the last measurement allows, for it is not fitted again for no more
+WORTH = 0.9
+LATER = 1.1  # times the settling time that it had: gains that keep the margins stay beyond it
 FEED_FORWARD = "acceleration_feed_forward"
 # of the inertia that the drive had: it is measured while the motor pushes, and what a gear then
 # loses it gives back while the load pushes
@@ -61,6 +64,7 @@ class Tuned:
                     ("velocity loop", self.before.velocity_margins, self.after.velocity_margins),
                     ("position loop", self.before.position_margins, self.after.position_margins),
                     ("following error", self._error(old), self._error(new)),
+                    ("settling time", self._settling(old), self._settling(new)),
                 )
             ),
             *(f"{a:10}{name:34}= {value} {unit}".rstrip() for a, name, value, unit in self.table),
@@ -83,6 +87,9 @@ class Tuned:
             return "not moved"
         small, unit = (1e6, "µm") if self.unit == "m" else (1e3, "mrad")
         return f"{of.following_error * small:.3g} {unit}"
+
+    def _settling(self, of: Trial) -> str:
+        return f"{of.settling:.3f} s" if math.isfinite(of.settling) else "not moved"
 
     def save(self, path: str | Path) -> None:
         """Write the parameter set, or a picture: the suffix .png chooses that.
@@ -140,6 +147,12 @@ def tune(
     if move is not None:
         left, right = stand.room
         in_range("move", move, -left, right, stand.unit)
+        window = float(stand.drive.axis.position_window) / abs(stand.gear)
+        if abs(move) <= window:
+            raise ValueError(
+                f"move = {move:g} {stand.unit} does not leave the position window, "
+                f"±{window:.3g} {stand.unit}: give a longer one"
+            )
     own = stand.drive
     try:
         before, rides = _look(stand, amplitude, seed, ride=True)
@@ -148,10 +161,11 @@ def tune(
         stand.put_back()
         original = in_units(own, gains_of(own)) | {FEED_FORWARD: int(own.axis.od[FEED_FORWARD])}
         had = stand.machine.snapshot()
-        after, objects, ease, reached = before, original, 1.0, False
+        after, objects, ease = before, original, 1.0
+        best: tuple[Response, dict[str, int], Any] | None = None
         for _ in range(TRIES):
             gains = fit(after, asked, ease, ranges(own))
-            if gains is None:
+            if gains is None or (best and best[0].gains.stiffness >= WORTH * gains.stiffness):
                 break
             objects = in_units(own, gains) | {FEED_FORWARD: original[FEED_FORWARD]}
             inertia = round(after.inertia * 1e9)
@@ -161,13 +175,19 @@ def tune(
             stand.keep()
             after, _ = _look(stand, amplitude, seed + 1, ride=False, earlier=after)
             stand.put_back()
-            reached = asked.kept(after) and not after.note
-            if reached:
-                break
-            ease *= EASE
+            if asked.kept(after) and not after.note:
+                best = after, objects, stand.machine.snapshot()
+            elif after.velocity_margins.stable and after.position_margins.stable:
+                # an unstable loop proves that the plant is another: it is fitted anew, not eased
+                ease *= EASE
+        reached = best is not None
+        if best is not None:
+            after, objects, found = best
+            stand.machine.restore(found)
+            stand.keep()
         trial_after = trial(stand, move)
         reason = "" if reached else why_not(after, asked)
-        if refusal := _no_better(asked, before, trial_before, after, trial_after):
+        if refusal := _no_better(stand.unit, asked, before, trial_before, after, trial_after):
             reached, reason = asked.kept(before), refusal
             objects = original
             stand.machine.restore(had)
@@ -185,7 +205,7 @@ def tune(
 
 
 def _no_better(
-    asked: Requirements, before: Response, had: Trial, after: Response, found: Trial
+    unit: str, asked: Requirements, before: Response, had: Trial, after: Response, found: Trial
 ) -> str:
     """Why the gains that the drive had are kept; empty where they are not."""
     if math.isinf(found.following_error) > math.isinf(had.following_error):
@@ -193,10 +213,17 @@ def _no_better(
             f"the move is not made with them ({found.note}), so the drive keeps what it "
             "had; what was measured is not a guide, as with much backlash or little excitation"
         )
-    if asked.kept(before) and not _worth(before, had, after, found):
+    if not asked.kept(before):
+        return ""
+    if found.settling > LATER * had.settling:
+        return (
+            f"what the drive had keeps the margins, and with what was found the move settles after "
+            f"{found.settling:.3f} s, not {had.settling:.3f} s, so it keeps it"
+        )
+    if not _worth(before, had, after, found):
         return (
             "what the drive had keeps the margins, and what was found follows no better "
-            f"({_micro(found)}, it had {_micro(had)}), so it keeps it"
+            f"({_micro(found, unit)}, it had {_micro(had, unit)}), so it keeps it"
         )
     return ""
 
@@ -208,10 +235,10 @@ def _worth(before: Response, had: Trial, after: Response, found: Trial) -> bool:
     return found.following_error < WORTH * had.following_error
 
 
-def _micro(trial: Trial) -> str:
+def _micro(trial: Trial, unit: str) -> str:
     if math.isinf(trial.following_error):
         return "not moved"
-    return f"{1e6 * trial.following_error:.0f} µm or µrad"
+    return f"{1e6 * trial.following_error:.0f} µ{unit}"
 
 
 def _look(

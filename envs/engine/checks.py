@@ -6,7 +6,7 @@ import math
 import os
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field, fields
+from dataclasses import field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,18 @@ def check_fields(parameters: Any) -> None:
                 raise ValueError(f"{each.name} = {value!r} is a text: give a number in {unit}")
         elif not each.metadata and not isinstance(value, bool):
             raise ValueError(f"{each.name} = {value!r}: use True or False")
+
+
+def changed(parameters: Any, values: Mapping[str, Any], what: str) -> Any:
+    """A dataclass of parameters with other `values`.
+
+    Raises ValueError for a name that it lacks, calling it `what`.
+    """
+    names = [each.name for each in fields(parameters)]
+    for name in values:
+        if name not in names:
+            raise ValueError(f"{what} has no parameter {name!r}: {hint(name, names)}")
+    return replace(parameters, **values)
 
 
 def whole(name: str, value: float, low: int, high: int) -> int:

@@ -3,10 +3,10 @@
 Values marked `inferred` are of the size catalogues give for axes of this class, not of one product.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 from ...drive.model.names import hint
-from ..engine.checks import check_fields, ranged
+from ..engine.checks import changed, check_fields, ranged
 from .motor import MotorParameters
 
 HEAVIEST = 100.0  # kg, payload
@@ -82,7 +82,6 @@ class LinearAxisParameters(MotorParameters):
             )
 
 
-NAMES = [each.name for each in fields(LinearAxisParameters)]
 # 16 mm belt, both spans in parallel, at the middle of the stroke: Gates, Synchroflex: specific
 # stiffness of AT5 with steel tension members about 1e5 N per unit strain and spans of 0.5 m:
 # 4e5 N/m (inferred). Damping ratio 2 %, pulleys 0.1e-4 kg·m², repeatability of a proximity switch
@@ -190,10 +189,7 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
     """
     if mechanics not in FAMILY:
         raise ValueError(f"mechanics = {mechanics!r} is unknown: {hint(str(mechanics), FAMILY)}")
-    for name in values:
-        if name not in NAMES:
-            raise ValueError(f"a linear axis has no parameter {name!r}: {hint(name, NAMES)}")
-    return replace(FAMILY[mechanics], **values)  # type: ignore[arg-type]
+    return changed(FAMILY[mechanics], values, "a linear axis")
 
 
 def chosen(parameters: LinearAxisParameters | str | None, payload: float) -> LinearAxisParameters:

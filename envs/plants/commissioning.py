@@ -13,6 +13,7 @@ import numpy as np
 from ...drive.drive import Drive
 from ...drive.model.model import load
 from ...drive.model.names import hint
+from ..engine.checks import flag
 from ..engine.machine import Machine
 from . import own_units, tuning
 from .linear_axis import factor_group
@@ -65,6 +66,7 @@ def commission_joint(
         ValueError: a name without a drive, an argument that is not above 0, or a value the drive
             cannot take, with what to change.
     """
+    tuned = flag("tuned", tuned)
     try:
         commission_shaft(
             machine, name, max_velocity=max_velocity, max_acceleration=max_acceleration,

@@ -16,7 +16,7 @@ import mujoco
 
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
-from ..engine.checks import check_fields, ranged
+from ..engine.checks import changed, check_fields, flag, ranged
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units
@@ -135,10 +135,10 @@ def gantry(
         ValueError: unknown model, a parameter out of range, a timestep the rates do not allow.
     """
     if parameters is None:
-        parameters = GantryParameters(**values)  # type: ignore[arg-type]
+        parameters = changed(GantryParameters(), values, "a gantry")
     elif values:
         raise ValueError(f"parameters and {', '.join(values)} are both given: choose one way")
-    model = load(drive)
+    model, tuned = load(drive), flag("tuned", tuned)
     names = ("x", "y", "z") if parameters.x_drives == 1 else (*PAIR, "y", "z")
     timestep = model.cycle_time["velocity"] if timestep is None else timestep
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):

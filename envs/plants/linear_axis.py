@@ -12,6 +12,7 @@ import mujoco
 
 from ...drive.drive import Drive
 from ...drive.model.model import DriveModel, load
+from ..engine.checks import flag
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units, tuning, twins
@@ -74,7 +75,7 @@ def linear_axis(
     elif values or mechanics != "rigid":
         given = [*values, *(["mechanics"] if mechanics != "rigid" else [])]
         raise ValueError(f"parameters and {', '.join(given)} are both given: choose one way")
-    parameters = chosen(parameters, 0.0)
+    parameters, tuned = chosen(parameters, 0.0), flag("tuned", tuned)
     drive_model = load(drive)
     if timestep is None:
         timestep = _timestep(parameters, drive_model)

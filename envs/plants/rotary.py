@@ -12,6 +12,7 @@ import mujoco
 
 from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint
+from ..engine.checks import changed, flag
 from ..engine.machine import Machine
 from ..engine.physics import compiled
 from . import own_units, twins
@@ -67,10 +68,10 @@ def rotary_axis(
             f"mechanics = {mechanics!r} is unknown: {hint(str(mechanics), ROTARY_FAMILY)}"
         )
     if parameters is None:
-        parameters = replace(ROTARY_FAMILY[mechanics], **values)  # type: ignore[arg-type]
+        parameters = changed(ROTARY_FAMILY[mechanics], values, f"a {mechanics}")
     elif values:
         raise ValueError(f"parameters and {', '.join(values)} are both given: choose one way")
-    model = load(drive)
+    model, tuned = load(drive), flag("tuned", tuned)
     timestep = model.cycle_time["velocity"] if timestep is None else timestep
     if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
         raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")

@@ -240,6 +240,17 @@ benchmark everything
 benchmark homing --drive nothing
 benchmark homing --drive bonfiglioli_act
 benchmark positioning --out FILE
+machines --set payload=nan
+machines --set nothing=1
+machines rotary_table --set payload=1
+machines gantry --set gear_ratio=1
+machines rigid --set tuned=perhaps
+machines rigid --set drive=generic
+machines rigid --set parameters=3
+machines gantry-x1x2 --set x_drives=1
+machines nothing
+tune --move 0
+tune --move nan
 tune --amplitude 0
 tune --amplitude nan
 tune-policy tuned_ruckig --task LinearAxis-v0 --budget 0

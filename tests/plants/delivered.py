@@ -19,6 +19,7 @@ from rich.console import Console
 
 from servogym.drive.master import Master, ServoError
 from servogym.envs import FAMILY, ROTARY_FAMILY, bode, gantry, linear_axis, rotary_axis, tune
+from servogym.envs.autotune.stand import detune
 from servogym.envs.masters.port import MachinePort
 from servogym.envs.masters.squaring import square
 from servogym.envs.plants.gantry import PAIR
@@ -324,10 +325,15 @@ def turns(machine):
                 raise Red(f"{name}: {drive.fault}")
 
 
-def settling_of(machine, plant):
-    """Settling time of the first drive's move as delivered (s), and the longest after `tune`."""
+def settling_of(machine, plant, factor=1.0):
+    """Settling time (s) of the first drive's move as delivered, and after `tune`.
+
+    `tune` begins with `factor` times the gains.
+    """
     name = _beams(machine)[0]
     before = _settling(machine, name, plant.way)
+    for each in name if factor != 1.0 else ():
+        detune(machine.drives[each], factor)
     tune(machine, name[0])
     return before, _settling(machine, name, plant.way)
 

@@ -232,7 +232,8 @@ def named(text: str) -> tuple[str, Any]:
 
 
 def read_value(text: str) -> Any:
-    """A value in JSON, or the text itself where it is none."""
+    """A value in JSON or as Python writes it, or the text itself where it is neither."""
+    text = {"True": "true", "False": "false", "None": "null"}.get(text.strip(), text)
     try:
         return json.loads(text)
     except ValueError:

@@ -21,6 +21,7 @@ from ...envs.engine.mjcf import read
 from . import arguments
 
 GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
+OPTIONS = ("drive", "mechanics", "parameters", "parameter_file", "twin")
 NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
 
 
@@ -53,8 +54,10 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
             row = size(machine, drive).row
             if not table.columns:
                 for heading in ("machine", *row):  # the rows of a table have m or rad
-                    table.add_column(heading.partition(" (m")[0])
+                    table.add_column(heading.partition(" (m")[0], overflow="fold")
             table.add_row(name if len(machine.drives) == 1 else f"{name} {drive}", *row.values())
+    if not table.columns:
+        raise ValueError(f"there is no such machine; {refused[0]}")
     console.print(table)
     for line in refused:
         print(line)
@@ -146,10 +149,11 @@ def _machine(options: argparse.Namespace) -> Machine:
     }
     if name in makers:
         given = GANTRIES.get(name, {"mechanics": name})
-        try:
-            return makers[name](options.drive, **given, **values)
-        except TypeError as error:
-            raise ValueError(f"--set: {error}") from None
+        if taken := values.keys() & {*given, *OPTIONS}:
+            raise ValueError(
+                f"--set {min(taken)}: the machine's name, --drive, --parameter-file, --twin say it"
+            )
+        return makers[name](options.drive, **given, **values)
     if not Path(name).is_file():
         raise ValueError(f"machine {name!r} is unknown: {', '.join(NAMES)}, or an MJCF file")
     if values:
