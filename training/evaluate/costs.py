@@ -7,6 +7,7 @@ measured when this command repeats it, and kept in a JSON file beside the page.
 """
 
 import json
+import math
 import os
 import re
 import resource
@@ -165,7 +166,7 @@ def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
         took = sum(each.cpu_seconds for each in own)
         place = f"`assets/policies/{task}/seed_*`"
         rows.append([place, "`servogym results --train out/again`", f"{most}{took:.0f}", "", ""])
-    measured = sum(known[command]["cpu_seconds"] for command in commands if command in known)
+    measured = math.fsum(known[command]["cpu_seconds"] for command in commands if command in known)
     missing = sum(1 for command in commands if command and command not in known)
     trained = sum(each.cpu_seconds for each in trainings)
     total = measured + trained
