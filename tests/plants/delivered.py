@@ -8,12 +8,14 @@ of 100 mm, and one at full profile.
 """
 
 import argparse
+import hashlib
 import json
 import math
 import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from rich.console import Console
 
@@ -38,6 +40,7 @@ LIMITS = 6.0, 35.0  # dB and degree, of every loop
 REST = 0.5  # s after a move
 FULL = 0.98  # of the profile velocity, that a long move reaches
 LIKE = 0.10  # that `tune` changes the settling time, at most
+TAKES = re.compile(r"it takes ([0-9.]+) (\S+)")
 LEAST = 2e-3  # s of it, or so much: few cycles of the slowest position controller
 
 
@@ -165,7 +168,7 @@ def play(cell, measure=False, tuned=False):
 
 def _refused(cell, said, measure, tuned):
     """A refusal names a load that is taken, and what would take this one."""
-    takes = re.search(r"it takes ([0-9.]+) (\S+)", said)
+    takes = TAKES.search(said)
     if not takes or not re.search(r"gear ratio", said):
         return Outcome(cell, "silent", f"refused without a way out: {said}")
     other = replace(cell, load=float(takes[1]))
@@ -373,27 +376,15 @@ then moved over the stroke at its full profile. An axis *moves* if the following
 window, the profile velocity is reached, the axis comes to rest in the position window, and all
 loops keep 6 dB and 35°, by the model and as `servogym bode` measures them. A refusal states in one
 sentence which load this motor and this drive can move; that load was tested as well. An inverter
-has no position control: it is enabled and turns to and fro. With `--some`, `bode` and `tune` are
-run with the usual and the heaviest load only, or with the load that a refusal names instead.
+has no position control: it is enabled and turns to and fro. `tune` is run with the usual and the
+heaviest load, or with the load that a refusal names instead.
 
 ```sh
-python tests/plants/delivered.py docs/results/commissioning.md --some
+python tests/plants/delivered.py docs/results/commissioning.md
 ```
 
-"""
-AGAIN = """
-## Played again
-
-The table above is older than two changes. `tune` now keeps gains that keep the margins unless the
-move follows a tenth better with what it found; and commissioning takes the stiffest gains where
-those of the rule would let an axis creep into its window. On a belt that swings at 11 Hz (80 kg) a
-few per cent of the feed-forward decide how long the axis takes to settle, so there the settling
-time is no measure of a tuning. These axes were played with both; kollmorgen_akd on rotary_table,
-where `tune` was slower too, was not.
-
-```sh
-{}
-```
+The command keeps what it has played and goes on from there. It plays a cell again once the axis is
+commissioned differently, down to a bit, so all rows are of one commissioning.
 
 """
 
@@ -401,12 +392,6 @@ where `tune` was slower too, was not.
 def page(outcomes):
     """The page, of all outcomes."""
     return HEAD + table(outcomes)
-
-
-def again(earlier, outcomes, command):
-    """A page of the whole matrix with what was played since then below it."""
-    heading, *_ = AGAIN.partition("\n\n")
-    return earlier.partition(heading)[0] + AGAIN.format(command) + table(outcomes)
 
 
 def table(outcomes):
@@ -486,49 +471,51 @@ def main():
     parser.add_argument("--kept", type=Path, default=Path("out/delivered.jsonl"),
                         help="what has been played, to go on from")
     parser.add_argument("--only", default="", help="cells whose name has this regular expression")
-    parser.add_argument("--again", action="store_true",
-                        help="leave the page as it is, and write below it what is played")
-    parser.add_argument("--untuned", action="store_true", help="leave `tune` out")
-    parser.add_argument("--some", action="store_true",
-                        help="measure with the usual and the heaviest load only")
     options = parser.parse_args()
     options.kept.parent.mkdir(parents=True, exist_ok=True)
-    outcomes = kept(options.kept)
+    earlier, outcomes = kept(options.kept), []
     cells = [cell for cell in CELLS if re.search(options.only, str(cell))]
     with progress(Console(stderr=True), "axes", len(cells)) as done, options.kept.open("a") as file:
         for cell in cells:
-            tuned = cell.tuned and not options.untuned
-            found = outcomes.get(cell)
-            if found is None or (tuned and math.isnan(found.settled[0])):
-                measure = cell.tuned or not options.some
-                found = outcomes[cell] = play(cell, measure=measure, tuned=tuned)
-                file.write(json.dumps(asdict(found)) + "\n")
+            axis, found = earlier.get(cell, ("", None))
+            if axis != (now := commissioned(cell)):
+                found = play(cell, measure=True, tuned=cell.tuned)
+                file.write(json.dumps(asdict(found) | {"commissioned": now}) + "\n")
                 file.flush()
+            outcomes.append(found)
             if found.kind not in ("moves", "refused"):
                 print(f"{found.kind}: {cell}: {found.said}", flush=True)
             done(1)
-    ordered = [outcomes[cell] for cell in CELLS if cell in outcomes]
-    text = page(ordered)
-    if options.again:
-        command = (
-            f"python tests/plants/delivered.py {options.page} --some --again \\\n"
-            f"  --only '{options.only}'"
-        )
-        text = again(options.page.read_text(encoding="utf-8"), ordered, command)
-    options.page.write_text(text, encoding="utf-8")
+    options.page.write_text(page(outcomes), encoding="utf-8")
+
+
+def commissioned(cell):
+    """Hash of an axis, its mechanics and drives; or of a refusal and the axis that it names."""
+    return hashlib.sha256(_axis(cell)).hexdigest()[:16]
+
+
+def _axis(cell):
+    try:
+        machine = cell.machine()
+    except ValueError as error:
+        takes = TAKES.search(f"{error}")
+        other = _axis(replace(cell, load=float(takes[1]))) if takes else b""
+        return f"{error}".encode() + other
+    model = np.empty(mujoco.mj_sizeModel(machine.model), np.uint8)
+    mujoco.mj_saveModel(machine.model, None, model)
+    return machine.snapshot() + model.tobytes()
 
 
 def kept(file):
-    """Outcomes by cell, the last of each."""
+    """By cell, the last of each: hash of the axis that was played, and the outcome."""
     rows = map(json.loads, file.read_text().splitlines() if file.exists() else [])
     pairs = ("known", "measured", "settled")
-    found = (
-        Outcome(
-            **{**row, "cell": Cell(**row["cell"]), **{name: tuple(row[name]) for name in pairs}}
-        )
-        for row in rows
-    )
-    return {each.cell: each for each in found}
+    found = {}
+    for row in rows:
+        cell, axis = Cell(**row["cell"]), row.pop("commissioned")
+        values = {name: tuple(row[name]) for name in pairs}
+        found[cell] = axis, Outcome(**{**row, "cell": cell, **values})
+    return found
 
 
 if __name__ == "__main__":
