@@ -53,6 +53,10 @@ UNSEEN = 0.03  # share of the lines, and crossover as a share of the position-co
 HIGHEST_CROSSOVER = 0.08  # rate: above them the plant is measured behind a softer loop
 SOFT, SOFTER = 0.25, 3  # of the velocity gain, and how often it is measured at most
 DECAYING = 0.9  # of a ripple, from one look to the next
+STUCK = (
+    "turns round or reaches its torque limit with the least amplitude too: what was measured is no "
+    "guide, as behind a loop too soft for the friction"
+)
 QUIET = 0.15  # of the rated torque: more ripple, before there is an excitation, is an oscillation
 
 
@@ -250,6 +254,8 @@ def _measure(
                 stand.refuse_hot()
             if disturbed and amplitude > LEAST_AMPLITUDE:
                 break
+            if disturbed:
+                note = note or STUCK
             runs.append(samples)
             direction = -direction
         if len(runs) < 4:

@@ -24,6 +24,8 @@ from ..plants.loops import Gains, gains_of, in_units
 SAMPLED = ("torque_offset", "torque_command", "velocity", "position", "limits")
 ROOM = 0.9  # share of the free way that a run may use
 CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
+BEHIND = 0.2  # of the speed asked for, at most, when it has come
+PATIENCE, WAITING = 5.0, 0.3  # s, and share of the free way, until it is given up
 # what is sampled after each position cycle
 OFFSET, TORQUE, VELOCITY, POSITION, LIMITED, TURNED = range(6)
 
@@ -164,10 +166,15 @@ class Stand:
             self.master[name].write("target_velocity", value)
 
     def settle(self, speed: float) -> None:
-        """Wait until the ramp to a speed has ended, and half as long again."""
-        axis = self.drive.axis
-        ramp = 2 * abs(speed * self.gear) / max(float(axis.acceleration), 1e-9)
-        self.run(np.zeros(CYCLES_OF_A_RAMP + math.ceil(1.5 * ramp / self.period)))
+        """Wait until the ramp to a speed has ended, half as long again, and for a soft loop."""
+        axis, wanted = self.drive.axis, self._heading * abs(speed * self.gear)
+        ramp = 2 * abs(wanted) / max(float(axis.acceleration), 1e-9)
+        count = CYCLES_OF_A_RAMP + math.ceil(1.5 * ramp / self.period)
+        patience = min(PATIENCE, WAITING * max(self.room) / max(abs(speed), 1e-9))
+        for _ in range(math.ceil(patience / (count * self.period)) or 1):
+            velocity = self.run(np.zeros(count))[-CYCLES_OF_A_RAMP:, VELOCITY]
+            if abs(np.mean(velocity) - wanted) < BEHIND * abs(wanted):
+                break
 
     def run(self, offsets: np.ndarray, against: bool = False) -> np.ndarray:
         """Excite with torque offsets (Nm), one a step; -> samples of shape ``(n, 6)``.

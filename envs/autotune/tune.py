@@ -193,6 +193,9 @@ def tune(
             stand.machine.restore(had)
             stand.keep()
             after, trial_after = before, trial_before
+        if reached and math.isinf(trial_after.following_error):
+            reached = False
+            reason = reason or f"the move is not made with them ({trial_after.note})"
         return Tuned(
             drive=stand.name, model=own.model.name, unit=stand.unit, asked=asked, reached=reached,
             reason=reason, objects=objects, table=_table(stand, objects), friction=rides,
@@ -208,31 +211,25 @@ def _no_better(
     unit: str, asked: Requirements, before: Response, had: Trial, after: Response, found: Trial
 ) -> str:
     """Why the gains that the drive had are kept; empty where they are not."""
-    if math.isinf(found.following_error) > math.isinf(had.following_error):
+    keeps, moves = asked.kept(before), math.isfinite(had.following_error)
+    if math.isinf(found.following_error) and (keeps or moves):
         return (
             f"the move is not made with them ({found.note}), so the drive keeps what it "
             "had; what was measured is not a guide, as with much backlash or little excitation"
         )
-    if not asked.kept(before):
+    if not keeps:
         return ""
     if found.settling > LATER * had.settling:
         return (
             f"what the drive had keeps the margins, and with what was found the move settles after "
             f"{found.settling:.3f} s, not {had.settling:.3f} s, so it keeps it"
         )
-    if not _worth(before, had, after, found):
+    if found.following_error >= WORTH * had.following_error:
         return (
             "what the drive had keeps the margins, and what was found follows no better "
             f"({_micro(found, unit)}, it had {_micro(had, unit)}), so it keeps it"
         )
     return ""
-
-
-def _worth(before: Response, had: Trial, after: Response, found: Trial) -> bool:
-    """Whether gains that were found do clearly more; the stiffer, where no move is made."""
-    if math.isinf(had.following_error) and math.isinf(found.following_error):
-        return before.gains.stiffness < WORTH * after.gains.stiffness
-    return found.following_error < WORTH * had.following_error
 
 
 def _micro(trial: Trial, unit: str) -> str:

@@ -23,6 +23,7 @@ def holds(played):
     after = tuned.after.velocity_margins, tuned.after.position_margins
     for found, (gain, phase, stable) in zip(after, played.known, strict=True):
         if tuned.reached:
+            assert math.isfinite(tuned.trial_after.following_error), "a move that is not made"
             assert found.stable
             assert found.sure >= 6.0
             assert found.phase >= 35.0

@@ -240,6 +240,9 @@ benchmark everything
 benchmark homing --drive nothing
 benchmark homing --drive bonfiglioli_act
 benchmark positioning --out FILE
+benchmark positioning --payload ,
+benchmark positioning --distance ,
+benchmark homing --mechanics ,,
 machines --set payload=nan
 machines --set nothing=1
 machines rotary_table --set payload=1

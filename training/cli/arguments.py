@@ -208,7 +208,7 @@ def several(number: Number) -> Callable[[str], list[Any]]:
     """Return the type of an option with numbers that are separated by commas."""
 
     def parse(text: str) -> list[Any]:
-        if numbers := [number(word) for word in listed(text)]:
+        if numbers := [number(word) for word in _words(text)]:
             return numbers
         raise argparse.ArgumentTypeError(f"{text!r}: give numbers with commas between")
 
@@ -216,8 +216,18 @@ def several(number: Number) -> Callable[[str], list[Any]]:
 
 
 def listed(text: str | None) -> list[str]:
-    """``"a, b"`` -> ``["a", "b"]``: words separated by commas, without empty ones."""
-    return [word.strip() for word in (text or "").split(",") if word.strip()]
+    """``"a, b"`` -> ``["a", "b"]``: words separated by commas, without empty ones.
+
+    Raises ValueError for commas without a word: it is not what is meant by leaving a list out.
+    """
+    words = _words(text or "")
+    if text and not words:
+        raise ValueError(f"{text!r} lists nothing: give words with commas between")
+    return words
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def named(text: str) -> tuple[str, Any]:

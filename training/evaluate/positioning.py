@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...envs import FAMILY, POINT_TO_POINT, SWINGING_LOAD, ServoEnv
+from ..policies.file import SUFFIX, from_file
 from ..report import number
 from ..scale.job import Result
 from ..setup import Setup
@@ -56,6 +57,7 @@ CHANGED_PAYLOAD = 5.0  # kg
 SPRING = "spring_load"  # the axis of the task with a swinging load
 INFORMED = "informed_"  # begins the name of what is no rival
 TOLERANCE = 50e-6  # m
+NEAREST, FARTHEST = 0.001, 0.35  # m, far beyond the tolerance, and within the stroke
 NOTED = 1e-3  # s, of a settling time: less is not worth a sentence
 FIGURES = {  # name in the CSV: metric
     "settling_s": "settling_time",
@@ -88,7 +90,7 @@ class Moves:
 
     def __init__(
         self, drive: str, key: Key, ways: Sequence[tuple[float, float]],
-        parameter_file: Path | None,
+        parameter_file: str | None,
     ):
         mechanics, payload, condition, strategy = key
         self._key, self._ways = key, ways
@@ -102,7 +104,7 @@ class Moves:
                 "parameters": replace(axis, payload=payload, **weak), "tolerance": TOLERANCE,
                 "tuned": True, "randomise": CHANGED.get(condition, {}),
             },
-            parameter_file=str(parameter_file) if parameter_file else None,
+            parameter_file=parameter_file,
         )
         self._episodes = Episodes(setup, strategy, fixed(0, len(ways)), options=options)
         self.jobs = self._episodes.jobs
@@ -135,16 +137,20 @@ def cells(
     parameter_file: Path | None = None,
 ) -> Grid[Key, list[Row]]:
     """One for each axis, strategy and condition. Raises ValueError as the environment does."""
-    POINT_TO_POINT(drive=drive).close()
+    file = str(parameter_file) if parameter_file else None
+    Setup(POINT_TO_POINT, drive, parameter_file=file).make().close()
+    for asked in strategies:
+        if asked.partition(":")[0].endswith(SUFFIX):
+            from_file(asked)  # refused at once, not by one axis after the other
     known_mechanics(mechanics, (SPRING,))
+    for distance in distances:
+        if not NEAREST <= distance <= FARTHEST:
+            raise ValueError(f"--distance = {distance:g} m: {NEAREST:g}..{FARTHEST:g} m will do")
     ways = [
         (start, start + (distance if start < 0.25 else -distance))
         for distance in distances or (QUICK_DISTANCES if quick else DISTANCES)
         for start in STARTS
     ]
-    for start, goal in ways:
-        if not 0.0 <= goal <= 0.5:
-            raise ValueError(f"--distance = {abs(goal - start):g} m: 0.35 m at most")
     conditions = [NOMINAL] if quick else CONDITIONS
     grid = Grid[Key, list[Row]]()
     for key in (
@@ -157,7 +163,7 @@ def cells(
     ):
         with grid.tried(key):
             try:
-                grid.cells[key] = Moves(drive, key, ways, parameter_file)
+                grid.cells[key] = Moves(drive, key, ways, file)
             except ValueError as error:
                 raise ValueError(f"{key[0]}, {key[1]:g} kg: {error}") from None
     for asked in strategies:

@@ -33,7 +33,7 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
     if not isinstance(made, type):
         if callable(made):
             _takes(name, made, "observation")
-            return Own(name, Function(made))
+            return Own(name, Function(made), datasheet.actions)
         raise ValueError(f"policy {name!r} is {made!r}: it has to be a class or a function")
     for method in ("reset", "act"):
         if not callable(getattr(made, method, None)):
@@ -42,7 +42,7 @@ def policy_of(name: str, made: Any, datasheet: Datasheet, seed: int) -> Any:
     _takes(name, vars(made).get("reset"), "self", "observation", "info")
     _takes(name, vars(made).get("act"), "self", "observation")
     try:
-        return Own(name, made(datasheet, seed))
+        return Own(name, made(datasheet, seed), datasheet.actions)
     except Exception as error:
         raise ValueError(
             f"policy {name!r}: {made.__name__}(datasheet, seed) fails: {error_line(error)}"
@@ -69,8 +69,8 @@ def _takes(name: str, function: Any, *arguments: str) -> None:
 class Own:
     """A policy of the user's own: its errors name file and line, its actions are numbers."""
 
-    def __init__(self, name: str, policy: Any):
-        self._name, self._policy = name, policy
+    def __init__(self, name: str, policy: Any, actions: int):
+        self._name, self._policy, self._actions = name, policy, actions
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin an episode."""
@@ -84,10 +84,10 @@ class Own:
                 numbers = np.asarray(action, np.float32)
         except (TypeError, ValueError):
             numbers = np.array([np.nan])
-        if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        if numbers.shape != (self._actions,) or not np.isfinite(numbers).all():
             raise ValueError(
                 f"policy {self._name!r}: act gave {action!r}, an action is an array of finite "
-                "numbers -1..1, one for each of the environment"
+                f"numbers -1..1, {self._actions} of them in this environment"
             )
         return numbers
 
