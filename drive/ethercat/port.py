@@ -106,7 +106,7 @@ class EtherCatPort:
         slaves = master.slaves or master.scan()
         if len(slaves) != len(self.models):
             raise ValueError(f"{len(slaves)} slaves answer, {len(self.models)} models are given: "
-                             f"{', '.join(self.models)}")
+                             f"{', '.join(self.models)}; check interface, cable and supply")
         if all(slave.state == AlState.INIT for slave in slaves):
             master.to_preop()
         self.nodes = {

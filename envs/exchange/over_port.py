@@ -236,7 +236,7 @@ class _Beating:
         heard = self._owed & came if self._owed else came
         self._owed -= came
         self._quiet = 0.0 if heard else self._quiet + passed
-        if self._quiet > SILENT:
+        if self._quiet > SILENT or self.silent:
             self._in_vain += passed
         return received
 
@@ -514,6 +514,7 @@ class PortLine:
         self.phase = PHASE  # of a step: when set-points go out
         # steps one after the other without answers, set-points or actions in time, until it stops
         self.missed = max(MISSED, math.ceil(BRIDGED / period))
+        self._begun = False  # an episode: before it, the drives get no power from here
         self.time_limit = math.inf  # s, from the first episode on
         self._running = self._behind = 0  # steps one after the other: without answers, too late
         self._deadline, self._ends = 0.0, math.inf
@@ -628,6 +629,7 @@ class PortLine:
         """Before an episode."""
         if self.stopped is not None:
             raise self.stopped
+        self._begun = True
         self._side.awake()
         self._running = self._behind = 0
         if self._ends == math.inf:
@@ -901,11 +903,12 @@ class PortLine:
             told = error if isinstance(error, Stopped) else Stopped("", name)
             self.stopped = told
             torque = partial(self._give_back, "max_torque")  # all of it, to brake
-            for act in (
+            acts: list[Callable[[], object]] = [
                 torque, partial(self.master.control, QUICK_STOP), self._side.send,
                 self.master.quick_stop, partial(self.master.control, 0), self._side.send,
                 self._give_back, partial(self._side.arm, False),
-            ):
+            ]
+            for act in acts if self._begun else [self._give_back]:
                 _insist(act)
         return self.stopped
 

@@ -309,6 +309,24 @@ def test_whatever_else_a_controlword_asks_for_its_set_point_is_guarded(word):
         line._command(image)
 
 
+@pytest.mark.parametrize("bus", BUSES)
+def test_an_environment_in_which_no_episode_has_begun_is_closed_at_once(bus):
+    """Its drives have no time yet; a quick stop would wait for them."""
+    env = in_process.environment(LINEAR, bus)
+    drive = env.drive
+    changed = [*env.line._kept]
+    env.close()
+    assert changed
+    assert not env.line._kept
+    assert drive.state is not State.OPERATION_ENABLED
+
+
+def test_time_limits_end_while_syncs_are_held_back():
+    line = in_process.environment(LINEAR, "can").line
+    with pytest.raises(ServoError, match=r"not within 0\.1 s"):
+        line.master.quick_stop(timeout=0.1)
+
+
 @pytest.mark.parametrize(("step_time", "missed"), [(5e-3, 3), (2e-3, 5)])
 @pytest.mark.parametrize("bus", BUSES)
 def test_a_lost_link_stops_with_its_name(bus, step_time, missed):

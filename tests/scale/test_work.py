@@ -258,9 +258,10 @@ def test_the_traced_episode_is_drawn_before_the_last_job_is_done():
     assert early.picture == b"PNG"
 
 
-def test_workers_out_of_range_are_one_line(capsys):
-    assert cli.main(["eval", "LinearAxis-v0", "--policy", "hold", "--workers", "0"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_workers_out_of_range_are_refused(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["eval", "LinearAxis-v0", "--policy", "hold", "--workers", "0"])
+    assert capsys.readouterr().err.endswith("argument --workers: 0 is out of range 1..10000\n")
 
 
 def test_workers_are_forked_from_a_process_that_has_loaded_what_they_need():
