@@ -189,7 +189,17 @@ async def look_up(page, address):
 
 
 async def shown_is_drive(page):
-    """State and position in the header are those of 6041h and 6064h."""
+    """State and position in the header are those of 6041h and 6064h.
+
+    Looked at again where the line was cut meanwhile: the page then begins anew.
+    """
+    for _ in range(2):
+        with contextlib.suppress(LookupError):
+            return await looked_at(page)
+    await looked_at(page)
+
+
+async def looked_at(page):
     await settled(page)
     for address in ("6041h:00", "6064h:00"):
         await look_up(page, address)
