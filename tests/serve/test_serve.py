@@ -341,7 +341,9 @@ def test_however_serving_ends_there_is_no_traceback(tmp_path, moment, signals):
         said, errors = process.communicate(timeout=30)
     assert "Traceback" not in errors
     if moment == "serving":
-        assert (process.returncode, errors) == (0, "")
+        # a further SIGTERM may meet Python at its end, which has no handlers any more
+        assert process.returncode in {0, *([-TERM] if signals[2:] else [])}
+        assert errors == ""
         assert "deadlines missed" in said
     else:
         assert process.returncode in (130, -signals[0])
