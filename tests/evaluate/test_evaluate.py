@@ -260,7 +260,7 @@ def test_one_seed_writes_the_same_bytes(tmp_path):
         ("eval LinearAxis-v0 --policy x", "policy 'x' is unknown"),
         ("eval LinearAxis-v0 --policy hold --episodes 0", "--episodes: 0 is out of range 1..1000"),
         ("eval LinearAxis-v0 --policy hold --drive festo_cmmp_as", "has no mode cyclic_sync"),
-        ("compare LinearAxis-v0 --policies ,", "--policies is empty"),
+        ("compare LinearAxis-v0 --policies ,", "lists nothing: give words with commas between"),
         ("benchmark homing --drive bonfiglioli_act", "has no homing method"),
         ("compare LinearAxis-v0 --policies ruckig --argument mode=cst", "with mode='csp'"),
         ("eval LinearAxis-v0 --policy hold --argument weight=3", "has no argument 'weight'"),
