@@ -53,7 +53,8 @@ class ExperimentsPage:
                 ).props("dense outlined").classes("entry grow")
                 button("Inject", lambda: self._inject(str(self.other.value or "")))
                 button("Take all away", self._clear, "clear-injected", "main")
-            self.injected = ui.label("").classes("prose quiet").props("data-test=injected")
+            self.injected = ui.label("Nothing is injected.").props("data-test=injected")
+            self.injected.classes("prose quiet")
 
     def _disturbances(self) -> None:
         session: Any = self.desk.clock.session
