@@ -157,6 +157,8 @@ def _trapezoid(axis: Axis, n, x, v, change, sign, first, last, limit, begin, end
     time = up / rise
     if hold == 0.0 and time > 0.0 and (up < 0.0 or peak == last):  # one line from first to last
         time, down = 2 * change / (first + last), 0.0
+    elif down == 0.0 and peak == last and 0.0 < peak < limit:  # begins with a jump to `last`
+        hold = change / peak
     n, x, v = _segment(axis, n, x, v, time, sign * first, sign * rise, 0.0)
     n, x, v = _segment(axis, n, x, v, hold, sign * peak, 0.0, 0.0)
     return _segment(axis, n, x, v, down / end, sign * peak, -sign * end, 0.0)
