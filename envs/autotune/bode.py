@@ -22,7 +22,7 @@ import numpy as np
 
 from ..engine.checks import in_range, whole
 from ..engine.machine import Machine
-from ..plants.loops import Gains, filters_of, gains_of, in_units
+from ..plants.loops import LOWEST, Gains, filters_of, gains_of, in_units
 from .identify import identify
 from .margins import LEAST_COHERENCE
 from .needs import scipy
@@ -38,7 +38,7 @@ from .stand import (
 )
 
 PERIOD = 1.0  # s, of the multisine, at least: a line each Hz
-USUAL, LOWEST = 2.0, 0.2  # Hz, lowest frequency of an axis that is not slow, and of any
+USUAL = 2.0  # Hz, lowest frequency of an axis that is not slow
 BELOW = 0.5  # of the position crossover to be expected, where that is slower
 SETTLE = 0.4  # s, of its beginning, until what is transient has gone
 LEG = SETTLE + 0.1  # s, of travel in one direction beside the multisine

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..plants import loops
-from ..plants.loops import Gains, LoopPlant
+from ..plants.loops import LOWEST, Gains, LoopPlant
 from .response import Response
 
 
@@ -14,9 +14,10 @@ class Requirements(loops.RequiredMargins):
 
     def kept(self, response: Response) -> bool:
         """Whether a measured response has these margins."""
-        return all(
+        velocity, position = response.velocity_margins, response.position_margins
+        return position.measured and all(
             found.stable and found.sure >= self.gain and found.phase >= self.phase
-            for found in (response.velocity_margins, response.position_margins)
+            for found in (velocity, position)
         )
 
 
@@ -48,6 +49,8 @@ def _seen(response: Response) -> LoopPlant:
 def why_not(response: Response, asked: Requirements) -> str:
     """What stands in the way of the margins, in words."""
     loops = {"velocity": response.velocity_margins, "position": response.position_margins}
+    if not loops["position"].measured:
+        return f"the position loop crosses over below {LOWEST:g} Hz, where nothing is measured"
     turning = [name for name, found in loops.items() if not found.stable]
     if turning and all(m.sure >= asked.gain and m.phase >= asked.phase for m in loops.values()):
         return (

@@ -34,6 +34,11 @@ class Margins:
         """Gain margin (dB) where coming close to -180 degrees counts as crossing it."""
         return min(self.gain, self.doubtful)
 
+    @property
+    def measured(self) -> bool:
+        """Whether the loop crosses 1 at a measured frequency; a slow position loop may not."""
+        return math.isfinite(self.crossover)
+
     def and_of(self, others: Iterable["Margins"]) -> "Margins":
         """The smallest ones of several loops, and where they are."""
         loops = [self, *others]
@@ -47,7 +52,11 @@ class Margins:
     def __str__(self) -> str:
         if not self.stable:
             return "unstable"
-        text = f"{self.gain:.1f} dB, {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
+        text = f"{self.gain:.1f} dB"
+        if self.measured:
+            text += f", {self.phase:.0f}°, crossover {self.crossover:.3g} Hz"
+        else:
+            text += ", no crossover measured"
         if self.doubtful < self.gain:
             text += f", {self.doubtful:.1f} dB within {UNSURE:g}° of a crossing"
         return text

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..plants.loops import gains_of, in_units, ranges
+from ..plants.loops import gains_of, in_units, measurable, ranges
 from .bode import HIGHEST, calm, lowest_of, measured, possible
 from .fit import Requirements, fit, why_not
 from .needs import scipy
@@ -164,7 +164,7 @@ def tune(
         after, objects, ease = before, original, 1.0
         best: tuple[Response, dict[str, int], Any] | None = None
         for _ in range(TRIES):
-            gains = fit(after, asked, ease, ranges(own))
+            gains = fit(after, asked, ease, measurable(ranges(own)))
             if gains is None or (best and best[0].gains.stiffness >= WORTH * gains.stiffness):
                 break
             objects = in_units(own, gains) | {FEED_FORWARD: original[FEED_FORWARD]}

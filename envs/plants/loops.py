@@ -24,7 +24,7 @@ SHAPES = (3.0, 4.0, 5.0, 7.0, 10.0)  # action time times crossover
 SEPARATIONS = 2.0 * 1.1 ** np.arange(32)  # crossover over position gain, 2..38
 WITHOUT_OVERSHOOT = 60.0  # degree
 STEP = 1.06  # between crossovers that are tried
-LOWEST = 0.2  # Hz, crossover of a rigid plant
+LOWEST = 0.2  # Hz: nothing is measured below, so no loop is fitted that crosses over there
 HIGHEST = 0.35  # of the position-controller rate, same
 EASED = np.array([1.0, 0.75, 0.5])  # of the highest velocity gain, that leave more for the position
 EASES = 0.8 ** np.arange(12)  # of the velocity gain, until a PID controller has the margins
@@ -109,6 +109,20 @@ def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
         low, high = (row.minimum, row.maximum) if row is not None else (0, math.inf)
         found[of] = max(low, 1) * unit, high * unit
     return found
+
+
+def measurable(allowed: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Ranges of `ranges` without the gains that no measurement could confirm.
+
+    A position loop crosses over where its gain is, so the gain is not below `LOWEST`; the action
+    time is no longer than that, or an axis rests in its window before friction has been overcome.
+    """
+    rate = 2 * math.pi * LOWEST
+    (shortest, longest), (low, high) = allowed["integral_time"], allowed["position_gain"]
+    return {
+        **allowed, "integral_time": (shortest, min(longest, 1 / rate)),
+        "position_gain": (max(low, rate), high),
+    }
 
 
 @dataclass(frozen=True)

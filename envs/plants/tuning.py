@@ -24,6 +24,7 @@ from ...drive.kernel.cascade import Structure
 from ..engine.machine import Machine
 from .loops import (
     ANY,
+    LOWEST,
     OBJECTS,
     RESERVE_GAIN,
     RESERVE_PHASE,
@@ -34,6 +35,7 @@ from .loops import (
     fastest_pid,
     gains_of,
     in_units,
+    measurable,
     ranges,
 )
 from .shaft import plant_at_shaft
@@ -108,14 +110,14 @@ def fitting(
 
     Args:
         plants: of `shaft.plant_at_shaft`, in all situations.
-        drive: whose ranges count.
+        drive: whose ranges count, as far as `bode` can measure the loops.
         by_rule: of `rule`.
         stiffness: that they need to do (Nm/rad).
 
     Returns:
         None where no gains that the drive has keep the margins.
     """
-    allowed = ranges(drive)
+    allowed = measurable(ranges(drive))
     taken = all(
         low <= value <= high
         for (low, high), value in (
@@ -230,6 +232,9 @@ def _missing(plants: Sequence[LoopPlant], drive: Drive) -> str:
             limits = f"{low * unit:g}..{high * unit:g}"
             light = not out and of == "velocity_gain" and value < low
             out.append(f"{name} = {value * unit:.3g} is out of range {limits}")
+    if needed and needed.position_gain < 2 * math.pi * LOWEST:
+        crossover = needed.position_gain / (2 * math.pi)
+        out.append(f"the position loop would cross over at {crossover:.2g} Hz, too slow to measure")
     would = "a lower gear ratio" if light else "a stiffer transmission or a higher gear ratio"
     return ", ".join([*out, f"{would} would do"])
 

@@ -7,12 +7,15 @@ so it goes on where it was interrupted; without the page it begins anew. Beside 
 `tune` measures are those of the known plant (`known`).
 """
 
+import argparse
 import math
 import re
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import known
 from rich.console import Console
@@ -250,7 +253,10 @@ def kept(path):
     return {tuple(row[:3]): row for row in rows if len(row) == len(HEADING)}
 
 
-def main(path):
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("page", type=Path)
+    path = parser.parse_args().page
     rows = kept(path)
     with progress(Console(stderr=True), "tuning", len(CASES)) as done:
         for case in CASES:
@@ -264,4 +270,4 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -1,6 +1,7 @@
 """Tuning from detuned gains: margins, following error, and a parameter set that drives take."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from later import only_with
@@ -93,6 +94,17 @@ def test_margins_that_no_gains_give_are_told_in_words():
     reason = why_not(response, asked)
     assert reason.startswith("no gains give 90 dB and 80°")
     assert str(response.fitted.resonances[0]) in reason
+
+
+def test_margins_of_a_position_loop_that_crosses_over_below_what_is_measured_are_not_reached():
+    """With no crossover its phase margin was infinite, and counted as reached."""
+    response = bode(made("rigid"))
+    slow = response.with_gains(replace(response.gains, position_gain=0.1))
+    asked = Requirements()
+    assert asked.kept(response)
+    assert not asked.kept(slow)
+    assert str(slow.position_margins).endswith(" dB, no crossover measured")
+    assert why_not(slow, asked).startswith("the position loop crosses over below 0.2 Hz")
 
 
 ARM = """<mujoco><worldbody><body>

@@ -22,7 +22,7 @@ from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.training import cli
 from servogym.training.evaluate import compare, comparison, tables
 from servogym.training.evaluate.episodes import FIRST_SEED, Evaluator
-from servogym.training.evaluate.homing import interval, repeatability, two_sided
+from servogym.training.evaluate.homing import interval, one_sided, repeatability, two_sided
 from servogym.training.evaluate.metrics import METRICS, Difference, iqm
 from servogym.training.policies import make
 from servogym.training.report import number
@@ -309,6 +309,9 @@ def test_repeatability_is_that_of_iso_230_2():
     assert two_sided(one, np.array([])) == pytest.approx(4.0)
     low, high = interval(two_sided, one, one + 10.0)
     assert low <= 14.0 <= high
+    assert one_sided(one, 3.0 * one) == pytest.approx(12.0)
+    low, high = interval(one_sided, one, 3.0 * one)
+    assert low <= 12.0 <= high
 
 
 def test_numbers_have_significant_digits():

@@ -132,6 +132,16 @@ def two(master, other):
 def lost(master):
     pass
 
+def raises(master):
+    raise KeyError("gain")
+
+def leaves(master):
+    raise SystemExit(0)
+
+def forever(master):
+    while True:
+        master.port.exchange()
+
 def astray(master):
     master.home(17)
 
@@ -144,21 +154,28 @@ astray.reference = 35
     [
         ("Policy", "it is a class; a homing method is a function"),
         ("two", "missing a required argument: 'other'"),
+        ("raises", "--policy bad.py:raises fails: "),
+        ("leaves", "in leaves: SystemExit: 0"),
         ("astray", "reference = 35: give the method whose home it should find"),
     ],
 )
-def test_what_is_no_homing_method_is_refused_before_the_first_run(here, capsys, name, said):
+def test_what_is_no_homing_method_is_refused_by_its_first_run(here, capsys, name, said):
     (here / "bad.py").write_text(BAD)
     assert cli.main(["benchmark", "homing", "--quick", "--policy", f"bad.py:{name}"]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_method_that_does_not_home_is_named_with_its_reason_and_claims_nothing(here):
+def test_a_method_that_does_not_home_is_named_with_its_reason_and_claims_nothing(here, capsys):
     (here / "bad.py").write_text(BAD)
-    _, page = benchmark(here, "homing --mechanics rigid --runs 2 --policy bad.py:lost")
-    assert "Method bad.py:lost on rigid does not home in 2 of 2 runs: it ended without" in page
+    own = "bad.py:lost,bad.py:forever"
+    _, page = benchmark(here, f"homing --mechanics rigid --runs 2 --policy {own}")
+    shown = " ".join(capsys.readouterr().out.split())
+    for name, why in (("lost", "it ended without"), ("forever", "home within 120 s of the axis's")):
+        said = f"Method bad.py:{name} on rigid does not home in 2 of 2 runs: {why}"
+        assert said in page
+        assert said in shown
     assert "(– to –)" not in page
-    assert "does not change beyond" not in page
+    assert "With method" not in page
 
 
 @pytest.mark.slow

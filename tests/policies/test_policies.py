@@ -30,7 +30,14 @@ from servogym.training.policies import (
 from servogym.training.policies.datasheet import Vibration, datasheet
 from servogym.training.policies.idle import Hold
 from servogym.training.policies.lqr import gain, model
-from servogym.training.policies.profiles import Bounds, of_the_drive, shaped, trapezoid
+from servogym.training.policies.profiles import (
+    Bounds,
+    notched,
+    of_the_drive,
+    shaped,
+    time_optimal,
+    trapezoid,
+)
 
 MOVE = {"start": 0.1, "goal": 0.3}
 
@@ -285,6 +292,18 @@ def test_a_shaped_path_ends_where_the_path_does_and_does_not_excite_its_frequenc
     gentle = shaped(path, omega, ratio)
     assert gentle(times)[-1] == pytest.approx(0.1)
     assert swing(gentle(times)) < 0.01 * swing(path(times))
+
+
+@pytest.mark.parametrize("frequency", [8.0, 120.0, 450.0, 700.0])
+def test_a_notched_path_is_what_the_continuous_filter_makes_of_it(frequency):
+    """The notch of a resonance above 500 Hz, half the usual sampling rate, was unstable."""
+    signal = pytest.importorskip("scipy.signal")
+    omega, ratio = 2 * np.pi * frequency, 0.02
+    path = time_optimal(0.1, Bounds(1.0, 10.0, 1000.0))
+    times = np.arange(0.0, 0.6, 2e-5)
+    filter_ = ([1.0, 2 * ratio * omega, omega**2], [1.0, 2 * omega, omega**2])
+    _, expected, _ = signal.lsim(filter_, path(times), times)
+    assert np.abs(notched(path, omega, ratio)(times) - expected).max() < 2e-4
 
 
 def test_too_heavy_a_load_for_the_torque_is_refused_with_its_numbers():

@@ -97,7 +97,7 @@ def run(
             path.with_suffix(".png"), f"{kind.of}, drive {drive}", report.rows, report.columns,
             report.panels, report.failures, report.why,
         )
-        console.print(f"{report.done}; {path}.csv, .md, .png")
+        console.print(f"{report.done}; {path}.csv, .md, .png", markup=False)
     return 0
 
 

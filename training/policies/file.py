@@ -116,7 +116,8 @@ def from_file(name: str) -> Any:
     """
     file, colon, function = name.rpartition(":")
     if not colon:
-        raise ValueError(f"policy {name!r}: which of its functions? Write {name}:function")
+        given = name if name.endswith(SUFFIX) else f"FILE{SUFFIX}"
+        raise ValueError(f"policy {name!r}: which of its functions? Write {given}:function")
     return _load(name, Path(file), function)
 
 

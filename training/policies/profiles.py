@@ -26,7 +26,7 @@ Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the mo
 # What the controller needs to hold the path is left to it.
 TORQUE_SHARE = 0.8
 ALLOWED = 0.05  # vibration that an EI shaper leaves at the resonance
-NOTCH_CYCLE = 1e-3  # s
+NOTCH_CYCLE, NOTCH_CYCLES = 1e-3, 4  # s, at most, and how many there are in a period at least
 FINE = 20.0  # tolerances, of the fine distance of an observation
 JERK_TIME = 0.01  # s, in which the acceleration builds up; two set-points
 
@@ -116,21 +116,22 @@ def extra_insensitive(path: Path, frequency: float, ratio: float) -> Path:
 def notched(path: Path, frequency: float, ratio: float) -> Path:
     """Notch filter of the set-point, ``(s² + 2 ζ ω s + ω²) / (s + ω)²``: zeros where it swings.
 
-    Sampled at 1 ms by Tustin's rule, exact at the resonance.
+    Sampled at 1 ms or a quarter of a period by Tustin's rule, exact at the resonance.
 
     Args:
         path: to be filtered, at rest at 0 before.
         frequency: of the vibration, undamped (rad/s).
         ratio: its damping ratio.
     """
-    k = frequency / math.tan(0.5 * frequency * NOTCH_CYCLE)
+    cycle = min(NOTCH_CYCLE, 2 * math.pi / frequency / NOTCH_CYCLES)
+    k = frequency / math.tan(0.5 * frequency * cycle)
     middle, damping = 2.0 * (frequency**2 - k**2), 2.0 * ratio * frequency * k
     b = np.array([k**2 + damping + frequency**2, middle, k**2 - damping + frequency**2])
     a = np.array([(k + frequency) ** 2, middle, (k - frequency) ** 2])
     (b0, b1, b2), (_, a1, a2) = (b / a[0]).tolist(), (a / a[0]).tolist()
 
     def filtered(times: np.ndarray) -> np.ndarray:
-        grid = np.arange(0.0, times[-1] + NOTCH_CYCLE, NOTCH_CYCLE)
+        grid = np.arange(0.0, times[-1] + cycle, cycle)
         out, one, two = [], 0.0, 0.0
         for x in path(grid).tolist():  # direct form II, transposed
             y = b0 * x + one

@@ -208,9 +208,9 @@ class LoopsPage:
 
     def _margin_row(self, name: str, margins: Margins) -> None:
         Tag("span", name)
-        Tag("span", f"{margins.crossover:.1f} Hz")
+        Tag("span", f"{margins.crossover:.1f} Hz" if margins.measured else "–")
         if margins.stable:
-            Tag("span", f"{margins.phase:.0f}°")
+            Tag("span", f"{margins.phase:.0f}°" if margins.measured else "–")
             Tag("span", f"{margins.gain:.1f} dB")
         else:
             Tag("span", "unstable").classes("bad")
