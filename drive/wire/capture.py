@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from ..ethercat.frame import ETHERTYPE
+from .ethernet import raw_socket
 from .pcapng import Writer
 
 ALL = 0x0003  # ETH_P_ALL: what goes out is seen by no other kind of socket
@@ -22,13 +23,12 @@ class Capture:
         file: the capture, .pcapng.
 
     Raises:
-        OSError: no such interface, or no right to raw sockets.
+        ValueError: no such interface, or no right to raw sockets, with the remedy.
     """
 
     def __init__(self, interface: str, file: str | Path):
-        self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ALL))
+        self._socket = raw_socket(interface, ALL)
         try:
-            self._socket.bind((interface, ALL))
             self._socket.setsockopt(socket.SOL_SOCKET, STAMPS, 1)
             self._socket.settimeout(WAIT)
             self._writer = Writer(file, (interface,))

@@ -36,24 +36,15 @@ class RawPort:
     """
 
     def __init__(self, interface: str):
-        if not hasattr(socket, "AF_PACKET"):
-            raise ValueError(f"{sys.platform} has no raw sockets: use --udp")
-        try:
-            self.socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETHERTYPE))
-        except PermissionError:
-            raise ValueError(_rights(interface)) from None
-        try:
-            self.socket.bind((interface, ETHERTYPE))
-        except OSError as error:
-            self.socket.close()
-            raise ValueError(_why(interface, error)) from None
+        self.socket = raw_socket(interface)
         self._lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:  # abstract: of this network namespace, and gone with the process
             self._lock.bind(f"\0servogym ethercat {interface}")
         except OSError:
             self.close()
             raise ValueError(
-                f"-i {interface}: both would answer: is another `servogym ethercat` running there?"
+                f"interface {interface}: both would answer: is another `servogym ethercat` running "
+                "there?"
             ) from None
         _wait(self.socket)
         self.name, self._awake = interface, 0
@@ -132,18 +123,34 @@ class UdpPort:
         self.socket.close()
 
 
-def _rights(interface: str) -> str:
-    python = Path(sys.executable).resolve()
-    give = f"sudo setcap cap_net_raw+ep {python}"
-    if shutil.which("unshare"):
-        give += ", or try it without a network: unshare -Urn"
-    return f"-i {interface}: raw sockets need the right CAP_NET_RAW: {give}; or use --udp"
+def raw_socket(interface: str, kind: int = ETHERTYPE) -> socket.socket:
+    """Open a raw socket at a network interface for frames of a type (Linux).
+
+    Raises ValueError with the remedy: no raw sockets, no right to them, no such interface.
+    """
+    if not hasattr(socket, "AF_PACKET"):
+        raise ValueError(f"{sys.platform} has no raw sockets")
+    try:
+        opened = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(kind))
+    except PermissionError:
+        give = f"sudo setcap cap_net_raw+ep {Path(sys.executable).resolve()}"
+        if shutil.which("unshare"):
+            give += ", or try it without a network: unshare -Urn"
+        raise ValueError(
+            f"interface {interface}: raw sockets need the right CAP_NET_RAW: {give}"
+        ) from None
+    try:
+        opened.bind((interface, kind))
+    except OSError as error:
+        opened.close()
+        raise ValueError(_why(interface, error)) from None
+    return opened
 
 
 def _why(interface: str, error: OSError) -> str:
     if error.errno == errno.ENODEV:
         known = ", ".join(name for _, name in socket.if_nameindex())
-        return f"-i {interface}: there is no such interface, only {known}"
+        return f"interface {interface}: there is none of this name, only {known}"
     if error.errno == errno.ENETDOWN:
-        return f"-i {interface}: it is down: sudo ip link set {interface} up"
-    return f"-i {interface}: {error.strerror}"
+        return f"interface {interface}: it is down: sudo ip link set {interface} up"
+    return f"interface {interface}: {error.strerror}"

@@ -15,6 +15,7 @@ from typing import Any
 from ..ethercat.al import AlState
 from ..ethercat.esi_reader import EsiObject
 from ..objects.abort import SdoAbort
+from .ethernet import raw_socket
 
 TIMEOUT = 0.1  # s, for the reply to process data
 ANSWER = 2e-3  # s, for the reply to any other frame; SOEM then gives it up, and reuses its number
@@ -222,10 +223,12 @@ class SoemMaster:
         try:
             self._master.open(interface, *([second] if second else []))
         except ConnectionError as error:
-            raise ConnectionError(
-                f"interface {interface}: {error}; it needs CAP_NET_RAW, such as by "
-                "sudo setcap cap_net_raw+ep on the Python that runs this"
-            ) from None
+            for name in (interface, second or interface):
+                try:
+                    raw_socket(name).close()
+                except ValueError as why:
+                    raise ConnectionError(f"{why}") from None
+            raise ConnectionError(f"interface {interface}: {error}") from None
 
     def scan(self) -> list[SoemSlave]:
         """Find the slaves; they are in PRE_OPERATIONAL."""

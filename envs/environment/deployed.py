@@ -131,16 +131,19 @@ class _Plain:
         pass
 
 
-class _Mind:
-    """A policy in a process of its own.
+class Mind:
+    """A policy in a process of its own, which has no bus where none was open before.
 
     Args:
         make: makes it, there.
         memory: bytes that it may take beyond those of its beginning.
         fast: it asks for real time, below that of the exchange.
+
+    Raises:
+        Stopped: it cannot be made.
     """
 
-    def __init__(self, make: Callable[[], Acting], memory: int, fast: bool):
+    def __init__(self, make: Callable[[], Acting], memory: int = MEMORY, fast: bool = False):
         kind = "fork" if sys.platform != "win32" else None
         context: Any = multiprocessing.get_context(kind)
         self._here, there = context.Pipe()
@@ -228,7 +231,9 @@ def _think(
 ) -> None:
     """The process of a policy: actions for observations, until nobody asks any more."""
     other_end.close()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who stops the drives
+    for name in ("SIGINT", "SIGHUP"):  # Ctrl-C, a closed terminal: for who stops the drives
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
@@ -307,8 +312,8 @@ def play(
 
 def episodes_of(
     env: ServoEnv, act: Callable[[np.ndarray], Any] | None = None, episodes: int = 1, *,
-    make: Callable[[], Acting] | None = None, patience: float | None = None, slow: float = 1.0,
-    seed: int | None = None, memory: int = MEMORY, fast: bool = False,
+    make: Callable[[], Acting] | Mind | None = None, patience: float | None = None,
+    slow: float = 1.0, seed: int | None = None, memory: int = MEMORY, fast: bool = False,
 ) -> Iterator[Played]:
     """Play episodes on an environment whose drives are on a bus; yield each when it is over.
 
@@ -317,7 +322,7 @@ def episodes_of(
         act: observation to action; it runs in a process of its own, so what it writes down is not
             seen here.
         episodes: how many.
-        make: instead of `act`, makes a policy in that process.
+        make: instead of `act`, makes a policy in that process; or the process, see `Mind`.
         patience: for an action (s); until the set-points of the step go out, if not given.
         slow: share of each action that is taken, above 0, at most 1.
         seed: of the first episode; the next ones have the next.
@@ -339,7 +344,7 @@ def episodes_of(
         make = lambda: plain  # noqa: E731
     hold = np.array([env.HOLD.get(name, 0.0) for name in fields.names(env.ACTION)])
     with _guarded(line):
-        mind = _Mind(make, memory, fast)
+        mind = make if isinstance(make, Mind) else Mind(make, memory, fast)
         if fast:
             line.refused = real_time.ask()
         try:
@@ -353,7 +358,7 @@ def episodes_of(
 
 
 def _episode(
-    env: ServoEnv, line: PortLine, mind: _Mind, seen: np.ndarray, info: dict[str, Any],
+    env: ServoEnv, line: PortLine, mind: Mind, seen: np.ndarray, info: dict[str, Any],
     hold: np.ndarray, patience: float | None, slow: float,
 ) -> Played:
     late, running, ended, steps, action, figures = 0, 0, False, 0, hold, Figures(env)
@@ -362,7 +367,7 @@ def _episode(
         if said is None:
             running, late = running + 1, late + 1
             line.timing.stale += 1
-            if running >= line.missed:
+            if line.timing.row(running) >= line.missed:
                 raise Stopped("", f"the policy is late: {line.missed} actions have not come")
         else:
             running = 0

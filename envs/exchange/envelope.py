@@ -12,7 +12,9 @@ from dataclasses import dataclass, fields
 
 from ..engine.checks import in_range
 
-MARGIN = 1.05  # of a measured value over its limit: commands are held to the limit itself
+# Commands are held to the velocity itself. An axis catches up with one that came late by a share of
+# a step; a drive's own overspeed protection gives it the same room (`drive.kernel.monitor`).
+MARGIN = 1.2
 FAULT = 0x0008  # statusword
 OPERATION_ENABLED, STATE = 0x0027, 0x006F
 
@@ -54,7 +56,12 @@ class Envelope:
                 f"positions {self.low!r}..{self.high!r} limit nothing: set the software position "
                 "limits of the drive (607Dh), or give limits"
             )
-        for field in fields(self)[2:-1]:
+        if not 0.0 < self.velocity < math.inf:
+            raise ValueError(
+                f"velocity {self.velocity!r} limits nothing: set the maximum profile velocity of "
+                "the drive (607Fh) or its maximum motor speed (6080h), or give a maximum velocity"
+            )
+        for field in fields(self)[3:-1]:
             in_range(field.name, getattr(self, field.name), 1e-12, math.inf)
         in_range("following_error_time", self.following_error_time, 0.0, 60.0, "s")
 

@@ -70,6 +70,7 @@ ANSWERS = 0.7  # of that: what is left is for the policy, or to send the last ac
 LOCK_STEP_PATIENCE = 10.0  # s for an answer or an action, where time waits for both
 LOOKS = 300  # at the inputs until a slave counts as silent: of SOEM more than 2 ms each
 NO_LIMIT = 4294967295  # of 60C5h and 60C6h
+OPEN = -(2**31), 2**31 - 1  # of 607Dh: a drive without position limits (CiA 402-2)
 REVERSALS = 5.0  # accelerations of the quick stop that set-points may have (inferred)
 SEARCHES = 300.0  # s that a homing may take: slowly from end to end
 FORGETS = 5.0  # s until an interrupted homing stands
@@ -95,6 +96,9 @@ GUARDED = {  # objects an agent may command on a bus: those the guard looks at
     "torque_offset", "max_torque",
 }
 BESIDE = 0.01  # m or rad beyond the end stops, that an axis may push itself into them
+
+
+Limits = Mapping[str, Envelope | Mapping[str, float]]
 
 
 class Pace:
@@ -144,8 +148,8 @@ class DriveSide(Protocol):
         """Where a master's requests go."""
 
     @property
-    def envelopes(self) -> Mapping[str, Envelope]:
-        """Limits by name; of a drive not named here, what it has itself."""
+    def envelopes(self) -> Limits:
+        """Limits by drive, all of them or some by name; the others are those the drive has."""
 
     def awake(self) -> None:
         """See that process data are exchanged, before an episode."""
@@ -248,7 +252,7 @@ class CanDrives:
         bus: the way to it, such as `servogym.drive.wire.bus.CanPort`.
         nodes: node-id by the name of the drive in the task's machine.
         model: of the drives.
-        envelopes: limits by drive; those the drive itself has, where none are given.
+        envelopes: limits by drive, all of them or some by name; the others are those it has.
         pace: real time, if not given.
     """
 
@@ -258,7 +262,7 @@ class CanDrives:
         nodes: Mapping[str, int],
         model: str | Path | DriveModel = "generic",
         *,
-        envelopes: Mapping[str, Envelope] | None = None,
+        envelopes: Limits | None = None,
         pace: Pace | None = None,
     ):
         self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
@@ -383,7 +387,7 @@ class EtherCatDrives:
         axes: names of the drives in the task's machine, in the order of the slaves; slaves behind
             them get no power.
         model: of the drives.
-        envelopes: limits by drive; those the drive itself has, where none are given.
+        envelopes: limits by drive, all of them or some by name; the others are those it has.
         pace: real time, if not given.
     """
 
@@ -393,7 +397,7 @@ class EtherCatDrives:
         axes: Sequence[str],
         model: str | Path | DriveModel = "generic",
         *,
-        envelopes: Mapping[str, Envelope] | None = None,
+        envelopes: Limits | None = None,
         pace: Pace | None = None,
     ):
         self.envelopes, self.pace = dict(envelopes or {}), pace or Pace()
@@ -505,9 +509,7 @@ class PortLine:
         self._identify()
         self.differs = [*self._differing()]  # from the task's own drives, in words
         self.guards = {
-            axis: Guard(
-                axis, side.envelopes.get(axis) or self.envelope(axis), period, 1 / units, 1 / units
-            )
+            axis: Guard(axis, self._envelope(axis), period, 1 / units, 1 / units)
             for axis in self._axes
         }
         self.timing = Timing(period)
@@ -579,13 +581,23 @@ class PortLine:
                     if there != here:
                         yield f"{axis}: {name} is {there:g}, in the task {here:g}"
 
-    def envelope(self, axis: str) -> Envelope:
-        """The limits the drive itself has: positions, speed, torque, following error.
+    def _envelope(self, axis: str) -> Envelope:
+        """The limits given for a drive, and its own where none are. Raises ValueError."""
+        given = self._side.envelopes.get(axis, {})
+        if isinstance(given, Envelope):
+            return given
+        try:
+            return Envelope(**self._limits(axis) | given)
+        except ValueError as error:
+            raise ValueError(f"{axis}: {error}") from None
+
+    def _limits(self, axis: str) -> dict[str, float]:
+        """What the drive itself has: positions, speed, torque, following error.
 
         Set-points may be accelerated as it says (60C5h, 60C6h), or as its quick stop does, several
         times over, and turn from one limit to the other within a step.
         """
-        unit = 1.0 / self._units
+        unit, n = 1.0 / self._units, [*self._machine.drives].index(axis)
 
         def read(name: str, otherwise: float = math.inf) -> float:
             with suppress(SdoAbort, ValueError):
@@ -598,15 +610,19 @@ class PortLine:
         acceleration = most * unit
         low, high = (read(f"{end}_position_limit") * unit for end in ("min", "max"))
         if not self._has_reference:
-            stops = self._machine.mechanics[[*self._machine.drives].index(axis)]
+            stops = self._machine.mechanics[n]
             low, high = float(stops["low"]) - BESIDE, float(stops["high"]) + BESIDE
-        return Envelope(
-            low, high, read("max_profile_velocity") * unit, acceleration,
-            2.0 * acceleration / self._period,
-            torque=1e-3 * read("max_torque"),
-            following_error=read("following_error_window") * unit,
-            following_error_time=1e-3 * read("following_error_time_out", 0.0),
-        )
+        elif {low, high} & {OPEN[0] * unit, OPEN[1] * unit}:
+            low, high = -math.inf, math.inf
+        speed = read("max_motor_speed") * math.tau / 60.0 / abs(self._machine.couplings[n].gear)
+        return {
+            "low": low, "high": high,
+            "velocity": min(read("max_profile_velocity") * unit, speed),
+            "acceleration": acceleration, "jerk": 2.0 * acceleration / self._period,
+            "torque": 1e-3 * read("max_torque"),
+            "following_error": read("following_error_window") * unit,
+            "following_error_time": 1e-3 * read("following_error_time_out", 0.0),
+        }
 
     @property
     def lost(self) -> int:
@@ -816,7 +832,7 @@ class PortLine:
         missed = now > self._deadline + self._period
         timing.missed += missed
         self._behind = self._behind + 1 if missed else 0
-        if self._behind >= self.missed:
+        if timing.row(self._behind) >= self.missed:
             raise Stopped("", f"{self.missed} set-points came a step late, one after the other")
         if missed:
             self._deadline = now - self.phase * self._period
@@ -839,7 +855,7 @@ class PortLine:
             self._answer(tpdos)
             return
         timing.lost, self._running = timing.lost + 1, self._running + 1
-        if self._running >= self.missed:
+        if timing.row(self._running) >= self.missed:
             raise Stopped("", f"{self.missed} answers have not come, one after the other")
 
     def _command(self, images: np.ndarray) -> None:

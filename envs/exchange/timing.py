@@ -30,6 +30,7 @@ class Timing:
         missed: steps whose set-points were later than the step is long.
         lost: steps without all the answers.
         stale: steps in which the policy had not answered, and its last action went on.
+        in_a_row: the most of one of these three, one after the other.
     """
 
     EDGES = EDGES
@@ -38,7 +39,7 @@ class Timing:
     def __init__(self, period: float):
         self.period = period
         self.waking, self.answers, self.thinking, self.sending = (array("d") for _ in self.KINDS)
-        self.missed = self.lost = self.stale = 0
+        self.missed = self.lost = self.stale = self.in_a_row = 0
 
     def rows(self) -> list[Row]:
         """Each time that was measured, in the order of a step."""
@@ -51,6 +52,11 @@ class Timing:
                 rows.append(Row(what, median, p99, p999, most, tuple(counts.tolist())))
         return rows
 
+    def row(self, steps: int) -> int:
+        """Take note of so many such steps one after the other; returns their number."""
+        self.in_a_row = max(self.in_a_row, steps)
+        return steps
+
     @property
     def share(self) -> float:
         """Of the time of all steps, what the policy thought."""
@@ -61,5 +67,5 @@ class Timing:
         rows = {row.what: row._asdict() for row in self.rows()}
         return rows | {
             "steps": len(self.waking), "period": self.period, "missed": self.missed,
-            "lost": self.lost, "stale": self.stale, "share": self.share,
+            "lost": self.lost, "stale": self.stale, "in_a_row": self.in_a_row, "share": self.share,
         }

@@ -50,6 +50,7 @@ class _Loop:
 def environment(
     name: str, bus: str, drive: str | Path = "generic",
     parameters: Mapping[str, Any] | None = None, home: int | None = None,
+    envelopes: over_port.Limits | None = None,
 ) -> ServoEnv:
     """Return a task on a bus in this process, its machine at power-on.
 
@@ -60,6 +61,7 @@ def environment(
         parameters: of the environment.
         home: method by which the drives are referenced before the first episode; where they
             stand, if not given.
+        envelopes: limits of the guard, as `servogym.envs.exchange.over_port.CanDrives` has them.
 
     Raises:
         ValueError: a drive model without this bus, or what the environment refuses.
@@ -74,10 +76,14 @@ def environment(
     if bus == "ethercat":
         segment = Segment([Slave(each) for each in machine.drives.values()])
         master = EtherCatMaster(Bus(segment, [machine], "frame"))
-        side = over_port.EtherCatDrives(master, names, model, pace=pace)
+        side = over_port.EtherCatDrives(
+            master, names, model, envelopes=envelopes, pace=pace
+        )
     else:
         nodes = {axis: machine.drives[axis].node_id for axis in names}
-        side = over_port.CanDrives(_Loop(machine, period), nodes, model, pace=pace)
+        side = over_port.CanDrives(
+            _Loop(machine, period), nodes, model, envelopes=envelopes, pace=pace
+        )
     env: ServoEnv = kind(model, port=side, **given)
     assert isinstance(env.line, over_port.PortLine)
     env.line.home = home

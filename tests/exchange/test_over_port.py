@@ -16,13 +16,16 @@ import pytest
 from servogym import assets
 from servogym.drive.canopen.frame import Frame
 from servogym.drive.canopen.node import Node
+from servogym.drive.canopen.remote import CanOpenPort
 from servogym.drive.ethercat.bus import Bus
 from servogym.drive.ethercat.master import EtherCatMaster
+from servogym.drive.ethercat.port import EtherCatPort
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
 from servogym.drive.kernel.words import State
 from servogym.drive.master import ServoError
 from servogym.drive.model.model import load
+from servogym.drive.objects.abort import SdoAbort
 from servogym.envs import TASKS
 from servogym.envs.environment.deployed import play
 from servogym.envs.exchange.envelope import Envelope, Stopped
@@ -376,16 +379,70 @@ def test_a_fault_stops_with_its_name():
         env.step(np.zeros(1))
 
 
-def test_a_drive_that_is_not_the_model_is_refused_before_power(tmp_path):
-    folder = shutil.copytree(Path(assets.__file__).parent / "drives/generic", tmp_path / "another")
-    table = folder / "objects.csv"
-    table.write_text(table.read_text().replace("0x00000402", "0x00000777"))
-    served = CanBus(LINEAR, 5, drive=folder)
+def off(bus, change=lambda table: table, folder=None):
+    """A served axis without power; `change` makes the objects of its own model in a folder."""
+    model = DRIVE[bus]
+    if folder:
+        folder = shutil.copytree(Path(assets.__file__).parent / "drives/generic", folder / "other")
+        table = folder / "objects.csv"
+        table.write_text(change(table.read_text()))
+        model = load(folder, bus)
+    served = BUSES[bus](LINEAR, 5, drive=model)
     served.drives[0].write("controlword", 0)
     served.machine.step(10)
-    with pytest.raises(ValueError, match="x: product_code is 0x777, of model 'generic' it is"):
-        gym.make(LINEAR, port=served.side())
+    return served
+
+
+def refused(served, bus, error, said, **arguments):
+    """Before there is power, in one line."""
+    with pytest.raises(error, match=said) as raised:
+        gym.make(LINEAR, drive=DRIVE[bus], port=served.side(**arguments))
+    assert "\n" not in str(raised.value)
     assert served.drives[0].state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_a_drive_that_is_not_the_model_is_refused_before_power(bus, tmp_path):
+    served = off(bus, lambda table: table.replace("0x00000402", "0x00000777"), tmp_path)
+    said = "x: product_code is 0x777, of model 'generic' it is .* give the model of the drive"
+    refused(served, bus, ValueError, said)
+
+
+@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("limits", [(-(2**31), 2**31 - 1), (-(2**31), 500_000), (0, 0)])
+def test_a_drive_without_position_limits_is_refused_before_power_or_given_some(bus, limits):
+    served = off(bus)
+    served.drives[0].write("min_position_limit", limits[0])
+    served.drives[0].write("max_position_limit", limits[1])
+    said = "x: positions .* limit nothing: set the software position limits of the drive .607Dh"
+    refused(served, bus, ValueError, said)
+    side = served.side(envelopes={"x": {"low": 0.1, "high": 0.4}})
+    env = gym.make(LINEAR, drive=DRIVE[bus], port=side).unwrapped
+    assert env.line.guards["x"].envelope.high == 0.4
+    served.passes = True
+    env.close()
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_the_least_of_607fh_and_6080h_limits_the_velocity_and_none_is_refused(bus, monkeypatch):
+    served = off(bus)
+    served.drives[0].write("max_motor_speed", 600)
+    env = gym.make(LINEAR, drive=DRIVE[bus], port=served.side()).unwrapped
+    way = math.tau / served.machine.couplings[0].gear  # m a revolution
+    assert env.line.guards["x"].envelope.velocity == pytest.approx(10.0 * way)
+    served.passes = True
+    env.close()
+    served, port = off(bus), {"can": CanOpenPort, "ethercat": EtherCatPort}[bus]
+    upload = port.upload
+
+    def without(self, axis, name):
+        if name in ("max_profile_velocity", "max_motor_speed"):
+            raise SdoAbort(0x0602_0000, 0x607F, 0)
+        return upload(self, axis, name)
+
+    monkeypatch.setattr(port, "upload", without)
+    said = "x: velocity inf limits nothing: .* or give a maximum velocity"
+    refused(served, bus, ValueError, said)
 
 
 @pytest.mark.parametrize(
@@ -423,10 +480,11 @@ def test_each_task_begins_on_a_bus_or_says_why_not(task):
     env.close()
 
 
-def test_an_axis_that_is_not_referenced_is_refused_before_power():
-    served = CanBus(LINEAR, 5)
+@pytest.mark.parametrize("bus", BUSES)
+def test_an_axis_that_is_not_referenced_is_refused_before_power(bus):
+    served = off(bus)
     served.machine.reset(positions={"x": 0.2})
-    env = gym.make(LINEAR, port=served.side()).unwrapped
+    env = gym.make(LINEAR, drive=DRIVE[bus], port=served.side()).unwrapped
     served.passes = True
     with pytest.raises(ValueError, match="x is not referenced: home it with --home METHOD"):
         env.reset(seed=5)
@@ -434,14 +492,22 @@ def test_an_axis_that_is_not_referenced_is_refused_before_power():
 
 
 def test_a_drive_that_waits_for_another_sync_is_refused_before_power():
-    served = CanBus(LINEAR, 5)
+    served = off("can")
     served.drives[0].write(0x1005, 0x81)
-    served.drives[0].write("controlword", 0)
     env = gym.make(LINEAR, port=served.side()).unwrapped
     served.passes = True
     said = r"no process data come back; x waits for the SYNC 81h \(1005h\): set it to 80h"
     with pytest.raises(Stopped, match=said):
         env.reset(seed=5)
+    assert served.drives[0].state is not State.OPERATION_ENABLED
+
+
+def test_a_slave_that_does_not_answer_is_refused_before_power():
+    served = off("ethercat")
+    env = gym.make(LINEAR, drive=DRIVE["ethercat"], port=served.side()).unwrapped
+    served.dead = True
+    with pytest.raises(Stopped, match="no reply to 3 frames; is the cable broken"):
+        play(env, lambda seen: env.action_space.low, seed=5)
     assert served.drives[0].state is not State.OPERATION_ENABLED
 
 

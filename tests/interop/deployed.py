@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -501,6 +502,19 @@ def ended(bus, names):
     return told
 
 
+def without_rights():
+    """What a master, its log and a server say where nobody may open a raw socket."""
+    _network()
+    deploy, log = "deploy LinearAxis-v0 --yes --ethercat vb", Path(tempfile.mkdtemp(), "run.pcapng")
+    told = {}
+    for words in (deploy, f"{deploy} --log {log}", "serve LinearAxis-v0 --ethercat va"):
+        command = ["setpriv", "--bounding-set=-net_raw", sys.executable, "-m",
+                   "servogym.training.cli", *words.split()]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        told[words] = [done.returncode, done.stderr]
+    return told
+
+
 def _at_the_moment(moment, process, ask):
     """Wait for it; -> state of the drive."""
     until, state = time.monotonic() + 60.0, ""
@@ -528,8 +542,6 @@ if __name__ == "__main__":  # for many episodes: a scenario and its arguments as
 
 def twin_of_log(policy="ruckig", count=3):
     """What the command makes of a deployment's log: statuses, true values, intervals."""
-    import tempfile
-
     from servogym.envs.engine import parameters
     from servogym.envs.plants import twins
     from servogym.training.cli import main

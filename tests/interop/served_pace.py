@@ -166,7 +166,13 @@ def policy(seconds, period, phase, missed):
             print(f"{row.what}: median {row.median:.0f}, 99 % {row.p99:.0f}, 99.9 % {row.p999:.0f},"
                   f" most {row.most:.0f} µs")
         print(f"{len(timing.waking)} steps, {timing.missed} a step late, {timing.lost} without all "
-              f"answers, {timing.stale} actions not in time; the policy took {timing.share:.0%}")
+              f"answers, {timing.stale} actions not in time, at most {timing.in_a_row} in a row; "
+              f"the policy took {timing.share:.0%}")
+
+
+def stolen():
+    """Time (s) that another machine had on the cores of this one, a virtual machine."""
+    return int(Path("/proc/stat").read_text().split()[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def told(late, wrong, seconds):
@@ -198,9 +204,11 @@ def main():
         elif options.what == "axes":
             axes(Path(folder), options.count or 8, options.seconds or 60.0)
         else:
+            before = stolen()
             policy(
                 options.seconds or 600.0, 1e-3 * options.period, options.phase, options.missed
             )
+            print(f"{stolen() - before:.2f} s of the cores were the host's")
 
 
 if __name__ == "__main__":

@@ -110,6 +110,15 @@ def test_however_a_deployment_ends_the_drive_stands_and_there_is_no_traceback(bu
     check_endings(told)
 
 
+def test_who_may_not_open_raw_sockets_reads_how_to_get_the_right():
+    pytest.importorskip("pysoem")
+    for words, (status, error) in on_the_wire("deployed", "without_rights", "forked").items():
+        assert status == 2, (words, error)
+        line, *others = error.splitlines()
+        assert not others, (words, error)
+        assert "raw sockets need the right CAP_NET_RAW: sudo setcap cap_net_raw+ep" in line, words
+
+
 def same(bus, task, count):
     """Homed, moved to their starts and played: over the bus as in this process."""
     result = over(bus, "episodes", task=task, policy=REFERENCES[task], count=count, timeout=600)

@@ -1,7 +1,10 @@
 """The options for a python-can bus, which several commands share."""
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ...envs.serve.description import BusRow
 
 INTERFACE, CHANNEL, BITRATE = "udp_multicast", "239.74.163.2", 1_000_000
 
@@ -52,6 +55,15 @@ def keywords(options: argparse.Namespace) -> dict[str, Any]:
     names = ("channel", "interface", "bitrate", "fd", "data_bitrate", "timing")
     given |= {name: getattr(options, name) for name in names if name in options}
     return given | getattr(options, "bus_kwargs", {})
+
+
+def row(options: argparse.Namespace, **others: Any) -> "BusRow":
+    """Return the bus given by the options as a machine file has it, with other fields of it."""
+    from ...envs.serve.description import BusRow
+
+    given = keywords(options)
+    interface, channel = (f"{given.pop(name, '')}" for name in ("interface", "channel"))
+    return BusRow("bus", "can", interface=interface, channel=channel, options=given, **others)
 
 
 def option(name: str) -> str:

@@ -122,8 +122,8 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
                 if len(options.policy) > 1:
                     console.print(policy, style="bold", highlight=False, markup=False)
                 for episode in episodes_of(
-                    env, episodes=options.episodes, make=partial(_policy, policy, example,
-                    options.seed), slow=options.slow, seed=options.seed, fast=not options.lock_step,
+                    env, episodes=options.episodes, make=options.minds[policy], slow=options.slow,
+                    seed=options.seed, fast=not options.lock_step,
                 ):
                     played[policy].append(episode)
                     _tell_episode(len(played[policy]), episode, console)
@@ -176,9 +176,8 @@ def _compared(
     if options.gap or options.twin:
         env = in_process.environment(
             options.env, "ethercat" if options.ethercat else "can", options.drive,
-            options.given, options.home,
+            options.given, options.home, _limits(options, example.drive_names),
         )
-        _limit(env.line, options, example.drive_names)
         for name, own in values.items():  # one after the other, as on the bus
             acting = _policy(name, example, options.seed)
             there = in_memory(env, acting, len(own), options.seed, options.slow)
@@ -209,11 +208,13 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
 
     from ...drive.model.model import load
     from ...envs.engine.checks import whole
+    from ...envs.environment.deployed import Mind
     from ...envs.environment.registry import task
+    from ...envs.exchange.envelope import Stopped
     from ..policies import needed
 
     kind = task(options.env)
-    options.policy = options.policy or ["hold"]
+    options.policy = [*dict.fromkeys(options.policy or ["hold"])]
     given = dict(options.argument or ())
     for policy in options.policy:
         given = needed(policy) | given
@@ -225,15 +226,22 @@ def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
         )
     example = kind(load(options.drive, "ethercat" if options.ethercat else None), **given)
     axes = example.drive_names
-    options.period = example.step_time
-    side = _side(options, axes, stack)
+    options.period, options.minds = example.step_time, {}
+    limits = _limits(options, axes)
+    for policy in options.policy:  # before the bus is there: it is refused, and never has it
+        make = partial(_policy, policy, example, options.seed)
+        try:
+            options.minds[policy] = Mind(make, fast=not options.lock_step)
+        except Stopped as stopped:
+            raise ValueError(f"--policy {policy}: {stopped}") from None
+        stack.callback(options.minds[policy].close)
+    side = _side(options, axes, limits, stack)
     made: Any = gymnasium.make(
         kind.ID, drive=example.drive.model, port=side, disable_env_checker=True, **given
     )
     env = made.unwrapped
     stack.callback(env.close)
     line = env.line
-    _limit(line, options, axes)
     line.dry, line.home = options.dry_run, options.home
     if options.phase is not None:
         line.phase = options.phase
@@ -285,7 +293,10 @@ def _tell_episode(number: int, episode: Any, console: Console) -> None:
     )
 
 
-def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any:
+def _side(
+    options: argparse.Namespace, axes: list[str], limits: dict[str, dict[str, float]],
+    stack: ExitStack,
+) -> Any:
     """Return the drives on the bus given by the options, with its logs."""
     from ...envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep, Pace
 
@@ -306,7 +317,7 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
         patience = LOCK_STEP_PATIENCE if options.lock_step else TIMEOUT
         master = SoemMaster(options.ethercat, timeout=patience)
         stack.callback(master.close)
-        return EtherCatDrives(master, axes, options.drive, pace=pace)
+        return EtherCatDrives(master, axes, options.drive, envelopes=limits, pace=pace)
     from ...drive.canopen.frame import Base
     from ...drive.wire.bus import CanPort
     from ...drive.wire.log import LogFile
@@ -332,32 +343,26 @@ def _side(options: argparse.Namespace, axes: list[str], stack: ExitStack) -> Any
     bus = buses.opened(options)
     stack.callback(bus.shutdown)
     named = dict(zip(axes, nodes, strict=True))
-    return CanDrives(CanPort(bus, log=keep if logs else None), named, options.drive, pace=pace)
+    port = CanPort(bus, log=keep if logs else None)
+    return CanDrives(port, named, options.drive, envelopes=limits, pace=pace)
 
 
-def _limit(line: Any, options: argparse.Namespace, axes: list[str]) -> None:
-    """Return the envelope, narrowed by the options."""
-    from dataclasses import replace
-
-    for axis, guard in line.guards.items():
-        values: dict[str, float] = {
-            name: value
-            for name in ("velocity", "acceleration", "jerk")
-            if (value := getattr(options, f"max_{name}")) is not None
-        }
-        for text in options.limits:
-            name, _, ends = text.rpartition("=")
-            low, _, high = ends.partition(":")
-            if name and name not in axes:
-                raise ValueError(
-                    f"--limits {text}: there is no drive {name!r} of {', '.join(axes)}"
-                )
-            if name in ("", axis):
-                try:
-                    values |= {"low": float(low), "high": float(high)}
-                except ValueError:
-                    raise ValueError(f"--limits {text}: give LOW:HIGH, as x=0.05:0.4") from None
-        guard.envelope = replace(guard.envelope, **values)
+def _limits(options: argparse.Namespace, axes: list[str]) -> dict[str, dict[str, float]]:
+    """Return the limits that the options give, by drive."""
+    most = {name: getattr(options, f"max_{name}") for name in ("velocity", "acceleration", "jerk")}
+    limits = {axis: {k: v for k, v in most.items() if v is not None} for axis in axes}
+    for text in options.limits:
+        name, _, ends = text.rpartition("=")
+        low, _, high = ends.partition(":")
+        if name and name not in axes:
+            raise ValueError(f"--limits {text}: there is no drive {name!r} of {', '.join(axes)}")
+        try:
+            given = {"low": float(low), "high": float(high)}
+        except ValueError:
+            raise ValueError(f"--limits {text}: give LOW:HIGH, as x=0.05:0.4") from None
+        for axis in [name] if name else axes:
+            limits[axis] |= given
+    return limits
 
 
 def _agreed(console: Console) -> bool:
@@ -389,8 +394,8 @@ def _tell_times(timing: Any, console: Console) -> None:
     console.print(table)
     console.print(
         f"{timing.missed} set-points a step late, {timing.lost} steps without all answers, "
-        f"{timing.stale} actions not in time; the policy took {timing.share:.0%} of the time",
-        highlight=False,
+        f"{timing.stale} actions not in time, at most {timing.in_a_row} in a row; the policy took "
+        f"{timing.share:.0%} of the time", highlight=False,
     )
 
 

@@ -42,13 +42,9 @@ def _node(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
     import can
 
-    from ...envs.serve.description import BusRow, Description, nodes
+    from ...envs.serve.description import Description, nodes
 
-    given = buses.keywords(options)
-    bus = BusRow(
-        "bus", "can", interface=given.pop("interface", ""),
-        channel=f"{given.pop('channel', '')}", options=given, log=options.log or "",
-    )
+    bus = buses.row(options, log=options.log or "")
     machines = nodes(options.drive, options.node_id or [1], options.axis,
                      f"{options.parameter_file or ''}")
 

@@ -26,23 +26,19 @@ def add(command: argparse.ArgumentParser) -> None:
         "LinearAxis-v0, whose machine is served for `servogym deploy`",
     )
     of_task = command.add_argument_group("for a task: settings that a machine file would contain")
-    of_task.add_argument("--drive", default="", help="drive model (generic)")
-    of_task.add_argument("-i", "--interface", help="interface of python-can")
-    of_task.add_argument("-c", "--channel", help="channel of that interface")
+    of_task.add_argument("--drive", help="drive model (generic)")
     of_task.add_argument(
-        "--ethercat", default="", metavar="IFACE",
-        help="serve on this network interface instead of CAN",
+        "--ethercat", metavar="IFACE", help="serve on this network interface instead of CAN"
     )
     of_task.add_argument(
         "--node-id", type=arguments.NODE_ID, help="node-id of its first drive on CAN (1)"
     )
     of_task.add_argument(
-        "--clock", default="", help="clock: real, sync or sync_end; on EtherCAT frame, dc or real"
+        "--clock", help="clock: real, sync or sync_end; on EtherCAT frame, dc or real"
     )
-    of_task.add_argument(
-        "--log", default="", help="log all frames: .pcapng on EtherCAT, .log on CAN"
-    )
+    of_task.add_argument("--log", help="log all frames: .pcapng on EtherCAT, .log on CAN")
     arguments.add(of_task)
+    buses.add(command)
     arguments.add_seed(command, "faults with a rate")
     command.add_argument("--check", action="store_true", help="read the file and build the "
                          "machines, but open no bus")
@@ -60,9 +56,7 @@ def _serve(options: argparse.Namespace, console: Console) -> int:
     if _is_task(options.file):
         description = _of_task(options)
     else:
-        for name in ONLY_OF_TASKS:
-            if getattr(options, name) not in (None, ""):
-                raise ValueError(f"{buses.option(name)}: it stands in the file")
+        buses.refuse(options, "is for a task: it stands in the file", *ONLY_OF_TASKS)
         description = read(options.file, run_code=options.run_code)
     for model in description.drive_models if options.run_code else ():
         run_code(model)
@@ -124,7 +118,7 @@ def _said(laboratory: "Laboratory") -> Iterator[str]:
                    f"{machine.name} with {drives}")
 
 
-ONLY_OF_TASKS = ("drive", "interface", "channel", "ethercat", "node_id", "clock", "log", "argument")
+ONLY_OF_TASKS = ("drive", "ethercat", "node_id", "clock", "log", "argument")
 
 
 def _is_task(name: str) -> bool:
@@ -136,22 +130,19 @@ def _of_task(options: argparse.Namespace) -> "Description":
     """Describe the machine of a task on the bus of the options."""
     from ...envs.serve.description import BusRow, Description, MachineRow
 
-    given = {"clock": options.clock, "log": options.log}
-    node_id = 0
-    if options.ethercat:
-        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
-        given |= {"kind": "ethercat", "interface": options.ethercat}
-    else:
-        node_id = 1 if options.node_id is None else options.node_id
-        given |= {
-            "kind": "can", "interface": options.interface or buses.INTERFACE,
-            "channel": options.channel or (buses.CHANNEL if not options.interface else ""),
-        }
+    given = {"clock": options.clock or "", "log": options.log or ""}
+    node_id = 0 if options.ethercat else options.node_id or 1
     machine = MachineRow(
         "machine", "bus", task=options.file, drive=options.drive or "generic", node_id=node_id,
         parameters=dict(options.argument or ()),
     )
+    if options.ethercat:
+        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
     try:
-        return Description((BusRow("bus", **given),), (machine,), by_options=True)
+        bus = (
+            BusRow("bus", "ethercat", interface=options.ethercat, **given) if options.ethercat
+            else buses.row(options, **given)
+        )
+        return Description((bus,), (machine,), by_options=True)
     except ValueError as error:
         raise ValueError(f"--{error}") from None
