@@ -587,7 +587,7 @@ class PortLine:
         if isinstance(given, Envelope):
             return given
         try:
-            return Envelope(**self._limits(axis) | given)
+            return Envelope(**{**self._limits(axis), **given})
         except ValueError as error:
             raise ValueError(f"{axis}: {error}") from None
 

@@ -301,10 +301,16 @@ def _warned(
     return FORMAT(message, category, filename, lineno, line)
 
 
-def _freeze() -> None:
-    """Skip the garbage collection at exit, which takes 0.6 s; triton would print about its own."""
+def _leave() -> None:
+    """Skip the garbage collection at exit, which takes 0.6 s; triton would print about its own.
+
+    A further signal no longer finds a handler: Python has taken it away, and it would kill.
+    """
     if "triton" not in sys.modules:
         gc.freeze()
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -337,7 +343,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
     os.environ.setdefault(BLAS, "1")
     gc.set_threshold(50_000)  # or Python scans the loaded modules for garbage again and again
-    atexit.register(_freeze)
+    atexit.register(_leave)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without µ shows a ?

@@ -5,7 +5,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -130,7 +130,7 @@ def _of_task(options: argparse.Namespace) -> "Description":
     """Describe the machine of a task on the bus of the options."""
     from ...envs.serve.description import BusRow, Description, MachineRow
 
-    given = {"clock": options.clock or "", "log": options.log or ""}
+    given: dict[str, Any] = {"clock": options.clock or "", "log": options.log or ""}
     node_id = 0 if options.ethercat else options.node_id or 1
     machine = MachineRow(
         "machine", "bus", task=options.file, drive=options.drive or "generic", node_id=node_id,
