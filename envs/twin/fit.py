@@ -116,7 +116,8 @@ def fit(
     """
     candidates = Candidates(lambda: chosen.make(drive), chosen.axis)
     joint = candidates.joint
-    rough = regress(list(experiments), joint.gear)
+    loss = float(joint.mechanics.gear_loss)
+    rough = regress(list(experiments), joint.gear, _own(joint), loss)
     refuse(experiments, rough, joint, chosen)
     start = _start(chosen, joint, rough, experiments)
     start[LAG] = best_lag(candidates, experiments[0], start)
@@ -234,13 +235,18 @@ def refuse(
             f"{name}: more torque goes with less acceleration: the sign of torque or position is "
             "turned (polarity 607Eh), or they are of two axes: record 6064h and 6077h of one node"
         )
-    own = float(joint.coupling.gear) ** -2 * float(joint.model.dof_armature[joint.coupling.dof])
+    own = _own(joint)
     if chosen.mass != "rotor_inertia" and rough.inertia < LIGHT * own:
         raise Unusable(
             f"{name}: the inertia at the shaft comes out as {rough.inertia:.2g} kg·m², the motor's "
             f"own is {own:.2g} kg·m²: the units of position or torque do not fit, or the motor is "
             "another (--set rotor_inertia=...)"
         )
+
+
+def _own(joint: parameters.Joint) -> float:
+    """Inertia of the motor and of what is known to be on its shaft (kg·m²)."""
+    return parameters.PARAMETERS["rotor_inertia"].get(joint)
 
 
 def _plausible(rough: Rough) -> bool:

@@ -13,6 +13,7 @@ from .experiment import Experiment
 WINDOW = 0.015  # s, of the polynomials that smooth
 ORDER = 3
 SLOW = 0.05  # of the highest speed, below which friction is not looked at
+LOSSES = 4  # rounds, of which way the torque goes through a gear with losses
 
 
 class Rough(NamedTuple):
@@ -28,19 +29,25 @@ class Rough(NamedTuple):
     curve: tuple[np.ndarray, np.ndarray]  # speed (rad/s) and torque without inertia (Nm)
 
 
-def regress(experiments: list[Experiment], gear: float) -> Rough:
+def regress(
+    experiments: list[Experiment], gear: float, own: float = 0.0, loss: float = 0.0
+) -> Rough:
     """Fit all experiments together.
 
     Args:
         experiments: measured positions and torques.
         gear: rad of motor shaft per m or rad.
+        own: inertia of the motor side (kg·m²), in front of the gear.
+        loss: friction of the gear over the torque that it carries.
     """
     rows, torques, speeds = [], [], []
     for each in experiments:
-        period = each.duration / (len(each.time) - 1)
+        period = float(np.median(np.diff(each.time)))
+        at = np.arange(each.time[0], each.time[-1], period)  # samples that are missing too
         half = max(round(0.5 * WINDOW / period), 2)
-        _, speed, acceleration = _derivatives(each.position * gear, half, period)
-        torque, _, _ = _derivatives(each.torque, half, period)
+        position = np.interp(at, each.time, each.position) * gear
+        _, speed, acceleration = _derivatives(position, half, period)
+        torque, _, _ = _derivatives(np.interp(at, each.time, each.torque), half, period)
         rows.append(np.stack([acceleration, speed], axis=1))
         torques.append(torque)
         speeds.append(speed)
@@ -55,16 +62,21 @@ def regress(experiments: list[Experiment], gear: float) -> Rough:
     )
     columns = [0, 1, 2] if one_way else [0, 1, 2, 3]
     scale = np.maximum(np.abs(matrix[:, columns]).max(axis=0), 1e-12)
-    solution = np.linalg.lstsq(matrix[:, columns] / scale, wanted, rcond=1e-9)[0] / scale
-    full = np.zeros(4)
-    full[columns] = solution
-    left = wanted - matrix @ full
+    behind, drives, full = wanted - own * matrix[:, 0], np.ones(len(wanted)), np.zeros(4)
+    for _ in range(LOSSES if loss else 1):
+        less = (1.0 + loss * drives)[:, None]  # driving a load costs more than braking it
+        weighed = less * matrix[:, columns] / scale
+        full[columns] = np.linalg.lstsq(weighed, behind, rcond=1e-9)[0] / scale
+        drives = np.sign((matrix @ full) * sign[moving])
+    left = behind - less[:, 0] * (matrix @ full)
+    full[0] += own
     spread = float(np.var(wanted))
     accelerating = float(np.std(row[moving, 0])) * abs(full[0])
     return Rough(
         float(full[0]), float(full[1]), float(full[2]), float(full[3]),
         1.0 - float(np.var(left)) / spread if spread > 0 else 0.0, bool(one_way),
-        accelerating > 0.05 * np.sqrt(spread), (speed[moving], wanted - matrix[:, 0] * full[0]),
+        accelerating > 0.05 * np.sqrt(spread),
+        (speed[moving], left + less[:, 0] * (matrix[:, 1:] @ full[1:])),
     )
 
 
