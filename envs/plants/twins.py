@@ -55,6 +55,7 @@ class Twin:
     verdict: str
     cycle: float  # s, of the bus
     lag: float  # s, from a set-point to a sample
+    mechanics: str = ""  # the family of `servogym twin`
 
     @property
     def values(self) -> dict[str, float]:
@@ -159,7 +160,7 @@ def _checked(file: Path, content: Mapping[str, Any]) -> Twin:
         file.parent, str(content["drive"]), machine["builder"], dict(machine["arguments"]),
         str(machine["axis"]), found, {k: float(v) for k, v in content["objects"].items()},
         {k: float(v) for k, v in content["held_out"].items()}, content["verdict"],
-        float(content["cycle"]), float(content["lag"]),
+        float(content["cycle"]), float(content["lag"]), str(content.get("mechanics", "")),
     )
 
 

@@ -255,14 +255,19 @@ class Search:
         """Levenberg and Marquardt, candidates side by side.
 
         With `close` it ends where the sum of squares stands still, of which one is a standard
-        error, and the last Jacobian is central; else where its ratio does.
+        error, and the last Jacobian is central; else where its ratio does. Where an axis sticks
+        just so, residuals jump: where no step helps, each derivative is that of the quieter side.
         """
         free = list(free)
         x = np.array([f.inner(max(values[f.name], f.low)) for f in free])
-        damping, best = 1.0, math.inf
+        damping, best, side = 1.0, math.inf, 1.0
+        failed: np.ndarray | None = None  # the Jacobian with which no step was lower
         for n in range(steps + 1):
             last = n == steps
-            white, jacobian = self._linear(free, x, noise, central=last and close)
+            white, jacobian = self._linear(free, x, noise, last and close, side)
+            if failed is not None and not last:
+                quieter = np.linalg.norm(failed, axis=0) < np.linalg.norm(jacobian, axis=0)
+                jacobian = np.where(quieter, failed, jacobian)
             best = float(np.mean(white**2))
             here = {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
             self.progress(self.fixed | here, best)
@@ -280,16 +285,18 @@ class Search:
             )
             winner = int(np.argmin(costs))
             if not costs[winner] < best:
-                damping *= 100.0
+                damping *= 1.0 if failed is None else 100.0
+                failed, side = jacobian, -side
                 if damping > 1e7:
                     steps = n
-                    white, jacobian = self._linear(free, x, noise, central=close)
+                    white, jacobian = self._linear(free, x, noise, close)
                     break
                 continue
+            failed, side = None, 1.0
             gained = best - float(costs[winner])
             x, damping = trials[winner], damping * TRIES[winner]
             if gained < (CLOSE / len(white) if close else SMALL * best):
-                white, jacobian = self._linear(free, x, noise, central=close)
+                white, jacobian = self._linear(free, x, noise, close)
                 best = float(np.mean(white**2))
                 break
         values = self.fixed | {f.name: f.outer(c) for f, c in zip(free, x, strict=True)}
@@ -337,12 +344,13 @@ class Search:
         ])
 
     def _linear(
-        self, free: Sequence[FreeParameter], x: np.ndarray, noise: Noise, central: bool
+        self, free: Sequence[FreeParameter], x: np.ndarray, noise: Noise, central: bool,
+        side: float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """White residuals, and their derivatives by the inner coordinates."""
         points = [x]
         for n, f in enumerate(free):
-            for sign in (1.0, -1.0) if central else (1.0,):
+            for sign in (1.0, -1.0) if central else (side,):
                 point = x.copy()
                 point[n] += sign * f.width
                 points.append(point)

@@ -36,6 +36,7 @@ SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of
 UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
 NOTHING = 0.1  # the same where the inertia that comes out could be one
 SELDOM = 4e-3  # s between samples, above which the closed form is no judge
+STEEP = 2.0  # N/kg along the axis, from which its load is weighed
 LIGHT = 0.6  # least inertia over that of the motor and what is known to be on it
 
 
@@ -274,6 +275,9 @@ def _start(
     mass = nominal + (rough.inertia - inertia) * (1 if chosen.mass == "rotor_inertia" else gear**2)
     if not _plausible(rough):
         mass = nominal
+    elif chosen.mass == "payload" and (per := _weight(joint)):  # what it holds tells it better
+        body = joint.model.dof_bodyid[joint.coupling.dof]
+        mass = nominal + rough.load * gear / per - float(joint.model.body_subtreemass[body])
     values = {
         chosen.mass: max(mass, 0.05 * nominal),
         "coulomb_friction": max(rough.coulomb * abs(gear), 0.05),
@@ -285,6 +289,14 @@ def _start(
     if "supply_voltage" in values:
         values["supply_voltage"] = _voltage(experiments, joint) or values["supply_voltage"]
     return values
+
+
+def _weight(joint: parameters.Joint) -> float:
+    """Force (N) along the axis that holds a kilogram of payload; 0 of a level one."""
+    model = joint.model
+    axis = joint.machine.data.xaxis[model.dof_jntid[joint.coupling.dof]]
+    force = -float(axis @ model.opt.gravity)
+    return force if joint.unit == "m" and abs(force) > STEEP else 0.0
 
 
 def _voltage(experiments: Sequence[Experiment], joint: parameters.Joint) -> float:

@@ -10,7 +10,8 @@ from .fit import Fitted
 ABSOLUTE = ("load_force", "backlash")  # told in their units
 ALARM = 2.0  # half widths of a 95 % interval: of 2,500 unchanged parameters one is beyond (t, 23)
 WATCHED = (  # in the order they are told
-    "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "load_stiffness",
+    "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "rotor_inertia",
+    "load_stiffness",
     "transmission_stiffness", "load_damping", "transmission_damping", "backlash",
 )
 
@@ -26,6 +27,7 @@ class Change:
     low: float
     high: float
     unit: str  # "%" or that of the parameter
+    known: bool = True  # the old twin has determined it, not taken it from the preset
 
     @property
     def certain(self) -> bool:
@@ -33,13 +35,16 @@ class Change:
 
         Of many logs with several parameters each, some intervals exclude zero by chance.
         """
-        return bool(abs(self.change) > ALARM * (self.high - self.low) / 2)
+        return self.known and bool(abs(self.change) > ALARM * (self.high - self.low) / 2)
 
     def __str__(self) -> str:
         name = self.name.replace("_", " ")
         scale, unit = (1e6, "µm") if self.unit == "m" else (1.0, self.unit)
         low, high = scale * self.low, scale * self.high
         numbers = f"{scale * self.change:+.3g} {unit} [{low:+.3g}, {high:+.3g}]"
+        if not self.known:
+            return (f"{name} {numbers} beside its preset, which that twin was made with: no change "
+                    f"can be told (--free {self.name})")
         return f"{name} {numbers}" + ("" if self.certain else ": no change is certain")
 
 
@@ -50,7 +55,6 @@ def changes(twin: Twin, now: Fitted) -> list[Change]:
         ValueError: the new log is of another family.
     """
     found = []
-    friction = twin.values.get("coulomb_friction", 1.0)
     for name in WATCHED:
         old = twin.parameters.get(name)
         if old is None or name not in {free.name for free in now.estimate.free}:
@@ -63,8 +67,9 @@ def changes(twin: Twin, now: Fitted) -> list[Change]:
         change = (value - old.value) * per
         half *= abs(per)
         unit = "%" if relative else old.unit
-        found.append(Change(name, old.value, value, change, change - half, change + half, unit))
-    if friction and not found:
+        low, high, known = change - half, change + half, old.low < old.high
+        found.append(Change(name, old.value, value, change, low, high, unit, known))
+    if not found:
         raise ValueError("the new log was fitted as another family: nothing can be compared")
     return sorted(found, key=lambda each: not each.certain)
 
@@ -73,6 +78,6 @@ def table(found: list[Change]) -> list[dict[str, Any]]:
     """Return the changes as rows of numbers, for JSON."""
     return [
         {"name": c.name, "before": c.before, "now": c.now, "change": c.change, "low": c.low,
-         "high": c.high, "unit": c.unit, "certain": c.certain}
+         "high": c.high, "unit": c.unit, "known": c.known, "certain": c.certain}
         for c in found
     ]

@@ -15,6 +15,7 @@ from servogym.training.cli import main
 from servogym.training.cli.twin import GAIN_OBJECTS
 
 HIDDEN = ("coulomb_friction", "viscous_friction")
+GAPS = {"ball_screw": ["backlash"]}  # hidden too, and looked for in the first log
 SLOW = {"ball_screw": {"speed": (0.05, 0.3), "acceleration": (1, 4)}}
 CHANGES = (  # mechanics, what changes, its parameter and (factor, more), logs
     ("rigid", "nothing", {}, 10),
@@ -31,7 +32,8 @@ def _log(mechanics, change, seed, file):
     """A log of its moves in csp; -> the machine, what has changed."""
     family = FAMILIES[mechanics]
     machine = family.make("generic")
-    hide(machine, np.random.default_rng(1600), [family.mass, *HIDDEN])
+    names = [family.mass, *HIDDEN, *GAPS.get(mechanics, [])]
+    hide(machine, np.random.default_rng(1600), names)
     before = parameters.get(machine, list(change))
     parameters.apply(machine, {n: f * before[n] + more for n, (f, more) in change.items()})
     csp_log(machine, file, np.random.default_rng(seed), dropped=0.005, jitter=2e-4, seconds=4.0,
@@ -50,7 +52,8 @@ def twin(mechanics):
     gains = {name: int(getattr(od, name)) for name in GAIN_OBJECTS}
     (folder / "gains.json").write_text(json.dumps(gains))
     assert main(["twin", str(folder / "new.log"), "--mechanics", mechanics, "--read-gains",
-                 str(folder / "gains.json"), "-o", str(folder / "twin")]) == 0
+                 str(folder / "gains.json"), "--free", ",".join(GAPS.get(mechanics, [])),
+                 "-o", str(folder / "twin")]) == 0
     return where, folder / "twin"
 
 

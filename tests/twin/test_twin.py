@@ -414,8 +414,12 @@ def test_a_plan_stays_within_its_limits():
     assert abs(np.diff(found, 2)).max() / period**2 <= 5.0 * 1.1
 
 
-def test_regression_finds_an_inertia_of_made_up_torques():
-    """Closed form: torque = J a + Tc sign(v) + B v + T0."""
+@pytest.mark.parametrize(("own", "loss"), [(0.0, 0.0), (0.004, 0.54)])
+@pytest.mark.parametrize("lost", [0.0, 0.005, 0.05])
+def test_regression_finds_an_inertia_of_made_up_torques(lost, own, loss):
+    """Closed form: torque = Jm a + T (1 + loss), or (1 - loss) where the load drives, with
+    T = J a + Tc sign(v) + B v + T0; and samples that the logger missed.
+    """
     from types import SimpleNamespace
 
     time = np.arange(0, 4, 1e-3)
@@ -424,12 +428,14 @@ def test_regression_finds_an_inertia_of_made_up_torques():
         np.gradient(position, time),
         np.gradient(np.gradient(position, time), time),
     )
-    torque = 0.02 * acceleration + 0.1 * np.sign(speed) + 0.05 * speed + 0.01
-    made_up = SimpleNamespace(time=time, position=position, torque=torque, duration=time[-1])
-    found = regress([made_up], 1.0)
+    carried = 0.02 * acceleration + 0.1 * np.sign(speed) + 0.05 * speed + 0.01
+    torque = own * acceleration + carried + loss * abs(carried) * np.sign(speed)
+    keep = np.random.default_rng(1).random(len(time)) >= lost
+    made_up = SimpleNamespace(time=time[keep], position=position[keep], torque=torque[keep])
+    found = regress([made_up], 1.0, own, loss)
     np.testing.assert_allclose(
         [found.inertia, found.coulomb, found.viscous, found.load],
-        [0.02, 0.1, 0.05, 0.01],
+        [own + 0.02, 0.1, 0.05, 0.01],
         rtol=0.05,
     )
 

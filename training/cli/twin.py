@@ -296,35 +296,27 @@ def _plan(options: argparse.Namespace, family_name: str = "", kinds: Sequence[st
 def _against(options: argparse.Namespace, console: Console) -> int:
     from ...envs.engine import parameters
     from ...envs.plants import twins
-    from ...envs.twin.families import FAMILIES
+    from ...envs.twin.families import family
+    from ...envs.twin.fit import KEPT
     from ...envs.twin.health import changes, table
 
     twin = twins.read(options.against)
     options.drive = twin.drive
-    name = next(
-        (n for n, f in FAMILIES.items()
-         if f.builder == twin.builder and f.axis == twin.axis
-         and all(twin.arguments.get(k) == v for k, v in f.arguments.items())), None,
-    )
-    if name is None:
-        raise ValueError(f"--against {options.against}: its machine belongs to no known family")
-    built = {k: v for k, v in twin.arguments.items() if k not in FAMILIES[name].arguments} | dict(
+    chosen = family(twin.mechanics)
+    built = {k: v for k, v in twin.arguments.items() if k not in chosen.arguments} | dict(
         options.set
     )
-    gains: dict[str, float] = {
-        n: twin.values[n]
-        for n in ("velocity_gain", "integral_time", "position_gain")
-        if n in twin.values
+    machine = chosen.given(built).make(options.drive)
+    twin.give(machine)  # gains in the drive's own units
+    x = machine.drives[twin.axis]
+    found_then = (*GAIN_OBJECTS, *KEPT.values(), "supply_voltage")
+    objects = twin.objects | {
+        each: float(getattr(x.axis.od, each)) for each in found_then if each in x.objects.names
     }
-    machine = FAMILIES[name].given(built).make(options.drive)
-    parameters.apply(machine, gains, twin.axis)  # in the drive's own units
-    od = machine.drives[twin.axis].axis.od
-    objects = {each: float(getattr(od, each)) for each in GAIN_OBJECTS}
-    gap = twin.builder == "linear_axis" and parameters.PARAMETERS["backlash"].there(
-        parameters.Joint(machine, twin.axis)
-    )
+    gap = parameters.PARAMETERS["backlash"].there(parameters.Joint(machine, twin.axis))
     best, _ = _fitted(
-        options, console, [name], built, objects, machine, True, ("backlash",) if gap else ()
+        options, console, [chosen.name], built, objects, machine, True,
+        ("backlash",) if gap else (),
     )
     found = changes(twin, best)
     for change in found:
