@@ -31,10 +31,6 @@ CORRECTIONS = 2  # of the bias that noise brings
 DIFFERENCES = 3  # order that leaves noise and little of a model error
 
 
-class Interrupted(Exception):
-    """Ctrl-C; the best so far is what counts."""
-
-
 @dataclass(frozen=True)
 class FreeParameter:
     """A parameter that is looked for.
@@ -143,7 +139,6 @@ class Estimate:
     free: list[FreeParameter]
     noise: Noise
     jacobian: np.ndarray  # of the white residuals by the inner coordinates
-    residuals: list[np.ndarray] = field(default_factory=list)
 
     def finer(self, smooth: bool = True) -> list[FreeParameter]:
         """What is looked for, with differences of some standard errors, all others held.

@@ -37,7 +37,7 @@ UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
 NOTHING = 0.1  # the same where the inertia that comes out could be one
 SELDOM = 4e-3  # s between samples, above which the closed form is no judge
 STEEP = 2.0  # N/kg along the axis, from which its load is weighed
-LIGHT = 0.6  # least inertia over that of the motor and what is known to be on it
+LIGHT = 0.85  # least inertia over that of the motor and what is known to be on it
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def _spectrum(path: Path, fitted: Fitted) -> None:
         (experiment.position, experiment.torque, INK, "measured"),
         (run.position[0], run.torque[0], SOFT, "twin"),
     ):
-        frequency, gain = _response(position * gear, torque, experiment.duration)
+        frequency, gain = _response(experiment.time, position * gear, torque)
         panel.loglog(frequency, gain, color=color, lw=1.2, label=label)
     panel.set_xlabel("frequency (Hz)")
     panel.set_ylabel("acceleration over torque (1/kg·m²)")
@@ -145,11 +145,13 @@ def _spectrum(path: Path, fitted: Fitted) -> None:
 
 
 def _response(
-    position: np.ndarray, torque: np.ndarray, duration: float
+    time: np.ndarray, position: np.ndarray, torque: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gain by Welch's method with half-overlapping windows."""
-    count = len(position)
-    period = duration / (count - 1)
+    """Gain by Welch's method with half-overlapping windows, of samples that may be missing."""
+    period = float(np.median(np.diff(time)))
+    at = np.arange(time[0], time[-1], period)
+    position, torque = np.interp(at, time, position), np.interp(at, time, torque)
+    count = len(at)
     length = min(1 << int(np.log2(max(count // 4, 16))), 1024)
     window = np.hanning(length)
     cross: Any = 0.0

@@ -2,7 +2,8 @@
 
     python tests/twin/page.py ROWS.jsonl docs/results/twin.md
 
-What stands outside the marks stays.
+Rows of an estimator before that of the checkout are counted as older. What stands outside the
+marks stays.
 """
 
 import re
@@ -10,7 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from campaign import SERIES, rows
+from campaign import CODE, SERIES, rows
 from health import CHANGES
 from real import AXES
 
@@ -37,6 +38,12 @@ def of_kind(found, kind):
 def ratio(row):
     """Held-out error over the floor; of an unusable log there is none."""
     return row["held_out"] / row["floor"] if "floor" in row else np.inf
+
+
+def older(own):
+    """How many rows are of an estimator before the present one, in words."""
+    count = sum(row["code"] != CODE for row in own)
+    return f", {count} older" if count else ""
 
 
 def errors(own):
@@ -88,7 +95,8 @@ def machines(found):
         seeds = sorted(row["seed"] for row in own)
         count, true, _ = covered(own)
         lines.append(
-            f"| {series} | {seeds[0]}–{seeds[-1]} | {len(own)} of {SERIES[series].count} | "
+            f"| {series} | {seeds[0]}–{seeds[-1]} | {len(own)} of {SERIES[series].count}"
+            f"{older(own)} | "
             f"{sum(r <= FAIR for r in ratios)} | {np.median(ratios):.2f}, "
             f"{max(ratios):.2f} | {told} | {errors(own)} | "
             f"{f'{true} of {count}' if count else '–'} | "
@@ -119,6 +127,8 @@ def buses(found):
         lines.append(f"| `{model}` | {'CAN' if bus == 'can' else 'EtherCAT'} | {mode} | "
                      f"{cells[0]} | {cells[1]} |")
     own = list(all_of.values())
+    if mark := older(own):
+        lines += ["", f"{len(own)} cells{mark}."]
     return [*lines, "", f"Median errors: {errors(own)}. {coverage(own)} {cost(own)}", *said(own)]
 
 
@@ -144,7 +154,7 @@ def health(found):
                     f"{scale * per * true:+.3g}, {scale * each['change']:+.3g} "
                     f"[{scale * each['low']:+.3g}, {scale * each['high']:+.3g}] {unit}")
         lines.append(
-            f"| {mechanics} | {name} | {len(own)} | "
+            f"| {mechanics} | {name} | {len(own)}{older(own)} | "
             f"{sum(set(change) <= each for each in told) if change else '–'} | "
             f"{sum(len(each - set(change)) for each in told)} | {'; '.join(values) or '–'} |")
     quiet = [each for row in all_of for n, each in row["changes"].items() if n not in row["true"]]
@@ -202,9 +212,10 @@ def main(source, target):
         lines = "\n".join([begin, "", *section(found), "", end])
         text, count = re.subn(f"{begin}.*?{end}", lambda _, new=lines: new, text, flags=re.DOTALL)
         assert count == 1, begin
-    codes = {row["code"] for row in found}
-    assert len(codes) == 1, f"rows of several estimators: {codes}"
-    text = re.sub("estimator `[^`]*`", f"estimator `{codes.pop()}`", text)
+    before = ", ".join(f"`{code}`" for code in sorted({row["code"] for row in found} - {CODE}))
+    older_ones = f"Rows counted as older are of {before}." if before else "No row is older."
+    text = re.sub("estimator `[^`]*`", f"estimator `{CODE}`", text)
+    text = re.sub(r"(?<=seed\. )(Rows counted|No row)[^.]*\.", older_ones, text)
     page.write_text(text, encoding="utf-8")
 
 

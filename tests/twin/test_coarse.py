@@ -35,18 +35,16 @@ COLUMNS = ("time=t:ms,target_position=asked:mm,position_actual_value=is:mm,"
 INCREMENT = 0.00028 / 24  # m
 
 
-@pytest.fixture(scope="module")
-def table(tmp_path_factory):
-    """Steps of 5 and 10 mm, a sample every 10 ms."""
-    spindle = FAMILIES["spindle"].given(MOTOR, DRIVE | {"max_motor_speed": 2**31 - 1})
+def record(file, motor, drive, hidden):
+    """Steps of 5 and 10 mm, a sample every 10 ms; -> the file."""
+    spindle = FAMILIES["spindle"].given(motor, drive | {"max_motor_speed": 2**31 - 1})
     machine = spindle.make("generic")
-    parameters.apply(machine, HIDDEN)
+    parameters.apply(machine, hidden)
     places = 0.2 + np.repeat([0.0, 0.005, -0.005, 0.005, -0.005, 0.005, -0.005, 0.005], 500)
     rng = np.random.default_rng(2)
     found = stream(machine, "x", places, 1e-3, rng, dropped=0.0, jitter=0.0)
-    file = tmp_path_factory.mktemp("coarse") / "steps.csv"
     unit = 1e-3  # mm a position unit
-    rated = 0.1  # mNm a per mille
+    rated = 1e-3 * drive["motor_rated_torque"]  # mNm a per mille
     with file.open("w", newline="") as text:
         writer = csv.writer(text)
         writer.writerow(["t", "asked", "is", "torque"])
@@ -57,6 +55,11 @@ def table(tmp_path_factory):
             )
             writer.writerow([n, round(asked * unit, 2), round(place * unit, 2), torque * rated])
     return file
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("coarse") / "steps.csv", MOTOR, DRIVE, HIDDEN)
 
 
 def test_the_voltage_of_the_winding_is_seen_at_the_highest_speed(table):
