@@ -51,14 +51,9 @@ class EtherCatServer:
         self.log = log
         self._tell = tell
         self._told: set[str] = set()
-        self._stopped = False
         self._counter = 0
         self._begin = time.monotonic_ns()
         self._buffer = memoryview(bus.segment.frame)  # type: ignore[arg-type]
-
-    def stop(self) -> None:
-        """Make `run` return; may be called from another thread or a signal handler."""
-        self._stopped = True
 
     @property
     def now(self) -> int:
@@ -70,14 +65,19 @@ class EtherCatServer:
         """Working counter of the first datagram of the last frame with process data."""
         return self._counter
 
-    def run(self) -> None:
-        """Serve until `stop`."""
-        serve = self.serve if len(self.ports) == 1 else self.serve_both
-        while not self._stopped:
-            serve()
+    def serve(self) -> None:
+        """Wait for a frame, answer it, and advance the machines."""
+        if len(self.ports) == 1:
+            self._serve(0)
+            return
+        ready, _, _ = select.select([port.socket for port in self.ports], [], [], 0.001)
+        for number, port in enumerate(self.ports):
+            if port.socket in ready:
+                self._serve(number)
+        if not ready and self.bus.clock != Clock.FRAME:
+            self.bus.advance(self.now)
 
-    def serve(self, port: int = 0) -> None:
-        """Wait for a frame at a port, answer it, and advance the machines."""
+    def _serve(self, port: int) -> None:
         length = self.ports[port].receive(self._buffer)
         if length == 0:
             if self.bus.clock != Clock.FRAME:
@@ -109,15 +109,6 @@ class EtherCatServer:
         """Working counter of the first datagram."""
         end = 26 + (int.from_bytes(self._buffer[22:24], "little") & LENGTH)
         return int.from_bytes(self._buffer[end : end + 2], "little")
-
-    def serve_both(self) -> None:
-        """`serve` whichever port has a frame."""
-        ready, _, _ = select.select([port.socket for port in self.ports], [], [], 0.001)
-        for number, port in enumerate(self.ports):
-            if port.socket in ready:
-                self.serve(number)
-        if not ready and self.bus.clock != Clock.FRAME:
-            self.bus.advance(self.now)
 
     def _write(self, length: int, port: int) -> None:
         assert self.log is not None

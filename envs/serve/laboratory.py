@@ -142,7 +142,7 @@ class _EtherCat:
             for port in ports:
                 port.close()
             raise
-        self.serve = self.server.serve if len(ports) == 1 else self.server.serve_both
+        self.serve = self.server.serve
         self._slave_of = {id(slave.drive): i for i, slave in enumerate(slaves)}
 
     def ahead(self, seconds: float) -> None:

@@ -18,12 +18,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from deployed import _network
 
 from servogym.drive.wire import real_time
 
 GROUP = "239.74.163.31"
-LINK = ("link add va type veth peer name vb", "link set va up", "link set vb up")
-LOOPBACK = ("link set lo up", "route add 224.0.0.0/4 dev lo")
 PERIOD = 1e-3  # s
 CAN = f'[bus.can]\nkind = "can"\ninterface = "udp_multicast"\nchannel = "{GROUP}"\n'
 LINE = '[bus.line]\nkind = "ethercat"\ninterface = "va"\nclock = "{clock}"\n'
@@ -196,8 +195,7 @@ def main():
     if not options.inside:
         alone = ["unshare", "-n"] if os.geteuid() == 0 else ["unshare", "-Urn"]
         os.execvp(alone[0], [*alone, sys.executable, *sys.argv, "--inside"])
-    for command in (*LOOPBACK, *LINK):
-        subprocess.run(["ip", *command.split()], check=True)
+    _network()
     with tempfile.TemporaryDirectory() as folder:
         if options.what == "start":
             start(Path(folder), options.count or 5)

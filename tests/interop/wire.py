@@ -163,9 +163,9 @@ def forked(models, faults=(), name="va"):
     server = EtherCatServer(FaultyBus(segment, machines, faults=faults), [RawPort(name)])
     child = os.fork()
     if child == 0:
-        signal.signal(signal.SIGTERM, lambda *_: server.stop())
-        server.run()
-        os._exit(0)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        while True:
+            server.serve()
     try:
         yield
     finally:

@@ -159,9 +159,9 @@ def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
     server = EtherCatServer(Bus(segment, machines), [RawPort("va")])
     child = os.fork()
     if child == 0:
-        signal.signal(signal.SIGTERM, lambda *_: server.stop())
-        server.run()
-        os._exit(0)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        while True:
+            server.serve()
     try:
         master = pysoem.Master()
         master.open("vb")
