@@ -6,6 +6,7 @@ the profile that have its type behave as in the model `generic`; the others stor
 Anything that could not be used as it stands is a repair in the README of the folder.
 """
 
+import functools
 import re
 from dataclasses import dataclass
 from fractions import Fraction
@@ -112,6 +113,12 @@ def import_eds(eds: Path, folder: Path, *, strict: bool = False) -> Imported:
     )
 
 
+@functools.cache
+def _cells() -> Cells:
+    """The rows of `generic`, as they are written."""
+    return read_cells(load("generic").folder / "objects.csv")
+
+
 class _Import:
     """One file on its way to a model."""
 
@@ -120,7 +127,7 @@ class _Import:
     def __init__(self, sheet: Sheet):
         self.sheet = sheet
         self.base: DriveModel = load("generic")
-        self.cells: Cells = read_cells(self.base.folder / "objects.csv")
+        self.cells = _cells()
         self.rows: dict[tuple[int, int], dict[str, Any]] = {}
         self.names: set[str] = set()
         self.pdos: list[tuple[Any, ...]] = []

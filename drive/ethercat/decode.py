@@ -490,6 +490,7 @@ def _code(code: int) -> str:
     return f"{code:04X}h {AlStatusCode(code).name if code in set(AlStatusCode) else ''}".rstrip()
 
 
+@functools.cache
 def _identities() -> dict[tuple[int, int], DriveModel]:
     """Models with an EtherCAT face by vendor and product."""
     found = {}

@@ -11,6 +11,7 @@ together from the words of the format.
 
 import argparse
 import csv
+import functools
 import random
 import re
 import resource
@@ -30,7 +31,7 @@ from servogym.drive.canopen.eds_import import _Import, import_eds
 from servogym.drive.canopen.sheet import read_sheet
 from servogym.drive.ethercat import esi, sii
 from servogym.drive.ethercat.decode import EtherCatDecoder
-from servogym.drive.model.model import load
+from servogym.drive.model.model import DriveModel, load
 from servogym.drive.wire import log, pcapng
 from servogym.drive.wire.ethercat_import import import_esi, import_sii
 from servogym.drive.wire.recording import Source
@@ -349,9 +350,16 @@ def _log(file: Path, folder: Path, whole: bool) -> object:
     return Source(file, "generic") if whole else [*log.messages(file)]
 
 
+@functools.cache
+def _model() -> DriveModel:
+    return load("generic", "ethercat")
+
+
 def _capture(file: Path, folder: Path, whole: bool) -> object:
-    decoder = EtherCatDecoder("generic")
-    return [decoder.decode(packet.frame) if whole else packet for packet in pcapng.read(file)]
+    if not whole:
+        return [*pcapng.read(file)]
+    decoder = EtherCatDecoder(_model())
+    return [decoder.decode(packet.frame) for packet in pcapng.read(file)]
 
 
 def _own_sheets(suffix: str) -> list[bytes]:
