@@ -244,7 +244,7 @@ class Drive:
         slot = self.objects.slot(index, subindex[0] if subindex else 0)  # type: ignore[arg-type]
         if not isinstance(value, int | float | np.integer | np.floating):
             raise TypeError(f"{slot.row.name}: {value!r} is not a number")
-        if slot.row.format != "f":
+        if not slot.row.real:
             if value != value or value in (float("inf"), float("-inf")) or int(value) != value:
                 raise TypeError(f"{slot.row.name}: {value!r} is not a whole number")
             value = int(value)

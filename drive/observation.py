@@ -181,7 +181,7 @@ class Observer:
         """A row with the data type of an object, where its length is that of the drive."""
         for model in self._models:
             row = model.objects.get(address)
-            if row is not None and row.format not in ("", "f") and row.size == size:
+            if row is not None and row.format and not row.real and row.size == size:
                 return row
         return None
 

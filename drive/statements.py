@@ -82,7 +82,7 @@ def _object(drive: Drive, row: Object) -> str | None:
         code = _answer(drive, row, 0)
         return "" if code is Abort.READ_ONLY else f"a write is answered by {code.name}"
     computed = bool(row.hook) or row.when or not row.format or row.area in ("rpdo", "tpdo")
-    if computed or row.format == "f":
+    if computed or row.real:
         return None if computed else ""
     if row.access == "rw" and abort is Abort.NONE and not row.per_node:
         value = row.code.unpack(data)[0]

@@ -134,7 +134,7 @@ def _variable(row: Object, node_id: int | None) -> dictionary.ODVariable:
     variable.data_type = getattr(datatypes, row.data_type)
     variable.access_type = ACCESS.get((row.access, row.pdo), row.access)
     variable.pdo_mappable = bool(row.pdo)
-    if row.format not in ("", "f"):
+    if row.format and not row.real:
         variable.min, variable.max = _integer_range(row)
     if _is_live(row):
         return variable
@@ -163,7 +163,7 @@ def _literal(row: Object, value: int | float | str, per_node: bool = False) -> s
     """A value as CiA 306 writes it: decimal where signed, else hexadecimal."""
     if isinstance(value, str):
         return _text(row, value)
-    if row.format == "f":
+    if row.real:
         return repr(value)
     if row.data_type.startswith("INTEGER"):
         return str(value)

@@ -13,8 +13,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar
 
-from canopen.objectdictionary import datatypes
-
 from ..kernel.factors.units import FRACTION_LIMIT
 from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS, parameter_place
 from ..kernel.record import VENDOR_BYTES
@@ -23,9 +21,11 @@ from ..model.made import ModelFolder, Repair, check_place, line, write
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry
 from ..model.rows import (
+    DATA_TYPES,
     FORMATS,
     LAST_NODE,
     LENGTHS,
+    REAL,
     SIZES,
     Cells,
     Object,
@@ -38,8 +38,7 @@ from .sheet import Entry, Sheet, number, read_sheet
 
 MOST = 1 << 16  # objects
 NEEDED = (0x6040, 0x6041)
-TYPES = {code: name for name in FORMATS if (code := getattr(datatypes, name, None)) is not None}
-TYPES |= {0x0C: "TIME_OF_DAY", 0x0D: "TIME_DIFFERENCE"}
+TYPES = {number: name for name, number in DATA_TYPES.items()}
 # access of CiA 306 -> of a row, and where it may be mapped
 ACCESS = {
     "ro": ("ro", "tx"), "wo": ("wo", "rx"), "rw": ("rw", "rxtx"), "rww": ("rw", "rx"),
@@ -271,8 +270,6 @@ class _Import:
                                 "a VISIBLE_STRING has no others")
             return text.encode("ascii", "ignore").decode()
         try:
-            if data_type == "REAL64":
-                return str(float(entry.default or 0))
             return str(number(entry.default)[0] if entry.default else 0)
         except ValueError:
             self.sheet.tell(
@@ -284,9 +281,12 @@ class _Import:
         self, entry: Entry, row: dict[str, Any], data_type: str, known: Object | None, own: Any
     ) -> None:
         """Default and range of a number, such that the default lies in the range."""
-        if data_type == "REAL32":
+        if FORMATS[data_type] in REAL:
             try:
-                row["default"] = str(float(entry.default or 0))
+                value = float(entry.default or 0)
+                if value != value:
+                    raise ValueError
+                row["default"] = str(value)
             except ValueError:
                 self.sheet.tell(entry.line, entry.where, entry.default, "0", "it is not a number")
                 row["default"] = "0"
@@ -395,7 +395,7 @@ class _Import:
 
     def _default(self, index: int, subindex: int) -> int | None:
         row = self.rows.get((index, subindex))
-        if row is None or "+" in row["default"] or FORMATS[row["data_type"]] in ("", "f"):
+        if row is None or "+" in row["default"] or FORMATS[row["data_type"]] in ("", *REAL):
             return None  # not there, follows the node-id, or no integer
         return int(row["default"])
 

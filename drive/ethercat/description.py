@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from ..model.ethercat import PROTOCOLS
 from ..model.model import DriveModel
 from ..model.pdo import Mapping
+from ..model.rows import DATA_TYPES
 from ..objects.hooks.ethercat import excluded, mappable
-from .sdo_info import DATA_TYPES
 
 UNASSIGNED = 0xFF  # sync manager of a PDO that is not assigned by default
 FIXED = 0x0010  # flag of a PDO: its content cannot be changed

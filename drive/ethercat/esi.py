@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 from ..model.ethercat import DATA_LINK_LAYER, IDENTIFICATION
 from ..model.ethercat import PROTOCOLS as PROTOCOL_NAMES
 from ..model.model import DriveModel
+from ..model.rows import DATA_TYPES
 from ..objects.mapping import described
 from . import sii
 from .description import (
@@ -20,14 +21,16 @@ from .description import (
     Pdo,
     describe,
 )
-from .sdo_info import DATA_TYPES, bits, members, object_name
+from .sdo_info import bits, members, object_name
 
 # number of a data type -> its name in ESI
 TYPES = {
     0x01: "BOOL", 0x02: "SINT", 0x03: "INT", 0x04: "DINT", 0x05: "USINT", 0x06: "UINT",
-    0x07: "UDINT", 0x08: "REAL", 0x15: "LINT", 0x1B: "ULINT",
+    0x07: "UDINT", 0x08: "REAL", 0x0C: "TIME_OF_DAY", 0x0D: "TIME_DIFFERENCE", 0x10: "INT24",
+    0x11: "LREAL", 0x12: "INT40", 0x13: "INT48", 0x14: "INT56", 0x15: "LINT", 0x16: "UINT24",
+    0x18: "UINT40", 0x19: "UINT48", 0x1A: "UINT56", 0x1B: "ULINT",
 }
-_STRING, _DOMAIN = 0x09, 0x0F
+STRINGS = {0x09: "STRING", 0x0A: "OCTET_STRING", 0x0B: "UNICODE_STRING", 0x0F: "OCTET_STRING"}
 SM_KINDS = {1: "MBoxOut", 2: "MBoxIn", 3: "Outputs", 4: "Inputs"}
 FMMU_KINDS = {0: "Unused", 1: "Outputs", 2: "Inputs", 3: "MBoxState"}
 # bits of the CoE details -> attribute of the element CoE
@@ -96,8 +99,8 @@ def _hex(value: int, digits: int = 4) -> str:
 
 def type_name(data_type: int, bits: int) -> str:
     """Name of a data type; strings say their length (byte)."""
-    if data_type in (_STRING, _DOMAIN):
-        return f"{'STRING' if data_type == _STRING else 'OCTET_STRING'}({bits // 8})"
+    if data_type in STRINGS:
+        return f"{STRINGS[data_type]}({bits // 8})"
     return TYPES[data_type]
 
 

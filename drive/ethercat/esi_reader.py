@@ -16,18 +16,17 @@ from xml.parsers import expat
 from ..model.ethercat import DATA_LINK_LAYER, IDENTIFICATION
 from ..model.files import content
 from ..model.made import Repair
+from . import esi
 from .description import FIXED, UNASSIGNED, DcMode, Description, Entry, Mailboxes, Pdo, SyncManager
 from .esi import COE, FMMU_KINDS, PROTOCOLS, SM_KINDS
 
 LARGEST = 32 << 20  # bytes of a file; makers' files of many devices have 20 MB
 VARIABLE, ARRAY, RECORD = "VAR", "ARRAY", "RECORD"
 # name of a data type -> number of CiA 301
-TYPES = {
-    "BOOL": 0x01, "BIT": 0x01, "SINT": 0x02, "INT": 0x03, "DINT": 0x04, "USINT": 0x05,
-    "UINT": 0x06, "UDINT": 0x07, "REAL": 0x08, "LREAL": 0x11, "LINT": 0x15, "ULINT": 0x1B,
-    "BYTE": 0x05, "WORD": 0x06, "DWORD": 0x07, "LWORD": 0x1B, "BITARR8": 0x05, "BITARR16": 0x06,
-    "BITARR32": 0x07, "TIME_OF_DAY": 0x0C, "TIME_DIFFERENCE": 0x0D, "STRING": 0x09,
-    "VISIBLE_STRING": 0x09, "OCTET_STRING": 0x0F, "UNICODE_STRING": 0x0F,
+TYPES = {name: number for number, name in esi.TYPES.items()} | {
+    "BIT": 0x01, "BYTE": 0x05, "WORD": 0x06, "DWORD": 0x07, "LWORD": 0x1B, "BITARR8": 0x05,
+    "BITARR16": 0x06, "BITARR32": 0x07, "STRING": 0x09, "VISIBLE_STRING": 0x09,
+    "OCTET_STRING": 0x0F, "UNICODE_STRING": 0x0F,
     # as `ethercat xml` of IgH's master names them
     "INT8": 0x02, "INT16": 0x03, "INT32": 0x04, "INT64": 0x15,
     "UINT8": 0x05, "UINT16": 0x06, "UINT32": 0x07, "UINT64": 0x1B,

@@ -5,12 +5,13 @@ fragments, each telling how many follow.
 """
 
 import functools
+import math
 import struct
 from collections.abc import Iterable
 from enum import IntEnum
 
 from ..model.model import DriveModel
-from ..model.rows import Object
+from ..model.rows import DATA_TYPES, Object
 from ..objects.abort import Abort
 from ..objects.mapping import described
 from .coe_header import Service, header
@@ -37,21 +38,6 @@ class ObjectCode(IntEnum):
     RECORD = 9
 
 
-# data type -> its number in CiA 301 and ETG.1020
-DATA_TYPES = {
-    "BOOLEAN": 0x01,
-    "INTEGER8": 0x02,
-    "INTEGER16": 0x03,
-    "INTEGER32": 0x04,
-    "UNSIGNED8": 0x05,
-    "UNSIGNED16": 0x06,
-    "UNSIGNED32": 0x07,
-    "REAL32": 0x08,
-    "VISIBLE_STRING": 0x09,
-    "DOMAIN": 0x0F,
-    "INTEGER64": 0x15,
-    "UNSIGNED64": 0x1B,
-}
 # first and last index -> data type of a record: ETG.1000.6, 5.6.7
 RECORDS = (
     (0x1018, 0x1018, 0x0023),  # identity
@@ -106,7 +92,7 @@ def bits(row: Object) -> int:
     """Length of an entry (bit); a string has that of its default."""
     if row.data_type == "BOOLEAN":
         return 1
-    return 8 * (row.size or len(str(row.default)))
+    return 8 * (row.size or len(row.initial))
 
 
 def access(row: Object) -> int:
@@ -220,8 +206,7 @@ class SdoInfo:
 def _value(row: Object, value: float | str) -> bytes | None:
     """A value in the data type of a row, None where it has none."""
     if not row.format:
-        return str(value).encode() if isinstance(value, str) else None
-    if row.format == "f":
-        finite = abs(float(value)) < float("inf")
-        return struct.pack("<f", value) if finite else None
+        return row.initial if isinstance(value, str) else None
+    if row.real:
+        return row.code.pack(value) if math.isfinite(value) else None
     return struct.pack("<" + row.format, int(value))

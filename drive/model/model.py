@@ -374,7 +374,7 @@ def _with_defaults(objects: dict[tuple[int, int], Object], toml: dict[str, Any],
         if name not in names:
             raise ValueError(f"{path}: defaults.{name}: there is no such object")
         row = objects[names[name]]
-        number = isinstance(value, int) or (row.format == "f" and isinstance(value, float))
+        number = isinstance(value, int) or (row.real and isinstance(value, float))
         fits = row.minimum <= value <= row.maximum if number and row.format else False
         if not fits and not (isinstance(value, str) and not row.format):
             raise ValueError(f"{path}: defaults.{name} = {value!r} does not fit {row.data_type}")

@@ -31,22 +31,31 @@ FORMATS = {
     "UNSIGNED32": "I",
     "UNSIGNED64": "Q",
     "REAL32": "f",
+    "REAL64": "d",
     "VISIBLE_STRING": "",
     "OCTET_STRING": "",
     "UNICODE_STRING": "",
     "DOMAIN": "",
-    "REAL64": "",
     "TIME_OF_DAY": "",
     "TIME_DIFFERENCE": "",
     **{f"{kind}{bits}": "" for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
 }
 LENGTHS = {  # of those without a format that are not strings (bytes)
-    "REAL64": 8, "TIME_OF_DAY": 6, "TIME_DIFFERENCE": 6,
+    "TIME_OF_DAY": 6, "TIME_DIFFERENCE": 6,
     **{f"{kind}{bits}": bits // 8 for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
 }
+DATA_TYPES = {  # numbers of CiA 301 and ETG.1020
+    "BOOLEAN": 0x01, "INTEGER8": 0x02, "INTEGER16": 0x03, "INTEGER32": 0x04, "UNSIGNED8": 0x05,
+    "UNSIGNED16": 0x06, "UNSIGNED32": 0x07, "REAL32": 0x08, "VISIBLE_STRING": 0x09,
+    "OCTET_STRING": 0x0A, "UNICODE_STRING": 0x0B, "TIME_OF_DAY": 0x0C, "TIME_DIFFERENCE": 0x0D,
+    "DOMAIN": 0x0F, "INTEGER24": 0x10, "REAL64": 0x11, "INTEGER40": 0x12, "INTEGER48": 0x13,
+    "INTEGER56": 0x14, "INTEGER64": 0x15, "UNSIGNED24": 0x16, "UNSIGNED40": 0x18,
+    "UNSIGNED48": 0x19, "UNSIGNED56": 0x1A, "UNSIGNED64": 0x1B,
+}
+REAL = ("f", "d")  # formats of numbers that are not whole
 TEXTS = ("VISIBLE_STRING", "DOMAIN")
 TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are not text
-SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "": 0}
+SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "d": 8, "": 0}
 # rows of an objects.csv by index and sub-index, each with the words "file, line n"
 Cells = dict[tuple[int, int], tuple[dict[str, str], str]]
 ACCESS = ("ro", "wo", "rw", "const")
@@ -87,6 +96,11 @@ class Object:
         return FORMATS[self.data_type]
 
     @property
+    def real(self) -> bool:
+        """Whether the value is a REAL32 or REAL64."""
+        return self.format in REAL
+
+    @property
     def size(self) -> int:
         """Bytes of the value, 0 for strings."""
         return SIZES[self.format]
@@ -116,8 +130,6 @@ class Object:
     def initial(self) -> bytes:
         """The default of a row without a format, as bytes."""
         text = str(self.default)
-        if self.data_type == "REAL64":
-            return struct.pack("<d", float(text or 0))
         if self.length:
             value = int(text or "0", 0) & (1 << 8 * self.length) - 1
             return value.to_bytes(self.length, "little")
@@ -383,10 +395,10 @@ def _object(row, where, index, subindex, area, offset, stored) -> Object:
     if not code and row["data_type"] in LENGTHS:
         _check_number(default, row["data_type"], where)
     if code:
-        default = float(default or 0) if code == "f" else integer(default or "0", where, "default")
+        default = float(default or 0) if code in REAL else integer(default or "0", where, "default")
         if not low <= default <= high or (allowed is not None and default not in allowed):
             raise ValueError(f"{where}: default {default} is out of range [{low:.0f}, {high:.0f}]")
-        if plus and code != "f" and default + LAST_NODE > _type_range(code)[1]:
+        if plus and code not in REAL and default + LAST_NODE > _type_range(code)[1]:
             raise ValueError(f"{where}: default {row['default']} does not fit {row['data_type']}")
         if area == "constant" and row["pdo"]:
             raise ValueError(f"{where}: a constant cannot be mapped to a PDO")
@@ -404,7 +416,7 @@ def _object(row, where, index, subindex, area, offset, stored) -> Object:
 def _check_number(default: str, data_type: str, where: str) -> None:
     """Refuse a default that a number kept as bytes cannot have."""
     try:
-        float(default or 0) if data_type == "REAL64" else int(default or "0", 0)
+        int(default or "0", 0)
     except ValueError:
         raise ValueError(f"{where}: default {default!r} is not of type {data_type}") from None
 
@@ -433,7 +445,7 @@ def _set(text: str, where: str) -> frozenset[int]:
 
 
 def _type_range(code: str) -> tuple[float, float]:
-    if not code or code == "f":
+    if not code or code in REAL:
         return -np.inf, np.inf
     info = np.iinfo(np.dtype("<" + code))
     return float(info.min), float(info.max)

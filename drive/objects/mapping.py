@@ -209,7 +209,7 @@ def _range(row: Object | None) -> tuple[int, int]:
     if row is not None and row.stored:  # a value that the record does not hold is not taken over
         own, other = np.iinfo(f"<{row.stored}"), np.iinfo(f"<{row.format}")
         return max(int(own.min), int(other.min)), min(int(own.max), int(other.max))
-    if row is None or row.area != "axis" or row.offset < VENDOR or row.format in "fQq":
+    if row is None or row.area != "axis" or row.offset < VENDOR or row.format in "fdQq":
         return ANYTHING
     values = row.allowed or (row.minimum, row.maximum)
     low, high = int(min(values)), int(max(values))

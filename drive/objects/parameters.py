@@ -196,7 +196,7 @@ class Parameters:
         if slot is None or not slot.row.storable:
             return ""  # left out
         row = slot.row
-        if not (math.isfinite(value) if row.format == "f" else isinstance(value, int)):
+        if not (math.isfinite(value) if row.real else isinstance(value, int)):
             return f"is not of type {row.data_type}"
         if slot.kept is not None and slot.kept != kept.FACTOR:
             info = np.iinfo(np.dtype("<" + row.format))  # the range of the row is in other units
@@ -215,7 +215,7 @@ class Parameters:
         for address in values:
             if re.fullmatch(r"[0-9A-F]{4}:[0-9A-F]{2}", address):
                 row = slots.once((int(address[:4], 16), int(address[5:], 16))).row
-                if row.format != "f":
+                if not row.real:
                     ranges[address] = [int(row.minimum), int(row.maximum)]
         return ranges
 

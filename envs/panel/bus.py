@@ -267,7 +267,7 @@ class BusBench(Bench):
         except KeyError:
             return f"the model has no object {name!r}"
         try:
-            value = arguments[-1] if row.format == "f" else int(arguments[-1])
+            value = arguments[-1] if row.real else int(arguments[-1])
             data = struct.pack("<" + row.format, value)
             self.bus.nodes[axis].sdo.download(row.index, row.subindex, data)
         except struct.error:

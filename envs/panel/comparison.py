@@ -49,7 +49,7 @@ def write_back(bench: Bench, axis: str, chosen: Mapping[Object, float]) -> list[
     """Write values to the drive; -> a line for each refused value, with the reason."""
     wrong = []
     for row, value in chosen.items():
-        whole = value if row.format == "f" else int(value)
+        whole = value if row.real else int(value)
         if said := bench.command(axis, row.index, row.subindex, whole):
             wrong.append(f"{row.index:04X}h:{row.subindex:02X} {row.name}: {said}")
     return wrong

@@ -79,7 +79,7 @@ class ParallelTwin:
             row = self._row(*where)
             factor = self._factor(row)
             if factor != 1.0 and not math.isclose(factor, 1.0):
-                value = value / factor if row.format == "f" else round(value / factor)
+                value = value / factor if row.real else round(value / factor)
             self.drive.write(*where, value)
         except (SdoAbort, KeyError, TypeError, ValueError) as error:
             name = where[0] if isinstance(where[0], str) else f"{where[0]:04X}h"

@@ -7,19 +7,25 @@ oracle is a foreign master on a bus, and the library `canopen` where it reads th
 import csv
 import math
 import re
+import threading
 from functools import partial
 from pathlib import Path
 
+import can
 import canopen
 import pytest
-from foreign_eds import outcome
+from canopen.profiles.p402 import BaseNode402
+from foreign_eds import outcome, until
 
 from servogym.drive.canopen import eds
+from servogym.drive.canopen.eds import object_dictionary
 from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.canopen.sheet import number, read_sheet
 from servogym.drive.drive import Drive
 from servogym.drive.objects.abort import Abort, SdoAbort
+from servogym.drive.wire.server import Server
 from servogym.envs import Machine, commission_joint, gantry, linear_axis, rotary_axis
+from servogym.envs.plants.catalogue import axis_for
 from servogym.training.cli import main
 
 # index, sub-index, data type, access, PDO mapping, further lines
@@ -600,6 +606,55 @@ def test_a_drive_of_many_departures_is_enabled_homed_and_moved_by_a_foreign_mast
     )
     assert found.repairs > 5
     assert found.homed.startswith("method")
+
+
+def test_a_dcf_with_sync_pdos_is_moved_by_what_its_rpdo_carries_as_the_page_says(tmp_path):
+    """`canopen.BaseNode402`: a target written by SDO gives way to that of the periodic RPDO."""
+    pdos = {
+        "1400 2 5 rw 0 DefaultValue=255": "1400 2 5 rw 0 DefaultValue=1",
+        "1800 2 5 rw 0 DefaultValue=255": "1800 2 5 rw 0 DefaultValue=1",
+        "1600 0 5 rw 0 DefaultValue=1": "1600 0 5 rw 0 DefaultValue=2",
+        "0x60400010": "0x60400010\n1600 2 7 rw 0 DefaultValue=0x607A0020",
+    }
+    rows = SMALL
+    for old, new in pdos.items():
+        assert old in rows
+        rows = rows.replace(old, new)
+    file = tmp_path / "sync.dcf"
+    file.write_text(sheet(rows) + "\n[DeviceComissioning]\nNodeID=5\nBaudrate=500\n")
+    made = import_eds(file, tmp_path / "model")
+    bus = can.Bus(interface="virtual", channel="foreign-sync")
+    server = Server(bus, [axis_for(str(made.folder), made.node_id)])
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    network = canopen.Network()
+    network.NOTIFIER_CYCLE = 0.05
+    network.connect(interface="virtual", channel="foreign-sync")
+    try:
+        node = BaseNode402(5, object_dictionary(made.folder, 5))
+        network.add_node(node)
+        node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_CHECK_TPDO = 10.0
+        node.TIMEOUT_SWITCH_STATE_SINGLE = node.TIMEOUT_SWITCH_STATE_FINAL = 10.0
+        node.nmt.state = "PRE-OPERATIONAL"
+        node.setup_402_state_machine()
+        node.nmt.state = "OPERATIONAL"
+        network.sync.start(0.01)
+        node.rpdo[1].start(0.01)
+        node.op_mode = "PROFILED POSITION"
+        node.state = "OPERATION ENABLED"
+        target = node.sdo[0x6064].raw + 20_000
+        node.sdo[0x607A].raw = target
+        until(lambda: node.sdo[0x607A].raw == 0)
+        node.rpdo_pointers[0x607A].raw = target
+        until(lambda: node.sdo[0x607A].raw == target)
+        node.controlword = 0x1F
+        until(lambda: abs(node.sdo[0x6064].raw - target) < 20)
+    finally:
+        network.sync.stop()
+        network.disconnect()
+        server.stop()
+        thread.join(10)
+        bus.shutdown()
 
 
 def test_the_repairs_of_a_model_are_a_table_that_lists_each(made):

@@ -2,6 +2,8 @@
 
 import dataclasses
 import random
+import re
+from xml.etree import ElementTree
 
 import pytest
 from wired import P, Wired
@@ -148,3 +150,37 @@ def test_14_the_command_writes_file_or_eeprom(tmp_path, capsys):
 )
 def test_the_command_refuses_in_one_line(tmp_path, refused, model, out, reason):
     assert reason in refused(["esi", model, "-o", str(tmp_path / out)])
+
+
+ORDER = {  # of children; from EtherCATInfo.xsd and EtherCATBase.xsd, Schema version 1.3
+    "EtherCATInfo": "Vendor Descriptions", "Descriptions": "Groups Devices",
+    "Device": "Type Name Info GroupType Profile Fmmu Sm RxPdo TxPdo Mailbox Dc Eeprom",
+    "Dictionary": "DataTypes Objects", "DataType": "Name BitSize SubItem",
+    "SubItem": "SubIdx Name Type BitSize BitOffs Flags", "Flags": "Access PdoMapping Backup",
+    "Object": "Index Name Type BitSize Flags", "Entry": "Index SubIndex BitLen Name DataType",
+}
+NUMBERS = ("Index", "SubIndex", "SubIdx", "AssignActivate", "Id", "Exclude")
+
+
+def test_a_file_keeps_the_order_the_keys_and_the_patterns_of_the_schema(model):
+    """Rules of the ETG's schema that were read from it; the whole schema is not at hand."""
+    root = ElementTree.fromstring(esi.write(esi.of_model(model)))
+    for tag, order in ORDER.items():
+        places = {name: n for n, name in enumerate(order.split())}
+        found = [one for one in root.iter(tag) if len(one)]  # an entry has a DataType of text
+        assert found, tag
+        for one in found:
+            given = [places[child.tag] for child in one]
+            assert given == sorted(given), tag
+    types = [one.findtext("Name") for one in root.iter("DataType") if len(one)]
+    assert len(types) == len(set(types)), "DataTypeKey"
+    for one in root.iter("DataType"):
+        names = [item.findtext("Name") for item in one.findall("SubItem")]
+        assert len(names) == len(set(names)), "SubItemKey"
+    assert {item.findtext("Type") for item in root.iter("SubItem")} <= {*types}, "SubItemTypeRef"
+    for tag in NUMBERS:
+        for one in root.iter(tag):
+            assert re.fullmatch(r"[+-]?[0-9]+|#x[0-9a-fA-F]+", one.text), (tag, one.text)
+    assert {one.text for one in root.iter("PdoMapping")} <= {"T", "R", "TR", "RT"}
+    assert {one.text for one in root.iter("Access")} <= {"ro", "wo", "rw"}
+    assert all(one.get("Physics") for one in root.iter("Device"))

@@ -3,10 +3,13 @@
 import struct
 
 import pytest
+from canopen.objectdictionary import datatypes
 from wired import P, Wired
 
+from servogym.drive.ethercat import esi
+from servogym.drive.ethercat.esi_reader import read_esi
 from servogym.drive.ethercat.mailbox import Kind
-from servogym.drive.ethercat.sdo_info import DATA_TYPES
+from servogym.drive.model.rows import DATA_TYPES, FORMATS, OBJECT_COLUMNS
 from servogym.drive.objects.mapping import described
 
 
@@ -126,3 +129,34 @@ def test_27_models_whose_coe_details_do_not_offer_it_refuse_it(model):
     assert not slave.data.coe_details & 0x02
     request = struct.pack("<HBxHH", 0x8000, 1, 0, 1)
     assert slave.ask(Kind.COE, request) == (Kind.ERROR, struct.pack("<HH", 1, 4))
+
+
+NUMBERS = {"BOOLEAN": "1", "REAL32": "1.5", "REAL64": "2.5e-300"}
+
+
+def test_objects_of_every_type_describe_themselves_and_are_read_back_from_an_esi(tmp_path):
+    folder = tmp_path / "typed"
+    folder.mkdir()
+    (folder / "drive.toml").write_text('based_on = "generic"\ntitle = "Typed"\n')
+    rows = [
+        f"0x{0x2F00 + n:04X},0x00,own_{n},VAR,{name},rw,,,,,"
+        f"{'text' if name.endswith('STRING') or name == 'DOMAIN' else NUMBERS.get(name, '7')},,own,"
+        ",,,\n" for n, name in enumerate(FORMATS)
+    ]
+    (folder / "objects.csv").write_text(",".join(OBJECT_COLUMNS) + "\n" + "".join(rows))
+    slave = Wired(str(folder)).to(P)
+    model = slave.drive.model
+    (tmp_path / "typed.xml").write_text(esi.write(esi.of_model(model)), encoding="utf-8")
+    read = {row.index: row for row in read_esi(tmp_path / "typed.xml").objects}
+    for n, name in enumerate(FORMATS):
+        row = model.objects[0x2F00 + n, 0]
+        ask = struct.pack("<HBB", row.index, 0, 0x10)  # its default
+        opcode, content = information(slave, 5, ask)
+        assert opcode == 6, name
+        _, _, given, number, bits, _ = struct.unpack_from("<HBBHHH", content)
+        default = row.initial if not row.format else row.code.pack(row.default)
+        assert number == getattr(datatypes, name, number), "as the library canopen numbers it"
+        assert (given, bits) == (0x10, 1 if name == "BOOLEAN" else 8 * len(default)), name
+        assert content[10:] == default + row.name.encode()
+        if not name.endswith("STRING"):  # which the reader keeps as text or bytes
+            assert read[row.index].data_type == number, name

@@ -6,8 +6,9 @@ import shutil
 import pytest
 from wire import on_the_wire
 
-from servogym.drive.ethercat.sdo_info import DATA_TYPES, access, bits, members, object_name
+from servogym.drive.ethercat.sdo_info import access, bits, members, object_name
 from servogym.drive.model.model import load
+from servogym.drive.model.rows import DATA_TYPES
 
 AKD = ("--drive", "kollmorgen_akd", "--axis", "none")
 GENERIC = ("--drive", "generic", "--axis", "none")

@@ -34,7 +34,9 @@ NOTES = """*CPU-seconds* are those of the process and its children, all threads 
 and import. A command takes up to twice as many on a loaded machine; *load* is the load average when
 it ended. *The same again* says whether the command wrote the committed files once more, byte by
 byte (of `tuned.json` the entry of the row). Trainings state their processor time in their
-checkpoints. The command of the leaderboard plays every entry of the suite again."""
+checkpoints. The command of the leaderboard plays every entry of the suite again. Commands that begin
+with `python` play campaigns of machines and buses, which are not rows of the benchmark; they are
+not repeated here."""
 
 
 class Result(NamedTuple):
@@ -135,7 +137,7 @@ def _same(committed: Path, out: Path) -> bool:
         whole = json.loads(committed.read_bytes())
         made = (json.loads(path.read_bytes()) for path in (out / "out").rglob("*.json"))
         return any(_within(part, whole) for part in made if part)
-    made_again = (path.read_bytes() for path in (out / "out").rglob(committed.name))
+    made_again = (path.read_bytes() for path in (out / "out").rglob(f"*{committed.suffix}"))
     return committed.read_bytes() in made_again
 
 

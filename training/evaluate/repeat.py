@@ -19,6 +19,7 @@ from rich.console import Console
 from ...drive.model import foreign
 from ...envs.engine.checks import whole
 from ...envs.environment.registry import of_a_file
+from ..learn.hyperparameters import CONSECUTIVE
 from ..policies import POLICIES
 from ..policies.trained.saved import read
 from ..report import markdown
@@ -178,6 +179,22 @@ def in_sentences(trainings: Sequence[Training]) -> str:
     )
 
 
+def shared(trainings: Sequence[Training]) -> str:
+    """State which trainings share episodes, empty if none does."""
+    setting = f"streams={CONSECUTIVE}"
+    tasks = dict.fromkeys(
+        each.task for each in trainings if any(setting in line for line in each.commands)
+    )
+    if not tasks:
+        return ""
+    return (
+        f"The trainings of {', '.join(tasks)} draw their episodes from consecutive streams "
+        f"(`--setting {setting}`): trainings whose seeds differ by 1 have all streams but one in "
+        "common, so they are no independent repetitions, and the spread between them may be too "
+        "small."
+    )
+
+
 def run(
     folder: Path, out: Path | None, workers: int | None, console: Console, *, run_code: bool = False
 ) -> int:
@@ -187,7 +204,7 @@ def run(
         for command in training.commands:
             console.print(f"servogym {shlex.join(command)}", soft_wrap=True, highlight=False)
     console.print(table(trainings), highlight=False, markup=False)
-    console.print(in_sentences(trainings), highlight=False)
+    console.print(in_sentences(trainings), shared(trainings), highlight=False)
     if out is None:
         return 0
     workers = whole("--workers", 1 if workers is None else workers, 1, 1000)

@@ -106,7 +106,9 @@ def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
                 path, path.name if at == "." else f"{at}/{path.name}", data, own, baseline, known
             )
         )
-    tables = markdown(HEADING, rows) + "\n" + ROOM
+    trained = [path for path in folders(folder) if (path / repeat.FILE).is_file()]
+    common = repeat.shared([one for path in trained for one in repeat.trainings(path, Path("out"))])
+    tables = markdown(HEADING, rows) + (f"\n{common}\n" if common else "") + "\n" + ROOM
     tables += (
         markdown(("task", "metric", *ENDS, "best baseline", TOLD, LIMIT, LEARNED), room) + "\n"
     )

@@ -130,7 +130,7 @@ class Node:
         if row is None or not row.format or len(data) != row.size:
             return
         self._heard(self.id, row, row.unpack(data))
-        if row.format == "f":
+        if row.real:
             return
         value = int.from_bytes(data, "little")
         if index in (MODE, MODE_DISPLAY):

@@ -87,7 +87,7 @@ def _bytes(od: Dictionary, row: Object, data: bytes | None) -> tuple[bytes, Abor
 
 def _shown(od: Dictionary, row: Object) -> int | str:
     data, _ = _bytes(od, row, None)
-    if row.length and row.data_type != "REAL64":
+    if row.length:
         return int.from_bytes(data, "little", signed=row.data_type.startswith("INTEGER"))
     return data.decode("utf-16-le" if row.data_type == "UNICODE_STRING" else "utf-8", "replace")
 

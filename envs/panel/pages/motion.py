@@ -302,7 +302,7 @@ class _Parameter:
                 ui.label("").classes("parameter-value").props(f"data-test=value-{row.name}")
             )
             self.entry = Entry(
-                "", "", row.minimum, row.maximum, send=self._send, whole=row.format != "f",
+                "", "", row.minimum, row.maximum, send=self._send, whole=not row.real,
                 test=f"set-{row.name}", spoken=f"{row.name.replace('_', ' ')} {self.address}",
             )
 

@@ -120,7 +120,7 @@ class ObjectsPage:
         self.about.set_text(" · ".join(part for part in parts if part))
         writable = row.access not in ("ro", "const") and bool(row.format)
         self.entry.low, self.entry.high = row.minimum, row.maximum
-        self.entry.unit, self.entry.whole = row.unit, row.format != "f"
+        self.entry.unit, self.entry.whole = row.unit, not row.real
         self.entry.field.value, self.entry.field.error = "", None
         self.entry.field.set_visibility(writable)
         self.write.set_visibility(writable)

@@ -102,7 +102,7 @@ def hexadecimal(value: object, row: Object) -> str:
         number = int(str(value))
     except ValueError:
         return ""
-    if row.format in ("", "f", "d") or not row.size:
+    if row.real or not row.size:
         return ""
     return f"{number & (1 << 8 * row.size) - 1:0{2 * row.size}X}h"
 
