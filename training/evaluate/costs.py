@@ -34,9 +34,9 @@ NOTES = """*CPU-seconds* are those of the process and its children, all threads 
 and import. A command takes up to twice as many on a loaded machine; *load* is the load average when
 it ended. *The same again* says whether the command wrote the committed files once more, byte by
 byte (of `tuned.json` the entry of the row). Trainings state their processor time in their
-checkpoints. The command of the leaderboard plays every entry of the suite again. Commands that begin
-with `python` play campaigns of machines and buses, which are not rows of the benchmark; they are
-not repeated here."""
+checkpoints. The command of the leaderboard plays every entry of the suite again. Commands that
+begin with `python` play campaigns of machines and buses, which are not rows of the benchmark; they
+are not repeated here."""
 
 
 class Result(NamedTuple):
