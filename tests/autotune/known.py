@@ -82,14 +82,27 @@ def loops(machine, names, gains=None):
 
 
 def smallest(loop):
-    """-> gain margin (dB), phase margin (degree), whether the closed loop is stable."""
+    """-> gain margin (dB), phase margin (degree), whether the closed loop is stable.
+
+    Beside a narrow antiresonance a gain changes by 6 dB within 0.5 % of the frequency, so each
+    crossing of a coarse grid is looked at on a finer one, and that once more.
+    """
     poles = np.abs(np.linalg.eigvals(control.feedback(loop, 1).A))
-    z = np.exp(1j * np.geomspace(0.3 * loop.dt, np.pi, 6_000))[:, None, None]
-    value = (loop.C @ np.linalg.solve(z * np.eye(len(loop.A)) - loop.A, loop.B) + loop.D)[:, 0, 0]
-    phase = np.unwrap(np.angle(value)) / np.pi
-    turns = np.floor((phase - 1) / 2)
-    at = np.flatnonzero(np.diff(turns))
-    gains = abs(20 * np.log10(abs(value[at])))
-    at = np.flatnonzero(np.diff(abs(value) > 1))
-    phases = 180 - abs(np.degrees(np.angle(value[at])))
+
+    def value(omega):
+        z = np.exp(1j * omega)[:, None, None]
+        inner = np.linalg.solve(z * np.eye(len(loop.A)) - loop.A, loop.B)
+        return (loop.C @ inner + loop.D)[:, 0, 0]
+
+    def crossings(side):
+        pairs = [(0.3 * loop.dt, np.pi)]
+        for count in (6_000, 60, 60):
+            grids = [np.geomspace(*pair, count) for pair in pairs]
+            pairs = [g[k : k + 2] for g in grids for k in np.flatnonzero(np.diff(side(value(g))))]
+        return value(np.array([begin for begin, _ in pairs]))
+
+    at = crossings(lambda v: np.floor((np.unwrap(np.angle(v)) / np.pi - 1) / 2))
+    gains = abs(20 * np.log10(abs(at)))
+    at = crossings(lambda v: abs(v) > 1)
+    phases = 180 - abs(np.degrees(np.angle(at)))
     return min(gains, default=np.inf), min(phases, default=np.inf), poles.max() < 1 + 1e-6

@@ -15,7 +15,7 @@ from servogym.training.cli import main
 
 pytestmark = only_with("control", "scipy")
 CPU = 10.0  # s, of a tuning on a quiet machine
-LIKE_KNOWN = 3.0, 4.0  # dB and degree, of margins up to twice those asked for
+LIKE_KNOWN = 1.5, 2.5  # dB and degree, of margins up to twice those asked for
 
 
 def holds(played):
