@@ -116,8 +116,9 @@ class _Reader:
         if declared and name.lower() not in KNOWN_ENCODINGS:  # such as gb2312
             try:
                 text = data.decode(name)
-            except (LookupError, UnicodeError) as error:
-                raise self.error(1, f"no XML: encoding {name!r}: {error}") from None
+            except (LookupError, ValueError) as error:
+                why = " ".join(str(error).split())
+                raise self.error(1, f"no XML: encoding {name!r}: {why}") from None
             data = text[text.find("?>") + 2 :].encode()
         try:
             return self._parsed(data, None)
@@ -132,6 +133,10 @@ class _Reader:
                               "every byte is a character of it")
                     return root
             raise self.error(error.lineno, f"no XML: {expat.ErrorString(error.code)}") from None
+        except (LookupError, ValueError) as error:  # of an encoding that only the parser saw
+            if str(error).startswith(str(self.path)):
+                raise
+            raise self.error(1, f"no XML: {error}") from None
 
     def _parsed(self, data: bytes, encoding: str | None) -> ElementTree.Element:
         builder = ElementTree.TreeBuilder(element_factory=_Element)

@@ -208,5 +208,5 @@ def _value(row: Object, value: float | str) -> bytes | None:
     if not row.format:
         return row.initial if isinstance(value, str) else None
     if row.real:
-        return row.code.pack(value) if math.isfinite(value) else None
+        return row.code.pack(value) if math.isfinite(float(value)) else None
     return struct.pack("<" + row.format, int(value))

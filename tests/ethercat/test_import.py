@@ -420,6 +420,21 @@ def test_an_encoding_that_there_is_not_is_one_line(tmp_path, capsys, encoding):
     assert f"line 1: no XML: encoding {encoding!r}" in error
 
 
+@pytest.mark.parametrize(
+    "data", [b"utf\0", b"utf-8\n<?xml version=", b"utf-" + b"9" * 45, b"gb2312"],
+    ids=["nul", "lines", "long", "behind a mark"],
+)
+def test_an_encoding_that_only_the_parser_or_a_codec_refuses_is_one_line(tmp_path, data):
+    """Found by damaged files: 14 of 100,000."""
+    file = tmp_path / "drive.xml"
+    text = FOREIGN.encode("latin-1", "replace").replace(b"iso-8859-1", data, 1)
+    file.write_bytes(b"\xef\xbb\xbf" * (data == b"gb2312") + text)
+    with pytest.raises(ValueError, match="line 1: no XML") as error:
+        import_esi(file, tmp_path / "mine")
+    assert str(error.value).startswith(str(file))
+    assert "\n" not in str(error.value)
+
+
 def test_a_hundred_megabytes_are_refused_and_not_held(tmp_path, capsys):
     file = tmp_path / "large.xml"
     with file.open("wb") as stream:
