@@ -41,7 +41,7 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
         return 0
     if options.parameter_file or options.axis or options.at is not None:
         raise ValueError("--parameter-file, --axis and --at need a machine: name one first")
-    table = Table()
+    table = Table(box=None, padding=(0, 1, 0, 0))  # 80 columns are few for ten quantities
     refused = []
     for name in NAMES:
         options.machine = name
@@ -53,9 +53,11 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
         for drive in machine.drives:
             row = size(machine, drive).row
             if not table.columns:
-                for heading in ("machine", *row):  # the rows of a table have m or rad
+                table.add_column("machine", no_wrap=True)
+                for heading in row:  # the rows of a table have m or rad
                     table.add_column(heading.partition(" (m")[0], overflow="fold")
-            table.add_row(name if len(machine.drives) == 1 else f"{name} {drive}", *row.values())
+            cells = (value.replace("/", "/ ") for value in row.values())  # where it may be folded
+            table.add_row(name if len(machine.drives) == 1 else f"{name} {drive}", *cells)
     if not table.columns:
         raise ValueError(f"there is no such machine; {refused[0]}")
     console.print(table)
