@@ -229,7 +229,8 @@ def page(rows):
     """The page, of rows as text."""
     yes = sum(row[-1].startswith("yes") for row in rows)
     numbers = [[float(x) for x in row[7:-1]] for row in rows]
-    worse = sum(after > WORSE * told + COUNT * 1e6 for told, _, after, *_ in numbers)
+    worse = [row for row, (told, _, after, *_) in zip(rows, numbers, strict=True)
+             if after > WORSE * told + COUNT * 1e6]
     later = [row for row, (*_, told, after, _) in zip(rows, numbers, strict=True)
              if after > LATER * told + CYCLES]
     longest = max((each[-1] for each in numbers), default=0.0)
@@ -237,10 +238,10 @@ def page(rows):
     told = (
         f"Of {len(CASES)} cases, {len(rows)} have been run. The margins are reached in {yes}; in"
         "\nthe others the reason is given. The following error is more than "
-        f"{WORSE:g} times that of\nthe commissioned gains in {worse}, the settling time more than "
-        f"{LATER:g} times theirs in {len(later)}\n({_cases(later)}). The longest took "
-        f"{longest:.1f} s of processor time. The\nmargins of the known plant are smaller than "
-        f"requested in {len(short)} ({_axes(short)}).\n\n"
+        f"{WORSE:g} times that of\nthe commissioned gains in {len(worse)}\n({_cases(worse)}),\nthe "
+        f"settling time more than {LATER:g} times theirs in {len(later)}\n({_cases(later)}).\n"
+        f"The longest took {longest:.1f} s of processor time. The\nmargins of the known plant are "
+        f"smaller than requested in {len(short)} ({_axes(short)}).\n\n"
     )
     return HEAD + told + markdown(HEADING, rows) + FOOT
 
@@ -258,14 +259,13 @@ def main():
     parser.add_argument("page", type=Path)
     path = parser.parse_args().page
     rows = kept(path)
+    order = {(c.axis, c.variant, f"×{c.factor:g}"): i for i, c in enumerate(CASES)}
     with progress(Console(stderr=True), "tuning", len(CASES)) as done:
-        for case in CASES:
-            key = (case.axis, case.variant, f"×{case.factor:g}")
+        for key, number in order.items():
             if key not in rows:
-                rows[key] = play(case).row
-                order = {(c.axis, c.variant, f"×{c.factor:g}"): i for i, c in enumerate(CASES)}
-                path.write_text(page(sorted(rows.values(), key=lambda r: order[tuple(r[:3])])),
-                                encoding="utf-8")
+                rows[key] = play(CASES[number]).row
+            path.write_text(page(sorted(rows.values(), key=lambda r: order[tuple(r[:3])])),
+                            encoding="utf-8")
             done(1)
 
 
