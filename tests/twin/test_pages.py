@@ -22,6 +22,7 @@ PAGE = (ROOT / "docs/how-to/twin.md").read_text(encoding="utf-8")
 SHORT = {  # what is added to a printed command that goes on for hours
     "train": ["--steps", "3000"], "compare": ["--episodes", "3"],
 }
+STATE, ENABLED = 0x6F, 0x27  # of the statusword
 ELSEWHERE = ("panel",)  # tests/panel/test_panel_twin.py has it in a browser, beside a node
 
 
@@ -36,10 +37,12 @@ def commands():
 
 
 def scope(log, file):
-    """A log as the table of an oscilloscope, with the headings of the page."""
+    """A log as the table of an oscilloscope that is started when the axis is enabled."""
     signals = Source(log, "generic").signals("1")
     names = ("target_position", "position_actual_value", "torque_actual_value")
+    on = signals["statusword"]
     at = signals[names[1]].time
+    at = at[at > on.time[on.value.astype(int) & STATE == ENABLED][0]]
     asked, place, torque = (
         np.interp(at, signals[name].time, signals[name].value) for name in names)
     with file.open("w", newline="") as out:

@@ -310,7 +310,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
     twin.give(machine)  # gains in the drive's own units
     x = machine.drives[twin.axis]
     found_then = (*GAIN_OBJECTS, *KEPT.values(), "supply_voltage")
-    objects = twin.objects | {
+    objects = dict(twin.objects) | {
         each: float(getattr(x.axis.od, each)) for each in found_then if each in x.objects.names
     }
     gap = parameters.PARAMETERS["backlash"].there(parameters.Joint(machine, twin.axis))
