@@ -11,7 +11,7 @@ from .needs import scipy
 LEAST_COHERENCE = 0.8  # of what counts as measured
 TOO_HIGH = 30.0  # of a loop: above it too little of the excitation is left to tell the phase
 # degree that a measured loop may be wrong by where it is close to -180: beside an antiresonance of
-# 0.6 % damping, narrower than the lines are apart, its phase was measured 6.3 degrees off
+# 0.6 % damping, narrower than the lines are apart, its phase was measured about 6 degrees off
 UNSURE = 8.0
 FARTHEST = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
 

@@ -96,18 +96,22 @@ class Figures:
 
 def in_memory(
     env: ServoEnv, policy: Acting, episodes: int, seed: int, slow: float = 1.0
-) -> list[dict[str, float]]:
+) -> tuple[list[dict[str, float]], str]:
     """The metrics of the same episodes, played in this process by whoever sees to its time.
 
     Args:
         env: on a port in this process, as `servogym.envs.serve.in_process.drives` makes one.
         policy: acts as on the bus.
-        episodes: how many; fewer come back where the guard stops one.
+        episodes: how many.
         seed: of the first episode; the next ones have the next.
         slow: share of each action that is taken.
+
+    Returns:
+        The metrics of each episode, and why the guard has stopped the next one; empty where it has
+        not, and all were played.
     """
     values: list[dict[str, float]] = []
-    with suppress(Stopped):
+    try:
         for episode in range(episodes):
             seen, info = env.reset(seed=seed + episode)
             policy.reset(seen, info)
@@ -118,7 +122,9 @@ def in_memory(
                 figures.step(reward, info)
                 steps += 1
             values.append(figures.values())
-    return values
+    except Stopped as stopped:
+        return values, f"{stopped}"
+    return values, ""
 
 
 class _Plain:

@@ -27,7 +27,7 @@ from servogym.drive.master import ServoError
 from servogym.drive.model.model import load
 from servogym.drive.objects.abort import SdoAbort
 from servogym.envs import TASKS
-from servogym.envs.environment.deployed import play
+from servogym.envs.environment.deployed import in_memory, play
 from servogym.envs.exchange.envelope import Envelope, Stopped
 from servogym.envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep
 from servogym.envs.masters.homing_figures import true_home
@@ -527,3 +527,22 @@ def at_the_start(served, line):
 
 def wide(env):
     return dict.fromkeys(axes(env), Envelope(-20.0, 20.0, 100.0))
+
+
+class _Leaps:
+    """A policy that the guard stops."""
+
+    def reset(self, observation, info):
+        pass
+
+    def act(self, observation):
+        return np.ones(1)
+
+
+def test_a_policy_that_the_guard_stops_in_memory_says_so():
+    slow = {"x": {"acceleration": 1e-3}}
+    env = in_process.environment("LinearAxis-v0", "can", envelopes=slow)
+    values, stopped = in_memory(env, _Leaps(), 2, seed=1)
+    env.close()
+    assert values == []
+    assert "acceleration" in stopped

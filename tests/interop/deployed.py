@@ -234,7 +234,7 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
         env.close()
     played = environment(task, bus, parameters={"randomise": {}}, home=home)
     here = watched(played)
-    memory = in_memory(played, _policy(policy, plain, seed), len(deployed), seed)
+    memory, _ = in_memory(played, _policy(policy, plain, seed), len(deployed), seed)
     played.close()
     pairs = list(zip(itertools.chain(*here), itertools.chain(*there), strict=False))
     equal = sum(one == other for one, other in pairs)

@@ -56,7 +56,7 @@ def played(task, bus, seed):
         policy=REFERENCES[task], count=PART, seed=seed,
     )
     env = named(TASKS[task])(load("generic", bus), randomise={})
-    there = in_memory(env, _policy(REFERENCES[task], env, seed), PART, seed)
+    there, _ = in_memory(env, _policy(REFERENCES[task], env, seed), PART, seed)
     del row["times"]
     return {"task": task, "bus": bus, "seed": seed, **row, "plain": there}
 

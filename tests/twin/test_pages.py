@@ -43,8 +43,9 @@ def scope(log, file):
     on = signals["statusword"]
     at = signals[names[1]].time
     at = at[at > on.time[on.value.astype(int) & STATE == ENABLED][0]]
-    asked, place, torque = (
-        np.interp(at, signals[name].time, signals[name].value) for name in names)
+    sent = signals[names[0]]  # a set-point holds until the next one
+    asked = sent.value[np.maximum(np.searchsorted(sent.time, at, side="right") - 1, 0)]
+    place, torque = (np.interp(at, signals[name].time, signals[name].value) for name in names[1:])
     with file.open("w", newline="") as out:
         rows = zip(1e3 * at, 1e-3 * asked, 1e-3 * place, 1.27e-3 * torque, strict=True)
         csv.writer(out).writerows([("t", "demand", "actual", "torque"), *rows])

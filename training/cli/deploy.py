@@ -136,7 +136,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
         for axis in line.unwatched:
             console.print(f"{axis} has no watchdog for a lost master", style="yellow")
         _tell_times(line.timing, console)
-        tables = _compared(options, played, example)
+        tables = _compared(options, played, example, console)
         _tell_compared(tables, console)
         if options.report:
             report: dict[str, Any] = {
@@ -148,7 +148,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
 
 
 def _compared(
-    options: argparse.Namespace, played: dict[str, list[Any]], example: Any
+    options: argparse.Namespace, played: dict[str, list[Any]], example: Any, console: Console
 ) -> list[dict[str, Any]]:
     """Metrics of policies against the first one, and of each against memory: means, differences."""
     import numpy as np
@@ -180,8 +180,15 @@ def _compared(
         )
         for name, own in values.items():  # one after the other, as on the bus
             acting = _policy(name, example, options.seed)
-            there = in_memory(env, acting, len(own), options.seed, options.slow)
-            against(f"{name}: bus - {'twin' if options.twin else 'memory'}", own, there)
+            there, stopped = in_memory(env, acting, len(own), options.seed, options.slow)
+            other = "twin" if options.twin else "memory"
+            if stopped:
+                console.print(
+                    f"{name}: the guard stopped episode {len(there) + 1} of {len(own)} in the "
+                    f"{other}: {stopped}; the gap is that of the episodes before it",
+                    style="yellow", markup=False,
+                )
+            against(f"{name}: bus - {other}", own, there)
         env.close()
     return rows
 
