@@ -144,8 +144,14 @@ def shows(page, name, text):
 
 
 def open_page(page, name):
+    """Go to a page; a click is lost with its line where a browser on a busy computer is cut off."""
     at(page, f"go-{name}").click()
-    expect(at(page, f"page-{name}")).to_be_visible()
+    try:
+        expect(at(page, f"page-{name}")).to_be_visible(timeout=15_000)
+    except AssertionError:
+        print(f"the click on {name} was lost: again")
+        at(page, f"go-{name}").click()
+        expect(at(page, f"page-{name}")).to_be_visible()
 
 
 def ready(page):
