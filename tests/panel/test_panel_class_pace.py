@@ -18,7 +18,17 @@ import re
 import time
 
 import pytest
-from browser import CHROMIUM, Server, at, chromium, expect, open_page, shows, sync_api
+from browser import (
+    CHROMIUM,
+    Server,
+    at,
+    chromium,
+    expect,
+    open_page,
+    shows,
+    sync_api,
+    take_control,
+)
 from test_panel_classroom import WORD, come, teacher
 from test_panel_pace import memory, processor_time
 
@@ -252,9 +262,7 @@ def in_a_browser(server, seed, seconds):
             page.wait_for_timeout(drawn.uniform(0, 150))
         if page.locator(".q-dialog__inner").count():
             page.keyboard.press("Escape")
-        while at(page, "control").inner_text() != "In control":
-            at(page, "control").click()
-            page.wait_for_timeout(500)
+        take_control(page)
         page.evaluate(PRESS, "quick-stop")
         open_page(page, "objects")
         at(page, "search").fill("6041h:00")

@@ -5,6 +5,7 @@ Where the axis is, MuJoCo says. Time runs ten times as fast as the clock on the 
 
 import asyncio
 import time
+import types
 
 import pytest
 
@@ -13,7 +14,7 @@ from servogym.envs.panel import control
 from servogym.envs.panel.clock import Clock
 from servogym.envs.panel.control import NotInControl
 from servogym.envs.panel.pages.desk import Desk, over
-from servogym.envs.panel.pages.motion import Choice
+from servogym.envs.panel.pages.motion import Choice, MotionPage
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.gantry import gantry
 from servogym.envs.plants.linear_axis import linear_axis
@@ -260,3 +261,21 @@ def test_a_list_keeps_what_was_chosen_until_the_drive_shows_it():
     choice.arrived(70.0)
     assert choice.keeps(third, 70.5)
     assert not choice.keeps(third, 71.5), "a refused one goes from the list"
+
+
+def test_a_choice_counts_before_the_next_picture():
+    """It was looked at when the event loop came to it; the list had then gone back by itself."""
+    page, sent = object.__new__(MotionPage), []
+    first, second = Mode.CYCLIC_SYNC_POSITION, Mode.HOMING
+
+    async def go(*command):
+        sent.append(command)
+
+    page._go, page._choice = go, Choice()
+    page.desk = types.SimpleNamespace(status={"mode": first})
+    assert page._choice.is_new(first, Mode.PROFILE_POSITION)  # the drive shows it by now
+    pending = page._mode(second)
+    assert page._choice.keeps(first, 1.0), "the list follows the drive: the choice is lost"
+    asyncio.run(pending)
+    assert sent == [("set_mode", second)]
+    assert page._mode(second) is None

@@ -275,11 +275,12 @@ def test_the_command_serves_the_file_of_the_page_and_ends_by_a_signal(tmp_path):
 def test_on_a_bad_bus_frames_are_lost_and_the_master_asks_again(laboratory, network, request):
     machine = laboratory(feeder(request.node.name, faults={"drop": 0.1}))
     node = network.add_node(5, object_dictionary("generic", 5))
-    node.sdo.MAX_RETRIES, node.sdo.RESPONSE_TIMEOUT = 20, 0.05
-    for value in range(1000, 1100):
+    # an answer later than this, on a busy computer, is taken for that to the next request
+    node.sdo.MAX_RETRIES, node.sdo.RESPONSE_TIMEOUT = 20, 0.25
+    for value in range(1000, 1060):
         node.sdo["following_error_window"].raw = value
         assert node.sdo["following_error_window"].raw == value
-    assert machine.servers["can"].bus.counts["drop"] > 20
+    assert machine.servers["can"].bus.counts["drop"] > 12
 
 
 def test_a_drive_whose_motor_is_held_is_served_and_has_no_place(laboratory, network, request):
