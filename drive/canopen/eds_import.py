@@ -411,7 +411,7 @@ class _Import:
         self.sheet.tell(entry.line, entry.where, f"default {row['default']}", str(value), why)
         row["default"] = str(value)
         for column, beyond in (("min", -1), ("max", 1)):
-            if isinstance(row[column], int) and beyond * (value - row[column]) > 0:
+            if isinstance(bound := row.get(column), int) and beyond * (value - bound) > 0:
                 row[column] = ""
 
     def _factors(self) -> None:

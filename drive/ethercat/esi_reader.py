@@ -39,6 +39,10 @@ DECLARED = re.compile(rb"""\s*<\?xml[^>]{0,200}?encoding\s*=\s*["']([^"']{1,40})
 KNOWN_ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii")  # to the parser itself
 
 
+class EsiError(ValueError):
+    """A file that is refused, with its name and the line."""
+
+
 class _Element(ElementTree.Element):
     """An element that knows its line."""
 
@@ -104,9 +108,9 @@ class _Reader:
         line = getattr(element, "line", 0)
         self.repairs.append(Repair(line, where, str(says), str(taken), why))
 
-    def error(self, line: int, text: str) -> ValueError:
+    def error(self, line: int, text: str) -> EsiError:
         """Return an error with file and line."""
-        return ValueError(f"{self.path}, line {line}: {text}")
+        return EsiError(f"{self.path}, line {line}: {text}")
 
     # -------------------------------------------------------------------- XML
 
@@ -133,9 +137,9 @@ class _Reader:
                               "every byte is a character of it")
                     return root
             raise self.error(error.lineno, f"no XML: {expat.ErrorString(error.code)}") from None
+        except EsiError:
+            raise
         except (LookupError, ValueError) as error:  # of an encoding that only the parser saw
-            if str(error).startswith(str(self.path)):
-                raise
             raise self.error(1, f"no XML: {error}") from None
 
     def _parsed(self, data: bytes, encoding: str | None) -> ElementTree.Element:

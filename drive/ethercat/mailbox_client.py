@@ -19,6 +19,14 @@ POLLS = 200  # looks at the mailbox before it is given up
 REPEAT = 0x02  # 080Eh and 080Fh
 
 
+class MailboxError(ValueError):
+    """A mailbox error as the answer to a telegram."""
+
+    def __init__(self, detail: int, station: int):
+        super().__init__(f"mailbox error {detail} of slave {station:04X}h")
+        self.detail = detail
+
+
 class Sender(Protocol):
     """Sends datagrams, and repeats lost frames."""
 
@@ -57,7 +65,7 @@ class MailboxClient:
 
         Raises:
             TimeoutError: the mailbox stays full or empty.
-            ValueError: the answer is a mailbox error.
+            MailboxError: the answer is one.
         """
         self.tell(kind, body)
         return self.next(kind)
@@ -80,8 +88,7 @@ class MailboxClient:
             if found is not None and found[0] == kind:
                 return found[1]
             if found is not None and found[0] == Kind.ERROR:
-                (detail,) = struct.unpack_from("<H", found[1], 2)
-                raise ValueError(f"mailbox error {detail} of slave {self._station:04X}h")
+                raise MailboxError(int.from_bytes(found[1][2:4], "little"), self._station)
             if poll == self._polls // 2:
                 self._ask_again()
         raise TimeoutError(f"slave {self._station:04X}h does not answer in its mailbox")

@@ -22,6 +22,7 @@ from .coe_header import Service, header
 from .controller.registers import R
 from .description import Description, Pdo
 from .mailbox import Kind
+from .mailbox_client import MailboxError
 from .master import EtherCatMaster
 from .sdo_info import INCOMPLETE, Opcode
 from .segment import Segment
@@ -164,8 +165,8 @@ class EtherCatLine:
             return self._slave.mailbox.ask(kind, body)
         except TimeoutError:
             return ""
-        except ValueError as error:
-            return str(error).partition(" of slave")[0]
+        except MailboxError as error:
+            return f"mailbox error {error.detail}"
 
     def _asked(self, kind: int, body: bytes) -> str:
         answer = self._telegram(kind, body)

@@ -57,6 +57,10 @@ def checksum(data: bytes | bytearray) -> int:
     return crc
 
 
+class EepromTooSmall(ValueError):
+    """What a device says does not fit into its EEPROM."""
+
+
 class _Strings:
     """The list of strings; others refer to them by their place, from 1 on."""
 
@@ -80,7 +84,7 @@ class _Strings:
 def pack(device: Description) -> bytes:
     """The image of a device, filled up with FFh to its size.
 
-    Raises ValueError where it does not fit, or where a text cannot be carried.
+    Raises EepromTooSmall where it does not fit, ValueError where a text cannot be carried.
     """
     strings = _Strings()
     try:
@@ -94,7 +98,7 @@ def pack(device: Description) -> bytes:
         raise ValueError(f"SII of {device.name!r}: {error}") from None
     image = head + body + struct.pack("<H", END)
     if len(image) > device.size:
-        raise ValueError(
+        raise EepromTooSmall(
             f"the SII of {device.name!r} needs {len(image)} bytes, its EEPROM has {device.size}: "
             "set sii.size in ethercat.toml"
         )

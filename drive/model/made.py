@@ -95,7 +95,8 @@ def write(made: ModelFolder, folder: Path, check: Callable[[Path], str]) -> None
             section = check(place)
             (place / "README.md").write_text(f"{readme(made)}\n{section}", encoding="utf-8")
         except ValueError as error:
-            raise ValueError(str(error).replace(str(place), str(folder))) from None
+            error.args = (str(error).replace(str(place), str(folder)),)
+            raise
         if folder.exists():
             folder.rmdir()
         place.chmod(0o755)

@@ -12,7 +12,7 @@ import base64
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -185,24 +185,27 @@ def _find_pdos(source: _Source) -> None:
     device = source.device
     if device.rpdos or device.tpdos or not device.protocols >> PROTOCOLS.index("CoE") & 1:
         return
-    usual = describe(load("generic", "ethercat"))
-    rpdos, tpdos, whose = usual.rpdos, usual.tpdos, "`inferred`, those of `generic`"
-    if source.objects:
-        values = {(row.index, row.subindex): row for row in source.objects}
-        rpdos, tpdos = _listed(values, 0x1600, OUTPUTS), _listed(values, 0x1A00, INPUTS)
-        whose = "those of its objects 1600h and 1A00h on"
-    if rpdos or tpdos:
-        source.device = replace(device, rpdos=rpdos, tpdos=tpdos)
-        source.notes.append(f"PDOs: {whose}; its description lists none.")
+    values = {(row.index, row.subindex): row for row in source.objects}
+    rpdos, tpdos = _listed(values, 0x1600, OUTPUTS), _listed(values, 0x1A00, INPUTS)
+    whose = "those of its objects 1600h and 1A00h on"
+    if not (rpdos or tpdos):
+        usual = describe(load("generic", "ethercat"))
+        rpdos, tpdos = _possible(usual.rpdos, values), _possible(usual.tpdos, values)
+        whose = "`inferred`, those of `generic`"
+    source.device = replace(device, rpdos=rpdos, tpdos=tpdos)
+    source.notes.append(f"PDOs: {whose}; its description lists none.")
 
 
 def _listed(values: dict[tuple[int, int], EsiObject], first: int, manager: int) -> tuple[Pdo, ...]:
-    """PDOs of a direction, out of the values of a dictionary."""
+    """PDOs of a direction, out of the values of a dictionary (ETG.1000.6, 5.6.7.4)."""
 
     def numbers(index: int) -> list[int]:
         def value(subindex: int) -> int:
-            row = values.get((index, subindex))
-            return int(row.default) if row and row.default.isdecimal() else 0
+            text = values[index, subindex].default if (index, subindex) in values else ""
+            try:
+                return int(text, 16 if text[:2] == "0x" else 10)
+            except ValueError:
+                return 0
 
         return [value(n) for n in range(1, min(value(0), 254) + 1)]
 
@@ -217,22 +220,28 @@ def _listed(values: dict[tuple[int, int], EsiObject], first: int, manager: int) 
     return tuple(pdos)
 
 
+def _possible(pdos: Sequence[Pdo], values: Container[tuple[int, int]]) -> tuple[Pdo, ...]:
+    """PDOs with those of their entries that a dictionary has; all, if it is not that of a drive."""
+    if not all((index, 0) in values for index in NEEDED):
+        return tuple(pdos)
+    kept = ((pdo, tuple(e for e in pdo.entries if (e.index, e.subindex) in values)) for pdo in pdos)
+    return tuple(replace(pdo, entries=entries) for pdo, entries in kept if entries)
+
+
 def _made(source: _Source, folder: Path, path: Path) -> Imported:
     _find_pdos(source)
     title = line(source.device.name or source.device.order or path.stem) or "drive"
     maker = _Maker(source, title)
     made = maker.made()
     try:
-        write(made, folder, _check)
-    except ValueError as error:
-        if "set sii.size" not in str(error):
-            raise ValueError(f"{path}: {error}") from None
-        maker.least = ENOUGH  # our names of PDOs and objects are longer than the maker's
-        made.more["ethercat.toml"] = maker.ethercat_toml()
         try:
             write(made, folder, _check)
-        except ValueError as again:
-            raise ValueError(f"{path}: {again}") from None
+        except sii.EepromTooSmall:
+            maker.least = ENOUGH  # our names of PDOs and objects are longer than the maker's
+            made.more["ethercat.toml"] = maker.ethercat_toml()
+            write(made, folder, _check)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     count = len(source.objects)
     return Imported(folder, title, count, maker.counts, tuple(made.repairs))
 
@@ -257,7 +266,10 @@ class _Maker(_Import):
         super().__init__(sheet)
         self.result.title, self.result.command = title, source.command
         self.source = source
-        self.whole = all((index, 0) in sheet.entries for index in NEEDED)
+        self.whole = all(
+            (index, 0) in sheet.entries and sheet.entries[index, 0].kind == "VAR"
+            for index in NEEDED
+        )
         self.counts = (0, 0)
         self._padding = 0
         self.least = 0  # bytes of the EEPROM
@@ -466,7 +478,7 @@ class _Maker(_Import):
         boxes = [managers[kind].control if kind in managers else usual_
                  for kind, usual_ in ((1, 0x26), (2, 0x22))]
         modes = ", ".join(
-            f"{{ name = {json.dumps(line(mode.name) or f'mode {n}')}, "
+            f"{{ name = {self._carried('a mode of SYNC', mode.name, f'mode {n}')}, "
             f"assign_activate = 0x{mode.assign_activate & 0x7FFF:04X}, "
             f"cycle_factor0 = {max(mode.cycle_factor0, 0)} }}"
             for n, mode in enumerate(device.dc_modes, 1)
@@ -476,9 +488,9 @@ class _Maker(_Import):
         registers = loaded | self.source.registers
         lines = [
             f"# From {line(self.source.name)}; see README.md for what is inferred.",
-            f"name = {json.dumps(line(device.name) or 'drive')}",
-            f"order = {json.dumps(line(device.order) or 'drive')}",
-            f"group = {json.dumps(line(device.group) or 'Drive')}",
+            f"name = {self._carried('Name', device.name, 'drive')}",
+            f"order = {self._carried('Type', device.order, 'drive')}",
+            f"group = {self._carried('GroupType', device.group, 'Drive')}",
             f"vendor = {json.dumps(line(self.source.vendor) or 'unknown')}",
             "", "[mailbox]",
             f"standard = {[*mailbox]}", f"bootstrap = {[*boot]}",
@@ -507,6 +519,14 @@ class _Maker(_Import):
             "", "[al]", f"bootstrap = {json.dumps(has_boot)}",
         ]
         return "\n".join(lines) + "\n"
+
+    def _carried(self, where: str, text: str, otherwise: str) -> str:
+        """A text for the EEPROM, which carries Latin-1 alone (`sii`), as TOML."""
+        whole = line(text)
+        kept = whole.encode("latin-1", "ignore").decode("latin-1").strip() or otherwise
+        if whole and kept != whole:
+            self._repair(where, whole, kept, "the EEPROM carries no other letters")
+        return json.dumps(kept)
 
     def _image(self, size: int) -> list[str]:
         """The manufacturer's EEPROM image, unless something in it had to be repaired."""

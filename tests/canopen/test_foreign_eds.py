@@ -131,6 +131,13 @@ def test_a_default_outside_its_range_or_type_is_repaired_and_told(made, row, add
     assert row.minimum <= read <= row.maximum
 
 
+def test_a_factor_of_a_type_without_limits_is_repaired(made):
+    """A feed constant in REAL64 beside a gear that makes no exact fraction."""
+    rows = "6091 1 7 rw 0 DefaultValue=4294967295", "6092 1 17 rw 0 DefaultValue=0"
+    repairs = made(sheet(SMALL, *rows)).repairs
+    assert any(r.where == "6092h:01h" and "no exact fraction" in r.why for r in repairs)
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [("0x10", 16), ("10", 10), ("010", 10), ("08", 8), ("0X1f", 31), ("1Fh", 31), (" 7 ", 7),

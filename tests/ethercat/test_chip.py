@@ -86,6 +86,15 @@ def test_sync_manager_8_of_the_akd_is_a_buffer_as_any_other():
     assert slave.register(0x0220, 4) >> 8 & 0x1FF == 0x100
 
 
+@pytest.mark.parametrize("model", ["generic", "kollmorgen_akd"])
+def test_the_master_cannot_raise_an_event_of_the_chip(model):
+    """0220h is read only (ETG.1000.4); the AKD's manual calls it R/W, its README says so."""
+    slave = Wired(model)
+    before = slave.register(0x0220, 4)
+    assert slave.write(0x0220, b"\xff\xff") == 0
+    assert slave.register(0x0220, 4) == before
+
+
 # ------------------------------------------------------------------------- DL status, clock
 
 

@@ -152,35 +152,124 @@ def test_the_command_refuses_in_one_line(tmp_path, refused, model, out, reason):
     assert reason in refused(["esi", model, "-o", str(tmp_path / out)])
 
 
-ORDER = {  # of children; from EtherCATInfo.xsd and EtherCATBase.xsd, Schema version 1.3
-    "EtherCATInfo": "Vendor Descriptions", "Descriptions": "Groups Devices",
-    "Device": "Type Name Info GroupType Profile Fmmu Sm RxPdo TxPdo Mailbox Dc Eeprom",
-    "Dictionary": "DataTypes Objects", "DataType": "Name BitSize SubItem",
-    "SubItem": "SubIdx Name Type BitSize BitOffs Flags", "Flags": "Access PdoMapping Backup",
-    "Object": "Index Name Type BitSize Flags", "Entry": "Index SubIndex BitLen Name DataType",
+# EtherCATInfo.xsd and EtherCATBase.xsd, version 1.14 (ETG.2000, 1.0.10): children of an element, as
+# a regular expression. `PARENT/TAG` where elements of a name differ.
+IMAGE = "(Image16x14|ImageFile16x14|ImageData16x14)?"
+FLAGS = "Access? Category? PdoMapping? SafetyMapping? Attribute?"
+INFO = """(DefaultString? | MinData? MaxData? DefaultData? | MinValue? MaxValue? DefaultValue?
+    | SubItem*) DisplayName? Unit?"""
+PDO = "Index Name+ Exclude* Entry* ExcludedSm*"
+CHILDREN = {
+    "EtherCATInfo": "InfoReference* Vendor Descriptions",
+    "Vendor": f"Id Name+ Comment* URL* DescriptionURL? {IMAGE} VendorSpecific?",
+    "Descriptions": "Groups Devices Modules?", "Groups": "Group*", "Devices": "Device*",
+    "Group": f"Type Name+ Comment* {IMAGE} VendorSpecific?",
+    "Device": f"""Type HideType* AlternativeType* SubDevice* Name+ Comment* URL* Info? GroupType
+        Profile* Fmmu* Sm* Su* RxPdo* TxPdo* Mailbox? Dc? Slots? ESC? Eeprom? {IMAGE}
+        VendorSpecific?""",
+    "Device/Info": """Electrical? StateMachine? Mailbox? EtherCATController? (Port){0,4}
+        (ExecutionUnit){0,2} VendorSpecific? StationAliasSupported? IdentificationAdo?
+        IdentificationReg134? DeviceFeature*""",
+    "Profile": """ProfileNo? AddInfo? (ChannelCount | ChannelInfo+)? (DictionaryFile | Dictionary)?
+        (DiagFile* | DiagMessages) VendorSpecific?""",
+    "Dictionary": "UnitTypes? DataTypes? Objects", "DataTypes": "DataType*", "Objects": "Object*",
+    "DataTypes/DataType": """Index? Name BaseType? Comment* BitSize
+        ((ArrayInfo){0,3} | SubItem* | EnumInfo*) Properties? Xml?""",
+    "ArrayInfo": "LBound Elements", "EnumInfo": "Text+ Enum Comment*",
+    "DataType/SubItem": """SubIdx? Name DisplayName* Type Comment* BitSize BitOffs
+        (DefaultString | DefaultData | MinValue? MaxValue? DefaultValue?) Flags? Property* Xml?""",
+    "SubItem/Flags": f"{FLAGS} Backup? Setting?",
+    "Object": "Index Name+ Comment* Type BitSize Info? Flags? Properties? Xml?",
+    "Object/Flags": f"{FLAGS} Transition? SdoAccess? Backup? Setting?",
+    "Object/Info": INFO, "SubItem/Info": INFO, "Info/SubItem": "Name Info",
+    "RxPdo": PDO, "TxPdo": PDO, "Entry": "Index SubIndex? BitLen Name* Comment? DataType?",
+    "Mailbox": "AoE? EoE? CoE? FoE? SoE? VoE? VendorSpecific?",
+    "EoE": "InitCmd*", "CoE": "Object* InitCmd*", "FoE": "",
+    "Dc": "OpMode* VendorSpecific?",
+    "OpMode": """Name Desc? AssignActivate CycleTimeSync0? ShiftTimeSync0? CycleTimeSync1?
+        ShiftTimeSync1? Sm* VendorSpecific?""",
+    "Eeprom": "(Data | ByteSize ConfigData BootStrap? Category*) VendorSpecific?",
 }
-NUMBERS = ("Index", "SubIndex", "SubIdx", "AssignActivate", "Id", "Exclude")
+NUMBER, INT, BYTES = "[+-]?[0-9]+|#x[0-9a-fA-F]+", "[+-]?[0-9]{1,10}", "([0-9a-fA-F]{2})*"
+TRUTH, ANY = "true|false|0|1", r"(?s:.*)"
+TEXTS = {  # of elements without children
+    **dict.fromkeys(("Id", "Index", "SubIndex", "SubIdx", "Exclude", "AssignActivate", "MinValue",
+                     "MaxValue", "DefaultValue", "Unit"), NUMBER),
+    **dict.fromkeys(("ProfileNo", "BitSize", "BitOffs", "BitLen", "ByteSize", "CycleTimeSync0",
+                     "ShiftTimeSync0", "CycleTimeSync1", "ShiftTimeSync1", "Backup", "LBound",
+                     "Elements", "Enum"), INT),
+    **dict.fromkeys(("ConfigData", "BootStrap", "Data", "DefaultData", "MinData", "MaxData"),
+                    BYTES),
+    **dict.fromkeys(("Name", "Type", "GroupType", "Fmmu", "Sm", "Entry/DataType", "DefaultString",
+                     "DisplayName", "BaseType", "Comment", "URL", "Text"), ANY),
+    "IdentificationReg134": TRUTH, "Access": "ro|rw|wo", "Category": "[moc]",
+    "PdoMapping": "T|R|TR|RT|t|r|tr|rt",
+}
+ATTRIBUTES = {
+    "EtherCATInfo": {"Version": ANY}, "Vendor": {"FileVersion": INT},
+    "Device": {"Physics": "[YKH, ]{0,4}"},
+    "Device/Type": dict.fromkeys(("ProductCode", "RevisionNo", "SerialNo"), NUMBER),
+    "Device/Sm": dict.fromkeys(("MinSize", "MaxSize", "DefaultSize", "StartAddress", "ControlByte",
+                                "Enable"), NUMBER),
+    "RxPdo": {"Fixed": TRUTH, "Mandatory": TRUTH, "Sm": INT},
+    "TxPdo": {"Fixed": TRUTH, "Mandatory": TRUTH, "Sm": INT},
+    "Mailbox": {"DataLinkLayer": TRUTH},
+    "CoE": dict.fromkeys(("SdoInfo", "PdoAssign", "PdoConfig", "PdoUpload", "CompleteAccess"),
+                         TRUTH),
+    "CycleTimeSync0": {"Factor": INT}, "CycleTimeSync1": {"Factor": INT},
+}
 
 
-def test_a_file_keeps_the_order_the_keys_and_the_patterns_of_the_schema(model):
-    """Rules of the ETG's schema that were read from it; the whole schema is not at hand."""
+def breaches(element, parent=""):
+    """Where an element departs from the schema, or stands in none of the tables."""
+    where = f"{parent}/{element.tag}"
+    model, text, known = (
+        table.get(where, table.get(element.tag)) for table in (CHILDREN, TEXTS, ATTRIBUTES)
+    )
+    if model is not None:
+        text = r"\s*"
+        names = "".join(f"{child.tag} " for child in element)
+        if not re.fullmatch(re.sub(r"\w*[A-Za-z]\w*", r"(?:\g<0>[ ])", model), names, re.X):
+            yield f"{where}: {names}"
+    elif len(element):
+        yield f"{where} has children"
+    if not re.fullmatch(text or "(?!)", element.text or ""):
+        yield f"{where}: {element.text}"
+    for name, value in element.attrib.items():
+        if not re.fullmatch((known or {}).get(name, "(?!)"), value):
+            yield f"{where} {name}={value}"
+    for child in element:
+        yield from breaches(child, element.tag)
+
+
+def test_a_file_keeps_the_schema(model):
+    """Children, attributes and texts of every element; the keys and their references."""
     root = ElementTree.fromstring(esi.write(esi.of_model(model)))
-    for tag, order in ORDER.items():
-        places = {name: n for n, name in enumerate(order.split())}
-        found = [one for one in root.iter(tag) if len(one)]  # an entry has a DataType of text
-        assert found, tag
-        for one in found:
-            given = [places[child.tag] for child in one]
-            assert given == sorted(given), tag
-    types = [one.findtext("Name") for one in root.iter("DataType") if len(one)]
+    assert [*breaches(root)] == []
+    assert all(one.get("Physics") is not None for one in root.iter("Device"))
+    types = [one.findtext("Name") for one in root.iterfind(".//DataTypes/DataType")]
     assert len(types) == len(set(types)), "DataTypeKey"
-    for one in root.iter("DataType"):
+    for one in root.iterfind(".//DataTypes/DataType"):
         names = [item.findtext("Name") for item in one.findall("SubItem")]
         assert len(names) == len(set(names)), "SubItemKey"
-    assert {item.findtext("Type") for item in root.iter("SubItem")} <= {*types}, "SubItemTypeRef"
-    for tag in NUMBERS:
-        for one in root.iter(tag):
-            assert re.fullmatch(r"[+-]?[0-9]+|#x[0-9a-fA-F]+", one.text), (tag, one.text)
-    assert {one.text for one in root.iter("PdoMapping")} <= {"T", "R", "TR", "RT"}
-    assert {one.text for one in root.iter("Access")} <= {"ro", "wo", "rw"}
-    assert all(one.get("Physics") for one in root.iter("Device"))
+    for path in ("SubItem", "Object"):
+        assert {one.findtext("Type") for one in root.iter(path)} <= {*types}, f"{path}: its Type"
+
+
+@pytest.mark.parametrize(
+    ("of", "to"),
+    [
+        ("<GroupType>Drive</GroupType>", ""),
+        ("<ProfileNo>402</ProfileNo>", "<ProfileNo>#x192</ProfileNo>"),
+        ("<Index>#x6040</Index>", "<Index>6040h</Index>"),
+        ("<Vendor>", "<Vendor><Name>first</Name>"),
+        ("<Eeprom>", "<Eeprom><Category/>"),
+        ("<Mailbox ", '<Mailbox Own="1" '),
+        ("<Access>ro</Access>", "<Access>const</Access>"),
+        ("<Dc>", "<Clock/><Dc>"),
+    ],
+)
+def test_a_departure_from_the_schema_is_found(of, to):
+    text = esi.write(esi.of_model(load("generic", "ethercat")))
+    assert of in text
+    assert [*breaches(ElementTree.fromstring(text.replace(of, to, 1)))]

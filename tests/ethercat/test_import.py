@@ -110,6 +110,70 @@ def test_an_eeprom_that_lists_no_pdos_has_those_of_generic(tmp_path):
     master.to_op()
 
 
+def as_objects(text, form):
+    """The same file with its PDOs as objects of the dictionary, and none in the description.
+
+    ETG.1000.6, 5.6.7.4: an entry of 1600h or 1A00h is index, sub-index and length in bits of an
+    object, from the highest byte on; one of 1C12h or 1C13h is the index of a PDO.
+    """
+    lists = {0x1C12: ([], "UINT", 16), 0x1C13: ([], "UINT", 16)}
+    for pdo in re.findall(r"<[RT]xPdo.*?</[RT]xPdo>", text, re.S):
+        text = text.replace(pdo, "")
+        index, *rest = (int(n, 16) for n in re.findall(r"<Index>#?x?(\w+)</Index>", pdo))
+        subs = [int(n) for n in re.findall(r"<SubIndex>(\d+)", re.sub(
+            r"(</Index>)(\s*<BitLen>)", r"\1<SubIndex>0</SubIndex>\2", pdo))]
+        bits = [int(n) for n in re.findall(r"<BitLen>(\d+)", pdo)]
+        if manager := re.search(r'Sm="(\d)"', pdo):
+            lists[0x1C10 + int(manager[1])][0].append(index)
+        lists[index] = ([o << 16 | s << 8 | b for o, s, b in zip(rest, subs, bits, strict=True)],
+                        "UDINT", 32)
+    types = objects = ""
+    for index, (entries, of, bits) in lists.items():
+        items = [(len(entries), "USINT", 8), *((entry, of, bits) for entry in entries)]
+        types += f"<DataType><Name>DT{index:X}</Name><BitSize>{sum(b for *_, b in items)}</BitSize>"
+        objects += (f"<Object><Index>#x{index:X}</Index><Name>List</Name><Type>DT{index:X}</Type>"
+                    f"<BitSize>0</BitSize><Info>")
+        for n, (value, name, size) in enumerate(items):
+            types += (f"<SubItem><SubIdx>{n}</SubIdx><Name>{n}</Name><Type>{name}</Type>"
+                      f"<BitSize>{size}</BitSize><BitOffs>0</BitOffs></SubItem>")
+            given = form(value, size // 8)
+            objects += f"<SubItem><Name>{n}</Name><Info>{given}</Info></SubItem>"
+        types, objects = f"{types}</DataType>", f"{objects}</Info></Object>"
+    text = text.replace("</DataTypes>", f"{types}</DataTypes>")
+    return text.replace("</Objects>", f"{objects}</Objects>")
+
+
+@pytest.mark.parametrize("form", [
+    lambda value, size: f"<DefaultData>{value.to_bytes(size, 'little').hex()}</DefaultData>",
+    lambda value, size: f"<DefaultValue>{value}</DefaultValue>",
+    lambda value, size: f"<DefaultValue>#x{value:X}</DefaultValue>",
+], ids=["bytes", "decimal", "hexadecimal"])
+def test_pdos_that_only_the_dictionary_lists_are_the_same(foreign, tmp_path, form):
+    import_esi(foreign, tmp_path / "sd1")
+    foreign.write_bytes(as_objects(FOREIGN, form).encode("latin-1"))
+    made = import_esi(foreign, tmp_path / "listed")
+    found, wanted = (describe(load(tmp_path / name, "ethercat")) for name in ("listed", "sd1"))
+    assert pdos(found.rpdos) == pdos(wanted.rpdos)
+    assert pdos(found.tpdos) == pdos(wanted.tpdos)
+    assert made.pdos == (1, 1)  # 1700h has too many entries, as in the description
+    assert "those of its objects 1600h" in (tmp_path / "listed" / "README.md").read_text()
+
+
+def test_a_dictionary_without_pdos_has_those_of_generic_as_far_as_it_has_the_objects(
+    foreign, tmp_path
+):
+    text = re.sub(r"<([RT]xPdo).*?</\1>", "", FOREIGN, flags=re.S)
+    foreign.write_bytes(text.encode("latin-1"))
+    import_esi(foreign, tmp_path / "mine")
+    own = describe(load(tmp_path / "mine", "ethercat"))
+    mapped = {entry.index for pdo in own.rpdos + own.tpdos for entry in pdo.entries}
+    assert {0x6040, 0x6041, 0x607A, 0x6064} <= mapped
+    assert all(f"<Index>#x{index:X}</Index>" in text for index in mapped)
+    assert "PDOs: `inferred`, those of `generic`" in (tmp_path / "mine" / "README.md").read_text()
+    machine = linear_axis(load(tmp_path / "mine", "ethercat"))
+    EtherCatMaster(Bus(Segment([Slave(machine.drives["x"])]), [machine])).to_op()
+
+
 @pytest.mark.parametrize("chip", CHIPS)
 def test_the_chip_that_is_named_is_the_one_a_master_sees(tmp_path, chip):
     file = tmp_path / "drive.bin"
@@ -323,6 +387,37 @@ def test_a_mappable_pdo_that_is_not_the_first_is_mapped(alternatives):
 def test_pdos_that_exclude_one_another_are_refused(alternatives):
     assert assigned(alternatives, [0x1605, 0x1600]) == Abort.PARAMETER_INCOMPATIBLE
     assert assigned(alternatives, [0x1605, 0x1601]) == 0
+
+
+def test_letters_that_the_eeprom_does_not_carry_are_left_out_and_told(tmp_path):
+    """A device type of them alone was a UnicodeEncodeError (2 of 3,000 damaged files)."""
+    file = tmp_path / "letters.xml"
+    file.write_text(PDOS.replace(">D</Type>", ">\u4f3a\u670d SD-1 \xb5</Type>"), encoding="utf-8")
+    made = import_esi(file, tmp_path / "mine")
+    assert load(tmp_path / "mine", "ethercat").ethercat.order == "SD-1 \xb5"
+    assert "Type" in {row.where for row in made.repairs}
+    file.write_text(PDOS.replace(">D</Type>", ">\u4f3a\u670d</Type>"), encoding="utf-8")
+    import_esi(file, tmp_path / "other")
+    assert load(tmp_path / "other", "ethercat").ethercat.order == "drive"
+
+
+def test_a_controlword_that_is_no_variable_is_told_as_a_dictionary_without_it(tmp_path):
+    """It was refused as "not the EDS of a CiA 402 drive", under the file's name alone."""
+    rows = "".join(
+        f"<Object><Index>#x{index:X}</Index><Type>DT</Type><BitSize>32</BitSize></Object>"
+        for index in (0x6040, 0x6041)
+    )
+    parts = "".join(
+        f"<SubItem><SubIdx>{n}</SubIdx><Name>n</Name><Type>UINT</Type><BitSize>16</BitSize>"
+        "</SubItem>" for n in range(2)
+    )
+    kind = f"<DataType><Name>DT</Name><BitSize>32</BitSize>{parts}</DataType>"
+    own = f"<DataTypes>{kind}</DataTypes><Objects>{rows}</Objects>"
+    profile = f"<Profile><Dictionary>{own}</Dictionary></Profile>"
+    file = tmp_path / "records.xml"
+    file.write_text(PDOS.replace("<Sm>MBoxOut", f"{profile}<Sm>MBoxOut", 1))
+    made = import_esi(file, tmp_path / "mine")
+    assert "dictionary" in {row.where for row in made.repairs}
 
 
 def test_where_6060h_is_read_only_the_mode_is_that_of_the_set_point(tmp_path):
