@@ -7,6 +7,7 @@ import copy
 import hashlib
 import io
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -317,6 +318,7 @@ FORGERIES = {
     stated(hyperparameters={"policy_kwargs": {"net_arch": [10**9], "ortho_init": False}}):
         "a layer has at most 4096 neurons",
     stated(residual="ruckig", bounds=[1e-300]): "corrects 'ruckig' by nothing",
+    stated(seed=10**18): "seed = 1000000000000000000 must be a whole number",
     named("ruckig "): "is none that a page could show",
     named("Ruckig"): "has to be the policy of that name",
     named("ru\u0441kig"): "is none that a page could show",
@@ -400,6 +402,32 @@ def test_other_numbers_are_another_hash(policy, honest, tmp_path, monkeypatch):
         patch.setattr(numbers_of, "FILE", tmp_path / "tuned.json")
         assert identity() != before
     assert identity() == before
+
+
+def test_a_base_of_another_package_is_no_entry(honest, forge, tmp_path, capsys):
+    """Its program is in no hash: it could look at what was drawn, and had rank 1."""
+    info = tmp_path / "site" / "cheat-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: cheat\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[servogym.policies]\nmine = cheat:act\n")
+    (info.parent / "cheat.py").write_text("open('ran.txt', 'w')\ndef act(seen):\n    return [0]\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(info.parent))
+        corrects = stated(residual="mine", bounds=[0.01])
+        assert "corrects 'mine' of another package, whose program" in forge(corrects, capsys)
+    assert not Path("ran.txt").exists()
+
+
+@pytest.mark.parametrize("base", ["ruckig", "informed_ruckig"])
+def test_what_the_leaderboard_refuses_is_not_sealed_as_an_entry(base, forge, tmp_path, capsys):
+    """It was played, written and told its hash, and refused by whoever it was sent to."""
+    shutil.copytree(SHIPPED / TASK / "seed_1", tmp_path / "nothing")
+    file = tmp_path / "nothing" / ABOUT
+    changes = {"residual": base, "bounds": [0.0]}
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+    assert entered("nothing") == 2
+    assert f"corrects {base!r} by nothing" in capsys.readouterr().err
+    assert not Path("entries").exists()
 
 
 def test_the_same_policy_under_two_names_is_one_entry(honest, forge, capsys):

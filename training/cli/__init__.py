@@ -56,18 +56,20 @@ COMMANDS = {
     ),
     "node": Command(
         "node", "serve drives with moving axes as CANopen nodes, in real time",
-        "node --drive festo_cmmp_as --node-id 1 -i udp_multicast -c 239.74.163.2",
+        "node --drive festo_cmmp_as --node-id 1 -i udp_multicast -c 239.74.163.2 --log run.log",
         "Any CANopen master can enable, home and move them. udp_multicast needs no hardware.",
     ),
     "ethercat": Command(
         "ethercat", "serve drives with moving axes as EtherCAT slaves on a network interface",
-        "ethercat -i veth1 --drive kollmorgen_akd --slaves 2",
-        "Unmodified masters bring them to OP. Raw Ethernet sockets need root or CAP_NET_RAW.",
+        "ethercat --udp --drive kollmorgen_akd --slaves 2 --log run.pcapng",
+        "Unmodified masters bring them to OP. -i INTERFACE is a raw Ethernet port, which needs "
+        "root or CAP_NET_RAW; docs/how-to/ethercat.md makes a pair of virtual ones.",
     ),
     "serve": Command(
         "serve", "serve a whole machine on its buses, as a machine file describes it",
         "serve machine.toml --seed 1",
-        "Use it to test your own master; servogym.testing offers the same as pytest fixtures.",
+        "Use it to test your own master; servogym.testing offers the same as pytest fixtures. "
+        "docs/how-to/serve.md has a machine.toml.",
     ),
     "deploy": Command(
         "deploy", "play a policy on the drives of a bus, behind a guard",
@@ -108,7 +110,7 @@ COMMANDS = {
         "twin", "turn a bus log into a model of the machine, with intervals and a verdict",
         "twin moves.log --drive generic --mechanics auto -o out/twin",
         "The log has to contain the frames of the master and of the drive (607Ah, 6041h, 6064h, "
-        "6077h). --plan writes the experiment to record.",
+        "6077h). --plan writes the experiment to record; docs/how-to/twin.md makes a moves.log.",
     ),
     "replay": Command(
         "replay", "play a log into a drive model and score its answers, or into a machine",
@@ -141,9 +143,9 @@ COMMANDS = {
     ),
     "course": Command(
         "course", "list the exercises of the course, show one, or check solutions in Python",
-        "course check solution.py",
-        "`check` runs the file: check only solutions whose author you trust. `replay` replays a "
-        "run that a classroom has stored.",
+        "course show 12_stop_it",
+        "`check solution.py` runs the file: check only solutions whose author you trust. `replay` "
+        "replays a run that a classroom has stored.",
     ),
     "train": Command(
         "train", "train a policy with stable-baselines3",
@@ -246,7 +248,10 @@ def parser(asked: str | None = None) -> Parser:
         command = commands.add_parser(
             name,
             help=row.purpose,
-            description=textwrap.fill(f"{row.purpose[0].upper()}{row.purpose[1:]}. {row.more}", 78),
+            description=textwrap.fill(
+                f"{row.purpose[0].upper()}{row.purpose[1:]}. {row.more}", 78,
+                break_on_hyphens=False,
+            ),
             formatter_class=argparse.RawDescriptionHelpFormatter,  # an example stays one line
         )
         if asked in (None, name):

@@ -28,7 +28,7 @@ from .grid import Grid, played
 from .matrix import matrix
 from .metrics import Summary, metrics, summarise
 from .parts import warm
-from .submission import ENDING, Submission, Table, fits, of_task, packed, read, write
+from .submission import ENDING, Submission, Table, fits, of_task, packed, read, sound, write
 from .suite import Suite
 
 RETURN, SUCCESS = "episode_return", "success"
@@ -146,6 +146,7 @@ def enter(
         command=command, versions={name: source[name] for name in ("python", *PACKAGES)},
         machine=source["machine"], table={}, files=files,
     )
+    sound(file, made)
     made = replace(made, fitted=made.fitted_here)
     table = play(suite.drawn(made.identity), chosen, console, work, out)
     made = replace(made, table=table)

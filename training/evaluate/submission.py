@@ -233,14 +233,19 @@ def read(path: Path) -> Submission:
     files = {name.removeprefix(FILES): data for name, data in found.items()}
     stated = head.pop("hash")
     submission = Submission(**head, files=files)
-    _files(path, submission)
-    _words(path, submission)
+    sound(path, submission)
     if stated != submission.hash:
         raise ValueError(
             f"{path}: its hash is {stated}, but its content has {submission.hash}: it was changed; "
             "make it again"
         )
     return submission
+
+
+def sound(path: Path, submission: Submission) -> None:
+    """Raise ValueError where the files of an entry, or the words that a page shows, are refused."""
+    _files(path, submission)
+    _words(path, submission)
 
 
 def _words(path: Path, submission: Submission) -> None:
@@ -302,9 +307,15 @@ def _training(
     seed = about.get("seed")
     if place != f"{env}/seed_{seed}":
         raise ValueError(f"{where} states the seed {seed}, its folder another one")
-    if about.get("residual") and not np.any(np.float32(about["bounds"])):
+    base = about.get("residual")
+    if base is not None and base not in POLICIES:
         raise ValueError(
-            f"{where} corrects {about['residual']!r} by nothing (bounds {about['bounds']}): enter "
+            f"{where} corrects {base!r} of another package, whose program no hash covers: enter "
+            "what plays as one FILE.py:name"
+        )
+    if base and not np.any(np.float32(about["bounds"])):
+        raise ValueError(
+            f"{where} corrects {base!r} by nothing (bounds {about['bounds']}): enter "
             "that policy by its name"
         )
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from ...envs.engine.checks import choice, flag, in_range, whole
 from ...envs.environment.servo_env import ServoEnv
+from ..policies.trained.saved import COUNTED
 
 INDEPENDENT, CONSECUTIVE = STREAMS = "independent", "consecutive"
 COMMON: dict[str, dict[str, Any]] = {
@@ -67,7 +68,7 @@ REAL = {
 }
 OF_A_RUN = {  # not of its algorithm
     "steps": (1, 10**12), "checkpoint_every": (1, 10**12), "evaluate_every": (1, 10**12),
-    "envs": (1, 100_000), "seed": (0, 2**31 - 1),
+    **COUNTED,
 }
 FLAGS = ("normalize", "normalize_advantage", "use_sde")
 OWN = {  # what a run says of itself

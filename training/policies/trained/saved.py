@@ -22,6 +22,7 @@ ZIP = ".zip"  # of a model that stable-baselines3 saved
 ALGORITHMS = ("PPO", "SAC", "A2C", "TD3", "DDPG")  # of stable-baselines3, whose policies are played
 # of episodes by which policies are judged, all evaluation seeds; no training may have them
 HELD_OUT_SEEDS = range(1_000_000, 1_000_000 + 1_000 * 1_000_001)
+COUNTED = {"envs": (1, 100_000), "seed": (0, 2**31 - 1)}  # of a training: least, most
 MOST_STEPS = 10**15  # of a training, and its longest time (s)
 NOTHING = type(None)
 KEYS = {  # of `checkpoint.json`
@@ -92,6 +93,8 @@ def _fits(found: dict[str, Any], where: str) -> None:
         remark = hint(found["algorithm"], ALGORITHMS)
         raise ValueError(f"{where}: algorithm {found['algorithm']!r} is unknown: {remark}")
     judged_apart(where, found.get("seed", 0), found.get("envs", 1))
+    for name, limits in COUNTED.items():
+        whole(f"{where}: {name}", found.get(name, limits[0]), *limits)
     whole(f"{where}: steps", found["steps"], 0, MOST_STEPS)
     in_range(f"{where}: cpu_seconds", found.get("cpu_seconds", 0.0), 0.0, MOST_STEPS)
     arguments, settings = found["arguments"], found["hyperparameters"]
