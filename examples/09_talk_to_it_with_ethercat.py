@@ -3,7 +3,7 @@
 #
 # A Kollmorgen AKD behind an EtherCAT slave controller, and a master that sends frames: scan,
 # states, SDO, process data. Everything is in memory, so the lesson runs the same each time; on a
-# wire `servogym ethercat -i veth1 --drive kollmorgen_akd` answers any master, pysoem or SOEM, with
+# wire `servogym ethercat -i eth0 --drive kollmorgen_akd` answers any master, pysoem or SOEM, with
 # the same bytes.
 
 # %%

@@ -54,7 +54,8 @@ if DISABLED:
         """Mark what Python calls."""
         return function
 elif PLAIN:
-    say(f"{_why}: all is compiled anew at each start (minutes), numba=={TESTED}.* keeps it")
+    say(f"{_why}: all is compiled anew at each start (minutes), numba=={TESTED}.* keeps it",
+        always=True)
     _plain = numba.njit(error_model="numpy", nogil=True)
     block, rare, entry = _plain, _plain, _plain  # type: ignore[assignment]
 else:

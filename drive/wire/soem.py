@@ -182,7 +182,7 @@ class SoemSlave:
             return ""
         if data_type == VISIBLE_STRING:
             return _text(data)
-        if data_type in FLOATS:
+        if len(data) == struct.calcsize(FLOATS.get(data_type, "0s")) > 0:
             return str(struct.unpack(FLOATS[data_type], data)[0])
         return str(int.from_bytes(data, "little")) if 0 < len(data) <= 8 else ""
 

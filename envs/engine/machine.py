@@ -74,11 +74,17 @@ class Machine:
 
     Raises:
         ValueError: something does not fit; the message says what, and how to correct it.
+        TypeError: `model` is not a MuJoCo model.
     """
 
     def __init__(
         self, model: mujoco.MjModel, drives: Mapping[str, str | Path | DriveModel]
     ) -> None:
+        if not isinstance(model, mujoco.MjModel):
+            raise TypeError(
+                f"model = {model!r:.80}: give a mujoco.MjModel; of a file or its text make the "
+                "machine by Machine.from_mjcf"
+            )
         if not drives:
             joints = [model.joint(i).name for i in range(model.njnt)]
             actuators = [model.actuator(i).name for i in range(model.nu)]

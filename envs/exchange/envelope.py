@@ -23,6 +23,7 @@ class Stopped(RuntimeError):
     """The guard has stopped the drives; `reason` names the limit, `axis` the drive."""
 
     def __init__(self, axis: str, reason: str):
+        reason = " ".join(reason.split())  # an action it quotes may have several lines
         super().__init__(f"{axis}: {reason}" if axis else reason)
         self.axis, self.reason = axis, reason
 

@@ -5,6 +5,8 @@ import re
 import shlex
 import subprocess
 import sys
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from servogym.drive.model.model import load
 from servogym.training import cli
 from servogym.training.bench import drive as bench
 from servogym.training.pictures import demo
+
+ROOT = Path(__file__).parents[2]
 
 
 def servogym(*arguments):
@@ -207,6 +211,30 @@ def test_the_help_of_every_command_says_what_it_is_for_and_shows_an_example_that
         assert row.purpose[1:] in " ".join(text.split()), name
         assert f"\n  servogym {row.example}\n" in text, name
         assert parser.parse_args(shlex.split(row.example)).command == name
+
+
+def test_what_an_example_opens_is_made_by_another_one_or_by_the_page_it_names():
+    """That of `ethercat` opened a network interface that nothing makes."""
+    words = {name: shlex.split(row.example) for name, row in cli.COMMANDS.items()}
+    made = {
+        word for row in words.values() for option, word in pairwise(row)
+        if option in ("--log", "-o", "--out", "--gallery", "--results")
+    }
+    for name, row in words.items():
+        if name in ("deploy", "observe"):  # they command a drive on a desk
+            continue
+        assert "-i" not in row or "udp_multicast" in row, name
+        for word in row:
+            if re.fullmatch(r"\w+\.(log|pcapng|toml|json|py)|out/\w+", word) and word not in made:
+                pages = re.findall(r"docs/[\w/-]+\.md", cli.COMMANDS[name].more)
+                assert any(word in (ROOT / page).read_text(encoding="utf-8") for page in pages), row
+
+
+def test_a_page_that_opens_a_virtual_ethernet_port_makes_it():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.py")]
+    opened = {page for page in pages if "veth1" in page.read_text(encoding="utf-8")}
+    assert opened
+    assert all("ip link add veth1" in page.read_text(encoding="utf-8") for page in opened), opened
 
 
 def shell(script, **environment):

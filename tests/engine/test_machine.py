@@ -136,6 +136,8 @@ def test_wrong_arguments_are_named():
         linear_axis(drive="acme")
     with pytest.raises(ValueError, match=r"drives is empty: .* actuator or joint of \['\w"):
         Machine.from_mjcf(mjcf(), {})
+    with pytest.raises(TypeError, match=r"'robot.xml': give a mujoco.MjModel; .*from_mjcf"):
+        Machine("robot.xml", {"a": "generic"})
     with pytest.raises(ValueError, match=r"there is no MJCF file robot.xml"):
         Machine.from_mjcf("robot.xml", {"a": "generic"})
     machine = linear_axis()

@@ -147,45 +147,63 @@ def _made(task, bus):
     return kind, model, plain, plain.drive_names
 
 
-def byte_equal(task, bus, steps=60, seed=5):
-    """Steps after which observations are those of memory byte by byte, and their number."""
+def byte_equal(task, bus, policy="", seeds=(5,), steps=60):
+    """Steps after which observations are those of memory byte by byte, and metrics of both.
+
+    The served machine is put where that in memory begins each episode. Without a policy, actions
+    are small and random.
+    """
+    from servogym.envs.environment.deployed import Figures
     from servogym.envs.exchange.envelope import Envelope
+    from servogym.training.policies import make
 
     _network()
     task = TASKS[task]
     kind, model, plain, axes = _made(task, bus)
     wide = dict.fromkeys(axes, Envelope(-20.0, 20.0, 100.0))
-    with served(task, bus) as ask, side_on(bus, axes, envelopes=wide) as side:
-        ask("stand", seed)
-        env = kind(model, port=side, randomise={})
-        place, look = env.line.place, env.line.look
-        if bus == "can":
-            ask("keep")
+    told = {"begins": 0, "equal": 0, "steps": 0, "lost": 0, "deployed": [], "memory": []}
+    with served(task, bus) as ask:
+        for seed in seeds:
+            ask("stand", seed)
+            with side_on(bus, axes, envelopes=wide) as side:
+                env = kind(model, port=side, randomise={})
+                place, look = env.line.place, env.line.look
+                if bus == "can":
+                    ask("keep")
 
-        def placed(*arguments):
-            here = place(*arguments)
-            ask("back")  # the way there has taken time
-            return here
+                def placed(*arguments, place=place):
+                    here = place(*arguments)
+                    ask("back")  # the way there has taken time
+                    return here
 
-        def looked(*arguments):
-            look(*arguments)  # a frame lets time pass
-            ask("back")
+                def looked(*arguments, look=look):
+                    look(*arguments)  # a frame lets time pass
+                    ask("back")
 
-        env.line.place, env.line.look = placed, looked
-        seen, _ = env.reset(seed=seed)
-        expected, _ = plain.reset(seed=seed)
-        begins = seen.tobytes() == expected.tobytes()
-        plain.action_space.seed(2)
-        equal = 0
-        for _ in range(steps):
-            action = 0.2 * plain.action_space.sample()
-            seen, *_ = env.step(action)
-            expected, *_ = plain.step(action)
-            equal += seen.tobytes() == expected.tobytes()
-        lost = env.line.lost
-        env.close()
-        states = [state for state, *_ in ask("look")]
-    return {"begins": begins, "equal": equal, "steps": steps, "lost": lost, "states": states}
+                env.line.place, env.line.look = placed, looked
+                seen, _ = env.reset(seed=seed)
+                expected, info = plain.reset(seed=seed)
+                told["begins"] += seen.tobytes() == expected.tobytes()
+                plain.action_space.seed(2)
+                acting, ended = make(policy or "hold", plain, seed), False
+                acting.reset(expected, info)
+                there, here = Figures(env), Figures(plain)
+                for _ in range(min(steps, plain.STEPS)):
+                    action = acting.act(seen) if policy else 0.2 * plain.action_space.sample()
+                    seen, reward, ended, _, info = env.step(action)
+                    there.step(reward, info)
+                    expected, reward, ended, _, info = plain.step(action)
+                    here.step(reward, info)
+                    told["steps"] += 1
+                    told["equal"] += seen.tobytes() == expected.tobytes()
+                    if ended:
+                        break
+                told["deployed"].append(there.values())
+                told["memory"].append(here.values())
+                told["lost"] += env.line.lost
+                env.close()
+        told["states"] = [state for state, *_ in ask("look")]
+    return told
 
 
 def watched(env):
@@ -412,7 +430,10 @@ HOSTILE = {  # policy, and what is said of it
 
 
 def hostile(bus, names):
-    """What became of the drive, by policy: the reason, and what it did afterwards."""
+    """What became of the drive, by policy: the reason, and how far beyond the positions it stands.
+
+    Also the distance in which the guard promises to stop it: four steps, and the quick stop.
+    """
     from servogym.envs.environment.deployed import play
     from servogym.envs.exchange.envelope import Envelope, Stopped
 
@@ -448,9 +469,9 @@ def hostile(bus, names):
                 env.close()
             ask("ahead", 0.2)
             ((state, position, velocity),) = ask("look")
-            inside = LOW - stopping <= position <= HIGH + stopping
-            told[name] = (reason, state, bool(inside), abs(velocity) < QUIET)
-    return told
+            beyond = max(LOW - position, position - HIGH, 0.0)
+            told[name] = (reason, state, float(beyond), abs(velocity) < QUIET)
+    return {"told": told, "stopping": stopping}
 
 
 # -------------------------------------------------------------- nobody there

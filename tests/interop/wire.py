@@ -195,6 +195,7 @@ def _say_to(file) -> None:
 def _play(task) -> None:
     """A scenario in a network of its own; the last line is its result."""
     os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background
     # a timer of faulthandler would lock up the copies of this process; they all have this signal
     faulthandler.register(WHERE, file=sys.__stderr__)
     libc = ctypes.CDLL(None, use_errno=True)

@@ -227,6 +227,8 @@ def test_without_the_inner_names_of_numba_the_same_is_computed(tmp_path, setting
         [sys.executable, file], env=os.environ | places, capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == [*map(str, fenced), repr(expected(4.0))]
+    # nobody waits for minutes without a word, not even in a pipe
+    assert ("compiled anew at each start" in done.stderr) is fenced[0]
 
 
 def test_inner_names_of_numba_are_used_behind_the_fence_alone():

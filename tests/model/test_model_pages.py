@@ -20,7 +20,7 @@ QUIRK_TABLES = {
     "bonfiglioli_act": (25,),
     "festo_cmmp_as": (25, 32, 4),  # communication, motion, CMMS and CMMD
     "generic": (),
-    "kollmorgen_akd": (26,),
+    "kollmorgen_akd": (27,),
     "metronix_ars2000": (8, 26),  # departures from CiA 402, contradictions
 }
 # objects without a field of their own that something reads: transmit masks, error_number

@@ -1,6 +1,7 @@
 """Motion: power, mode, jog, moves, homing, and the parameters that shape them."""
 
 import time
+from collections.abc import Awaitable
 from typing import Any
 
 from nicegui import ui
@@ -196,12 +197,19 @@ class MotionPage:
             return
         await self._go("home", int(method))
 
-    async def _mode(self, mode: int | None) -> None:
-        """What was chosen, not what the list shows by now: it follows the drive meanwhile."""
+    def _mode(self, mode: int | None) -> Awaitable[None] | None:
+        """Send what was chosen, which counts at once.
+
+        Were it looked at later, the next picture could set the list back before, and that would
+        be sent as another choice.
+        """
         if mode is None or not self._choice.is_new(mode, self.desk.status["mode"]):
-            return
+            return None
+        return self._set_mode(mode)
+
+    async def _set_mode(self, mode: int) -> None:
         try:
-            await self._go("set_mode", int(mode))
+            await self._go("set_mode", mode)
         finally:
             self._choice.arrived(time.monotonic())
 
