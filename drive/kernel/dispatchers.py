@@ -142,9 +142,15 @@ class Block(CPUDispatcher):
     """
 
     def get_call_template(self, args, kws):
-        """Compile for types, not for values, or a block were compiled once for each."""
+        """Compile for types, not for values, or a block were compiled once for each.
+
+        Of what is compiled only the very types of the call are offered: among several, Numba asks
+        whether one record is the beginning of another, and warns where it is.
+        """
         kws = {name: _plain(kind) for name, kind in kws.items()}
-        return super().get_call_template(tuple(map(_plain, args)), kws)
+        template, names, args, kws = super().get_call_template(tuple(map(_plain, args)), kws)
+        template.cases = [self.overloads[tuple(args)].signature]
+        return template, names, args, kws
 
     def compile(self, sig):
         """Without the clocks of Numba, each of which hears all that is below it."""

@@ -12,6 +12,7 @@ import textwrap
 import threading
 
 import numba
+import numpy as np
 import pytest
 
 from servogym.drive.kernel import code_cache, dispatchers, jit
@@ -457,3 +458,22 @@ def test_without_jit_they_are_the_functions_themselves(tmp_path):
     code = "import plant.main as m; print(type(m.run), type(m.brake.run), m.run(1.0))"
     process = python(code, write(tmp_path), NUMBA_DISABLE_JIT="1")
     assert process.communicate(timeout=60) == (f"{type(write)} {type(write)} 42.75\n", "")
+
+
+@pytest.mark.parametrize("order", [(2, 3), (3, 2)])
+def test_a_record_that_begins_as_another_has_code_of_its_own(order):
+    """Numba 0.68 warns of one record that it takes for another: which came first may not matter."""
+
+    @dispatchers.block
+    def first(record):
+        return record.a
+
+    @numba.njit  # not kept: it is compiled here
+    def read(records):
+        return first(records[0])
+
+    for fields in order:
+        kind = np.dtype([(name, "f8") for name in "abc"[:fields]], align=True)
+        records = np.zeros(1, kind)
+        records["a"] = fields
+        assert read(records) == fields

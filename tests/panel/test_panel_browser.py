@@ -77,13 +77,14 @@ def test_a_bit_of_the_controlword_is_toggled_and_a_refusal_is_told(page):
 
 def test_what_is_no_target_is_refused_beside_the_field_and_nothing_moves(page):
     ready(page)
-    before = at(page, "position").inner_text()
+    before = float(at(page, "position").inner_text())
     beside = page.locator(".q-field", has=at(page, "target")).locator(".q-field__messages")
     for typed, words in (("900", "beyond the stroke"), ("", "enter a number"),
                          ("12;drop", "“12;drop” is not a number"), ("nan", "not a finite number")):
         move(page, typed)
         expect(beside).to_contain_text(words)
-    assert at(page, "position").inner_text() == before
+    # held in control, where the last digit, 1 µm, comes and goes
+    assert float(at(page, "position").inner_text()) == pytest.approx(before, abs=0.01)
 
 
 def test_a_click_is_not_lost_where_what_was_said_of_a_field_goes_away(page):
