@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,7 @@ REST = 0.02  # s without motion, from which an experiment in profile position ma
 MOTION = 1e-3  # m/s or rad/s
 ALIKE = 1.6  # most that set-points travel farther than the axis, or less far
 UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrator brought along
+SLIDES = 0.05  # s of motion, after which the integrator has nothing left of what friction held
 SATURATED = 0.25  # share of the motion at the torque limit, above which a log tells too little
 BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
 DRIFT = 5e-4  # share that the clock of a logger may be off, where nothing is sent cyclically
@@ -84,19 +86,27 @@ class Experiment:
         At rest dry friction holds the axis where the noise of the encoder has left it, and the
         integrator with it: nothing is to be learned of the machine, and no two runs are alike.
         """
+        return self._moves & (self.time >= self.known)
+
+    @cached_property
+    def _moves(self) -> np.ndarray:
         speed = np.abs(np.gradient(_smooth(self.position, self.time), self.time))
-        on = speed > max(MOTION, 0.02 * float(np.percentile(speed, 98)))
-        on[self.time < self.known] = False
-        return on
+        return speed > max(MOTION, 0.02 * float(np.percentile(speed, 98)))
 
     @property
     def known(self) -> float:
         """From when on the state of the drive is known (s).
 
+        A log that begins in the middle of a run, between two moves, has a torque at rest: dry
+        friction keeps the integrator as the last move has left it, until the axis slides again.
+
         Set-points of a profile are travelled from the demand at their beginning. Where that was
         before the first motion is not in the log; its end is.
         """
         first = min(UNSETTLED, 0.2 * self.duration)
+        at_rest = self.torque[: max(int(np.argmax(self._moves)), 1)]
+        if abs(at_rest.mean()) > max(self.quanta[1], 3 * at_rest.std()):
+            first = max(first, float(self.time[len(at_rest) - 1]) + SLIDES)
         if self.events is None:
             return first
         begins = (self.events.at[self.events.begins] - self.begins) * self.cycle

@@ -199,6 +199,11 @@ def near(position):
     return re.compile(rf"^({position - 1}\.9[89]|{position}\.0[012])\d$")
 
 
+def shown(page, name):
+    """The number of a readout, whose minus is that of print."""
+    return float(at(page, name).inner_text().replace("−", "-"))
+
+
 def move(page, target):
     at(page, "target").fill(target)
     at(page, "move-to").click()

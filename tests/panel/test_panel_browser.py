@@ -24,6 +24,7 @@ from browser import (
     picture,
     ready,
     refused,
+    shown,
     shows,
     tab,
 )
@@ -77,14 +78,14 @@ def test_a_bit_of_the_controlword_is_toggled_and_a_refusal_is_told(page):
 
 def test_what_is_no_target_is_refused_beside_the_field_and_nothing_moves(page):
     ready(page)
-    before = float(at(page, "position").inner_text())
+    before = shown(page, "position")
     beside = page.locator(".q-field", has=at(page, "target")).locator(".q-field__messages")
     for typed, words in (("900", "beyond the stroke"), ("", "enter a number"),
                          ("12;drop", "“12;drop” is not a number"), ("nan", "not a finite number")):
         move(page, typed)
         expect(beside).to_contain_text(words)
     # held in control, where the last digit, 1 µm, comes and goes
-    assert float(at(page, "position").inner_text()) == pytest.approx(before, abs=0.01)
+    assert shown(page, "position") == pytest.approx(before, abs=0.01)
 
 
 def test_a_click_is_not_lost_where_what_was_said_of_a_field_goes_away(page):
@@ -295,7 +296,7 @@ def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(pa
     move(page, "100")
     expect(at(page, "position")).to_have_text(near(100))
     open_page(page, "experiments")
-    before = at(page, "header-position").inner_text()
+    before = shown(page, "header-position")
     at(page, "goal").fill("180")
     at(page, "run-compare").click()
     cells = at(page, "courses").locator("span")
@@ -303,8 +304,8 @@ def test_policies_go_side_by_side_on_copies_and_one_takes_over_and_gives_back(pa
     told = cells.all_inner_texts()
     settled = {told[n]: told[n + 1].removesuffix(" ms") for n in (0, 5)}  # "–": it has not
     assert float(settled["ruckig"]) < float(settled["proportional"].replace("–", "inf"))
-    now = at(page, "header-position").inner_text()
-    assert abs(float(now) - float(before)) < 0.005, "the machine itself holds its place"
+    now = shown(page, "header-position")
+    assert now == pytest.approx(before, abs=0.01), "the machine itself holds its place"
     at(page, "hand-over").click()
     expect(at(page, "agent")).to_contain_text("ruckig has the machine.")
     expect(at(page, "header-position")).to_have_text(near(180))
