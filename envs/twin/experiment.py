@@ -98,7 +98,8 @@ class Experiment:
         """From when on the state of the drive is known (s).
 
         A log that begins in the middle of a run, between two moves, has a torque at rest: dry
-        friction keeps the integrator as the last move has left it, until the axis slides again.
+        friction keeps the integrator as the last move has left it, until the axis slides again. At
+        most half the log is left out for that.
 
         Set-points of a profile are travelled from the demand at their beginning. Where that was
         before the first motion is not in the log; its end is.
@@ -106,7 +107,8 @@ class Experiment:
         first = min(UNSETTLED, 0.2 * self.duration)
         at_rest = self.torque[: max(int(np.argmax(self._moves)), 1)]
         if abs(at_rest.mean()) > max(self.quanta[1], 3 * at_rest.std()):
-            first = max(first, float(self.time[len(at_rest) - 1]) + SLIDES)
+            slid = float(self.time[len(at_rest) - 1]) + SLIDES
+            first = max(first, min(slid, 0.5 * self.duration))
         if self.events is None:
             return first
         begins = (self.events.at[self.events.begins] - self.begins) * self.cycle

@@ -20,7 +20,7 @@ from servogym.envs.plants import twins
 from servogym.envs.plants.catalogue import of_twin
 from servogym.envs.twin import logs
 from servogym.envs.twin.estimate import Noise, Search, colour
-from servogym.envs.twin.experiment import Unusable, experiment
+from servogym.envs.twin.experiment import Experiment, Unusable, experiment
 from servogym.envs.twin.families import FAMILIES
 from servogym.envs.twin.fit import fit, refuse
 from servogym.envs.twin.folder import content, save
@@ -510,3 +510,20 @@ def test_what_a_family_looks_for_is_there_in_its_machine(name):
         row.set(joint, wanted)
         assert row.get(joint) == pytest.approx(wanted)
     assert parameters.PARAMETERS[family.mass].get(joint) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("moves_at", "torque", "known"),
+    [(0.5, 0.0, 0.15), (0.5, 0.11, 0.55), (0.0, 0.11, 0.15), (1.98, 0.11, 1.0)],
+)
+def test_a_torque_at_rest_counts_from_where_the_axis_has_slid(moves_at, torque, known):
+    """No torque, one that friction has left, none at rest, and a move that the log cuts off."""
+    time = np.arange(0.0, 2.0, 1e-3)
+    position = 0.05 * np.maximum(time - moves_at, 0.0)
+    found = Experiment(
+        name="log", mode=8, cycle=1e-3, period=1e-3, rows={},
+        arrives=np.ones(len(time)), begins=0, start=0.0, time=time, position=position,
+        torque=np.full(len(time), torque), quanta=(1e-6, 1e-3),
+    )
+    assert found.known == pytest.approx(known, abs=0.02)
+    assert found.moving.any()
