@@ -24,4 +24,4 @@ __all__ = [
 ]
 
 for _task in (*TASKS, *ON_MODELS):
-    register(_task, f"{_task.__module__}:vector")
+    register(_task)

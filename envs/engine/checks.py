@@ -120,13 +120,17 @@ class UnknownArgument(TypeError):
 
     words = ""  # the same to a person
 
-    @classmethod
-    def of(cls, owner: str, name: str, known: Iterable[str]) -> "UnknownArgument":
-        """Of the class of an environment, with near names."""
-        remark = hint(name, known)
-        error = cls(f"{owner}.__init__() got an unexpected keyword argument {name!r}: {remark}")
-        error.words = f"{owner} has no argument {name!r}: {remark}"
-        return error
+
+def refuse_unknown(task: type, arguments: Iterable[str]) -> None:
+    """Raise UnknownArgument with similar names for an argument that a task does not have."""
+    for name in arguments:
+        if name not in accepted(task):
+            remark, owner = hint(name, accepted(task)), task.__name__
+            error = UnknownArgument(
+                f"{owner}.__init__() got an unexpected keyword argument {name!r}: {remark}"
+            )
+            error.words = f"{owner} has no argument {name!r}: {remark}"
+            raise error
 
 
 def words(error: BaseException) -> str:

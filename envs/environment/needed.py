@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...drive.model.model import DriveModel
 from ..engine.checks import misfit
 from ..engine.machine import Machine
 from ..exchange.batch import JUDGED_NAMES
@@ -82,6 +83,16 @@ def check(task: Any, base: type) -> None:
             raise ValueError(f"task {name} lacks {attribute}: give it {need.what}")
         if not need.fits(value):
             raise ValueError(f"task {name}: {attribute} = {own!r:.80}: give it {need.what}")
+
+
+def check_modes(task: Any, model: DriveModel) -> None:
+    """Raise ValueError if the drive model lacks a mode of the task."""
+    for mode in task.MODES:
+        if mode not in model.modes:
+            raise ValueError(
+                f"drive {model.name!r} has no mode {mode.name.lower()}, which this task needs: "
+                f"it has {', '.join(each.name.lower() for each in model.modes)}"
+            )
 
 
 def built(task: Any, machine: Any) -> Machine:

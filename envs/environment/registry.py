@@ -24,15 +24,11 @@ NAMESPACE = "servogym/"
 MOST_STEPS = 10**9  # of an episode
 
 
-def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = None) -> None:
+def register(task: type[ServoEnv]) -> None:
     """Register a task in Gymnasium by its ID, with the vector environments of this package.
 
-    Args:
-        task: the class.
-        vector: entry point of its vector environments; `device_env.vectors` if not given.
-
     Raises:
-        ValueError: it has no ID, or one Gymnasium does not take; STEPS or MODES that are none.
+        ValueError: the class has no ID or an invalid one, or invalid STEPS or MODES.
     """
     identity = getattr(task, "ID", None)
     if not isinstance(identity, str):
@@ -46,10 +42,20 @@ def register(task: type[ServoEnv], vector: str | Callable[..., Any] | None = Non
     try:
         gymnasium.register(
             identity, entry_point=f"{task.__module__}:{task.__name__}",
-            vector_entry_point=vector or partial(vectors, task), max_episode_steps=task.STEPS,
+            vector_entry_point=f"{__name__}:{identity}", max_episode_steps=task.STEPS,
         )
     except gymnasium.error.Error as error:
         raise ValueError(f"task {task.__name__}, ID = {identity!r}: {error}") from None
+
+
+def __getattr__(identity: str) -> Callable[..., gymnasium.vector.VectorEnv]:
+    """The vector environments of a task by its id, as Gymnasium looks up an entry point.
+
+    An entry point has to be a text, so that the specification of an environment can be saved.
+    """
+    if identity not in _registry():
+        raise AttributeError(f"module {__name__!r} has no attribute {identity!r}")
+    return partial(vectors, task(identity))
 
 
 def short(identity: str) -> str:

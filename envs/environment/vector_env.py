@@ -235,7 +235,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy or a pickle is a vector of its own, as this one is now; threads are not kept."""
         with self._turn:
-            kept = [env.kept() for env in self.envs]
+            kept = [env.snapshot() for env in self.envs]
             own = self._steps.copy(), self._ended.copy(), copy.deepcopy(self._np_random)
             return _rebuild, (self.num_envs, self._arguments, kept, own)
 
@@ -291,6 +291,6 @@ if hasattr(os, "register_at_fork"):
 def _rebuild(num_envs: int, arguments: dict[str, Any], kept: list, own: tuple) -> ServoVectorEnv:
     vector = ServoVectorEnv(num_envs=num_envs, **arguments)
     for env, its in zip(vector.envs, kept, strict=True):
-        env.resume(its)
+        env.restore(its)
     vector._steps[:], vector._ended[:], vector._np_random = own
     return vector

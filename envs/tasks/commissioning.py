@@ -1,7 +1,6 @@
 """servogym/Commissioning-v0: from a drive in fault to an axis in position, word by word."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..engine.tick import axes_at
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import PDO, clip, world_of
@@ -261,6 +259,3 @@ def _faults(machine: Machine) -> tuple[str, ...]:
         if name.upper() in Cause.__members__
         and int(drive.axis.od.fault_reaction[Cause[name.upper()]]) not in harmless
     )
-
-
-vector = partial(vectors, CommissioningEnv)

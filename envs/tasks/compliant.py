@@ -1,7 +1,6 @@
 """servogym/CompliantAxis-v0: move a load on a spring to a goal without leaving it swinging."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import flag, in_range
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
@@ -271,6 +269,3 @@ def _possible(parameters: LinearAxisParameters) -> dict[str, tuple[float, float]
     if parameters.structural_damping == 0.0:
         del ranges["structural_damping"]
     return ranges
-
-
-vector = partial(vectors, CompliantAxisEnv)

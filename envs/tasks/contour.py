@@ -1,7 +1,6 @@
 """servogym/GantryContour-v0: follow a circle or a square with X and Y, close and fast."""
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
 from ..engine.tick import coordinates
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
@@ -329,6 +327,3 @@ steps × `feed` × step time |
             for d, at in enumerate((episode._x_at, episode._y_at))
         ]
         return {"gripper": np.array([*away, 0.0])}
-
-
-vector = partial(vectors, GantryContourEnv)

@@ -1,7 +1,6 @@
 """servogym/GantrySync-v0: square a gantry with two drives in X on its way to a goal."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
 from ..engine.tick import coordinates
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, faulted, world_of
@@ -276,6 +274,3 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         """The bridge at the goal."""
         away = self.episode.goal - self.machine.data.joint("x").qpos[0]
         return {"bridge": np.array([away, 0.0, 0.0])}
-
-
-vector = partial(vectors, GantrySyncEnv)

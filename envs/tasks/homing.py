@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from ...drive.model.model import DriveModel, load
 from ..engine.checks import choice, in_range
 from ..engine.machine import Machine
 from ..engine.tick import HOME, NEGATIVE, POSITIVE
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import PDO, clip, faulted, world_of
@@ -417,6 +415,3 @@ the positive one; -1 the negative, 0 none |
             figures.error, self.tolerance, figures.time, figures.impact_energy,
             figures.greatest_torque,
         ))
-
-
-vector = partial(vectors, HomingEnv)

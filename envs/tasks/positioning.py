@@ -1,7 +1,6 @@
 """servogym/LinearAxis-v0: bring the carriage of a linear axis to a goal, and hold it there."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +9,6 @@ from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip
@@ -221,6 +219,3 @@ class LinearAxisEnv(ServoEnv):
         """The carriage at the goal."""
         away = self.episode.goal - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
-
-
-vector = partial(vectors, LinearAxisEnv)

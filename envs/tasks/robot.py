@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES, read
 from ..engine.tick import coordinates
 from ..engine.touch import obstacles
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
@@ -362,6 +360,3 @@ def _drivable(spec: mujoco.MjSpec) -> list[str]:
     joints = [joint.name for joint in spec.joints if joint.type in JOINT_TYPES and joint.name]
     acting = [actuator.target for actuator in spec.actuators]
     return [name for name in joints if acting.count(name) == 1] or joints
-
-
-vector = partial(vectors, RobotEnv)

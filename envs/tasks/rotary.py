@@ -1,7 +1,6 @@
 """servogym/RotaryAxis-v0: turn a table, or move a conveyor, to a periodic position."""
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..environment.device_env import vectors
 from ..environment.servo_env import ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip
@@ -205,6 +203,3 @@ class RotaryAxisEnv(ServoEnv):
         goal = angle + float(self.episode.distance)
         way = np.array([math.cos(goal) - math.cos(angle), math.sin(goal) - math.sin(angle), 0.0])
         return {"mark": MARK * way}
-
-
-vector = partial(vectors, RotaryAxisEnv)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ..engine.checks import flag, in_range
 from ..engine.tick import coordinates, load_noise, speeds
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
@@ -324,6 +322,3 @@ class GantrySwayEnv(ServoEnv):
         place = self.machine.data.geom("payload").xpos
         away = [self.episode._goal[d] - place[d] for d in range(len(self.DRIVES))]
         return {"payload": np.array([*away, *[0.0] * (3 - len(away))])}
-
-
-vector = partial(vectors, GantrySwayEnv)

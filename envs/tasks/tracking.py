@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from ...drive.model.model import DriveModel
 from ..engine.checks import choice, in_range
 from ..engine.probe import elastic
 from ..engine.tick import coordinates, speeds
-from ..environment.device_env import vectors
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip, world_of
@@ -286,6 +284,3 @@ class LinearAxisTrackingEnv(ServoEnv):
         """The carriage where the reference is."""
         away = self.episode._position[self.episode._now] - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
-
-
-vector = partial(vectors, LinearAxisTrackingEnv)

@@ -5,6 +5,7 @@ import importlib
 import os
 import sys
 from collections.abc import Mapping
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -66,6 +67,7 @@ class Scene(Protocol):
 
     ID: ClassVar[str]
     episode: Any
+    render_mode: str | None
 
     @property
     def time(self) -> float:
@@ -94,13 +96,23 @@ class Picture:
     def __init__(self, env: Scene):
         self._env = env
         self._renderer: mujoco.Renderer | None = None
-        self._overlay = Overlay(list(env.machine.drives), WIDTH)
         self._viewer: Any = None
         self._camera: mujoco.MjvCamera | None = None
         self._parts: list[Part] | None = None
         self._goal: mujoco.MjData | None = None
         self._path: list[dict[str, np.ndarray]] = []  # places of the bodies with a goal
         self._time = 0.0
+
+    @cached_property
+    def _overlay(self) -> Overlay:
+        return Overlay(list(self._env.machine.drives), WIDTH)
+
+    def update(self) -> None:
+        """Follow a step: redraw the window, or note the path for the next image."""
+        if self._env.render_mode == "human":
+            self.show()
+        elif self._renderer is not None:
+            self.follow()
 
     def image(self) -> np.ndarray:
         """Shape ``(540, 960, 3)``, uint8. Raises RuntimeError where there is no OpenGL."""

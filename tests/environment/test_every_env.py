@@ -7,10 +7,12 @@ import re
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
-from servogym.envs import TASKS
+from servogym.envs import TASKS, ServoEnv, register
 from servogym.envs.environment.vector_env import ServoVectorEnv
+from servogym.envs.tasks.positioning import LinearAxisEnv
 
 IDS = [task.ID for task in TASKS]
 
@@ -38,6 +40,19 @@ def rollouts():
 def test_gymnasiums_checker_is_content(task):
     check_env(gym.make(task.ID).unwrapped, skip_render_check=True)
     assert gym.spec(task.ID).max_episode_steps == task.STEPS
+
+
+class OwnEnv(LinearAxisEnv):
+    ID = "saved/Own-v0"
+
+
+def test_the_specification_of_every_environment_can_be_saved():
+    register(OwnEnv)
+    for name in (*IDS, "servogym/Robot-v0", OwnEnv.ID):
+        spec = EnvSpec.from_json(gym.spec(name).to_json())
+        vector = gym.make_vec(spec, 2, vectorization_mode="vector_entry_point")
+        assert isinstance(vector.envs[0], ServoEnv)
+        assert vector.envs[0].ID == name
 
 
 @pytest.mark.parametrize("task", TASKS, ids=IDS)

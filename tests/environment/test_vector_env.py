@@ -10,7 +10,6 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import servogym.envs
 from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
-from servogym.envs.tasks.positioning import vector as make_vector
 
 ID = "servogym/LinearAxis-v0"
 assert servogym.envs
@@ -32,7 +31,9 @@ def test_it_is_bit_for_bit_the_environments_one_by_one(mode, threads, randomise)
         "faults": {"encoder_loss": 0.02}, "following_error_window": 0.005, "randomise": randomise,
     }
     peers = SyncVectorEnv([lambda: single(**arguments) for _ in range(4)], autoreset_mode=mode)
-    vector = make_vector(4, autoreset_mode=mode, threads=threads, max_episode_steps=25, **arguments)
+    vector = ServoVectorEnv(
+        LinearAxisEnv, 4, autoreset_mode=mode, threads=threads, max_episode_steps=25, **arguments
+    )
     one, _ = peers.reset(seed=7)
     other, _ = vector.reset(seed=7)
     np.testing.assert_array_equal(one, other)
@@ -67,7 +68,8 @@ def test_gymnasium_makes_it_and_random_actions_never_leave_the_space():
 
 
 def test_a_fault_is_told_and_ends_the_episode():
-    vector = make_vector(2, faults={"short_circuit": 1.0}, autoreset_mode="Disabled")
+    faults = {"short_circuit": 1.0}
+    vector = ServoVectorEnv(LinearAxisEnv, 2, faults=faults, autoreset_mode="Disabled")
     vector.reset(seed=1)
     _, _, terminated, truncated, infos = vector.step(np.zeros((2, 1)))
     assert terminated.all()
@@ -81,7 +83,7 @@ def test_a_fault_is_told_and_ends_the_episode():
 
 
 def test_part_of_it_is_reset_by_a_mask():
-    vector = make_vector(3)
+    vector = ServoVectorEnv(LinearAxisEnv, 3)
     with pytest.raises(ValueError, match="reset_mask"):
         vector.reset(options={"reset_mask": np.array([True, False, False])})
     before, _ = vector.reset(seed=5)
@@ -97,7 +99,7 @@ def test_part_of_it_is_reset_by_a_mask():
 )
 def test_bad_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
-        make_vector(**arguments)
+        ServoVectorEnv(LinearAxisEnv, **arguments)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +112,7 @@ def test_bad_arguments_are_named(arguments, message):
     ],
 )
 def test_wrong_actions_are_refused(wrong, told):
-    vector = make_vector(2)
+    vector = ServoVectorEnv(LinearAxisEnv, 2)
     vector.reset(seed=1)
     with pytest.raises(ValueError, match=told):
         vector.step(wrong)
@@ -118,7 +120,7 @@ def test_wrong_actions_are_refused(wrong, told):
 
 
 def test_a_closed_one_begins_again():
-    vector = make_vector(2, threads=2)
+    vector = ServoVectorEnv(LinearAxisEnv, 2, threads=2)
     vector.reset(seed=1)
     vector.step(np.zeros((2, 1)))
     vector.close_extras()

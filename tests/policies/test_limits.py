@@ -66,7 +66,7 @@ def test_a_rehearsal_meets_another_noise():
     observation, info = env.reset(seed=1)
     policy.reset(observation, info)
     own = env.machine.couplings["noise_state"].tolist()
-    env.resume(env.kept())
+    env.restore(env.snapshot())
     assert env.machine.couplings["noise_state"].tolist() == own, "that of the episode is kept"
     assert policy._twin.machine.couplings["noise_state"].tolist() != own
 

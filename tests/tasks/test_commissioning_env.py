@@ -13,8 +13,8 @@ import servogym.envs
 from servogym.drive.kernel.words import ENABLED, TO_ENABLED, Mode, State
 from servogym.drive.kernel.words import Controlword as C
 from servogym.drive.model.model import load, model_names
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.commissioning import CAUSES, CommissioningEnv
-from servogym.envs.tasks.commissioning import vector as make_vector
 from servogym.training.policies import make
 from servogym.training.policies.datasheet import datasheet
 from servogym.training.policies.plc import SHOWN
@@ -140,7 +140,7 @@ def test_a_vector_is_bit_for_bit_the_environments_one_by_one():
     peers = SyncVectorEnv(
         [lambda: gym.wrappers.TimeLimit(CommissioningEnv(**arguments), 50) for _ in range(3)]
     )
-    vector = make_vector(3, threads=2, max_episode_steps=50, **arguments)
+    vector = ServoVectorEnv(CommissioningEnv, 3, threads=2, max_episode_steps=50, **arguments)
     seen, _ = peers.reset(seed=7)
     np.testing.assert_array_equal(seen, vector.reset(seed=7)[0])
     policies = [make("plc", env) for env in vector.envs]

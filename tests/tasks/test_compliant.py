@@ -10,9 +10,9 @@ from gymnasium.utils.env_checker import check_env
 import servogym.envs
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load, model_names
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.plants.linear_axis import LinearAxisParameters
 from servogym.envs.tasks.compliant import CompliantAxisEnv
-from servogym.envs.tasks.compliant import vector as make_vector
 from servogym.training.policies.profiles import Bounds, shaped, trapezoid
 
 STEPS = CompliantAxisEnv.STEPS
@@ -194,7 +194,7 @@ def test_the_vector_is_bit_for_bit_the_environments_one_by_one():
     peers = gym.vector.SyncVectorEnv(
         [lambda: gym.wrappers.TimeLimit(CompliantAxisEnv(), 25) for _ in range(3)]
     )
-    vector = make_vector(3, threads=2, max_episode_steps=25)
+    vector = ServoVectorEnv(CompliantAxisEnv, 3, threads=2, max_episode_steps=25)
     np.testing.assert_array_equal(peers.reset(seed=7)[0], vector.reset(seed=7)[0])
     generator = np.random.default_rng(1)
     for _ in range(60):

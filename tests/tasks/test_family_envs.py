@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from servogym.envs import FAMILY
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.tasks.homing import HomingEnv
-from servogym.envs.tasks.positioning import LinearAxisEnv, vector
+from servogym.envs.tasks.positioning import LinearAxisEnv
 
 
 @pytest.mark.parametrize("name", FAMILY)
@@ -42,7 +43,7 @@ def test_where_switches_answer_comes_from_the_seed():
 def test_a_vector_of_belts_is_bit_for_bit_the_belts_one_by_one():
     make = {"parameters": "toothed_belt", "randomise": {"backlash": (0, 1e-4), "gains": (0.8, 1)}}
     peers = gym.vector.SyncVectorEnv([lambda: LinearAxisEnv(**make) for _ in range(3)])
-    ours = vector(3, threads=2, **make)
+    ours = ServoVectorEnv(LinearAxisEnv, 3, threads=2, **make)
     np.testing.assert_array_equal(peers.reset(seed=3)[0], ours.reset(seed=3)[0])
     generator = np.random.default_rng(0)
     for _ in range(30):

@@ -12,10 +12,10 @@ import servogym.envs
 from servogym.drive.kernel.words import ENABLED, TO_ENABLED, Mode, State, state_of
 from servogym.drive.model.model import load, model_names
 from servogym.envs.engine.tick import HOME
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.exchange.fields import width
 from servogym.envs.masters.homing_figures import true_home
 from servogym.envs.tasks.homing import REFERENCES, HomingEnv
-from servogym.envs.tasks.homing import vector as make_vector
 from servogym.training.policies import make
 
 assert servogym.envs
@@ -214,7 +214,7 @@ def test_a_vector_is_bit_for_bit_the_environments_one_by_one():
     peers = SyncVectorEnv(
         [lambda: gym.wrappers.TimeLimit(HomingEnv(**arguments), 40) for _ in range(3)]
     )
-    vector = make_vector(3, threads=2, max_episode_steps=40, **arguments)
+    vector = ServoVectorEnv(HomingEnv, 3, threads=2, max_episode_steps=40, **arguments)
     np.testing.assert_array_equal(peers.reset(seed=7)[0], vector.reset(seed=7)[0])
     generator = np.random.default_rng(1)
     ends = 0

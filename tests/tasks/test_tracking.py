@@ -12,10 +12,10 @@ import servogym.envs
 from servogym.drive.kernel.modes.csp import SMOOTHING
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load, model_names
+from servogym.envs.environment.vector_env import ServoVectorEnv
 from servogym.envs.plants.linear_axis import LinearAxisParameters
 from servogym.envs.tasks.references import REFERENCES
 from servogym.envs.tasks.tracking import STEPS, LinearAxisTrackingEnv
-from servogym.envs.tasks.tracking import vector as make_vector
 
 ID = "servogym/LinearAxisTracking-v0"
 TORQUE = 3 * 1.27 * 2 * math.pi / 0.06  # N at the belt for the maximum torque
@@ -174,7 +174,7 @@ def test_the_vector_is_bit_for_bit_the_environments_one_by_one():
     peers = gym.vector.SyncVectorEnv(
         [lambda: gym.wrappers.TimeLimit(LinearAxisTrackingEnv(), 25) for _ in range(3)]
     )
-    vector = make_vector(3, threads=2, max_episode_steps=25)
+    vector = ServoVectorEnv(LinearAxisTrackingEnv, 3, threads=2, max_episode_steps=25)
     np.testing.assert_array_equal(peers.reset(seed=7)[0], vector.reset(seed=7)[0])
     generator = np.random.default_rng(1)
     for _ in range(60):

@@ -49,9 +49,9 @@ class Repeated:
         self._law.reset(observation, info)
         axes = len(self._errors(observation))
         self.table = np.zeros((self._known.steps, axes))
-        kept = self._env.kept()
+        kept = self._env.snapshot()
         for rehearsal in range(REHEARSALS):
-            self._twin.resume(kept)
+            self._twin.restore(kept)
             states = self._twin.machine.couplings["noise_state"]
             states[:] = [(int(s) + OTHER_NOISE * (rehearsal + 1)) % 2**64 for s in states]
             self._begin(observation, info)
