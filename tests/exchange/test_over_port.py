@@ -227,9 +227,9 @@ def test_a_drive_that_cannot_find_the_true_home_is_refused_before_power():
 @pytest.mark.parametrize(
     ("rpdo", "said"),
     [
-        (("target_position", "position_offset"), "position_offset, at which the guard does not"),
-        (("target_velocity", "velocity_offset"), "velocity_offset, at which the guard does not"),
-        (("target_position", "profile_velocity"), "profile_velocity, at which the guard does not"),
+        (("target_position", "position_offset"), "position_offset, which the guard does not check"),
+        (("target_velocity", "velocity_offset"), "velocity_offset, which the guard does not check"),
+        (("target_position", "profile_velocity"), "profile_velocity, which the guard does not"),
         (("target_position", "target_velocity"), "the guard follows one of them"),
     ],
 )
@@ -317,10 +317,10 @@ def test_an_environment_in_which_no_episode_has_begun_is_closed_at_once(bus):
     """Its drives have no time yet; a quick stop would wait for them."""
     env = in_process.environment(LINEAR, bus)
     drive = env.drive
-    changed = [*env.line._kept]
+    changed = [*env.line.settings.changed]
     env.close()
     assert changed
-    assert not env.line._kept
+    assert not env.line.settings.changed
     assert drive.state is not State.OPERATION_ENABLED
 
 
