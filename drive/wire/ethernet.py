@@ -29,14 +29,15 @@ class RawPort:
 
     Args:
         interface: name, such as ``eth0``.
+        otherwise: see `raw_socket`.
 
     Raises:
         ValueError: the interface does not exist, is not permitted or is served already, or the
             system has no raw sockets; the message gives the remedy.
     """
 
-    def __init__(self, interface: str):
-        self.socket = raw_socket(interface)
+    def __init__(self, interface: str, otherwise: str = ""):
+        self.socket = raw_socket(interface, otherwise=otherwise)
         self._lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:  # abstract: of this network namespace, and gone with the process
             self._lock.bind(f"\0servogym ethercat {interface}")
@@ -123,21 +124,32 @@ class UdpPort:
         self.socket.close()
 
 
-def raw_socket(interface: str, kind: int = ETHERTYPE) -> socket.socket:
+def raw_socket(interface: str, kind: int = ETHERTYPE, otherwise: str = "") -> socket.socket:
     """Open a raw socket at a network interface for frames of a type (Linux).
 
-    Raises ValueError with the remedy: no raw sockets, no right to them, no such interface.
+    Args:
+        interface: name, such as ``eth0``.
+        kind: EtherType.
+        otherwise: what the caller can do without raw sockets, added to the remedies.
+
+    Raises:
+        ValueError: no raw sockets, no right to them or no such interface, with the remedy.
     """
     if not hasattr(socket, "AF_PACKET"):
         raise ValueError(f"{sys.platform} has no raw sockets")
     try:
         opened = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(kind))
     except PermissionError:
-        give = f"sudo setcap cap_net_raw+ep {Path(sys.executable).resolve()}"
+        remedies = [
+            f"sudo setcap cap_net_raw+ep {Path(sys.executable).resolve()}", "run it with sudo",
+        ]
+        if otherwise:
+            remedies.append(otherwise)
         if shutil.which("unshare"):
-            give += ", or try it without a network: unshare -Urn"
+            remedies.append("try it without a network: unshare -Urn")
         raise ValueError(
-            f"interface {interface}: raw sockets need the right CAP_NET_RAW: {give}"
+            f"interface {interface}: raw sockets need the right CAP_NET_RAW: "
+            f"{', or '.join(remedies)}"
         ) from None
     try:
         opened.bind((interface, kind))

@@ -21,7 +21,7 @@ from ..environment.registry import task
 from ..environment.servo_env import ServoEnv
 from ..exchange import over_port
 from .description import MachineRow
-from .laboratory import made
+from .machines import made
 
 
 class _Loop:

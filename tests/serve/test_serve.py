@@ -249,7 +249,7 @@ def test_two_nodes_with_one_number_on_a_bus_are_refused():
 
 def test_what_ends_a_bus_is_raised_where_the_test_looks(request):
     laboratory = Laboratory(feeder(request.node.name)).start()
-    laboratory._threads["can"].bench.serve = lambda: 1 / 0
+    laboratory._threads["can"].bus.serve = lambda: 1 / 0
     with pytest.raises(ZeroDivisionError):
         laboratory.wait_until(lambda: False)
     laboratory.stop()
