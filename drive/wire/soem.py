@@ -28,6 +28,26 @@ VISIBLE_STRING = 0x09
 FLOATS = {0x08: "<f", 0x11: "<d"}  # data types of CiA 301
 
 
+def check_access(interface: str) -> None:
+    """Find out, before anything slow, whether a `SoemMaster` can open an interface.
+
+    Raises:
+        ImportError: pysoem is not installed.
+        ValueError: no such interface, or no right to raw sockets, with the remedy.
+    """
+    _library()
+    raw_socket(interface).close()
+
+
+def _library() -> Any:
+    """Return pysoem. Raises ImportError with the remedy."""
+    try:
+        import pysoem
+    except ImportError:
+        raise ImportError("pysoem is not installed: pip install pysoem") from None
+    return pysoem
+
+
 class SoemMailbox:
     """SDO of one slave, with the errors of the house."""
 
@@ -210,11 +230,7 @@ class SoemMaster:
     def __init__(self, interface: str, second: str | None = None, timeout: float = TIMEOUT):
         self._timeout = round(1e6 * timeout)  # µs
         self._answer = round(1e6 * ANSWER) if timeout <= TIMEOUT else self._timeout
-        try:
-            import pysoem
-        except ImportError:
-            raise ImportError("pysoem is not installed: pip install pysoem") from None
-        self._soem = pysoem
+        self._soem = pysoem = _library()
         pysoem.settings.timeouts.ret = self._answer  # of the process
         self._master = pysoem.Master()
         self.slaves: list[SoemSlave] = []

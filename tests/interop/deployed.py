@@ -231,7 +231,7 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
     from servogym.envs.environment.deployed import episodes_of, in_memory
     from servogym.envs.exchange.envelope import Stopped
     from servogym.envs.serve.in_process import environment
-    from servogym.training.cli.deploy import _policy
+    from servogym.training.cli.deploy import made_policy
 
     _network()
     task = TASKS[task]
@@ -242,7 +242,7 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
     with served(task, bus, clock), side_on(bus, axes, lock_step) as side:
         env = kind(model, port=side, randomise={})
         env.line.home, there = home, watched(env)
-        make = partial(_policy, policy, plain, seed)
+        make = partial(made_policy, policy, plain, seed)
         try:
             for played in episodes_of(env, episodes=count, make=make, seed=seed, fast=fast):
                 deployed.append(played.values | {"late": played.late})
@@ -252,7 +252,7 @@ def episodes(task, bus, policy, count, lock_step=True, seed=0, fast=False, home=
         env.close()
     played = environment(task, bus, parameters={"randomise": {}}, home=home)
     here = watched(played)
-    memory, _ = in_memory(played, _policy(policy, plain, seed), len(deployed), seed)
+    memory, _ = in_memory(played, made_policy(policy, plain, seed), len(deployed), seed)
     played.close()
     pairs = list(zip(itertools.chain(*here), itertools.chain(*there), strict=False))
     equal = sum(one == other for one, other in pairs)

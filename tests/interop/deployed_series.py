@@ -90,11 +90,11 @@ def played(task, bus, seed):
     from servogym.drive.model.model import load
     from servogym.envs.environment.deployed import in_memory
     from servogym.envs.environment.registry import task as named
-    from servogym.training.cli.deploy import _policy
+    from servogym.training.cli.deploy import made_policy
 
     row = asked("episodes", bus, task=task, policy=REFERENCES[task], count=PART, seed=seed)
     env = named(TASKS[task])(load("generic", bus), randomise={})
-    there, _ = in_memory(env, _policy(REFERENCES[task], env, seed), PART, seed)
+    there, _ = in_memory(env, made_policy(REFERENCES[task], env, seed), PART, seed)
     del row["times"]
     return row | {"plain": there}
 

@@ -138,12 +138,12 @@ def policy(seconds, period, phase, missed):
     from servogym.envs.environment.registry import task
     from servogym.envs.exchange.envelope import Envelope, Stopped
     from servogym.envs.exchange.over_port import EtherCatDrives
-    from servogym.training.cli.deploy import _policy
+    from servogym.training.cli.deploy import made_policy
 
     kind, model = task("LinearAxis-v0"), load("generic", "ethercat")
     given = {"randomise": {}, "step_time": period}
     example = kind(model, **given)
-    make = partial(_policy, "learned", example, 0)
+    make = partial(made_policy, "learned", example, 0)
     with serving("LinearAxis-v0", "--ethercat", "va", "--clock", "real", "--real-time") as process:
         until_served(process)
         soem = SoemMaster("vb")

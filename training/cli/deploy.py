@@ -1,25 +1,29 @@
 """`servogym deploy`."""
 
 import argparse
-import csv
 import json
 import signal
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 
-from . import arguments
+from . import arguments, deploy_report
 from . import bus as buses
+
+if TYPE_CHECKING:
+    from ...envs.environment.deployed import Played
+    from ...envs.environment.policy_process import PolicyProcess
+    from ...envs.environment.servo_env import ServoEnv
 
 NO_SAFETY = (
     "The guard runs on this computer and is not a safety function: keep the emergency stop (STO) "
     "of the machine within reach."
 )
 CAPTURES = (".pcapng",)
-WITHOUT = 0.1  # s that a guard may be told to bear without answers: then watchdogs act
+WITHOUT_ANSWERS = 0.1  # s, the longest for --missed: then the watchdogs of the drives act
 
 
 def add(deploy: argparse.ArgumentParser) -> None:
@@ -65,8 +69,7 @@ def add(deploy: argparse.ArgumentParser) -> None:
     deploy.add_argument(
         "--log", type=Path, action="append", default=[],
         help="log every step (.csv) or every frame (.pcapng on EtherCAT; .log as candump, .asc, "
-        ".blf "
-        "on CAN); repeatable",
+        ".blf on CAN); repeatable",
     )
     deploy.add_argument(
         "--gap", action="store_true",
@@ -95,178 +98,106 @@ def add(deploy: argparse.ArgumentParser) -> None:
     deploy.set_defaults(run=_deploy, files=("log", "report"))
 
 
+class _Prepared(NamedTuple):
+    """What is made and checked before the bus is opened."""
+
+    kind: "type[ServoEnv]"
+    given: dict[str, Any]  # arguments of the environment
+    example: "ServoEnv"  # the environment in memory
+    limits: dict[str, dict[str, float]]  # of the guard, by drive
+    policies: "dict[str, PolicyProcess]"
+
+
 def _deploy(options: argparse.Namespace, console: Console) -> int:
     """Play episodes on the drives of a bus; exit status 1 if the guard has stopped them."""
-    from ...envs.environment.deployed import episodes_of
-    from ...envs.exchange.envelope import Stopped
-
     if arguments.asked(options):
         return arguments.listing(options.env, console)
+    if options.ethercat:
+        from ...drive.wire.soem import check_access
+
+        check_access(options.ethercat)
     with ExitStack() as stack:
-        env, example = _made(options, stack)
-        line = env.line
-        for axis, guard in line.guards.items():
-            console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
-        for difference in line.differs:
-            console.print(difference, style="yellow", highlight=False, markup=False)
-        console.print(NO_SAFETY, highlight=False)
-        if not (options.dry_run or options.yes) and not _agreed(console):
-            return 1
-        if hasattr(signal, "SIGHUP"):  # a terminal that is closed, as Ctrl-C and SIGTERM
-            signal.signal(signal.SIGHUP, signal.default_int_handler)
-        played: dict[str, list[Any]] = {}
-        reason = ""
-        try:
-            for policy in options.policy:
-                played[policy] = []
-                if len(options.policy) > 1:
-                    console.print(policy, style="bold", highlight=False, markup=False)
-                for episode in episodes_of(
-                    env, episodes=options.episodes, make=options.minds[policy], slow=options.slow,
-                    seed=options.seed, fast=not options.lock_step,
-                ):
-                    played[policy].append(episode)
-                    _tell_episode(len(played[policy]), episode, console)
-        except (Stopped, KeyboardInterrupt) as stopped:  # a second Ctrl-C comes while it stops
-            reason = f"{line.stop(stopped)}"
-            console.print(f"stopped: {reason}", style="red", highlight=False, markup=False)
-        env.close()
+        prepared = _prepared(options, stack)
+        with ExitStack() as bus:
+            env = _on_the_bus(options, prepared, bus)
+            line: Any = env.line
+            for axis, guard in line.guards.items():
+                console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
+            for difference in line.differs:
+                console.print(difference, style="yellow", highlight=False, markup=False)
+            console.print(NO_SAFETY, highlight=False)
+            if not (options.dry_run or options.yes) and not _agreed(console):
+                return 1
+            played, reason = _played(options, prepared, env, console)
         if line.refused:
             console.print(f"without {' and '.join(line.refused)}", highlight=False)
         for axis in line.unwatched:
             console.print(f"{axis} has no watchdog for a lost master", style="yellow")
-        _tell_times(line.timing, console)
-        tables = _compared(options, played, example, console)
-        _tell_compared(tables, console)
-        if options.report:
-            report: dict[str, Any] = {
-                "episodes": {name: [_row(e) for e in rows] for name, rows in played.items()},
-                "stopped": reason, "times": line.timing.as_dict(), "compared": tables,
-            }
-            options.report.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-        return 1 if reason else 0
+        deploy_report.tell_times(line.timing, console)
+        rows = _compared(options, prepared, played, console)
+    deploy_report.tell_compared(rows, console)
+    if options.report:
+        report: dict[str, Any] = {
+            "episodes": {name: [_row(each) for each in own] for name, own in played.items()},
+            "stopped": reason, "times": line.timing.as_dict(), "compared": rows,
+        }
+        options.report.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    return 1 if reason else 0
 
 
-def _compared(
-    options: argparse.Namespace, played: dict[str, list[Any]], example: Any, console: Console
-) -> list[dict[str, Any]]:
-    """Metrics of policies against the first one, and of each against memory: means, differences."""
-    import numpy as np
+def _prepared(options: argparse.Namespace, stack: ExitStack) -> _Prepared:
+    """Make the environment in memory and the policies, and check the options; no bus is open yet.
 
-    from ...envs.environment.deployed import in_memory
-    from ...envs.serve import in_process
-    from ..evaluate.metrics import difference
-
-    def against(what: str, one: list[Any], other: list[Any]) -> None:
-        n = min(len(one), len(other))
-        for metric in one[0] if n else ():
-            pair = [np.array([[row[metric] for row in rows[:n]]]) for rows in (one, other)]
-            apart = difference(*pair, share=True)
-            rows.append({
-                "what": what, "metric": metric, "episodes": n, "here": float(pair[0].mean()),
-                "there": float(pair[1].mean()), "difference": apart.value, "low": apart.low,
-                "high": apart.high,
-            })
-
-    rows: list[dict[str, Any]] = []
-    values = {name: [each.values for each in episodes] for name, episodes in played.items()}
-    first, *others = values
-    for name in others:
-        against(f"{name} - {first}", values[name], values[first])
-    if options.gap or options.twin:
-        env = in_process.environment(
-            options.env, "ethercat" if options.ethercat else "can", options.drive,
-            options.given, options.home, _limits(options, example.drive_names),
-        )
-        for name, own in values.items():  # one after the other, as on the bus
-            acting = _policy(name, example, options.seed)
-            there, stopped = in_memory(env, acting, len(own), options.seed, options.slow)
-            other = "twin" if options.twin else "memory"
-            if stopped:
-                console.print(
-                    f"{name}: the guard stopped episode {len(there) + 1} of {len(own)} in the "
-                    f"{other}: {stopped}; the gap is that of the episodes before it",
-                    style="yellow", markup=False,
-                )
-            against(f"{name}: bus - {other}", own, there)
-        env.close()
-    return rows
-
-
-def _tell_compared(rows: list[dict[str, Any]], console: Console) -> None:
-    from rich.table import Table
-
-    for what in dict.fromkeys(row["what"] for row in rows):
-        own = [row for row in rows if row["what"] == what]
-        table = Table(title=f"{what}, {own[0]['episodes']} episodes")
-        for name in ("metric", "mean", "of the other", "difference", "95 % interval"):
-            table.add_column(name, justify="left" if name == "metric" else "right")
-        for row in own:
-            table.add_row(
-                row["metric"], *(f"{row[key]:.4g}" for key in ("here", "there", "difference")),
-                f"{row['low']:.3g} .. {row['high']:.3g}",
-            )
-        console.print(table)
-
-
-def _made(options: argparse.Namespace, stack: ExitStack) -> tuple[Any, Any]:
-    """Make the environment on its bus and the same one in memory; the stack closes the first."""
-    import gymnasium
-
+    Raises ValueError for what cannot be made or does not belong to the task.
+    """
     from ...drive.model.model import load
     from ...envs.engine.checks import whole
-    from ...envs.environment.deployed import Mind
+    from ...envs.environment.policy_process import PolicyProcess
     from ...envs.environment.registry import task
     from ...envs.exchange.envelope import Stopped
+    from ...envs.exchange.over_port import steps_bridged
     from ..policies import needed
 
     kind = task(options.env)
+    if options.ethercat:
+        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
+        for path in options.log:
+            if path.suffix not in (*CAPTURES, ".csv"):
+                raise ValueError(f"--log {path}: frames of EtherCAT are kept as .pcapng")
+    if options.home is not None and not kind.REFERENCED:
+        raise ValueError(
+            f"--home: {kind.ID} begins without a reference; the method it imitates finds the start"
+        )
     options.policy = [*dict.fromkeys(options.policy or ["hold"])]
     given = dict(options.argument or ())
     for policy in options.policy:
         given = needed(policy) | given
     given.setdefault("randomise", {})  # nothing draws the parameters of the machine on the bus
-    options.given, options.twin = given, given.get("twin")
-    if options.home is not None and not kind.REFERENCED:
-        raise ValueError(
-            f"--home: {kind.ID} begins without a reference; the method it imitates finds the start"
-        )
     example = kind(load(options.drive, "ethercat" if options.ethercat else None), **given)
-    axes = example.drive_names
-    options.period, options.minds = example.step_time, {}
+    axes, period = example.drive_names, example.step_time
     limits = _limits(options, axes)
-    for policy in options.policy:  # before the bus is there: it is refused, and never has it
-        make = partial(_policy, policy, example, options.seed)
+    if options.node_id and len(options.node_id) != len(axes):
+        raise ValueError(
+            f"--node-id: {len(options.node_id)} are given for the drives {', '.join(axes)}"
+        )
+    if options.missed is not None:
+        most = max(steps_bridged(period), round(WITHOUT_ANSWERS / period))
+        whole("--missed", options.missed, 1, most)
+    policies: dict[str, PolicyProcess] = {}
+    for policy in options.policy:
+        make = partial(made_policy, policy, example, options.seed)
         try:
-            options.minds[policy] = Mind(make, fast=not options.lock_step)
+            policies[policy] = PolicyProcess(make, fast=not options.lock_step)
         except Stopped as stopped:
             raise ValueError(f"--policy {policy}: {stopped}") from None
-        stack.callback(options.minds[policy].close)
-    side = _side(options, axes, limits, stack)
-    made: Any = gymnasium.make(
-        kind.ID, drive=example.drive.model, port=side, disable_env_checker=True, **given
-    )
-    env = made.unwrapped
-    stack.callback(env.close)
-    line = env.line
-    line.dry, line.home = options.dry_run, options.home
-    if options.phase is not None:
-        line.phase = options.phase
-    if options.missed is not None:
-        most = max(line.missed, round(WITHOUT / options.period))
-        line.missed = whole("--missed", options.missed, 1, most)
-    if options.time_limit is not None:
-        line.time_limit = options.time_limit
-    for path in options.log:
-        if path.suffix == ".csv":
-            stack.callback(_Log(path, line).close)
-    return env, example
+        stack.callback(policies[policy].close)
+    return _Prepared(kind, given, example, limits, policies)
 
 
-def _policy(name: str, example: Any, seed: int) -> Any:
-    """Return the policy after a few steps in memory, which load and compile it before power-on.
+def made_policy(name: str, example: "ServoEnv", seed: int) -> Any:
+    """Make a policy after some steps of it in memory, which load and compile what it needs.
 
-    Raises ValueError for one that gives no actions, or that knows what no bus tells.
+    Raises ValueError for one that returns no actions, or that is given what no bus transmits.
     """
     from ..policies import POLICIES, BuiltIn, make
     from ..policies import Bound as Limit
@@ -277,49 +208,57 @@ def _policy(name: str, example: Any, seed: int) -> Any:
     policy = make(name, example, seed)
     if isinstance(policy, BuiltIn | Limit):
         raise ValueError(f"policy {name!r} gives no actions at the steps of a task")
-    seen, info = example.reset(seed=seed)
-    policy.reset(seen, info)
+    observation, info = example.reset(seed=seed)
+    policy.reset(observation, info)
     for _ in range(3):
-        seen, _, ended, _, _ = example.step(policy.act(seen))
+        observation, _, ended, _, _ = example.step(policy.act(observation))
         if ended:
             break
     return make(name, example, seed)
 
 
-def _row(episode: Any) -> dict[str, Any]:
-    """Describe an episode for a report."""
-    info = {k: v for k, v in episode.info.items() if isinstance(v, int | float | str | bool)}
-    return {"return": episode.returned, "steps": episode.steps, "late": episode.late} | info
+def _on_the_bus(options: argparse.Namespace, prepared: _Prepared, stack: ExitStack) -> "ServoEnv":
+    """Open the bus and make the environment on it; the stack closes both."""
+    import gymnasium
+
+    side = _side(options, prepared, stack)
+    made: Any = gymnasium.make(
+        prepared.kind.ID, drive=prepared.example.drive.model, port=side, disable_env_checker=True,
+        **prepared.given,
+    )
+    env: ServoEnv = made.unwrapped
+    stack.callback(env.close)
+    line: Any = env.line
+    line.dry, line.home = options.dry_run, options.home
+    for name in ("phase", "missed", "time_limit"):
+        if getattr(options, name) is not None:
+            setattr(line, name, getattr(options, name))
+    for path in options.log:
+        if path.suffix == ".csv":
+            stack.callback(deploy_report.StepLog(path, line).close)
+    return env
 
 
-def _tell_episode(number: int, episode: Any, console: Console) -> None:
-    success = "success" if episode.info.get("is_success") else "no success"
-    console.print(
-        f"episode {number}: return {episode.returned:.3f} by the encoder, {success}, "
-        f"{episode.steps} steps, {episode.late} actions late", highlight=False,
+def _side(options: argparse.Namespace, prepared: _Prepared, stack: ExitStack) -> Any:
+    """Return the drives on the bus given by the options, with its logs."""
+    from ...envs.exchange.over_port import (
+        LOCK_STEP_PATIENCE,
+        CanDrives,
+        EtherCatDrives,
+        LockStep,
+        Pace,
     )
 
-
-def _side(
-    options: argparse.Namespace, axes: list[str], limits: dict[str, dict[str, float]],
-    stack: ExitStack,
-) -> Any:
-    """Return the drives on the bus given by the options, with its logs."""
-    from ...envs.exchange.over_port import CanDrives, EtherCatDrives, LockStep, Pace
-
+    axes, limits = prepared.example.drive_names, prepared.limits
     pace = LockStep() if options.lock_step else Pace()
     frames = [path for path in options.log if path.suffix != ".csv"]
     for path in options.log:
         path.parent.mkdir(parents=True, exist_ok=True)
     if options.ethercat:
-        buses.refuse(options, "is for CAN, not for --ethercat", "node_id")
         from ...drive.wire.capture import Capture
         from ...drive.wire.soem import TIMEOUT, SoemMaster
-        from ...envs.exchange.over_port import LOCK_STEP_PATIENCE
 
         for path in frames:
-            if path.suffix not in CAPTURES:
-                raise ValueError(f"--log {path}: frames of EtherCAT are kept as .pcapng")
             stack.callback(Capture(options.ethercat, path).close)
         patience = LOCK_STEP_PATIENCE if options.lock_step else TIMEOUT
         master = SoemMaster(options.ethercat, timeout=patience)
@@ -329,9 +268,6 @@ def _side(
     from ...drive.wire.bus import CanPort
     from ...drive.wire.log import LogFile
 
-    nodes = options.node_id or [*range(1, len(axes) + 1)]
-    if len(nodes) != len(axes):
-        raise ValueError(f"--node-id: {len(nodes)} are given for the drives {', '.join(axes)}")
     logs = [LogFile(path) for path in frames]
     for log in logs:
         stack.callback(log.stop)
@@ -342,16 +278,16 @@ def _side(
         nonlocal cycles
         if options.lock_step:  # the time of the machine: a cycle passes with each SYNC
             cycles += message.arbitration_id == Base.SYNC and not message.is_rx
-            message.timestamp = cycles * options.period
+            message.timestamp = cycles * prepared.example.step_time
         for log in logs:
             log(message)
             log.flush()
 
     bus = buses.opened(options)
     stack.callback(bus.shutdown)
-    named = dict(zip(axes, nodes, strict=True))
+    nodes = dict(zip(axes, options.node_id or range(1, len(axes) + 1), strict=False))
     port = CanPort(bus, log=keep if logs else None)
-    return CanDrives(port, named, options.drive, envelopes=limits, pace=pace)
+    return CanDrives(port, nodes, options.drive, envelopes=limits, pace=pace)
 
 
 def _limits(options: argparse.Namespace, axes: list[str]) -> dict[str, dict[str, float]]:
@@ -382,54 +318,81 @@ def _agreed(console: Console) -> bool:
     return answer.strip() == "yes"
 
 
-def _tell_times(timing: Any, console: Console) -> None:
-    """Report how late steps were, as percentiles and as a histogram."""
-    from rich.table import Table
+def _played(
+    options: argparse.Namespace, prepared: _Prepared, env: "ServoEnv", console: Console
+) -> "tuple[dict[str, list[Played]], str]":
+    """Play the episodes with each policy; return them, and why the drives were stopped if so."""
+    from ...envs.environment.deployed import episodes_of
+    from ...envs.exchange.envelope import Stopped
 
-    rows = timing.rows()
-    if not rows:
-        return
-    edges = timing.EDGES
-    table = Table(title=f"{len(timing.waking)} steps of {1e3 * timing.period:g} ms, times in µs")
-    for name in ("", *(row.what for row in rows)):
-        table.add_column(name, justify="right")
-    for name, key in (("median", "median"), ("99 %", "p99"), ("99.9 %", "p999"), ("most", "most")):
-        table.add_row(name, *(f"{getattr(row, key):.0f}" for row in rows))
-    table.add_section()
-    for n, name in enumerate([*(f"<{edge:g}" for edge in edges[1:-1]), "more"]):
-        table.add_row(name, *(f"{row.counts[n] or ''}" for row in rows))
-    console.print(table)
-    console.print(
-        f"{timing.missed} set-points a step late, {timing.lost} steps without all answers, "
-        f"{timing.stale} actions not in time, at most {timing.in_a_row} in a row; the policy took "
-        f"{timing.share:.0%} of the time", highlight=False,
+    if hasattr(signal, "SIGHUP"):  # a terminal that is closed, like Ctrl-C and SIGTERM
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+    line: Any = env.line
+    played: dict[str, list[Played]] = {}
+    reason = ""
+    try:
+        for name, policy in prepared.policies.items():
+            played[name] = []
+            if len(prepared.policies) > 1:
+                console.print(name, style="bold", highlight=False, markup=False)
+            for episode in episodes_of(
+                env, episodes=options.episodes, make=policy, slow=options.slow,
+                seed=options.seed, fast=not options.lock_step,
+            ):
+                played[name].append(episode)
+                _tell_episode(len(played[name]), episode, console)
+    except (Stopped, KeyboardInterrupt) as stopped:  # a second Ctrl-C comes while it stops
+        reason = f"{line.stop(stopped)}"
+        console.print(f"stopped: {reason}", style="red", highlight=False, markup=False)
+    env.close()
+    return played, reason
+
+
+def _compared(
+    options: argparse.Namespace, prepared: _Prepared, played: "dict[str, list[Played]]",
+    console: Console,
+) -> list[dict[str, Any]]:
+    """Compare the policies with the first one and, for the gap, each with memory or the twin."""
+    from ...envs.environment.deployed import in_memory
+    from ...envs.serve import in_process
+
+    values = {name: [each.values for each in episodes] for name, episodes in played.items()}
+    first, *others = values
+    rows: list[dict[str, Any]] = []
+    for name in others:
+        rows += deploy_report.rows(f"{name} - {first}", values[name], values[first])
+    twin = prepared.given.get("twin")
+    if not (options.gap or twin):
+        return rows
+    other = "twin" if twin else "memory"
+    env = in_process.environment(
+        options.env, "ethercat" if options.ethercat else "can", options.drive, prepared.given,
+        options.home, prepared.limits,
     )
+    for name, own in values.items():  # one after the other, as on the bus
+        policy = prepared.policies[name]
+        policy.renew()
+        there, stopped = in_memory(env, policy, len(own), options.seed, options.slow)
+        if stopped:
+            console.print(
+                f"{name}: the guard stopped episode {len(there) + 1} of {len(own)} in the {other}: "
+                f"{stopped}; the gap is that of the episodes before it",
+                style="yellow", markup=False,
+            )
+        rows += deploy_report.rows(f"{name}: bus - {other}", own, there)
+    env.close()
+    return rows
 
 
-class _Log:
-    """Writes every answer of the drives as a line, with the last command.
+def _row(episode: Any) -> dict[str, Any]:
+    """Describe an episode for a report."""
+    info = {k: v for k, v in episode.info.items() if isinstance(v, int | float | str | bool)}
+    return {"return": episode.returned, "steps": episode.steps, "late": episode.late} | info
 
-    Written lines stay, whatever happens next.
-    """
 
-    def __init__(self, path: Path, line: Any):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("w", newline="", encoding="utf-8")
-        self._rows = csv.writer(self._file)
-        self._line, self._headed = line, False
-        line.on_step = self._write
-
-    def _write(self, images: Any) -> None:
-        if self._line.sent is None:  # before the first command
-            return
-        both = self._line.sent, images
-        if not self._headed:
-            heads = [f"{axis}:{name}" for each in both for axis in self._line.guards
-                     for name in each.dtype.names]
-            self._rows.writerow(["time (s)", *heads])
-            self._headed = True
-        values = [row[name].item() for each in both for row in each for name in each.dtype.names]
-        self._rows.writerow([f"{self._line.time:.6f}", *values])
-
-    def close(self) -> None:
-        self._file.close()
+def _tell_episode(number: int, episode: Any, console: Console) -> None:
+    success = "success" if episode.info.get("is_success") else "no success"
+    console.print(
+        f"episode {number}: return {episode.returned:.3f} by the encoder, {success}, "
+        f"{episode.steps} steps, {episode.late} actions late", highlight=False,
+    )

@@ -95,6 +95,9 @@ def _node(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str,
 
 def _slave(options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
     """Observe a slave on EtherCAT."""
+    from ...drive.wire.soem import check_access
+
+    check_access(options.ethercat)
     from ...drive.model.model import load
     from ...drive.wire.ethercat_observe import observe
 

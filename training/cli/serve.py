@@ -77,11 +77,18 @@ def serve(
         said: what is printed once the buses are open.
         check: build the machines, but open no bus.
     """
+    from ...envs.serve.buses import check_access
     from ...envs.serve.laboratory import Laboratory
 
     def tell(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)
 
+    if not check:
+        if not description.by_options:
+            otherwise = 'set udp = "127.0.0.1" instead of interface'
+        else:
+            otherwise = "use --udp instead" if hasattr(options, "udp") else ""
+        check_access(description, otherwise)
     with console.status("compiling the control cycle, once per version (up to 40 s) ..."):
         laboratory = Laboratory(description, getattr(options, "seed", 0), tell)
     if check:

@@ -29,11 +29,11 @@ end stop is not transmitted and counts as zero.
 
 from .can_drives import CanDrives
 from .ethercat_drives import EtherCatDrives
-from .line import PortLine
+from .line import PortLine, steps_bridged
 from .pace import LOCK_STEP_PATIENCE, LockStep, Pace
 from .side import DriveSide, Limits
 
 __all__ = [
     "LOCK_STEP_PATIENCE", "CanDrives", "DriveSide", "EtherCatDrives", "Limits", "LockStep", "Pace",
-    "PortLine",
+    "PortLine", "steps_bridged",
 ]

@@ -98,7 +98,7 @@ class PortLine:
         self._mirror = Mirror(machine, self._axes, units, period)
         self.timing = Timing(period)
         self.phase = PHASE
-        self.missed = max(MISSED, math.ceil(BRIDGED / period))
+        self.missed = steps_bridged(period)
         self.time_limit = math.inf
         self.unwatched: list[str] = []
         self.refused: list[str] = []
@@ -328,6 +328,11 @@ class PortLine:
     def become(self, state: Any) -> None:
         """Raise TypeError: drives on a bus cannot be copied."""
         self.state()
+
+
+def steps_bridged(period: float) -> int:
+    """Return how many steps (s) without answers or actions a guard tolerates by default."""
+    return max(MISSED, math.ceil(BRIDGED / period))
 
 
 def _insist(act: Callable[[], object]) -> None:
