@@ -25,7 +25,7 @@ ACTION_TIME_OUT = 10.0  # s for an action where nothing waits for it
 IDLE = 5e-3  # s between frames while a policy plans an episode
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 BEGIN, ACT, RENEW = b"b", b"a", b"n"  # requests
-READY, ACTION, NO_NUMBER, RAISED = b"r", b"a", b"n", b"e"  # answers
+READY, REFUSED, ACTION, NO_NUMBER, RAISED = b"r", b"v", b"a", b"n", b"e"  # answers
 NUMERIC = "fiub"  # kinds of dtypes
 SHAPE = struct.Struct("<i")
 
@@ -139,6 +139,8 @@ class PolicyProcess:
             self._process.join(1.0)
             raise Stopped("", f"the policy has ended: {_ending(self._process.exitcode)}") from None
         kind, body = data[:1], data[1:]
+        if kind == REFUSED:
+            raise Stopped("", body.decode(errors="replace"))
         if kind == RAISED:
             raise Stopped("", f"the policy raised {body.decode(errors='replace')}")
         if kind == NO_NUMBER:
@@ -176,7 +178,11 @@ def _serve(
         ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
     _preferred_by_the_oom_killer()
     try:
-        policy = make()
+        try:
+            policy = make()
+        except ValueError as error:  # what was given is unsuitable, and the text says why
+            there.send_bytes(REFUSED + f"{error}"[:2000].encode())
+            return
         if fast:
             real_time.ask(PRIORITY_BELOW)
         _limit(memory)
